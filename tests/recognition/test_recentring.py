@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.special import softmax
 
+from palpate import Touches
+from palpate.recognition import ObjectRecogniser, Recentring
 from palpate.recognition._recentring import SessionSums, shift_unlabelled
 from palpate.recognition._sessions import Parts, Taught, session_effects
 
@@ -109,3 +112,55 @@ def test_sessions_that_share_no_object_add_nothing(rng):
     codes, sessions = np.repeat([0, 1, 2, 3], 3), np.repeat([0, 0, 1, 1], 3)
     found = session_effects(rng.normal(size=(12, 2)), codes, sessions)
     assert_allclose(found, 0, atol=1e-9)
+
+
+def _day(offset, seed, objects="abcdef", n_each=1, labels=True):
+    rng = np.random.default_rng(seed)
+    names = np.tile(list(objects), n_each)
+    images = CENTRES[["abcdef".index(o) for o in names]] + offset
+    images = images + rng.normal(size=images.shape)
+    columns = {"object": names} if labels else {}
+    return Touches(images[:, None], geometry="none", **columns)
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    return ObjectRecogniser().fit(_day(0.0, 0, n_each=12))
+
+
+def test_touch_by_touch_it_ends_where_all_touches_at_once_do(learnt):
+    there = _day(3.0, 1, n_each=4)
+    today = Recentring(learnt)
+    for k in range(len(there)):
+        today.start().update(there[k : k + 1])
+    assert today.n_touches == len(there)
+    seen, taught = learnt.evidence(there), learnt.learnt().taught
+    said = softmax(seen.log_likelihood, axis=1)
+    at_once = shift_unlabelled(SessionSums.of(seen.features, said, taught), taught)
+    assert_allclose(today.recogniser.encoder_.offset, at_once, atol=1e-9)
+    # Other touches of the session lie where those of training do, to within a third.
+    others, middle = _day(3.0, 2, n_each=5), taught.means.mean(axis=0)
+    before = learnt.evidence(others).features.mean(axis=0) - middle
+    after = today.recogniser.evidence(others).features.mean(axis=0) - middle
+    assert np.linalg.norm(after) < np.linalg.norm(before) / 3
+
+
+def test_the_belief_under_way_moves_along(learnt):
+    there = _day(3.0, 1, n_each=6)
+    mine = there[np.flatnonzero(there.object == "a")]
+    today = Recentring(learnt)
+    for k in range(30):
+        today.start().update(there[k : k + 1])
+    today.start().update(mine[:1])
+    belief = today.update(mine[1:3])
+    afresh = today.recogniser.start().update(mine[:3])
+    # One episode: all its touches are seen as what the session adds is known now.
+    assert belief.touches_used == 3
+    assert belief.posterior == pytest.approx(afresh.posterior)
+
+
+def test_the_recogniser_that_was_learnt_stays_as_it_is(learnt):
+    there = _day(3.0, 1, n_each=2)
+    before = learnt.log_likelihood(there)
+    Recentring(learnt).start().update(there)
+    assert_allclose(learnt.log_likelihood(there), before, rtol=0, atol=0)

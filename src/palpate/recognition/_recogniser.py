@@ -367,7 +367,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         new = as_touches(touches)
         labels = new.object if self.label == "object" else new.category
         learnt, found = remounted(self.learnt(), new, labels)
-        self._take(learnt)
+        self.serve(learnt)
         self.chosen_ = {**self.chosen_, "remount": found}
         return self
 
@@ -387,7 +387,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         """
         self._check_fitted()
         learnt, n_differences = without_nuisance(self.learnt(), as_touches(touches))
-        self._take(learnt)
+        self.serve(learnt)
         return n_differences
 
     def check_mounting(self, touches: Touches | Evidence) -> MountingCheck:
@@ -813,9 +813,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        return self._take(self.learnt().relearnt(memory))
+        return self.serve(self.learnt().relearnt(memory))
 
-    def _take(self, learnt: Learnt) -> Self:
+    def serve(self, learnt: Learnt) -> Self:
         """Recognise by what was learnt from now on."""
         refuse_too_large(learnt.memory.labels, self.max_memory_gb)
         same = learnt.memory is self.memory_
@@ -888,6 +888,12 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         with opencv_on_one_thread():
             features, flags = encoded_and_flagged(self.encoder_, self.contact_, touches)
             looks = self.encoder_.look(touches)
+        return self.evidence_of(features, flags, looks)
+
+    def evidence_of(
+        self, features: Floats, flags: list[str], looks: Floats
+    ) -> Evidence:
+        """Return what features tell, (n_touches, n_features), with flags and looks."""
         parts = self.classifier_.log_likelihood_by_part(features)
         said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
         used = self._used(said, np.array(flags) == NO_CONTACT)

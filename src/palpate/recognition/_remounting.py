@@ -87,7 +87,7 @@ def remounted(
     if new.no_contact is not None or other_kind:
         contact = ContactCheck().fit(new, encoder).with_poses_of(contact)
     learnt = replace(learnt, encoder=encoder, contact=contact)
-    learnt, found = _without_sessions(learnt)
+    learnt, found = without_sessions(learnt)
     encoding = encoded(learnt.encoder, contact, new)
     counts = ~encoding.nothing | learnt.uses_no_contact
     if not counts.any():
@@ -291,7 +291,7 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
     )
 
 
-def _without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
+def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
     """Take off what training sessions add, where that helps with sessions left out.
 
     Weighing down how sessions differ comes next, if it helps further. Also returns what
