@@ -147,25 +147,38 @@ def draw_sessions(
     rng = np.random.default_rng(seed)
     own = memory.features[rows]
     spread = FARTHEST * memory.features.std(axis=0)
-    every = [own]
+    every, rest = [own], at_rest(touches)
     for _ in range(n_sessions):
-        images = in_another_session(touches, ranges, rng)
+        images = in_another_session(touches, ranges, rng, rest)
         moved = encoder.transform(with_images(touches, images)) - own
         every.append(own + np.clip(moved, -spread, spread))
     return Drawn(np.stack(every), rows)
 
 
-def in_another_session(
-    touches: Touches, ranges: Ranges, rng: np.random.Generator
-) -> Array:
-    """Return images as an invented session would show them, in their own type."""
-    images = np.asarray(touches.images, dtype=np.float64)
-    dead, images = np.isnan(images), np.nan_to_num(images)
-    shape, colours = images.shape[1:3], images.shape[3:]
+def at_rest(touches: Touches) -> tuple[Floats, float]:
+    """Return the frame of no contact, or the median, and how far touches go from it."""
+    images = np.nan_to_num(touches.images)
     rest = touches.no_contact
     if rest is None:
         rest = np.median(images, axis=0)
-    signal = float(np.percentile(np.abs(images - rest), 99)) or 1.0
+    rest = np.nan_to_num(np.asarray(rest, dtype=np.float64))
+    return rest, float(np.percentile(np.abs(images - rest), 99)) or 1.0
+
+
+def in_another_session(
+    touches: Touches,
+    ranges: Ranges,
+    rng: np.random.Generator,
+    rest: tuple[Floats, float] | None = None,
+) -> Array:
+    """Return images as an invented session would show them, in their own type.
+
+    `rest` is what `at_rest` returns for them.
+    """
+    images = np.asarray(touches.images, dtype=np.float64)
+    dead, images = np.isnan(images), np.nan_to_num(images)
+    shape, colours = images.shape[1:3], images.shape[3:]
+    still, signal = at_rest(touches) if rest is None else rest
     gains = np.exp(rng.normal(0, ranges.gain) + rng.normal(0, ranges.taxels, shape))
     light = gains * _falling_off(shape, rng.normal(0, 1, 2) * ranges.slope)
     zero = ranges.zero * signal * _smooth(shape, rng)
@@ -176,7 +189,7 @@ def in_another_session(
     images = images * light
     if ranges.shift:
         images = np.stack([_shifted(i, where, touches.pads) for i in images])
-    images = images + np.where(np.nan_to_num(rest) != 0, zero, 0.0)
+    images = images + np.where(still != 0, zero, 0.0)
     kind = touches.images.dtype
     if kind.kind in "ui":
         limits = np.iinfo(kind)
