@@ -396,5 +396,5 @@ def test_what_is_no_touch_is_refused(bag, tmp_path):
     with pytest.raises(LibraryError, match="one array of rows and columns"):
         read_bag(bag(_array(np.zeros(5), (2, 3))), "/pad")
     (tmp_path / "no.mcap").write_bytes(b"nothing")
-    with pytest.raises(LibraryError, match="must be a ROS 2 bag"):
+    with pytest.raises(LibraryError, match="must be a bag of ROS"):
         read_bag(tmp_path / "no.mcap", "/pad")

@@ -11,6 +11,9 @@ from ._kernel_ridge import KernelRidgeClassifier
 from ._kernel_ridge import fair_shares as fair_shares
 from ._kernel_ridge import learns_by_landmarks as learns_by_landmarks
 from ._nearby import NearbyTouches as NearbyTouches
+from ._rehearsed import Drawn as Drawn
+from ._rehearsed import RehearsedMachine as RehearsedMachine
+from ._rehearsed import rehearsed as rehearsed
 from ._touch_classifier import BayesRule as BayesRule
 from ._touch_classifier import FromProbabilities, TouchClassifier
 from ._touch_classifier import as_groups as as_groups

@@ -126,8 +126,12 @@ class EncodingPool(BayesRule):
             for name, part in self._parts(touches).items()
         }
         self.classes_ = np.unique(labels)
+        codes = np.searchsorted(self.classes_, labels)
+        return self.weighed_by(codes[self.left_out_rows])
+
+    def weighed_by(self, codes: Indices) -> Self:
+        """Weigh the machines by left-out touches; `codes` are their labels' columns."""
         every = self.left_out_posteriors()
-        codes = np.searchsorted(self.classes_, labels)[self.left_out_rows]
         step = -(-codes.size * self.classes_.size // 1_000_000)
         some = np.sort(np.argsort(codes, kind="stable")[::step])
         weights = pool_weights(every[:, some], codes[some])

@@ -42,3 +42,4 @@ from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note
 from ._strangers import episode_evidence as episode_evidence
 from ._strangers import stranger_log_shares as stranger_log_shares
+from ._used_to import Recentring as Recentring

@@ -28,7 +28,7 @@ from .. import __version__, classifiers, encodings, images
 from .._checks import nearest_path
 from .._durable import replacing
 from .._types import Array
-from ..classifiers import NearbyTouches
+from ..classifiers import NearbyTouches, RehearsedMachine
 from ..encodings import OnnxEncoding
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
@@ -50,6 +50,7 @@ _OWN = (
     Memory,
     Modality,
     NearbyTouches,
+    RehearsedMachine,
     RemountedEncoder,
     SequenceCalibration,
     StrangerModel,

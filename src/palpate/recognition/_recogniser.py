@@ -21,7 +21,7 @@ from .._extras import needed
 from .._numbers import log_softmax
 from .._parallel import on_one_thread, opencv_on_one_thread, results_of
 from .._types import Array, Bools, Floats, Indices
-from ..classifiers import TouchClassifier, as_groups, check_targets
+from ..classifiers import EncodingPool, TouchClassifier, as_groups, check_targets
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from . import _evidence, _memory
@@ -50,6 +50,7 @@ from ._presets import (
     find_preset,
     opened,
 )
+from ._rehearsal import rehearse, said_of_rehearsal
 from ._remounted_encoder import RemountedEncoder
 from ._remounting import (
     MountingCheck,
@@ -106,6 +107,10 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         How objects come to the sensor: at any angle and place, at any angle, at any
         place, or always the same; "auto" finds out from the training touches, and
         `chosen_` says what it found. For the preset "default".
+    rehearse : bool, default=True
+        Whether some touches are seen again as in invented sessions (other gains, zeros,
+        places), so that another day costs less; how far that counts is found out, and
+        `chosen_["rehearsal"]` says it. For the classifier of the preset "default".
     random_state : int, default=0
         Seed of the drawn episodes that calibrate the belief.
 
@@ -168,6 +173,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         floor: float | None = None,
         prior: Literal["uniform", "counts"] = "uniform",
         presentation: Presentation = "auto",
+        rehearse: bool = True,
         random_state: int = 0,
     ) -> None:
         self.preset = preset
@@ -177,6 +183,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self.floor = floor
         self.prior = prior
         self.presentation = presentation
+        self.rehearse = rehearse
         self.random_state = random_state
 
     def fit(
@@ -229,6 +236,17 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self.classifier_ = preset.classifier(encoder).fit(
                 memory.features, memory.labels, groups=memory.blocks
             )
+            if self.rehearse and isinstance(self.classifier_, EncodingPool):
+                self.classifier_, found = rehearse(
+                    self.classifier_,
+                    encoder,
+                    memory,
+                    touches,
+                    chosen["geometry"],
+                    self.random_state,
+                )
+                chosen["rehearsal"] = found
+                chosen["found"] = [*chosen.get("found", ()), said_of_rehearsal(found)]
             if len(self.classifier_.part_weights) > 1:
                 chosen["weights"] = dict(self.classifier_.part_weights)
             self._calibrate(memory)
@@ -349,7 +367,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         new = as_touches(touches)
         labels = new.object if self.label == "object" else new.category
         learnt, found = remounted(self.learnt(), new, labels)
-        self._take(learnt)
+        self.serve(learnt)
         self.chosen_ = {**self.chosen_, "remount": found}
         return self
 
@@ -369,7 +387,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         """
         self._check_fitted()
         learnt, n_differences = without_nuisance(self.learnt(), as_touches(touches))
-        self._take(learnt)
+        self.serve(learnt)
         return n_differences
 
     def check_mounting(self, touches: Touches | Evidence) -> MountingCheck:
@@ -795,9 +813,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        return self._take(self.learnt().relearnt(memory))
+        return self.serve(self.learnt().relearnt(memory))
 
-    def _take(self, learnt: Learnt) -> Self:
+    def serve(self, learnt: Learnt) -> Self:
         """Recognise by what was learnt from now on."""
         refuse_too_large(learnt.memory.labels, self.max_memory_gb)
         same = learnt.memory is self.memory_
@@ -870,6 +888,12 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         with opencv_on_one_thread():
             features, flags = encoded_and_flagged(self.encoder_, self.contact_, touches)
             looks = self.encoder_.look(touches)
+        return self.evidence_of(features, flags, looks)
+
+    def evidence_of(
+        self, features: Floats, flags: list[str], looks: Floats
+    ) -> Evidence:
+        """Return what features tell, (n_touches, n_features), with flags and looks."""
         parts = self.classifier_.log_likelihood_by_part(features)
         said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
         used = self._used(said, np.array(flags) == NO_CONTACT)

@@ -25,6 +25,7 @@ from ._evidence import Evidence
 from ._learning import encoded, memory_of
 from ._learnt import HasLearnt, Learnt
 from ._memory import Memory
+from ._recentring import SessionSums, shift_unlabelled
 from ._remounted_encoder import AnyEncoder, RemountedEncoder, wrapped
 
 # Fewer differences between sessions than this do not tell a covariance.
@@ -93,7 +94,7 @@ def remounted(
     if new.no_contact is not None or other_kind:
         contact = ContactCheck().fit(new, encoder).with_poses_of(contact)
     learnt = replace(learnt, encoder=encoder, contact=contact)
-    learnt, found = _without_sessions(learnt)
+    learnt, found = without_sessions(learnt)
     encoding = encoded(learnt.encoder, contact, new)
     counts = ~encoding.nothing | learnt.uses_no_contact
     if not counts.any():
@@ -101,20 +102,18 @@ def remounted(
             f"touches must show contact, got {len(new)} that look like touching "
             "nothing. Press the sensor on something, or take its baseline anew."
         )
-    features, taught = encoding.features, learnt.taught
+    features = encoding.features
     if labels is None:
-        say = learnt.classifier.log_likelihood
-        shift, shares = _sessions.shift_unlabelled(features[counts], say, taught)
-        if not found.get("centred", True):
-            shift = np.zeros_like(shift)
-        found["objects"] = round(_sessions.effective_number(shares), 1)
-    else:
-        codes = np.searchsorted(learnt.classes, labels)
-        shift = _sessions.shift_by_labels(features[counts], codes[counts], taught)
+        sums = _sums(learnt, features[counts])
+        found["objects"] = round(_sessions.effective_number(sums.shares), 1)
+    confirmed = None if labels is None else labels[counts]
+    shift = _shift(learnt, features[counts], confirmed)
+    if labels is None and not found.get("centred", True):
+        shift = np.zeros_like(shift)
     there = wrapped(learnt.encoder).shifted(shift)
     found |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
     found["broken"] = 0 if there.broken is None else int(there.broken.sum())
-    variance = max(taught.features.var(axis=0).sum(), 1e-300)
+    variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     found["moved"] = float((shift**2).sum() / variance)
     learnt = replace(learnt, encoder=there)
     if labels is None:
@@ -122,8 +121,22 @@ def remounted(
     objects = labels if new.object is None else new.object
     encoding = replace(encoding, features=features + shift, looks=there.look(new))
     one_group = np.zeros(len(new), dtype=np.intp)
-    confirmed = memory_of(new, encoding, labels, objects, one_group)
-    return learnt.relearnt(learnt.memory.plus(confirmed)), found
+    joined = memory_of(new, encoding, labels, objects, one_group)
+    return learnt.relearnt(learnt.memory.plus(joined)), found
+
+
+def _shift(learnt: Learnt, features: Floats, labels: Array | None) -> Floats:
+    """Return what to add to a session's features, with or without labels."""
+    if labels is None:
+        return shift_unlabelled(_sums(learnt, features), learnt.taught)
+    codes = np.searchsorted(learnt.classes, labels)
+    return _sessions.shift_by_labels(features, codes, learnt.taught)
+
+
+def _sums(learnt: Learnt, features: Floats) -> SessionSums:
+    """Return what touches of a session without labels sum up to."""
+    said = learnt.classifier.log_likelihood(features)
+    return SessionSums.of(features, softmax(said, axis=1), learnt.taught)
 
 
 def _as_taught(
@@ -148,10 +161,11 @@ def _as_taught(
         ]
         gain = float(np.exp(np.mean(ratios)))
         other = RemountedEncoder.of(learnt.encoder, new, gain)
-        near = [
-            memory.nearest.log_distances(one.transform(new)).min(axis=1)
-            for one in (kept, other)
-        ]
+        near = []
+        for one in (kept, other):
+            features = one.transform(new)
+            moved = features + _shift(learnt, features, labels)
+            near.append(memory.nearest.log_distances(moved).min(axis=1))
         better = near[0] - near[1]
         if better.mean() > better.std() / np.sqrt(len(better)):
             kept = other
@@ -239,7 +253,8 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
 
     `sessions` per object (least and median), `asked` (touches of objects that another
     session met too) and, where there are any, `expected`: the accuracy after one touch
-    of a session that was left out whole.
+    of a session that was left out whole. `rehearsed`: between what accuracies it was in
+    rehearsed sessions, where those were drawn.
     """
     learnt = recogniser.learnt()
     memory = learnt.memory
@@ -249,12 +264,16 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
         for name in np.unique(memory.objects)
     ]
     asked, median = _met_elsewhere(memory), float(np.median(per_object))
-    result = {"least": min(per_object), "median": median, "asked": int(asked.sum())}
+    result: dict[str, Any] = {"least": min(per_object), "median": median}
+    result["asked"] = int(asked.sum())
     if asked.any():
         said, rows = _said_of_left_out_sessions(learnt, memory.features)
         right = learnt.classes[said.argmax(axis=1)] == memory.labels[rows]
         if asked[rows].any():  # of very many touches only some are left out
             result["expected"] = float(right[asked[rows]].mean())
+    found = getattr(recogniser, "chosen_", {}).get("rehearsal", {})
+    if "expected" in found:
+        result["rehearsed"] = list(found["expected"])
     return result
 
 
@@ -267,13 +286,20 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
             f"{taught}: expect {expected:.0%} right after one touch in another one "
             f"({across['asked']} touches of sessions left out whole)."
         )
+    if "rehearsed" in across:
+        low, high = (100 * share for share in across["rehearsed"])
+        return (
+            f"{taught}, and none in two: expect about {low:.0f} to {high:.0f}% right "
+            "after one touch on another day, or mounted anew, as rehearsed sessions "
+            "were; only touches of another session can show it."
+        )
     return (
         f"{taught}, and none in two: on another day, or mounted anew, expect less than "
         "today; how much less only touches of another session tell."
     )
 
 
-def _without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
+def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
     """Take off what training sessions add, where that helps with sessions left out.
 
     Weighing down how sessions differ comes next, if it helps further. Also returns what

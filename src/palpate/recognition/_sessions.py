@@ -7,20 +7,14 @@ for, all of them together.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.special import softmax
 from sklearn.metrics.pairwise import euclidean_distances
 
 from .._types import Array, Floats, Indices
 
-# How many touches the belief that all objects are asked about alike is worth.
-N_PRIOR = 3.0
-N_ROUNDS = 6
 # Variance between sessions that no pair showed, as a share of the mean of those shown.
 UNSEEN = 0.3
 N_DRAWS = 200
@@ -107,14 +101,23 @@ def group_means(values: Floats, codes: Indices) -> Floats:
 def session_effects(features: Floats, codes: Array, sessions: Array) -> Floats:
     """Return what each touch's session adds to its features, (n_touches, n_features).
 
-    By least squares features = object + session, so that sessions in which nothing was
-    met that others met add nothing; their mean over touches is 0.
+    By least squares features = object + session, the shortest solution, so that
+    sessions in which nothing was met that others met add nothing; their mean over
+    touches is 0.
     """
-    of = np.unique(sessions, return_inverse=True)[1]
-    effects = np.zeros_like(features)
-    for _ in range(30):
-        objects = group_means(features - effects, codes)
-        effects = group_means(features - objects[codes], of)[of]
+    of = np.unique(sessions, return_inverse=True)[1].ravel()
+    which = np.unique(codes, return_inverse=True)[1].ravel()
+    counts = np.zeros((which.max() + 1, of.max() + 1))
+    np.add.at(counts, (which, of), 1.0)
+    n_each = counts.sum(axis=1, keepdims=True)
+    # What objects explain is taken out of the normal equations of the sessions, as they
+    # are linked: one of several that were met with others apart from all else is free.
+    share = counts / n_each
+    normal = np.diag(counts.sum(axis=0)) - counts.T @ share
+    sums = np.zeros((of.max() + 1, features.shape[1]))
+    np.add.at(sums, of, features - group_means(features, which)[which])
+    effects = np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ sums
+    effects = effects[of]
     return np.asarray(effects - effects.mean(axis=0))
 
 
@@ -172,51 +175,6 @@ def shift_by_labels(features: Floats, codes: Indices, taught: Taught) -> Floats:
     names, which = np.unique(codes, return_inverse=True)
     apart = group_means(taught.means[codes] - features, which).mean(axis=0)
     return _less_noise(apart, taught.noise[0] / len(names), taught.parts)
-
-
-def shift_unlabelled(
-    features: Floats, say: Callable[[Floats], Floats], taught: Taught
-) -> tuple[Floats, Floats]:
-    """Return what to add to a session's features, without labels, and objects' shares.
-
-    `say` gives log-likelihoods (n_touches, n_objects) of features. The mean of the
-    session goes to that of the objects it asks about: of all alike, or in the shares
-    (n_objects,) that explain what the touches are taken for, as they are or moved so,
-    given what left-out training touches are mistaken for [1]_. A move that blocks of
-    the training touches would make by chance is not made. Of these, and of no move, the
-    shortest is returned after which touches lie as near to training touches as after
-    any, to within one standard error.
-
-    References
-    ----------
-    .. [1] Z. C. Lipton, Y.-X. Wang and A. J. Smola, "Detecting and correcting for label
-       shift with black box predictors", ICML 2018. arXiv:1802.03916
-    """
-    means, middle = taught.means, features.mean(axis=0)
-    taken_for = group_means(taught.posterior, taught.codes)
-    alike = np.full(len(means), 1 / len(means))
-
-    def shares_after(shift: Floats) -> Floats:
-        found = softmax(say(features + shift), axis=1).mean(axis=0)
-        return _shares(found, taken_for, len(features))
-
-    every = [alike]
-    for start in (np.zeros_like(middle), alike @ means - middle):
-        shares = shares_after(start)
-        for _ in range(N_ROUNDS - 1):
-            shares = shares_after(shares @ means - middle)
-        every.append(shares)
-    moves = [(np.zeros_like(middle), every[1])]
-    for shares in every:
-        n_units = min(effective_number(shares), len(features))
-        shift, noise = shares @ means - middle, taught.noise[1] / n_units
-        moves.append((_less_noise(shift, noise, taught.parts), shares))
-    distances = [taught.log_distances(features + shift) for shift, _ in moves]
-    nearest = min(distances, key=np.mean)
-    chance = [(one - nearest).std() / np.sqrt(len(one)) for one in distances]
-    near = [np.mean(d - nearest) <= c for d, c in zip(distances, chance, strict=True)]
-    enough = [move for move, is_near in zip(moves, near, strict=True) if is_near]
-    return min(enough, key=lambda move: np.linalg.norm(move[0]))
 
 
 def effective_number(shares: Floats) -> float:
@@ -316,20 +274,6 @@ def _mahalanobis(kind: Floats, values: Floats) -> Floats:
     axes = np.linalg.inv(covariance + 1e-4 * np.eye(len(covariance)))
     squared = np.einsum("ij,jk,ik->i", away, axes, away)
     return np.asarray(np.sqrt(np.maximum(squared, 0)))
-
-
-def _shares(found: Floats, taken_for: Floats, n_touches: int) -> Floats:
-    """Return the shares of objects whose touches are taken for `found`, on average."""
-    n_objects = len(found)
-    told, prior = np.sqrt(n_touches), np.sqrt(N_PRIOR)
-    sums_to_one = 1e3
-    rows = [
-        told * taken_for.T,
-        prior * np.eye(n_objects),
-        sums_to_one * np.ones(n_objects),
-    ]
-    aims = [told * found, np.full(n_objects, prior / n_objects), [sums_to_one]]
-    return np.asarray(nnls(np.vstack(rows), np.concatenate(aims))[0])
 
 
 def _less_noise(shift: Floats, noise: Floats, parts: Parts) -> Floats:

@@ -1,0 +1,270 @@
+"""Machines that know other sessions from rehearsal, beside those that do not.
+
+How a session changes touches is invented, and weighed down in the features before a
+second machine learns them. How far it is to be trusted beside the first is told by
+touches left out: as they are, and as in the invented sessions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import copy
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._numbers import log_softmax
+from .._types import Array, Bools, Floats, Indices
+from ._encoding_pool import TOGETHER, EncodingPool, pool_weights
+from ._touch_classifier import BayesRule, Groups, TouchClassifier
+
+# Machines that are asked about invented sessions learn at most so many touches.
+_AT_MOST = 500
+
+
+class RehearsedMachine(BayesRule):
+    """Two machines of the same features: of these as they are, and weighed down.
+
+    Parameters
+    ----------
+    plain, rehearsed : TouchClassifier
+        Machines that have learnt the same touches, the second one after `weighing`.
+    weighing : ndarray of shape (n_features, n_features)
+        What features are multiplied by, to weigh down how sessions differ.
+    share : float
+        What the second one's log posterior counts; the first one's counts the rest.
+
+    Attributes
+    ----------
+    classes_ : ndarray of shape (n_classes,)
+        The labels, sorted.
+    """
+
+    def __init__(
+        self,
+        plain: TouchClassifier,
+        rehearsed: TouchClassifier,
+        weighing: Floats,
+        share: float = 0.5,
+    ) -> None:
+        self.plain = plain
+        self.rehearsed = rehearsed
+        self.weighing = weighing
+        self.share = share
+
+    @property
+    def classes_(self) -> Array:  # type: ignore[override]
+        """The labels, sorted."""
+        return self.plain.classes_
+
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
+        """Let both machines choose and learn; see `TouchClassifier.fit`."""
+        touches = np.asarray(X, dtype=np.float64)
+        self.plain.fit(touches, y, groups)
+        self.rehearsed.fit(touches @ self.weighing, y, groups)
+        return self
+
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
+        """Let both machines learn other touches with the choices they made."""
+        touches = np.asarray(X, dtype=np.float64)
+        self.plain = copy(self.plain).refit(touches, y, groups)
+        weighed = touches @ self.weighing
+        self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups)
+        return self
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats)."""
+        touches = np.asarray(X, dtype=np.float64)
+        plain = self.plain.log_likelihood(touches)
+        return self._both(plain, self.rehearsed.log_likelihood(touches @ self.weighing))
+
+    def log_likelihood_checked(self, touches: Floats) -> Floats:
+        """Do what `log_likelihood` does, for a caller that has checked the touches."""
+        plain = self.plain.log_likelihood_checked(touches)
+        weighed = touches @ self.weighing
+        return self._both(plain, self.rehearsed.log_likelihood_checked(weighed))
+
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of training touches, their groups left out."""
+        plain = self.plain.left_out_log_likelihood()
+        return self._both(plain, self.rehearsed.left_out_log_likelihood())
+
+    @property
+    def left_out_rows(self) -> Indices:
+        """Which training touches these are, (n_left_out,)."""
+        return self.plain.left_out_rows
+
+    def _both(self, plain: Floats, rehearsed: Floats) -> Floats:
+        return _mixed(
+            log_softmax(plain, axis=1), log_softmax(rehearsed, axis=1), self.share
+        )
+
+
+class Rehearsal(NamedTuple):
+    """What was found of rehearsed sessions.
+
+    `pool` is the pool with both kinds of machines, or the plain one where the rehearsed
+    ones count for nothing (`share`); `right` (n_sessions + 1,) is the share of touches,
+    learnt from half of them, that are recognised as they are and in each session.
+    """
+
+    pool: EncodingPool
+    share: float
+    right: Floats
+
+
+class Drawn(NamedTuple):
+    """Touches in invented sessions: features (n_sessions, n_drawn, n_features).
+
+    The first session is that of training, of the training touches `rows` (n_drawn,).
+    """
+
+    features: Floats
+    rows: Indices
+
+
+def rehearsed(
+    pool: EncodingPool,
+    X: Floats,
+    y: Array,
+    groups: Indices,
+    weighing: Floats,
+    drawn: Drawn,
+    sessions_known: bool,
+) -> Rehearsal:
+    """Return a pool whose machines know invented sessions too, and how far they count.
+
+    Parameters
+    ----------
+    pool : EncodingPool
+        What learnt the touches `X` (n_touches, n_features), labels `y`, in `groups`.
+    weighing : ndarray of shape (n_features, n_features)
+        What weighs down how the invented sessions differ, part by part.
+    drawn : Drawn
+        Touches in these sessions.
+    sessions_known : bool
+        Whether groups are whole sessions, or persons: then these tell the share, else
+        invented sessions do as well, and count half.
+
+    Notes
+    -----
+    The share is that of the weights of least log loss; a priori both count alike, with
+    a standard deviation as large (`pool_weights`).
+    """
+    weighed = EncodingPool(pool.parts, pool.machine, together=pool.together)
+    weighed.fit(X @ weighing, y, groups=groups)
+    codes = np.searchsorted(pool.classes_, y)
+    rows = pool.left_out_rows
+    said = np.stack([pool.left_out_, weighed.left_out_])
+    of, n_ordinary = codes[rows], len(rows)
+    asked, is_asked = _said_of_drawn(pool, weighed, X, y, groups, weighing, drawn)
+    own = codes[drawn.rows]
+    if not sessions_known and is_asked.any():
+        # As many of each kind, in turn.
+        invented = asked[:, 1:][:, :, is_asked].reshape(2, -1, asked.shape[3])
+        names = np.tile(own[is_asked], len(drawn.features) - 1)
+        n_each = min(n_ordinary, len(names))
+        some, others = (_spread(n, n_each) for n in (n_ordinary, len(names)))
+        said = np.concatenate([said[:, some], invented[:, others]], axis=1)
+        of = np.concatenate([of[some], names[others]])
+    known = np.isfinite(said).all(axis=(0, 2))
+    weights = pool_weights(np.maximum(said[:, known], -30.0), of[known])
+    share = float(weights[1] / max(weights.sum(), 1e-12))
+    mixed = _mixed(asked[0], asked[1], share)
+    right = (mixed.argmax(axis=-1) == own)[:, is_asked].mean(axis=1)
+    if share == 0:
+        return Rehearsal(pool, share, right)
+    return Rehearsal(
+        _twins(pool, weighed, weighing, share, of=codes[rows]), share, right
+    )
+
+
+def _mixed(plain: Floats, rehearsed: Floats, share: float) -> Floats:
+    """Return log posteriors of which one counts a share; one of 0 says nothing."""
+    if share in (0, 1):
+        return rehearsed if share else plain
+    return np.asarray((1 - share) * plain + share * rehearsed)
+
+
+def _spread(n_all: int, n_some: int) -> Indices:
+    return np.linspace(0, n_all - 1, n_some).round().astype(np.intp)
+
+
+def _twins(
+    pool: EncodingPool, weighed: EncodingPool, weighing: Floats, share: float, of: Array
+) -> EncodingPool:
+    """Return a pool of both kinds of machines, weighed anew by touches left out."""
+    both = copy(pool)
+    cuts = np.cumsum([0, *pool.parts.values()])
+    blocks = {
+        name: np.ascontiguousarray(weighing[start:end, start:end])
+        for name, start, end in zip(pool.parts, cuts[:-1], cuts[1:], strict=True)
+    } | {TOGETHER: weighing}
+    both.machines_ = {
+        name: RehearsedMachine(one, weighed.machines_[name], blocks[name], share)
+        for name, one in pool.machines_.items()
+    }
+    return both.weighed_by(of)
+
+
+def _said_of_drawn(
+    pool: EncodingPool,
+    weighed: EncodingPool,
+    X: Floats,
+    y: Array,
+    groups: Indices,
+    weighing: Floats,
+    drawn: Drawn,
+) -> tuple[Floats, Bools]:
+    """Return what both pools say of drawn touches whose group they have not learnt.
+
+    Shape (2, n_sessions, n_drawn, n_classes), of machines that learnt one half of each
+    label's groups, with the choices made for all; and which touches could be asked.
+    """
+    half = _halves(y, groups)
+    n_sessions, n_drawn, n_features = drawn.features.shape
+    said = np.zeros((2, n_sessions, n_drawn, len(pool.classes_)))
+    is_asked = np.zeros(n_drawn, dtype=bool)
+    for k in range(2):
+        learnt = np.flatnonzero(half != k)
+        learnt = _thinned(learnt, y)
+        mine = half[drawn.rows] == k
+        mine &= np.isin(y[drawn.rows], y[learnt])
+        if len(np.unique(y[learnt])) < 2 or not mine.any():
+            continue
+        is_asked |= mine
+        asked = drawn.features[:, mine].reshape(-1, n_features)
+        for one, (machines, matrix) in enumerate(((pool, None), (weighed, weighing))):
+            touches, others = X[learnt], asked
+            if matrix is not None:
+                touches, others = touches @ matrix, others @ matrix
+            again = copy(machines).refit(touches, y[learnt], groups=groups[learnt])
+            columns = np.searchsorted(pool.classes_, again.classes_)
+            row = np.full((len(others), len(pool.classes_)), -30.0)
+            row[:, columns] = again.log_likelihood(others)
+            said[one][:, mine] = row.reshape(n_sessions, int(mine.sum()), -1)
+    return log_softmax(said, axis=-1), is_asked
+
+
+def _halves(y: Array, groups: Indices) -> Indices:
+    """Return 0 or 1 for each touch, in turn by each label's groups."""
+    half = np.zeros(len(y), dtype=np.intp)
+    for name in np.unique(y):
+        mine = y == name
+        half[mine] = np.unique(groups[mine], return_inverse=True)[1] % 2
+    return half
+
+
+def _thinned(rows: Indices, y: Array) -> Indices:
+    """Return at most so many rows, of each label its share, at least four."""
+    if len(rows) <= _AT_MOST:
+        return rows
+    return np.sort(np.concatenate([*_some_of_each(rows, y)]))
+
+
+def _some_of_each(rows: Indices, y: Array) -> Iterator[Indices]:
+    names, counts = np.unique(y[rows], return_counts=True)
+    for name, count in zip(names, counts, strict=True):
+        n_kept = min(count, max(4, round(count * _AT_MOST / len(rows))))
+        yield rows[y[rows] == name][_spread(count, n_kept)]

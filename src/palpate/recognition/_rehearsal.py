@@ -1,0 +1,244 @@
+"""Sessions that never were: how another mounting, day or device might change touches.
+
+Some training touches are seen again as in invented sessions, each of which changes all
+of them alike. How their features differ is weighed down for a second set of machines;
+how far those count is found out (`classifiers.rehearsed`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .._types import Array, Floats, Indices
+from ..classifiers import Drawn, EncodingPool, learns_by_landmarks, rehearsed
+from ..touches import Touches, TouchSource
+from . import _sessions
+from ._encoder import Encoder, TouchEncoder
+from ._learning import shown_rows
+from ._memory import Memory
+
+# So many touches are seen again in so many invented sessions.
+N_TOUCHES, N_SESSIONS = 120, 5
+# No feature moves by more than this, in standard deviations of the training touches.
+FARTHEST = 10.0
+# A share that counts less is not worth the time.
+LEAST_SHARE = 0.02
+# Pads and pictures whose zero wanders do so smoothly, over this share of their side.
+SMOOTH = 0.25
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """How much sessions differ: standard deviations, 0 for what is not invented.
+
+    Of the logarithms of the whole gain, of each taxel's gain (`taxels`) and of the
+    channels' (`colours`); of a smooth field on the baseline (`zero`), as a share of the
+    usual signal; of the place, as a share of the longer side (`shift`); and of light
+    that falls off from one side to the other (`slope`), in shares of the middle's.
+    """
+
+    gain: float = 0.0
+    taxels: float = 0.0
+    colours: float = 0.0
+    zero: float = 0.0
+    shift: float = 0.0
+    slope: float = 0.0
+
+
+# Of arrays and gels one setting, that of the recordings of others in which it was tried
+# (docs/explanation/sessions.md); two mattresses differ by 0.1 to 0.3 in gain and taxels
+# (benchmarks/session_ranges.py). A dome's disc is found anew in each session and its
+# grey levels are standardised: left are light from one side, as between recordings of a
+# BathTip, and a rim that was found a pixel or two off. Of vectors nothing is known.
+RANGES = {
+    "dome": Ranges(slope=0.07, shift=0.01),
+    "array": Ranges(gain=0.3, taxels=0.2, zero=0.1, shift=1 / 30),
+    "plane": Ranges(gain=0.3, taxels=0.2, zero=0.1, shift=1 / 30, colours=0.1),
+    "none": None,
+}
+
+
+def rehearse(
+    pool: EncodingPool,
+    encoder: TouchEncoder,
+    memory: Memory,
+    touches: Touches | TouchSource,
+    geometry: str,
+    seed: int,
+) -> tuple[EncodingPool, dict[str, Any]]:
+    """Return a pool that knows invented sessions too, and what was found.
+
+    Of what `pool` learnt as `memory` of `touches`.
+    """
+    ranges = RANGES[geometry]
+    if ranges is None or learns_by_landmarks(len(memory), len(memory.classes)):
+        unknown = "how sessions change vectors is not known"
+        why = "too much was taught at once" if ranges else unknown
+        return pool, {"share": 0.0, "why": why}
+    rows = _rows(memory)
+    some = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
+    drawn = draw_sessions(encoder, some, ranges, memory, rows, seed)
+    differences = _differences(drawn.features)
+    parts = _sessions.Parts(np.cumsum([0, *encoder.parts_.values()]))
+    weighing = _sessions.weighed_down(differences, memory.features, parts)
+    known = "sessions" in memory.units[1]
+    taught = memory.features, memory.labels, memory.blocks
+    found = rehearsed(pool, *taught, weighing, drawn, known)
+    result, share = found.pool, found.share
+    if share < LEAST_SHARE:
+        result, share = pool, 0.0
+    said = {
+        "share": share,
+        "told_by": "sessions left out" if known else "rehearsed sessions",
+        "right": [float(one) for one in found.right],
+        "drawn": [name for name, size in vars(ranges).items() if size],
+    }
+    if ranges.gain:
+        said["expected"] = _expected(result, memory, found.right)
+    return result, said
+
+
+def _expected(pool: EncodingPool, memory: Memory, right: Floats) -> list[float]:
+    """Return between what shares a touch is expected to be right in another session.
+
+    Of touches left out as they are, what rehearsed sessions, learnt from half of the
+    touches, leave: the worst and the best of them.
+    """
+    names = pool.classes_[pool.left_out_.argmax(axis=1)]
+    today = float((names == memory.labels[pool.left_out_rows]).mean())
+    left = np.minimum(right[1:] / max(float(right[0]), 1e-9), 1.0)
+    return [today * float(left.min()), today * float(left.max())]
+
+
+def said_of_rehearsal(found: dict[str, Any]) -> str:
+    """Return what `rehearse` found as a sentence for people."""
+    if "why" in found:
+        return f"no sessions were rehearsed: {found['why']}"
+    by = f"as {found['told_by']} tell"
+    if not found["share"]:
+        return f"rehearsed sessions count for nothing, {by}"
+    return f"machines that know rehearsed sessions count {found['share']:.0%}, {by}"
+
+
+def _rows(memory: Memory) -> Indices:
+    """Return touches to see again, evenly of each label, with contact if possible."""
+    good = np.flatnonzero(~memory.nothing)
+    if len(np.unique(memory.labels[good])) < len(memory.classes):
+        good = np.arange(len(memory))
+    rows = good[shown_rows(memory.labels[good], N_TOUCHES)]
+    spread = np.linspace(0, len(rows) - 1, min(N_TOUCHES, len(rows)))
+    return rows[spread.round().astype(np.intp)]
+
+
+def draw_sessions(
+    encoder: Encoder,
+    touches: Touches,
+    ranges: Ranges,
+    memory: Memory,
+    rows: Indices,
+    seed: int,
+    n_sessions: int = N_SESSIONS,
+) -> Drawn:
+    """Return the features of touches in their own session and in invented ones."""
+    rng = np.random.default_rng(seed)
+    own = memory.features[rows]
+    spread = FARTHEST * memory.features.std(axis=0)
+    every, rest = [own], at_rest(touches)
+    for _ in range(n_sessions):
+        images = in_another_session(touches, ranges, rng, rest)
+        moved = encoder.transform(with_images(touches, images)) - own
+        every.append(own + np.clip(moved, -spread, spread))
+    return Drawn(np.stack(every), rows)
+
+
+def at_rest(touches: Touches) -> tuple[Floats, float]:
+    """Return the frame of no contact, or the median, and how far touches go from it."""
+    images = np.nan_to_num(touches.images)
+    rest = touches.no_contact
+    if rest is None:
+        rest = np.median(images, axis=0)
+    rest = np.nan_to_num(np.asarray(rest, dtype=np.float64))
+    return rest, float(np.percentile(np.abs(images - rest), 99)) or 1.0
+
+
+def in_another_session(
+    touches: Touches,
+    ranges: Ranges,
+    rng: np.random.Generator,
+    rest: tuple[Floats, float] | None = None,
+) -> Array:
+    """Return images as an invented session would show them, in their own type.
+
+    `rest` is what `at_rest` returns for them.
+    """
+    images = np.asarray(touches.images, dtype=np.float64)
+    dead, images = np.isnan(images), np.nan_to_num(images)
+    shape, colours = images.shape[1:3], images.shape[3:]
+    still, signal = at_rest(touches) if rest is None else rest
+    gains = np.exp(rng.normal(0, ranges.gain) + rng.normal(0, ranges.taxels, shape))
+    light = gains * _falling_off(shape, rng.normal(0, 1, 2) * ranges.slope)
+    zero = ranges.zero * signal * _smooth(shape, rng)
+    where = rng.normal(0, ranges.shift, 2)
+    if colours:
+        light, zero = light[..., np.newaxis], zero[..., np.newaxis]
+        light = light * np.exp(rng.normal(0, ranges.colours, colours))
+    images = images * light
+    if ranges.shift:
+        images = np.stack([_shifted(i, where, touches.pads) for i in images])
+    images = images + np.where(still != 0, zero, 0.0)
+    kind = touches.images.dtype
+    if kind.kind in "ui":
+        limits = np.iinfo(kind)
+        return np.clip(np.rint(images), limits.min, limits.max).astype(kind)
+    if not dead.any():
+        return images
+    return np.where(dead, np.nan, images)
+
+
+def with_images(touches: Touches, images: Array) -> Touches:
+    """Return touches with other images, and nothing but what encoding looks at."""
+    channels, pads, geometry = touches.channels, touches.pads, touches.geometry
+    return Touches(images, channels=channels, pads=pads, geometry=geometry)
+
+
+def _differences(features: Floats) -> Floats:
+    """Return how each touch differs between sessions, (n_sessions * n_touches, ...)."""
+    n = len(features)
+    away = (features - features.mean(axis=0)) * np.sqrt(n / (n - 1))
+    return np.asarray(away.reshape(-1, features.shape[2]))
+
+
+def _falling_off(shape: Iterable[int], slope: Floats) -> Floats:
+    axes = [np.linspace(-1, 1, n) for n in shape]
+    falls: Floats = 1 + slope[0] * axes[0][:, np.newaxis] + slope[1] * axes[1]
+    return falls
+
+
+def _smooth(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
+    """Return a smooth random field of standard deviation 1."""
+    from scipy.ndimage import gaussian_filter
+
+    field = rng.normal(size=shape)
+    field = gaussian_filter(field, SMOOTH * np.array(shape), mode="nearest")
+    return np.asarray(field / max(float(field.std()), 1e-12))
+
+
+def _shifted(image: Floats, share: Floats, pads: Array | None) -> Floats:
+    """Return an image moved by a share of its longer side, of a hand pad by pad."""
+    import cv2
+
+    whole = np.array([[0, 0, *image.shape[:2]]])
+    result = image.copy()
+    for row, col, n_rows, n_cols in whole if pads is None else pads:
+        down, right = share * max(n_rows, n_cols)
+        move = np.array([[1, 0, right], [0, 1, down]])
+        pad = slice(row, row + n_rows), slice(col, col + n_cols)
+        part = np.ascontiguousarray(image[pad])
+        size = int(n_cols), int(n_rows)
+        moved = cv2.warpAffine(part, move, size, borderMode=cv2.BORDER_REPLICATE)
+        result[pad] = moved.reshape(part.shape)
+    return result

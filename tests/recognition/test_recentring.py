@@ -1,0 +1,166 @@
+"""What a session adds, told without labels: limits, growth, few objects, exactness."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import softmax
+
+from palpate import Touches
+from palpate.recognition import ObjectRecogniser, Recentring
+from palpate.recognition._recentring import SessionSums, shift_unlabelled
+from palpate.recognition._sessions import Parts, Taught, session_effects
+
+CENTRES = 4 * np.random.default_rng(9).normal(size=(6, 10))
+
+
+def _taught(rng, n_each=20):
+    codes = np.repeat(np.arange(6), n_each)
+    features = CENTRES[codes] + rng.normal(size=(len(codes), 10))
+    blocks = np.arange(len(codes)) // 5
+    posterior = np.eye(6)[codes]
+    return Taught(features, codes, blocks, posterior, Parts(np.array([0, 4, 10])))
+
+
+def _met(rng, codes, offset, taught):
+    features = CENTRES[codes] + rng.normal(size=(len(codes), 10)) + offset
+    squared = ((features[:, None] - CENTRES) ** 2).sum(axis=2)
+    said = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / 2)
+    said /= said.sum(axis=1, keepdims=True)
+    return SessionSums.of(features, said, taught)
+
+
+def test_a_session_of_all_objects_is_moved_back(rng):
+    taught, offset = _taught(rng), np.full(10, 3.0)
+    sums = _met(rng, np.repeat(np.arange(6), 20), offset, taught)
+    left = shift_unlabelled(sums, taught) + offset
+    # 120 touches leave an eleventh of the noise of one; a tenth is kept back.
+    assert np.linalg.norm(left) < 0.2 * np.linalg.norm(offset)
+
+
+def test_the_same_session_is_left_alone(rng):
+    taught = _taught(rng)
+    sums = _met(rng, np.repeat(np.arange(6), 20), 0.0, taught)
+    spread = np.sqrt(taught.features.var(axis=0).sum())
+    assert np.linalg.norm(shift_unlabelled(sums, taught)) < 0.02 * spread
+
+
+@pytest.mark.parametrize("name", range(6))
+def test_a_session_of_one_object_is_not_moved_onto_others(rng, name):
+    taught = _taught(rng)
+    sums = _met(rng, np.full(20, name), 0.0, taught)
+    away = np.linalg.norm(CENTRES[name] - CENTRES.mean(axis=0))
+    assert np.linalg.norm(shift_unlabelled(sums, taught)) < 0.35 * away
+
+
+def test_sums_grow_touch_by_touch_as_of_all_at_once(rng):
+    taught, codes = _taught(rng), np.array([0, 3, 1, 5, 2, 4, 0, 1])
+    parts = [_met(rng, codes[k : k + 1], 2.0, taught) for k in range(len(codes))]
+    grown = parts[0]
+    for one in parts[1:]:
+        grown = grown.plus(one)
+    assert grown.n_touches == 8
+    means = sum(one.features for one in parts)
+    assert_allclose(grown.features, means)
+    # Without a jump: a touch more changes the move by what one touch may tell.
+    sizes = []
+    before = parts[0]
+    for one in parts[1:]:
+        after = before.plus(one)
+        steps = shift_unlabelled(after, taught) - shift_unlabelled(before, taught)
+        sizes.append(np.linalg.norm(steps))
+        before = after
+    widest = np.linalg.norm(CENTRES - CENTRES.mean(axis=0), axis=1).max()
+    assert max(sizes) < widest
+
+
+def test_no_touch_moves_nothing(rng):
+    taught = _taught(rng)
+    sums = SessionSums.of(np.empty((0, 10)), np.empty((0, 6)), taught)
+    assert not shift_unlabelled(sums, taught).any()
+
+
+def _chained(rng, n_sessions):
+    """Sessions of four objects, one of which the next session meets too."""
+    codes, sessions = [], []
+    for k in range(n_sessions):
+        codes += [3 * k, 3 * k + 1, 3 * k + 2, 3 * k + 3]
+        sessions += [k] * 4
+    codes, sessions = np.repeat(codes, 2), np.repeat(sessions, 2)
+    objects = rng.normal(size=(codes.max() + 1, 3))
+    added = rng.normal(size=(n_sessions, 3))
+    return codes, sessions, objects[codes], added[sessions]
+
+
+def test_sessions_linked_by_one_object_are_solved_exactly(rng):
+    codes, sessions, objects, added = _chained(rng, 12)
+    found = session_effects(objects + added, codes, sessions)
+    # Without noise, and all linked, least squares knows all but the mean.
+    assert_allclose(found, added - added.mean(axis=0), atol=1e-9)
+
+
+def test_effects_are_those_of_least_squares_over_all_unknowns(rng):
+    codes, sessions, objects, added = _chained(rng, 5)
+    features = objects + added + rng.normal(size=objects.shape)
+    design = np.hstack([np.eye(codes.max() + 1)[codes], np.eye(5)[sessions]])
+    slow = np.linalg.lstsq(design, features, rcond=None)[0][codes.max() + 1 :]
+    slow = slow[sessions]
+    found = session_effects(features, codes, sessions)
+    assert_allclose(found, slow - slow.mean(axis=0), atol=1e-9)
+
+
+def test_sessions_that_share_no_object_add_nothing(rng):
+    codes, sessions = np.repeat([0, 1, 2, 3], 3), np.repeat([0, 0, 1, 1], 3)
+    found = session_effects(rng.normal(size=(12, 2)), codes, sessions)
+    assert_allclose(found, 0, atol=1e-9)
+
+
+def _day(offset, seed, objects="abcdef", n_each=1, labels=True):
+    rng = np.random.default_rng(seed)
+    names = np.tile(list(objects), n_each)
+    images = CENTRES[["abcdef".index(o) for o in names]] + offset
+    images = images + rng.normal(size=images.shape)
+    columns = {"object": names} if labels else {}
+    return Touches(images[:, None], geometry="none", **columns)
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    return ObjectRecogniser().fit(_day(0.0, 0, n_each=12))
+
+
+def test_touch_by_touch_it_ends_where_all_touches_at_once_do(learnt):
+    there = _day(3.0, 1, n_each=4)
+    today = Recentring(learnt)
+    for k in range(len(there)):
+        today.start().update(there[k : k + 1])
+    assert today.n_touches == len(there)
+    seen, taught = learnt.evidence(there), learnt.learnt().taught
+    said = softmax(seen.log_likelihood, axis=1)
+    at_once = shift_unlabelled(SessionSums.of(seen.features, said, taught), taught)
+    assert_allclose(today.recogniser.encoder_.offset, at_once, atol=1e-9)
+    # Other touches of the session lie where those of training do, to within a third.
+    others, middle = _day(3.0, 2, n_each=5), taught.means.mean(axis=0)
+    before = learnt.evidence(others).features.mean(axis=0) - middle
+    after = today.recogniser.evidence(others).features.mean(axis=0) - middle
+    assert np.linalg.norm(after) < np.linalg.norm(before) / 3
+
+
+def test_the_belief_under_way_moves_along(learnt):
+    there = _day(3.0, 1, n_each=6)
+    mine = there[np.flatnonzero(there.object == "a")]
+    today = Recentring(learnt)
+    for k in range(30):
+        today.start().update(there[k : k + 1])
+    today.start().update(mine[:1])
+    belief = today.update(mine[1:3])
+    afresh = today.recogniser.start().update(mine[:3])
+    # One episode: all its touches are seen as what the session adds is known now.
+    assert belief.touches_used == 3
+    assert belief.posterior == pytest.approx(afresh.posterior)
+
+
+def test_the_recogniser_that_was_learnt_stays_as_it_is(learnt):
+    there = _day(3.0, 1, n_each=2)
+    before = learnt.log_likelihood(there)
+    Recentring(learnt).start().update(there)
+    assert_allclose(learnt.log_likelihood(there), before, rtol=0, atol=0)

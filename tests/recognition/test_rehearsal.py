@@ -1,0 +1,156 @@
+"""Rehearsed sessions: what is drawn, what is not, how far it counts."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.classifiers import EncodingPool, RehearsedMachine
+from palpate.recognition import ObjectRecogniser, across_sessions, said_of_sessions
+from palpate.recognition._rehearsal import RANGES, Ranges, in_another_session
+
+SIDE = 14
+
+
+def _presses(n_each, seed, change=lambda images: images, **columns):
+    """Four shapes on an array, pressed at nearly the same place."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.indices((SIDE, SIDE)) - (SIDE - 1) / 2
+    shapes = [
+        np.exp(-(rows**2) / 4 - cols**2 / 20),
+        np.exp(-(rows**2) / 20 - cols**2 / 4),
+        np.exp(-(rows**2 + cols**2) / 12),
+        np.exp(-((np.hypot(rows, cols) - 4) ** 2) / 3),
+    ]
+    images = np.repeat(shapes, n_each, axis=0)
+    images = images * rng.uniform(0.6, 1.4, (len(images), 1, 1))
+    images = 100 * np.maximum(images + rng.normal(0, 0.1, images.shape), 0) + 20
+    names = np.repeat(["bar", "pole", "spot", "ring"], n_each)
+    return Touches(change(images), object=names, geometry="array", **columns)
+
+
+@pytest.fixture(scope="module")
+def both():
+    touches = _presses(12, 0)
+    return [ObjectRecogniser(rehearse=r).fit(touches) for r in (False, True)]
+
+
+def test_it_is_on_by_itself_and_says_what_it_found(both):
+    plain, rehearsed = both
+    assert "rehearsal" not in plain.chosen_
+    found = rehearsed.chosen_["rehearsal"]
+    assert 0 <= found["share"] <= 1
+    assert found["told_by"] == "rehearsed sessions"
+    assert set(found["drawn"]) == {"gain", "taxels", "zero", "shift"}
+    assert any("rehearsed sessions" in one for one in rehearsed.chosen_["found"])
+    kinds = {type(m) for m in rehearsed.classifier_.machines_.values()}
+    assert (kinds == {RehearsedMachine}) == (found["share"] > 0)
+
+
+def test_rehearsal_leaves_encoding_and_memory_as_they_are(both):
+    plain, rehearsed = both
+    assert_array_equal(plain.memory_.features, rehearsed.memory_.features)
+    assert list(plain.classifier_.weights_) == list(rehearsed.classifier_.weights_)
+
+
+def test_another_zero_costs_less_when_it_was_rehearsed(both):
+    rng = np.random.default_rng(5)
+    slope = np.linspace(-1, 1, SIDE)
+    lost = []
+    for recogniser in both:
+        shares = []
+        for _ in range(8):
+            field = 25 * (rng.normal() * slope + rng.normal() * slope[:, None])
+            there = _presses(10, 7, lambda i, f=field: np.maximum(i + f, 1))
+            shares.append(recogniser.score(there))
+        lost.append(1 - np.mean(shares))
+    assert lost[1] <= lost[0] + 0.03  # three standard errors of 320 touches
+
+
+def test_it_is_saved_and_taught_more(both, tmp_path):
+    rehearsed = both[1]
+    there = _presses(3, 9)
+    again = ObjectRecogniser.load(rehearsed.save(tmp_path / "m.palpate"))
+    assert_array_equal(again.log_likelihood(there), rehearsed.log_likelihood(there))
+    again.extend_object("bar", there[:3])
+    again.forget_object("spot")
+    assert again.classes_.tolist() == ["bar", "pole", "ring"]
+    assert again.log_likelihood(there).shape == (12, 3)
+
+
+def test_the_same_seed_gives_the_same_to_the_bit(both):
+    again = ObjectRecogniser().fit(_presses(12, 0))
+    there = _presses(3, 9)
+    assert_array_equal(again.log_likelihood(there), both[1].log_likelihood(there))
+
+
+def test_vectors_are_not_rehearsed():
+    rng = np.random.default_rng(0)
+    names = np.repeat(["a", "b"], 10)
+    images = rng.normal(size=(20, 1, 6))
+    recogniser = ObjectRecogniser().fit(Touches(images, object=names, geometry="none"))
+    found = recogniser.chosen_["rehearsal"]
+    assert found["share"] == 0
+    assert "vectors" in found["why"]
+    assert isinstance(recogniser.classifier_, EncodingPool)
+
+
+def test_sessions_that_are_known_tell_the_share():
+    days = [
+        _presses(6, k, session=[f"day {k}"] * 24, order=np.arange(24)) for k in range(3)
+    ]
+    recogniser = ObjectRecogniser().fit(Touches.concatenate(days))
+    assert recogniser.chosen_["rehearsal"]["told_by"] == "sessions left out"
+
+
+def test_a_drawn_session_changes_all_touches_alike():
+    touches = _presses(3, 0)
+    rng = np.random.default_rng(1)
+    images = in_another_session(touches, Ranges(gain=0.3, taxels=0.2), rng)
+    gains = images / touches.images
+    # One gain a taxel, whatever the touch.
+    assert np.ptp(gains, axis=0).max() < 1e-9
+    assert gains[0].std() > 0.05
+
+
+def test_nothing_is_added_where_rest_is_zero_and_types_are_kept():
+    levels = np.zeros((6, SIDE, SIDE), dtype=np.uint8)
+    levels[:, 3:6, 3:6] = 200
+    touches = Touches(levels, geometry="array")
+    rng = np.random.default_rng(2)
+    images = in_another_session(touches, Ranges(zero=0.3, gain=1.0), rng)
+    assert images.dtype == np.uint8
+    away = np.ones((SIDE, SIDE), dtype=bool)
+    away[3:6, 3:6] = False
+    assert not images[:, away].any()
+
+
+def test_pads_are_moved_one_by_one_and_gaps_stay():
+    images = np.full((2, 8, 17), np.nan)
+    images[:, :, :8] = 0.0
+    images[:, :, 9:] = 0.0
+    images[:, 2:5, 5:8] = 1.0
+    pads = [[0, 0, 8, 8], [0, 9, 8, 8]]
+    touches = Touches(images, geometry="array", pads=pads)
+    rng = np.random.default_rng(3)
+    moved = in_another_session(touches, Ranges(shift=0.3), rng)
+    assert_array_equal(np.isnan(moved), np.isnan(images))
+    assert not moved[:, :, 9:].any()  # what left the first pad is not on the other
+
+
+def test_every_kind_of_sensor_has_its_ranges():
+    assert set(RANGES) == {"dome", "array", "plane", "none"}
+    assert RANGES["dome"].gain == 0  # its grey levels are standardised
+    assert RANGES["array"].colours == 0
+
+
+def test_what_to_expect_of_another_day_is_said(both):
+    plain, rehearsed = both
+    across = across_sessions(rehearsed)
+    low, high = across["rehearsed"]
+    assert 0 <= low <= high <= 1
+    sentence = said_of_sessions(across)
+    assert f"expect about {100 * low:.0f} to {100 * high:.0f}% right" in sentence
+    # Nothing was rehearsed: nothing is promised.
+    assert "rehearsed" not in across_sessions(plain)
+    assert "how much less" in said_of_sessions(across_sessions(plain))
