@@ -159,3 +159,19 @@ def test_what_bytes_cannot_carry_is_refused():
         BinaryFraming((256, 2))
     with pytest.raises(ValueError, match="dtype must be one of 'uint8'"):
         BinaryFraming((2, 2), np.float64)
+
+
+def test_lines_that_were_cut_are_counted(rng):
+    """A cut that takes the line's end along leaves two frames in one line."""
+    images = rng.integers(0, 4000, (300, *SHAPE)).astype(float)
+    lines = list(map(write_line, images))
+    cut = rng.random(300) < 0.4
+    cut[-1] = False  # nothing ends what was begun
+    sent = [
+        line[: rng.integers(2, len(line) - 1)] if is_cut else line
+        for line, is_cut in zip(lines, cut, strict=True)
+    ]
+    framing = LineFraming(SHAPE)
+    got = framing.feed(b"".join(sent))
+    assert_array_equal(got, images[~cut])
+    assert framing.n_damaged == cut.sum()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import AsJson, Reading, TouchesPath, Where, argument, grouped, option
-from ._output import answer, counted, print_json, table
+from ._output import answer, counted, print_json, say, table
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow
@@ -174,14 +174,14 @@ def check(
         print_json({**found, "repair": done})
     else:
         if repaired is not None:
-            print(
+            say(
                 f"Database {'made anew' if repaired.rebuilt else 'kept'}; touches "
                 f"recovered: {repaired.n_recovered}, set aside: "
                 f"{repaired.n_set_aside}, come back: {repaired.n_restored}; changes "
                 f"recovered: {repaired.n_changes}, set aside as never acknowledged: "
                 f"{repaired.n_unacknowledged}; arrays left out: {repaired.n_left_out}."
             )
-        print(report)
+        say(report)
     if not report.ok:
         raise typer.Exit(1)
 
