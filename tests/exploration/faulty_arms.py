@@ -265,7 +265,7 @@ def playing(arm):
 
 def coming_out(arm):
     """Come out of the hemisphere from near the object, or from where it is parked."""
-    if arm.pose.position_mm[2] == 300:
+    if np.allclose(arm.pose.position_mm, (0, 0, 300)):
         arm.pose = NEAR.pose(0.3, 0.9).advanced(55)
     import_module("palpate.exploration._ways").come_out(arm, NEAR, GUARD)
     return []

@@ -120,6 +120,66 @@ def test_a_way_out_through_the_object_is_refused_before_any_move(fault, where, p
     assert "Take it by hand" in str(ended(arm, path)[1])
 
 
+class InterruptedOnItsWay(FaultyArm):
+    """An arm whose driver raises something once it presses, on the way or out."""
+
+    error = KeyboardInterrupt
+
+    def move_to(self, pose):
+        self.put(pose)
+        if self.force_n > GUARD.limit_n:
+            raise self.error
+
+    def retract(self, way_mm):
+        super().retract(way_mm)
+        raise self.error
+
+
+def test_whatever_is_raised_on_a_way_the_arm_is_clear_or_stopped():
+    arm = InterruptedOnItsWay("object beside the way", 5.0)
+    with pytest.raises(KeyboardInterrupt):
+        faulty_arms.going_round(arm)
+    assert arm.stopped
+
+    class Lost(InterruptedOnItsWay):
+        error = OSError
+
+    arm = Lost("object too large", 5.0)
+    history = faulty_arms.standing(arm)
+    assert arm.stopped
+    assert not any(record.retracted for record in history)
+    assert "OSError" in history[0].message
+    assert "was stopped" in history[0].message
+
+
+def test_whatever_is_raised_on_the_way_out_it_is_stopped():
+    arm = InterruptedOnItsWay("parked in contact")
+    with pytest.raises(KeyboardInterrupt):
+        faulty_arms.coming_out(arm)
+    assert arm.stopped
+
+
+@pytest.mark.parametrize("stiffness_n_mm", [1.0, 5.0])
+def test_what_is_met_on_the_way_out_is_met_lightly(stiffness_n_mm):
+    """Something stands behind an arm that is inside the hemisphere."""
+    arm = FaultyArm("", stiffness_n_mm)
+    arm.pose = NEAR.pose(0.3, 0.9).advanced(60)
+    arm.ball_mm, arm.radius_mm = np.asarray(NEAR.pose(0.3, 0.9).position_mm), 30.0
+    with pytest.raises(RobotError, match=r"mm are left, with .* N: it was stopped"):
+        faulty_arms.coming_out(arm)
+    assert arm.stopped
+    assert arm.peak_n <= GUARD.limit_n + stiffness_n_mm * GUARD.way_step_mm
+
+
+def test_a_force_sensor_that_dies_in_contact_on_a_way_is_believed_to_press():
+    arm = FaultyArm("no number in contact", 5.0)
+    arm.ball_mm, arm.radius_mm = np.array([0.0, 90.0, 60.0]), 30.0
+    history = faulty_arms.exploring(arm)
+    assert {record.outcome for record in history} <= {"force sensor", "nothing"}
+    assert arm.stopped or not arm.inside
+    assert arm.peak_n <= 5.0 * GUARD.way_step_mm
+
+
 def test_an_arm_that_stands_in_contact_comes_out_and_goes_on():
     arm = FaultyArm("parked in contact")
     assert [record.outcome for record in faulty_arms.gathering(arm)] == ["touched"] * 4

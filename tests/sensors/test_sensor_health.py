@@ -129,3 +129,46 @@ def test_numbers_coarser_than_noise_tell_of_no_dead_taxel():
     images = np.zeros((100, 4, 4), np.uint8)
     images[::2, 0, 0] = 1
     assert health(as_frames(images, np.arange(100) / 50))["dead"] == []
+
+
+@pytest.mark.parametrize(("times_typical", "hot"), [(5.0, False), (7.5, True)])
+def test_hot_is_over_six_times_as_noisy_as_others(rng, times_typical, hot):
+    images, times = frames(rng, n=900, dtype=np.float64)
+    images[:, 2, 2] = 100 + rng.normal(scale=2.02 * times_typical, size=900)
+    assert health(as_frames(images, times))["hot"] == ([[2, 2]] if hot else [])
+
+
+@pytest.mark.parametrize(("rho", "told"), [(0.2, False), (0.4, True)])
+def test_noise_is_crosstalk_where_rows_share_a_third_of_it(rng, rho, told):
+    images, times = frames(rng, n=900, noise=2.0, dtype=np.float64)
+    shared = 4.08 * rho / (1 - rho)  # variance: 4 and that of rounding
+    images = images + rng.normal(scale=shared**0.5, size=(900, 10, 1))
+    found = health(as_frames(images, times))
+    assert found["figures"]["shared_by_rows"] == pytest.approx(rho, abs=0.05)
+    assert any("crosstalk" in said for said in found["findings"]) == told
+
+
+@pytest.mark.parametrize(("late_ms", "told"), [(55, False), (65, True)])
+def test_one_frame_in_a_hundred_is_late_at_three_times_the_usual(rng, late_ms, told):
+    images, _ = frames(rng)
+    gaps = np.full(600, 0.02)
+    gaps[::30] = late_ms / 1000
+    found = health(as_frames(images, np.cumsum(gaps)))
+    assert any("holds it up" in said for said in found["findings"]) == told
+
+
+@pytest.mark.parametrize(("n_lost", "told"), [(5, False), (8, True)])
+def test_one_frame_in_a_hundred_may_be_lost(rng, n_lost, told):
+    images, times = frames(rng)
+    lost = set(range(20, 20 + 10 * n_lost, 10))
+    some = [one for one in as_frames(images, times) if one.number not in lost]
+    found = health(some)
+    assert found["figures"]["lost"] == pytest.approx(n_lost / 600)
+    assert any("frames are lost" in said for said in found["findings"]) == told
+
+
+def test_a_check_needs_two_frames_for_each_twelfth(rng):
+    images, times = frames(rng, n=24)
+    health(as_frames(images, times))
+    with pytest.raises(SensorError, match="needs 24 frames, got 23"):
+        health(as_frames(images, times)[:-1])

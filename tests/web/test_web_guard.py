@@ -5,6 +5,7 @@ import json
 import logging
 import socket
 import threading
+import time
 from contextlib import ExitStack, suppress
 
 import cv2
@@ -405,3 +406,20 @@ def test_a_picture_that_takes_too_long_holds_up_nothing_else(
                 assert json.loads(page.recv())["kind"] == "state"
         finally:
             go_on.set()
+
+
+def test_what_is_being_answered_is_not_hung_up_on(make_session, connected, monkeypatch):
+    """The limit is for heads: an answer, and a websocket, may take longer."""
+    monkeypatch.setattr("palpate.web._connections._HEAD_S", 0.2)
+    monkeypatch.setattr(
+        "palpate.web._routes.read_json", lambda _: time.sleep(0.8) or ({}, None)
+    )
+    slow = connected(make_session(sensor=False))
+    with slow as client, connect(socket_address(client, "?token=token")) as page:
+        assert json.loads(page.recv())["kind"] == "state"
+        answer = client.post("/api/touch", content=b"{}")
+        assert answer.status_code in (409, 422, 500)
+        page.send("ping")
+        kinds = []
+        while "pong" not in kinds:
+            kinds.append(json.loads(page.recv(20))["kind"])
