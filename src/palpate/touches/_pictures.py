@@ -13,7 +13,6 @@ stay 16 bits.
 """
 
 import os
-import re
 import stat
 import struct
 from collections import Counter
@@ -29,6 +28,7 @@ import numpy as np
 from .._progress import Progress
 from .._types import Array
 from ._columns import TouchesError
+from ._jpeg_scans import MOST_SCANS, has_many_scans
 
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -37,12 +37,6 @@ _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
 _SCAN, _END, _APP1 = 0xDA, 0xD9, 0xE1
 _HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-# Scans that one JPEG may have: cameras write one, programs at most some twenty, and
-# each takes time over every pixel, whatever its few bytes say.
-# Where the bytes, ten a scan at least, times the pixels are few, none can take long.
-_MOST_SCANS, _FEW = 100, 10 * 100 * 2**22
-_SCANS = np.frombuffer(b"\xff\xda", np.uint16)[0]
-_MARKER = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])")
 _ALPHA = (4, 6)
 _GREY = (0, 4)
 RGB = ("r", "g", "b")
@@ -361,8 +355,8 @@ def _stored_levels(data: bytes, header: Header, out: Array | None = None) -> Arr
 def _jpeg_levels(data: bytes, header: Header, out: Array | None) -> Array:
     import simplejpeg
 
-    if len(data) * header.n_rows * header.n_cols > _FEW:
-        _refuse_many_scans(data)
+    if has_many_scans(data, header.n_rows * header.n_cols):
+        raise PictureError(f"a JPEG of more than {MOST_SCANS} scans")
     out = np.empty(header.shape, header.dtype) if out is None else out
     space = "RGB" if header.colour else "GRAY"
     try:
@@ -426,24 +420,6 @@ def _jpeg_header(stream: IO[bytes]) -> tuple[Header, bytes]:
     if header is None:
         raise PictureError("a damaged JPEG (its pixels come before its size)")
     return header, exif
-
-
-def _refuse_many_scans(data: bytes) -> None:
-    """Refuse a JPEG that a few bytes a scan keep its decoder busy with."""
-    places = (np.frombuffer(data, np.uint16, (len(data) - n) // 2, n) for n in (0, 1))
-    if sum(np.count_nonzero(one == _SCANS) for one in places) <= _MOST_SCANS:
-        return
-    # Some may lie in a preview, or behind the end: follow the segments.
-    n_scans, place = 0, len(_JPEG) - 1
-    while found := _MARKER.search(data, place):
-        code = found[1][0]
-        if code == _END:
-            return
-        n_scans += code == _SCAN
-        if n_scans > _MOST_SCANS:
-            raise PictureError(f"a JPEG of more than {_MOST_SCANS} scans")
-        size = int.from_bytes(data[found.end() : found.end() + 2], "big")
-        place = found.end() + max(size, 1)
 
 
 def _next_marker(stream: IO[bytes]) -> int:
