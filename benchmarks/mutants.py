@@ -70,7 +70,7 @@ CORE = {
     "exploration/_touch_map.py": "placed_belief next_touch",
     "sensors/_framing.py": "framing serial_array",
     "sensors/_serial.py": "serial_array",
-    "sensors/_detector.py": "touch_detector sensor_drift",
+    "sensors/_detector.py": "touch_detector sensor_drift films",
     "sensors/_health.py": "sensor_health",
     "sensors/_contract.py": "live_contract",
     "web/_connections.py": "web_guard",

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.sensors import ContactError, Frame, SensorMemory, TouchDetector
+from palpate.sensors import (
+    ContactError,
+    Frame,
+    SensorError,
+    SensorMemory,
+    TouchDetector,
+)
 from palpate.sensors._detector import baseline_warning, gain_warning
 
 REST = np.full((4, 4), 100, np.uint8)
@@ -356,3 +362,60 @@ def test_rest_that_is_off_by_a_quarter_of_a_touch_is_told(off, told):
     assert told in said
     assert bool(said) == bool(told)
     assert "this one has 4 x 5" in baseline_warning(memory, np.zeros((4, 5)))
+
+
+def test_the_noise_about_a_given_baseline_is_learnt_from_nine_frames_at_rest(rng):
+    """Eight differences of neighbours; noise of 0.4 and rounding (1/12) about it."""
+    rest = np.full((64, 64), 100, np.uint8)
+    images = np.rint(rest + rng.normal(scale=0.4, size=(12, 64, 64))).astype(np.uint8)
+    detector = TouchDetector(rest)
+    noises = []
+    for number, image in enumerate(images):
+        detector.update(Frame(image, number / 10, number))
+        noises.append(detector.noise)
+    assert noises[:8] == [0.0] * 8
+    expected = float(np.sqrt(np.mean((images[:9] - 100.0) ** 2)))
+    assert noises[8] == pytest.approx(expected, rel=0.05)
+    assert set(noises[8:]) == {noises[8]}  # and not again
+    assert detector.begin == pytest.approx(max(2.0, 6 * noises[8]))
+
+
+def test_a_step_of_the_numbers_bounds_the_limit_from_below():
+    whole, real = TouchDetector(REST), TouchDetector(REST.astype(float))
+    assert (whole.begin, whole.end) == (2.0, 1.0)
+    assert real.begin < 1e-30
+    for detector, begin in ((whole, 2.0), (real, 1.0)):
+        detector.step = 0.5
+        assert detector.begin == begin
+    whole.step = 3.0
+    assert whole.begin == 6.0
+
+
+def test_a_touch_after_a_short_flash_is_whole():
+    """What is kept of a flash that was no touch is not of the next."""
+    detector = TouchDetector(REST, begin=10, end=5, summary="mean", min_frames=3)
+    (touch,) = touches_of(detector, [0, 90, 90, 0, 0, 40, 40, 40, 40, 0])
+    assert_array_equal(touch.image, REST + 40)
+    assert (touch.began_s, touch.ended_s, touch.n_frames) == (0.5, 0.9, 4)
+    assert touch.change == 40
+
+
+def test_a_hold_is_of_the_last_64_frames():
+    detector = TouchDetector(REST, begin=10, end=5, summary="mean")
+    (touch,) = touches_of(detector, [0] + [50] * 30 + [40] * 64 + [0])
+    assert_array_equal(touch.image, REST + 40)  # of 50 none is left
+
+
+def test_a_stream_that_ends_in_contact_ends_with_a_touch():
+    images = np.stack([REST + level for level in (0, 0, 40, 40)]).astype(np.uint8)
+    found = TouchDetector().touches_in(Touches(images, no_contact=REST))
+    assert found.columns["duration_s"].tolist() == [1]  # frames are a second apart
+    assert found.columns["time_s"].tolist() == [2]
+    assert found.order.tolist() == [0]
+    assert_array_equal(found.no_contact, REST)
+
+
+def test_a_stream_without_a_touch_says_what_did_not_change():
+    images = np.stack([REST + level for level in (0, 1, 0, 1)]).astype(np.uint8)
+    with pytest.raises(SensorError, match=r"got 4 frames .*changed by 2 for 2 frames"):
+        TouchDetector().touches_in(Touches(images, no_contact=REST))
