@@ -194,7 +194,9 @@ def test_a_source_that_sends_a_little_now_and_then_is_given_up(
     assert fetch("tactip4").is_file()
 
 
-@pytest.mark.parametrize("name", ["tactip4", "taxel10x10", "mattress", "postures"])
+@pytest.mark.parametrize(
+    "name", ["tactip4", "taxel10x10", "mattress", "postures", "digit_survey"]
+)
 @pytest.mark.realdata
 def test_the_cards_know_every_array_behind_the_figures(name, data_folder):
     """What is fetched is compared with these, also where the source has no SHA-256."""
