@@ -77,7 +77,7 @@ CORE = {
     "web/_request_guard.py": "web_guard",
     "web/_images.py": "web_colour web_api",
     "web/_teaching.py": "web_quality web_objects web_session",
-    "web/_sensor_watch.py": "web_session web_sensors",
+    "web/_sensor_watch.py": "web_listening web_session web_sensors",
     "evaluation/_metrics.py": "metrics evaluate",
     "evaluation/_splits.py": "splits evaluate",
     "evaluation/_controls.py": "controls",
