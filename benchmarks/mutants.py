@@ -75,7 +75,7 @@ CORE = {
     "sensors/_contract.py": "live_contract",
     "web/_connections.py": "web_guard",
     "web/_request_guard.py": "web_guard",
-    "web/_images.py": "web_colour web_api",
+    "web/_images.py": "web_images web_colour web_api",
     "web/_teaching.py": "web_quality web_objects web_session",
     "web/_sensor_watch.py": "web_listening web_session web_sensors",
     "evaluation/_metrics.py": "metrics evaluate",
