@@ -74,3 +74,20 @@ def test_drawn_touches(recordings):
 def test_what_cannot_be_split_is_refused(recordings, change, split, message):
     with pytest.raises(ValueError, match=message):
         split_touches(change(recordings), split)
+
+
+@pytest.mark.parametrize(("n_people", "n_folds"), [(20, 20), (21, 20), (45, 20)])
+def test_more_than_twenty_people_are_asked_several_at_a_time(n_people, n_folds):
+    people = np.repeat([f"p{n:02d}" for n in range(n_people)], 2)
+    touches = Touches(
+        np.arange(2.0 * n_people)[:, None, None] * np.ones((1, 3, 3)),
+        object=np.tile(["a", "b"], n_people),
+        subject=people,
+    )
+    folds = split_touches(touches, "subject")
+    assert len(folds) == n_folds
+    asked = [set(fold.test.subject.tolist()) for fold in folds]
+    assert sorted(name for some in asked for name in some) == sorted({*people.tolist()})
+    for fold, some in zip(folds, asked, strict=True):
+        assert not some & {*fold.train.subject.tolist()}
+        assert len(some) in (n_people // n_folds, n_people // n_folds + 1)
