@@ -4,6 +4,7 @@ import numpy as np
 
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate
+from palpate.evaluation._advice import recommendations
 
 RNG = np.random.default_rng(0)
 BASE = dict(zip("abcd", RNG.normal(size=(4, 3, 24)), strict=True))
@@ -59,3 +60,9 @@ def test_a_recording_that_gives_it_away_is_named():
 def test_more_touches_are_recommended_where_they_help():
     found = said(touches(40, noise=4))
     assert any(one.startswith("More touches help") for one in found)
+
+
+def test_of_many_sentences_the_first_three_are_said(monkeypatch):
+    sentences = [f"Sentence {n}." for n in range(6)]
+    monkeypatch.setattr("palpate.evaluation._advice._all", lambda *_: iter(sentences))
+    assert recommendations({}, []) == sentences[:3]
