@@ -79,7 +79,7 @@ CORE = {
     "web/_teaching.py": "web_quality web_objects web_session",
     "web/_sensor_watch.py": "web_listening web_session web_sensors",
     "evaluation/_metrics.py": "metrics cluster_quality",
-    "evaluation/_splits.py": "splits evaluate",
+    "evaluation/_splits.py": "splits benchmark",
     "evaluation/_controls.py": "controls",
     "evaluation/_advice.py": "advice",
 }
