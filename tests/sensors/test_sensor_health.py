@@ -172,3 +172,36 @@ def test_a_check_needs_two_frames_for_each_twelfth(rng):
     health(as_frames(images, times))
     with pytest.raises(SensorError, match="needs 24 frames, got 23"):
         health(as_frames(images, times)[:-1])
+
+
+def test_the_noise_is_what_neighbours_differ_by_over_the_root_of_two():
+    """Frames of 100 and 102 in turn: each pair differs by 2."""
+    images = np.full((24, 3, 3), 100.0)
+    images[1::2] += 2
+    found = health(as_frames(images, np.arange(24) / 50))
+    assert found["figures"]["noise"] == pytest.approx(2 / np.sqrt(2))
+    assert found["noise"].shape == (3, 3)
+    assert found["rest"] == pytest.approx(np.full((3, 3), 101.0))
+
+
+def test_chance_is_no_drift(rng):
+    """Means of 2 frames differ by chance by as much as the noise; that is taken off.
+
+    Over many sensors the square of the drift that is left is 0 in the mean.
+    """
+    squares = []
+    for _ in range(60):
+        images = rng.normal(scale=2.0, size=(24, 8, 8)) + 100
+        found = health(as_frames(images, np.arange(24) / 50))
+        squares.append(found["figures"]["drift"] ** 2)
+    # Of 64 taxels the mean square has a spread of 4 (2 / 64)^0.5 = 0.7; half of them,
+    # those below 0, count as 0: their mean is 0.7 / sqrt(2 pi) = 0.28.
+    assert np.mean(squares) < 0.6
+    assert 0.2 < np.mean(np.array(squares) == 0) < 0.8
+
+
+def test_gaps_are_in_milliseconds(rng):
+    images, times = frames(rng)
+    figures = health(as_frames(images, times))["figures"]
+    assert figures["interval_99_ms"] == pytest.approx(20)
+    assert figures["frames"] == 600
