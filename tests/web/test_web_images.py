@@ -188,3 +188,19 @@ def test_a_thumbnail_is_96_pixels_at_its_longer_side():
     assert decoded(thumbnail(np.arange(8.0).reshape(2, 4))).shape == (48, 96, 3)
     assert decoded(thumbnail(np.zeros((480, 640), np.uint8))).shape == (72, 96)
     assert decoded(thumbnail(np.zeros((1, 400), np.uint8))).shape == (1, 96)
+
+
+def test_taxels_stay_squares_and_pixels_are_averaged():
+    """An array's taxels are enlarged as they are; a camera's pixels are means."""
+    taxels = decoded(thumbnail(np.array([[0.0, 1.0], [2.0, 3.0]])))
+    assert len(np.unique(taxels.reshape(-1, 3), axis=0)) == 4
+    stripes = np.zeros((960, 960), np.uint8)
+    stripes[::2] = 200
+    assert_allclose(decoded(thumbnail(stripes)), 100, atol=1)
+
+
+def test_cameras_pictures_are_of_quality_80():
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 255, (64, 64), dtype=np.uint8)
+    coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+    assert FramePainter((64, 64)).paint(image) == coded
