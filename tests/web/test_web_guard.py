@@ -423,3 +423,11 @@ def test_what_is_being_answered_is_not_hung_up_on(make_session, connected, monke
         kinds = []
         while "pong" not in kinds:
             kinds.append(json.loads(page.recv(20))["kind"])
+
+
+@pytest.mark.parametrize("origin", ["http://[", "null", "", "file://"])
+def test_an_origin_that_is_none_is_another_site(client, origin):
+    headers = {**BEARER, "Origin": origin}
+    answer = client.post("/api/episode/start", headers=headers)
+    assert answer.status_code == 403
+    assert "other sites" in answer.json()["detail"]
