@@ -91,3 +91,24 @@ def test_more_than_twenty_people_are_asked_several_at_a_time(n_people, n_folds):
     for fold, some in zip(folds, asked, strict=True):
         assert not some & {*fold.train.subject.tolist()}
         assert len(some) in (n_people // n_folds, n_people // n_folds + 1)
+
+
+def test_two_touches_of_each_may_be_drawn_and_one_may_not(recordings):
+    assert len(draw_touches(recordings, 2, seed=0)) == 8
+    with pytest.raises(ValueError, match="train_touches must be at least 2, got 1"):
+        draw_touches(recordings, 1, seed=0)
+    with pytest.raises(ValueError, match="must leave touches to test, got 8"):
+        split_by_count(recordings, 8, seed=0)
+
+
+def test_what_one_session_has_once_or_not_is_left_out_of_that_split():
+    touches = Touches(
+        np.arange(12.0)[:, None, None] * np.ones((1, 3, 3)),
+        object=["a", "a", "b", "b", "c", "e", "a", "a", "b", "b", "d", "e"],
+        session=["mon"] * 6 + ["tue"] * 6,
+    )
+    folds = split_touches(touches, "session")
+    assert len(folds) == 2
+    for fold in folds:
+        assert sorted({*fold.test.object.tolist()}) == ["a", "b"]
+        assert set(fold.left_out) == {"c", "d", "e"}

@@ -249,3 +249,12 @@ def test_what_was_never_taught_is_named_with_what_is_near(folder):
         with pytest.raises(LibraryError, match="Did you mean 'disc'"):
             session.teacher.ids("disk", 3)
         assert len(session.teacher.ids("disc", 3)) == 3
+
+
+def test_a_new_name_is_kept_without_the_blanks_around_it(folder):
+    with LiveSession(library=folder) as session:
+        assert session.teacher.rename("disc", "  a  disc ", learnt=False) == "a disc"
+        session.rename("bar", " long bar ")
+        assert session.message == "bar is called long bar now."
+        names = [one["name"] for one in session.to_dict()["library"]["objects"]]
+    assert sorted(names) == ["a disc", "long bar"]
