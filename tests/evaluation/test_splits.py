@@ -6,6 +6,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.evaluation import draw_touches, split_by_count, split_touches
+from palpate.evaluation._splits import PROTOCOLS
 
 
 @pytest.fixture
@@ -112,3 +113,16 @@ def test_what_one_session_has_once_or_not_is_left_out_of_that_split():
     for fold in folds:
         assert sorted({*fold.test.object.tolist()}) == ["a", "b"]
         assert set(fold.left_out) == {"c", "d", "e"}
+
+
+def test_a_recording_of_one_press_teaches_and_is_never_drawn():
+    touches = Touches(
+        np.arange(21.0)[:, None, None] * np.ones((1, 3, 3)),
+        object=["a"] * 10 + ["b"] * 10 + ["c"],
+    )
+    drawn = [asked for _, asked in PROTOCOLS["random"](touches, 8, 0)]
+    assert len(drawn) == 8
+    for asked in drawn:
+        assert not asked[-1]
+        # A fifth of ten presses of each.
+        assert (asked[:10].sum(), asked[10:20].sum()) == (2, 2)
