@@ -36,7 +36,8 @@ def test_no_more_than_three_and_each_a_sentence():
 
 
 def test_few_touches_are_named():
-    assert any("taught with 5 touches" in one for one in said(touches(6, noise=9)))
+    (few,) = (one for one in said(touches(6, noise=9)) if "taught with 5" in one)
+    assert "give every object 60, all over it" in few
     assert not any("was taught with" in one for one in said(touches(24)))
 
 
