@@ -24,14 +24,14 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 # Each file and the tests that are asked to find a fault in it, fast ones first.
 CORE = {
-    "recognition/_belief.py": "belief beside_touch recogniser limits",
+    "recognition/_belief.py": "belief beside_touch recogniser",
     "recognition/_calibration.py": "calibration beside_touch fair_weight",
     "recognition/_contact.py": "contact_on_pads contact",
     "recognition/_evidence.py": "sequence belief recogniser",
     "recognition/_memory.py": "memory belief recogniser",
     "recognition/_model_checks.py": "hostile_models model_file",
     "recognition/_remounting.py": "remounting",
-    "recognition/_unknown.py": "limits calibration recogniser",
+    "recognition/_strangers.py": "strangers calibration recogniser",
     "classifiers/_encoding_pool.py": "encoding_pool touch_classifier",
     "classifiers/_growing_inverse.py": "kernel_ridge",
     "classifiers/_kernel_density.py": "kernel_density kernel_density_spread "
@@ -63,7 +63,28 @@ CORE = {
     "touches/_parquet.py": "library_parquet",
     "touches/_pictures.py": "touch_pictures touch_folder",
     "touches/_touches.py": "touches_set touches_joining touches_channels touch_archive",
-    "exploration/_guarded.py": "guard_bounds guarded_touch force_limit",
+    "exploration/_guarded.py": "guard_bounds guarded_touch force_limit faulty_arms",
+    "exploration/_ways.py": "hemisphere explore faulty_arms",
+    "exploration/_touching.py": "explore faulty_arms",
+    "exploration/_check_robot.py": "faulty_arms",
+    "exploration/_robot.py": "simulated_robot",
+    "exploration/_record.py": "episode_log explore",
+    "exploration/_strategies.py": "hemisphere next_touch",
+    "exploration/_touch_map.py": "placed_belief next_touch",
+    "sensors/_framing.py": "framing serial_array",
+    "sensors/_serial.py": "serial_array",
+    "sensors/_detector.py": "touch_detector sensor_drift films",
+    "sensors/_health.py": "sensor_health",
+    "sensors/_contract.py": "live_contract",
+    "web/_connections.py": "web_guard",
+    "web/_request_guard.py": "web_guard",
+    "web/_images.py": "web_images web_colour web_api",
+    "web/_teaching.py": "web_quality web_objects web_session",
+    "web/_sensor_watch.py": "web_listening web_session web_sensors",
+    "evaluation/_metrics.py": "metrics cluster_quality",
+    "evaluation/_splits.py": "splits benchmark",
+    "evaluation/_controls.py": "controls",
+    "evaluation/_advice.py": "advice",
 }
 # What takes long to import and is none of the sources: once, not for each mutant.
 HEAVY = (

@@ -150,6 +150,22 @@ def check_images(
     return check_finite(images.astype(np.float64, copy=False), allow_nan=allow_nan)
 
 
+def unmasked(name: str, value: Any) -> Any:
+    """Return a masked array with NaN for what is masked, or explain; all else as is."""
+    if not isinstance(value, np.ma.MaskedArray):
+        return value
+    n_masked = int(np.ma.getmaskarray(value).sum())
+    if not n_masked:
+        return value.data
+    if value.dtype.kind != "f":
+        raise ValueError(
+            f"{name} must have no masked values of {value.dtype}, got {n_masked}. Make "
+            "it .astype(float), where what is masked is read as NaN, or fill it with "
+            ".filled(value)."
+        )
+    return value.filled(np.nan)
+
+
 def check_finite(images: NDArray[Any], *, allow_nan: bool = False) -> NDArray[Any]:
     """Return images that are finite (or NaN, if `allow_nan`), or explain."""
     if images.dtype.kind != "f" or np.isfinite(images).all():
@@ -170,8 +186,10 @@ def check_image_shape(
 ) -> NDArray[Any]:
     """Return `X` as real images of its own type, of `shape` if given, or explain."""
     try:
-        images = np.asarray(X)
+        images = np.asarray(unmasked("images", X))
     except ValueError as error:
+        if isinstance(X, np.ma.MaskedArray):
+            raise
         raise ValueError(
             "Images must be one array of shape (n_touches, n_rows, n_cols), got lists "
             "of unequal lengths. Bring all touches to the same rows and columns."

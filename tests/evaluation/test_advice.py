@@ -1,9 +1,13 @@
 """What is recommended after an evaluation, from touches made so that it is true."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate
+from palpate.evaluation._advice import recommendations
 
 RNG = np.random.default_rng(0)
 BASE = dict(zip("abcd", RNG.normal(size=(4, 3, 24)), strict=True))
@@ -32,7 +36,8 @@ def test_no_more_than_three_and_each_a_sentence():
 
 
 def test_few_touches_are_named():
-    assert any("taught with 5 touches" in one for one in said(touches(6, noise=9)))
+    (few,) = (one for one in said(touches(6, noise=9)) if "taught with 5" in one)
+    assert "give every object 60, all over it" in few
     assert not any("was taught with" in one for one in said(touches(24)))
 
 
@@ -59,3 +64,96 @@ def test_a_recording_that_gives_it_away_is_named():
 def test_more_touches_are_recommended_where_they_help():
     found = said(touches(40, noise=4))
     assert any(one.startswith("More touches help") for one in found)
+
+
+def test_of_many_sentences_the_first_three_are_said(monkeypatch):
+    sentences = [f"Sentence {n}." for n in range(6)]
+    monkeypatch.setattr("palpate.evaluation._advice._all", lambda *_: iter(sentences))
+    assert recommendations({}, []) == sentences[:3]
+
+
+def figures_of(accuracy=(0.5, 0.6), **more):
+    """Figures of an evaluation of which nothing is to be said but what is asked."""
+    usual = {
+        "accuracy": dict(zip(("1", "3"), accuracy, strict=True)),
+        "flags": {},
+        "chance": 0.25,
+        "controls": {},
+        "label": "object",
+        "split": "last",
+        "remount": "none",
+        "sessions": {"asked": 2},
+    }
+    return usual | more
+
+
+NEVER_CONFUSED = np.eye(4)
+
+
+def trial_of(n_taught=20, confusion=NEVER_CONFUSED, names="abcd"):
+    """A trial in which each object was taught so often and was so confused."""
+    memory = SimpleNamespace(labels=np.repeat(list(names), n_taught))
+    recogniser = SimpleNamespace(memory_=memory, classes_=np.array(list(names)))
+    scores = SimpleNamespace(confusion=np.asarray(confusion, float))
+    return SimpleNamespace(
+        recogniser=recogniser, episodes=SimpleNamespace(scores=lambda k: scores)
+    )
+
+
+@pytest.mark.parametrize(("share", "is_said"), [(0.09, False), (0.1, True)])
+def test_a_tenth_without_contact_is_worth_saying(share, is_said):
+    said = recommendations(figures_of(flags={"no contact": share}), [trial_of()])
+    assert any("without contact" in one for one in said) == is_said
+
+
+@pytest.mark.parametrize(
+    ("n_taught", "best", "is_said"),
+    [(19, 0.94, True), (20, 0.94, False), (19, 0.95, False)],
+)
+def test_fewer_than_twenty_touches_where_it_is_not_good(n_taught, best, is_said):
+    said = recommendations(figures_of((best, best)), [trial_of(n_taught)])
+    assert any(f"was taught with {n_taught} touches" in one for one in said) == is_said
+
+
+@pytest.mark.parametrize(
+    ("best", "remount", "is_said"),
+    [(0.94, "none", True), (0.95, "none", False), (0.94, "recentre", False)],
+)
+def test_another_mounting_is_helped_by_remounting(best, remount, is_said):
+    figures = figures_of((best, best), split="session", remount=remount)
+    said = recommendations(figures, [trial_of()])
+    assert any("--remount recentre:10" in one for one in said) == is_said
+
+
+@pytest.mark.parametrize(("after", "is_said"), [(0.54, False), (0.55, True)])
+def test_five_points_more_are_worth_more_touches(after, is_said):
+    said = recommendations(figures_of((0.5, after)), [trial_of()])
+    assert any(one.startswith("More touches help: 50%") for one in said) == is_said
+
+
+@pytest.mark.parametrize(
+    ("of_pair", "of_others", "is_said"), [(3, 1, True), (3, 2, False), (6, 3, True)]
+)
+def test_a_third_of_all_mistakes_is_a_pair(of_pair, of_others, is_said):
+    """Four objects; the mistakes of one pair beside four others, in hundredths."""
+    mistakes = np.zeros((4, 4))
+    mistakes[0, 1] = of_pair
+    mistakes[1, 2] = mistakes[2, 3] = mistakes[3, 0] = mistakes[2, 0] = of_others
+    confusion = mistakes / 10 + np.diag(1 - mistakes.sum(axis=1) / 10)
+    said = recommendations(figures_of(), [trial_of(confusion=confusion)])
+    share = of_pair / (of_pair + 4 * of_others)
+    assert (share >= 1 / 3) == is_said
+    assert any(f"{share:.0%} of the mistakes are a taken" in s for s in said) == is_said
+
+
+def test_of_two_objects_and_of_few_mistakes_no_pair_is_told():
+    two = trial_of(confusion=[[0.5, 0.5], [0.2, 0.8]], names="ab")
+    few = np.eye(4)
+    few[0, :2] = 0.96, 0.04  # a hundredth of all answers
+    for trial in (two, trial_of(confusion=few)):
+        assert recommendations(figures_of((0.5, 0.5)), [trial]) == []
+    few[0, :2] = 0.88, 0.12  # three hundredths are half of five, and more
+    assert (
+        "a taken for b"
+        in recommendations(figures_of((0.5, 0.5)), [trial_of(confusion=few)])[0]
+    )

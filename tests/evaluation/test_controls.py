@@ -9,6 +9,7 @@ from palpate.evaluation import (
     as_good_alone,
     brightness,
     disc_centres,
+    named_alone,
     sorted_pixels,
     without_contact,
 )
@@ -70,3 +71,60 @@ def test_controls_that_do_as_well_are_named_with_the_touches():
         "disc centre alone does as well after 1, 5 touches",
     ]
     assert all("may have learnt the recording" in one for one in said)
+
+
+def test_sorted_pixels_are_shares_of_the_mean_level():
+    """In order of size, each over the total, times the number of taxels."""
+    touches = Touches(np.array([[[6.0, 1.0], [3.0, 2.0]], [[0.0, 0.0], [0.0, 0.0]]]))
+    assert_allclose(sorted_pixels(touches), [[1 / 3, 2 / 3, 1, 2], [0, 0, 0, 0]])
+
+
+def test_sorted_pixels_of_many_touches_are_those_of_each(rng):
+    """Touches are taken by 256; above 64 a side every second row and column."""
+    images = rng.uniform(1, 9, (259, 5, 5))
+    values = sorted_pixels(Touches(images))
+    expected = np.sort(images.reshape(259, 25), axis=1)
+    expected = expected / expected.mean(axis=1, keepdims=True)
+    assert_allclose(values, expected)
+    large = rng.uniform(1, 9, (2, 65, 20))
+    assert_allclose(
+        sorted_pixels(Touches(large)), sorted_pixels(Touches(large[:, ::2, ::2]))
+    )
+    whole = rng.uniform(1, 9, (1, 64, 2))
+    assert sorted_pixels(Touches(whole))[0, 0] == pytest.approx(
+        whole.min() / whole.mean()
+    )
+
+
+def test_brightness_is_mean_and_spread(rng):
+    images = rng.uniform(0, 9, (3, 4, 4))
+    images[1, 0, 0] = np.nan
+    found = brightness(Touches(images))
+    flat = images.reshape(3, -1)
+    assert_allclose(found, np.c_[np.nanmean(flat, axis=1), np.nanstd(flat, axis=1)])
+
+
+def test_what_brightness_alone_names_is_told(rng):
+    """Noise alone, of which one object is brighter by far."""
+    images = rng.normal(size=(48, 4, 4)) + np.repeat([0, 50], 24)[:, None, None]
+    shares = named_alone(Touches(images, object=np.repeat(["a", "b"], 24)))
+    assert shares["brightness"] == {"right": 1.0, "chance": 0.5}
+    few = Touches(images, object=["a"] * 3 + ["b"] * 45)
+    assert named_alone(few) == {}
+    assert named_alone(Touches(images)) == {}
+
+
+@pytest.mark.parametrize("scale", [1e-6, 0.01, 1e6])
+def test_sorted_pixels_do_not_change_with_the_gain(scale, rng):
+    images = rng.uniform(1, 9, (3, 4, 4))
+    assert_allclose(
+        sorted_pixels(Touches(scale * images)), sorted_pixels(Touches(images))
+    )
+
+
+def test_rims_are_found_beside_a_frame_of_no_contact():
+    row, col = np.mgrid[:100, :120]
+    disc = np.where(np.hypot(row - 52, col - 61) < 40, 150.0, 10.0)
+    beside = {"geometry": "dome", "no_contact": disc}
+    centres = disc_centres(Touches(np.stack([disc] * 3), **beside))
+    assert_allclose(centres, [[52, 61]] * 3, atol=1)

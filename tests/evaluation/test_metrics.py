@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from sklearn.metrics import roc_auc_score
 
-from palpate.evaluation import calibration_bins, calibration_error, roc_area
+from palpate.evaluation import (
+    calibration_bins,
+    calibration_error,
+    roc_area,
+    spread,
+)
 
 
 def test_perfect_beliefs_have_no_error():
@@ -39,3 +44,9 @@ def test_roc_area_agrees_with_scikit_learn(rng):
     truth = np.repeat([0, 1], [50, 40])
     expected = roc_auc_score(truth, np.r_[known, unknown])
     assert roc_area(known, unknown) == pytest.approx(expected)
+
+
+def test_spread_is_that_of_a_sample_and_nothing_for_one():
+    assert spread([1.0, 3.0]) == pytest.approx(np.sqrt(2))
+    assert spread([[1.0, 5.0], [3.0, 5.0], [5.0, 5.0]]).tolist() == [2.0, 0.0]
+    assert spread([7.0]) == 0

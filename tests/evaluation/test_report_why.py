@@ -115,3 +115,18 @@ def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):
     for touch in (felt, near):
         (cleaned,) = recogniser.encoder_.clean(touch)
         assert png_address(cleaned, 72) in page
+
+
+def test_confused_pairs_are_of_two_objects_the_most_confused_first(result, tmp_path):
+    page = write_report(tmp_path / "r.html", *result).read_text()
+    told = page[page.index("<h2>Most confused pairs") :]
+    pairs = re.findall(r"<b>(\w+)</b> taken for <b>(\w+)</b>: (\d+) %", told)
+    assert pairs
+    shares = [int(share) for *_, share in pairs]
+    assert shares == sorted(shares, reverse=True)
+    assert all(true != taken for true, taken, _ in pairs)
+    confusion = np.mean([t.episodes.scores(3).confusion for t in result[1]], axis=0)
+    names = result[1][0].recogniser.classes_.tolist()
+    for true, taken, share in pairs:
+        row, col = names.index(true), names.index(taken)
+        assert int(share) == pytest.approx(100 * confusion[row, col], abs=0.51)

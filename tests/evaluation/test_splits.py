@@ -6,6 +6,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.evaluation import draw_touches, split_by_count, split_touches
+from palpate.evaluation._splits import PROTOCOLS
 
 
 @pytest.fixture
@@ -74,3 +75,64 @@ def test_drawn_touches(recordings):
 def test_what_cannot_be_split_is_refused(recordings, change, split, message):
     with pytest.raises(ValueError, match=message):
         split_touches(change(recordings), split)
+
+
+@pytest.mark.parametrize(("n_people", "n_folds"), [(20, 20), (21, 20), (45, 20)])
+def test_more_than_twenty_people_are_asked_several_at_a_time(n_people, n_folds):
+    people = np.repeat([f"p{n:02d}" for n in range(n_people)], 2)
+    touches = Touches(
+        np.arange(2.0 * n_people)[:, None, None] * np.ones((1, 3, 3)),
+        object=np.tile(["a", "b"], n_people),
+        subject=people,
+    )
+    folds = split_touches(touches, "subject")
+    assert len(folds) == n_folds
+    asked = [set(fold.test.subject.tolist()) for fold in folds]
+    assert sorted(name for some in asked for name in some) == sorted({*people.tolist()})
+    for fold, some in zip(folds, asked, strict=True):
+        assert not some & {*fold.train.subject.tolist()}
+        assert len(some) in (n_people // n_folds, n_people // n_folds + 1)
+
+
+def test_two_touches_of_each_may_be_drawn_and_one_may_not(recordings):
+    assert len(draw_touches(recordings, 2, seed=0)) == 8
+    with pytest.raises(ValueError, match="train_touches must be at least 2, got 1"):
+        draw_touches(recordings, 1, seed=0)
+    with pytest.raises(ValueError, match="must leave touches to test, got 8"):
+        split_by_count(recordings, 8, seed=0)
+
+
+def test_what_one_session_has_once_or_not_is_left_out_of_that_split():
+    touches = Touches(
+        np.arange(12.0)[:, None, None] * np.ones((1, 3, 3)),
+        object=["a", "a", "b", "b", "c", "e", "a", "a", "b", "b", "d", "e"],
+        session=["mon"] * 6 + ["tue"] * 6,
+    )
+    folds = split_touches(touches, "session")
+    assert len(folds) == 2
+    for fold in folds:
+        assert sorted({*fold.test.object.tolist()}) == ["a", "b"]
+        assert set(fold.left_out) == {"c", "d", "e"}
+
+
+def test_a_recording_of_one_press_teaches_and_is_never_drawn():
+    touches = Touches(
+        np.arange(21.0)[:, None, None] * np.ones((1, 3, 3)),
+        object=["a"] * 10 + ["b"] * 10 + ["c"],
+    )
+    drawn = [asked for _, asked in PROTOCOLS["random"](touches, 8, 0)]
+    assert len(drawn) == 8
+    for asked in drawn:
+        assert not asked[-1]
+        # A fifth of ten presses of each.
+        assert (asked[:10].sum(), asked[10:20].sum()) == (2, 2)
+
+
+def test_a_session_that_teaches_one_object_alone_asks_nobody():
+    touches = Touches(
+        np.arange(6.0)[:, None, None] * np.ones((1, 3, 3)),
+        object=["a", "a", "a", "a", "b", "b"],
+        session=["mon", "mon", "tue", "tue", "tue", "tue"],
+    )
+    (fold,) = split_touches(touches, "session")
+    assert {*fold.test.session.tolist()} == {"mon"}

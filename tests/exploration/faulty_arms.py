@@ -1,19 +1,51 @@
-"""Forty arms that each do one thing wrong, before a springy ball known on paper.
+"""Fifty arms that each do one thing wrong, before a springy ball known on paper.
 
 For drivers of one's own: what palpate does beside an arm like these is tested here.
-`FAULTS` maps a name to what makes a `BallArm` faulty; `peak_n` is the greatest force it
-truly pressed with, `inside` whether it truly stands pressed now.
+`FAULTS` names what a `FaultyArm` may do wrong; `peak_n` is the greatest force it truly
+pressed with, all along its ways, `inside` whether it truly stands pressed now. `PATHS`
+are all the ways in which palpate moves an arm: each takes one, and returns what was
+recorded.
 """
+
+from contextlib import ExitStack, contextmanager
+from dataclasses import fields
+from importlib import import_module
+from unittest import mock
 
 import numpy as np
 
-from palpate.simulation import SensorPose
+from palpate.exploration import (
+    Guard,
+    Hemisphere,
+    RandomHemisphere,
+    Stand,
+    explore,
+    gather,
+    guarded_touch,
+)
+from palpate.simulation import DomeCamera, SensorPose, find_object
+
+NEAR = Hemisphere(radius_mm=100)
+KNOWN = {field.name for field in fields(Guard)}
+
+
+def guard_of(**asked):
+    """Return a guard for the hemisphere of 100 mm; what a revision lacks is left out.
+
+    In the air steps are of 0.5 mm: 2.5 N of what has 5 N/mm.
+    """
+    usual = {"timeout_s": 1e9, "max_travel_mm": 110.0, "air_step_mm": 0.5}
+    usual |= {"expected_n_mm": 0.8, "frame_change": 2.0}
+    return Guard(**{name: n for name, n in (usual | asked).items() if name in KNOWN})
+
+
+GUARD = guard_of()
 
 
 class FaultyArm:
     """A ball of a radius and a stiffness, a hemisphere of 100 mm, and one fault."""
 
-    image_shape = (3, 3)
+    image_shape = (8, 8)
     geometry = "none"
 
     def __init__(self, fault="", stiffness_n_mm=1.0, radius_mm=40.0):
@@ -44,10 +76,19 @@ class FaultyArm:
         return True
 
     def put(self, pose):
+        """Move in a straight line, and press on whatever lies on it."""
         if self.stopped:
             raise RuntimeError("stopped")
+        here, there = self.pose.position_mm, pose.position_mm
+        way = np.subtract(there, here)
+        for share in np.linspace(0, 1, 2 + int(np.linalg.norm(way))):
+            self.pose = SensorPose(here + share * way, pose.direction)
+            self.peak_n = max(self.peak_n, self.force_n)
         self.pose = pose
-        self.peak_n = max(self.peak_n, self.force_n)
+
+    def clock(self):
+        """Return the seconds that readings of 1 kHz have taken."""
+        return self.n / 1000
 
     def move_to(self, pose):
         if self.fault == "move raises before":
@@ -122,7 +163,7 @@ class FaultyArm:
             return None
         if self.fault == "frame of another shape":
             return np.zeros((2, 5))
-        return np.full((3, 3), 5.0 * self.inside)
+        return np.full((8, 8), 5.0 * self.inside)
 
     def no_contact(self):
         return None
@@ -142,6 +183,113 @@ class Undecided:
 
     def reason(self, error, refusal):
         return "Undecided."
+
+
+def exploring(arm):
+    """Touch five times as `explore` does."""
+    asked = {"guard": GUARD, "max_attempts": 5}
+    return explore(arm, arm, Undecided(), RandomHemisphere(NEAR, 1), **asked).history
+
+
+def gathering(arm):
+    """Gather four touches."""
+    return gather(arm, arm, RandomHemisphere(NEAR, 2), guard=GUARD, n_touches=4)
+
+
+def touching(arm):
+    """Touch once from where somebody has put the arm."""
+    arm.pose = NEAR.pose(0.3, 0.9)
+    return [guarded_touch(arm, arm, arm.pose, GUARD)]
+
+
+@contextmanager
+def put_before(arm):
+    """Let whatever is put down be put before this arm."""
+
+    def put_down(thing, *_, **__):
+        return Stand(thing, NEAR, arm, arm)
+
+    names = "_simulated_objects", "environment"
+    rooms = [import_module(f"palpate.exploration.{name}") for name in names]
+    with ExitStack() as stack:
+        for room in rooms:
+            stack.enter_context(mock.patch.object(room, "put_down", put_down))
+        yield rooms
+
+
+def standing(arm):
+    """Touch three times where something was put down."""
+    with put_before(arm) as (room, _):
+        stand = room.put_down(find_object("ball"))
+        return [stand.touch(NEAR.pose(n, 0.8), GUARD) for n in (0, 2, 4)]
+
+
+def teaching(arm):
+    """Teach an object by exploring it, with the guard that is used for that."""
+    guard = guard_of(limit_n=5.0, lag_readings=0)
+    with put_before(arm) as (room, _), mock.patch.object(room, "QUICK_GUARD", guard):
+        thing = find_object("ball")
+        how = {"n_touches": 3, "n_sessions": 1, "n_jobs": 1}
+        camera = DomeCamera(image_shape=(8, 8))
+        with recorded() as history:
+            room.explore_to_learn([thing], camera=camera, **how)
+        return history
+
+
+@contextmanager
+def recorded():
+    """Keep what `gather` returns: of touches that were taught the images are left."""
+    history = []
+    room = import_module("palpate.exploration._simulated_objects")
+    usual = room.gather
+
+    def kept(*given, **asked):
+        history.extend(usual(*given, **asked))
+        return history
+
+    with mock.patch.object(room, "gather", kept):
+        yield history
+
+
+def playing(arm):
+    """Take three steps of the environment for learned policies."""
+    with put_before(arm) as (_, room):
+        env = room.TouchEnv(
+            ["ball", "mug"], camera=DomeCamera(image_shape=(8, 8)), guard=GUARD
+        )
+        env.reset(seed=0)
+        for way in ((1, 0, 1), (0, 1, 1), (-1, 0, 1)):
+            env.step({"action": np.array(way), "prediction": np.zeros(2)})
+        return env.history
+
+
+def coming_out(arm):
+    """Come out of the hemisphere from near the object, or from where it is parked."""
+    if np.allclose(arm.pose.position_mm, (0, 0, 300)):
+        arm.pose = NEAR.pose(0.3, 0.9).advanced(55)
+    import_module("palpate.exploration._ways").come_out(arm, NEAR, GUARD)
+    return []
+
+
+def going_round(arm):
+    """Go over the object and back, without touching it."""
+    ways = import_module("palpate.exploration._ways")
+    arm.pose = NEAR.pose(0.0, 0.3)
+    for azimuth in (3.0, 1.5, -1.5):
+        ways.follow(arm, NEAR, NEAR.pose(azimuth, 0.3), GUARD)
+    return []
+
+
+PATHS = {
+    "explore": exploring,
+    "gather": gathering,
+    "touch": touching,
+    "put down": standing,
+    "teach": teaching,
+    "environment": playing,
+    "come out": coming_out,
+    "way": going_round,
+}
 
 
 def _parked(place, look):

@@ -202,6 +202,7 @@ def test_two_objects_of_one_name_are_refused():
 
 def test_without_gymnasium_the_refusal_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    monkeypatch.delitem(sys.modules, "palpate.exploration.environment")
+    # Not there yet where this test comes first.
+    monkeypatch.delitem(sys.modules, "palpate.exploration.environment", raising=False)
     with pytest.raises(ImportError, match=r'pip install "palpate\[sim\]"'):
         importlib.import_module("palpate.exploration.environment")

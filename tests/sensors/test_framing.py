@@ -159,3 +159,57 @@ def test_what_bytes_cannot_carry_is_refused():
         BinaryFraming((256, 2))
     with pytest.raises(ValueError, match="dtype must be one of 'uint8'"):
         BinaryFraming((2, 2), np.float64)
+
+
+def test_lines_that_were_cut_are_counted(rng):
+    """A cut that takes the line's end along leaves two frames in one line."""
+    images = rng.integers(0, 4000, (300, *SHAPE)).astype(float)
+    lines = list(map(write_line, images))
+    cut = rng.random(300) < 0.4
+    cut[-1] = False  # nothing ends what was begun
+    sent = [
+        line[: rng.integers(2, len(line) - 1)] if is_cut else line
+        for line, is_cut in zip(lines, cut, strict=True)
+    ]
+    framing = LineFraming(SHAPE)
+    got = framing.feed(b"".join(sent))
+    assert_array_equal(got, images[~cut])
+    assert framing.n_damaged == cut.sum()
+
+
+def test_lines_carry_no_numbers_so_that_none_are_known_to_be_missing():
+    framing = LineFraming((1, 2), checksum=False)
+    assert (framing.n_damaged, framing.n_missed) == (0, 0)
+    framing.feed(b"1,2\nx\n3,4\n")
+    assert (framing.n_damaged, framing.n_missed) == (1, 0)
+
+
+def test_a_line_without_end_is_given_up():
+    """Longer than 32 letters a taxel and 8: one damaged frame, then the next."""
+    framing = LineFraming((1, 2), checksum=False)
+    assert framing.feed(b"1" * 72) == []
+    assert framing.n_damaged == 0
+    assert framing.feed(b"1") == []
+    assert framing.n_damaged == 1
+    assert framing.feed(b"\n1,2\n")[0].tolist() == [[1, 2]]
+
+
+def test_very_large_and_infinite_levels_are_no_frames():
+    framing = LineFraming((1, 2), checksum=False)
+    assert len(framing.feed(b"3e38,0\n-3e38,1\n")) == 2
+    assert framing.feed(b"3.1e38,0\n-3.1e38,0\ninf,0\n") == []
+    assert framing.n_damaged == 3
+
+
+@pytest.mark.parametrize(("gap", "n_missed"), [(999, 999), (1000, 0), (65535, 0)])
+def test_a_gap_of_a_thousand_numbers_is_a_new_beginning(gap, n_missed):
+    framing = BinaryFraming((1, 1))
+    image = np.ones((1, 1), np.uint16)
+    framing.feed(write_binary(image, 7) + write_binary(image, (8 + gap) % 65536))
+    assert framing.n_missed == n_missed
+
+
+def test_frames_of_bytes_have_at_most_255_a_side():
+    BinaryFraming((255, 1))
+    with pytest.raises(ValueError, match="at most 255 x 255, got 256 x 1"):
+        BinaryFraming((256, 1))

@@ -23,6 +23,7 @@ from palpate.sensors import (
     check_sensor,
     open_sensor,
 )
+from palpate.sensors._contract import channels_of
 
 
 class Counting(LiveSensor):
@@ -476,3 +477,16 @@ def test_a_calibrated_sensor_gives_frames_in_its_unit():
     wrong = ReplaySensor(recording())
     with pytest.raises(ValueError, match="calibration is of 2 x 3 taxels"):
         CalibratedSensor(wrong, Doubling())
+
+
+@pytest.mark.parametrize(
+    ("shape", "names"),
+    [
+        ((4, 4), None),
+        ((4, 4, 3), ("r", "g", "b")),
+        ((4, 4, 2), ("0", "1")),
+        ((3, 3, 4), ("0", "1", "2", "3")),
+    ],
+)
+def test_three_channels_are_colours_and_others_are_numbered(shape, names):
+    assert channels_of(shape) == names

@@ -129,3 +129,79 @@ def test_numbers_coarser_than_noise_tell_of_no_dead_taxel():
     images = np.zeros((100, 4, 4), np.uint8)
     images[::2, 0, 0] = 1
     assert health(as_frames(images, np.arange(100) / 50))["dead"] == []
+
+
+@pytest.mark.parametrize(("times_typical", "hot"), [(5.0, False), (7.5, True)])
+def test_hot_is_over_six_times_as_noisy_as_others(rng, times_typical, hot):
+    images, times = frames(rng, n=900, dtype=np.float64)
+    images[:, 2, 2] = 100 + rng.normal(scale=2.02 * times_typical, size=900)
+    assert health(as_frames(images, times))["hot"] == ([[2, 2]] if hot else [])
+
+
+@pytest.mark.parametrize(("rho", "told"), [(0.2, False), (0.4, True)])
+def test_noise_is_crosstalk_where_rows_share_a_third_of_it(rng, rho, told):
+    images, times = frames(rng, n=900, noise=2.0, dtype=np.float64)
+    shared = 4.08 * rho / (1 - rho)  # variance: 4 and that of rounding
+    images = images + rng.normal(scale=shared**0.5, size=(900, 10, 1))
+    found = health(as_frames(images, times))
+    assert found["figures"]["shared_by_rows"] == pytest.approx(rho, abs=0.05)
+    assert any("crosstalk" in said for said in found["findings"]) == told
+
+
+@pytest.mark.parametrize(("late_ms", "told"), [(55, False), (65, True)])
+def test_one_frame_in_a_hundred_is_late_at_three_times_the_usual(rng, late_ms, told):
+    images, _ = frames(rng)
+    gaps = np.full(600, 0.02)
+    gaps[::30] = late_ms / 1000
+    found = health(as_frames(images, np.cumsum(gaps)))
+    assert any("holds it up" in said for said in found["findings"]) == told
+
+
+@pytest.mark.parametrize(("n_lost", "told"), [(5, False), (8, True)])
+def test_one_frame_in_a_hundred_may_be_lost(rng, n_lost, told):
+    images, times = frames(rng)
+    lost = set(range(20, 20 + 10 * n_lost, 10))
+    some = [one for one in as_frames(images, times) if one.number not in lost]
+    found = health(some)
+    assert found["figures"]["lost"] == pytest.approx(n_lost / 600)
+    assert any("frames are lost" in said for said in found["findings"]) == told
+
+
+def test_a_check_needs_two_frames_for_each_twelfth(rng):
+    images, times = frames(rng, n=24)
+    health(as_frames(images, times))
+    with pytest.raises(SensorError, match="needs 24 frames, got 23"):
+        health(as_frames(images, times)[:-1])
+
+
+def test_the_noise_is_what_neighbours_differ_by_over_the_root_of_two():
+    """Frames of 100 and 102 in turn: each pair differs by 2."""
+    images = np.full((24, 3, 3), 100.0)
+    images[1::2] += 2
+    found = health(as_frames(images, np.arange(24) / 50))
+    assert found["figures"]["noise"] == pytest.approx(2 / np.sqrt(2))
+    assert found["noise"].shape == (3, 3)
+    assert found["rest"] == pytest.approx(np.full((3, 3), 101.0))
+
+
+def test_chance_is_no_drift(rng):
+    """Means of 2 frames differ by chance by as much as the noise; that is taken off.
+
+    Over many sensors the square of the drift that is left is 0 in the mean.
+    """
+    squares = []
+    for _ in range(60):
+        images = rng.normal(scale=2.0, size=(24, 8, 8)) + 100
+        found = health(as_frames(images, np.arange(24) / 50))
+        squares.append(found["figures"]["drift"] ** 2)
+    # Of 64 taxels the mean square has a spread of 4 (2 / 64)^0.5 = 0.7; half of them,
+    # those below 0, count as 0: their mean is 0.7 / sqrt(2 pi) = 0.28.
+    assert np.mean(squares) < 0.6
+    assert 0.2 < np.mean(np.array(squares) == 0) < 0.8
+
+
+def test_gaps_are_in_milliseconds(rng):
+    images, times = frames(rng)
+    figures = health(as_frames(images, times))["figures"]
+    assert figures["interval_99_ms"] == pytest.approx(20)
+    assert figures["frames"] == 600

@@ -236,3 +236,21 @@ def test_what_cannot_be_found_is_said(terminal, monkeypatch, written, message):
     terminal.play(written, 100)
     with pytest.raises(SensorError, match=message):
         open_sensor(f"serial:{terminal.port}", image_shape="auto")
+
+
+def test_lines_that_were_cut_are_counted_as_dropped(terminal):
+    """Of every four lines one loses its end, and its line break with it."""
+
+    def packets():
+        for number in range(80):
+            line = write_line(np.full((3, 4), number, np.float32))
+            yield line[:-7] if number % 4 == 1 else line
+
+    with SerialArraySensor(terminal.port, (3, 4)) as sensor:
+        terminal.play(packets(), 400)
+        terminal.thread.join(20)
+        end = time.monotonic() + 20
+        while sensor.n_frames < 60 and time.monotonic() < end:
+            time.sleep(0.01)
+        assert sensor.n_frames == 60
+        assert sensor.n_dropped == 20

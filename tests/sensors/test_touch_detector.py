@@ -1,12 +1,22 @@
 """Touches in streams whose touches are known."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.sensors import ContactError, Frame, TouchDetector
+from palpate import Touches
+from palpate.sensors import (
+    ContactError,
+    Frame,
+    SensorError,
+    SensorMemory,
+    TouchDetector,
+)
+from palpate.sensors._detector import baseline_warning, gain_warning
 
 REST = np.full((4, 4), 100, np.uint8)
 
@@ -237,3 +247,175 @@ def test_a_baseline_is_undone_with_its_noise(rng):
     first.take_baseline([np.zeros((4, 4))] * 3)
     first.undo_baseline()
     assert first.baseline is None
+
+
+def test_which_limit_finds_more_touches_is_told():
+    """Three weak touches beside two strong ones: the limit between them is named."""
+    rest = np.full((4, 4), 100.0)
+    levels = [0.0] * 12
+    for peak in (40, 6, 40, 6, 6):
+        levels += [peak, peak, peak, 0, 0, 0]
+    noisy = [
+        rest + 0.2 * np.random.default_rng(n).normal(size=(4, 4)) for n in range(9)
+    ]
+    detector = TouchDetector(begin=20.0)
+    detector.take_baseline(noisy)
+    stream = Touches(
+        np.stack([rest + level for level in levels]), time_s=np.arange(len(levels)) / 10
+    )
+    assert len(detector.touches_in(stream)) == 2
+    told = re.fullmatch(
+        r"2 touches begin at a change of 20, 5 would at ([\d.]+) "
+        r"\(([\d.]+) to ([\d.]+)\); 3 changes lay below the limit\.",
+        detector.note,
+    )
+    middle, low, high = map(float, told.groups())
+    # Limits reach down to three noises of 0.2; the weak touches change by 6.
+    assert low == pytest.approx(0.6, rel=0.15)
+    assert 4.5 < high <= 6.1
+    assert middle == pytest.approx(np.sqrt(low * high), rel=0.1)
+
+
+def test_no_other_limit_is_told_where_all_touches_were_found():
+    rest = np.full((4, 4), 100.0)
+    levels = [0, 0, 40, 40, 0, 0, 40, 40, 0]
+    stream = Touches(np.stack([rest + level for level in levels]), no_contact=rest)
+    detector = TouchDetector(begin=10.0)
+    assert len(detector.touches_in(stream)) == 2
+    assert detector.note == ""
+
+
+@pytest.mark.parametrize(("n_taxels", "asked"), [(3, False), (4, True)])
+def test_a_press_is_of_four_neighbours(n_taxels, asked, rng):
+    rest = rng.uniform(99, 101, (10, 10))
+    rest[5, 2 : 2 + n_taxels] += 200
+    detector = TouchDetector()
+    if not asked:
+        detector.take_baseline([rest] * 3)
+        return
+    with pytest.raises(ContactError, match="where 4 neighbouring taxels"):
+        detector.take_baseline([rest] * 3)
+
+
+def test_a_contact_of_a_moment_less_than_half_a_minute_is_not_questioned():
+    detector = TouchDetector(REST)
+    for frame in frames([0] + [40] * 205):
+        detector.update(frame)
+    assert detector.baseline_offer(20.0) == ""
+    assert "over 20 s" in detector.baseline_offer(20.3)
+
+
+def test_large_images_are_looked_at_in_part():
+    """Of more than 160 a side every second pixel counts, and no other."""
+    rest = np.full((200, 161), 100, np.uint8)
+    detector = TouchDetector(rest, begin=1.0)
+    between = rest.copy()
+    between[1::2] = between[:, 1::2] = 200
+    detector.update(Frame(between, 0.0, 0))
+    assert detector.change == 0
+    whole = np.full((160, 160), 100, np.uint8)
+    detector = TouchDetector(whole, begin=1.0)
+    one = whole.copy()
+    one[1, 1] = 200
+    detector.update(Frame(one, 0.0, 0))
+    assert detector.change == pytest.approx(100 / 160)
+
+
+def test_the_share_of_each_taxel_is_remembered():
+    rest = np.full((2, 2), 10.0)
+    images = rest + np.array([[[4, 0], [0, 0]], [[0, -2], [0, -2]]])
+    memory = SensorMemory.of(images, rest)
+    # Changes: 4 / 2 of four taxels, and 2 sqrt(2) / 2; shares 1 and twice a half.
+    assert memory.touch_change == pytest.approx((2 + np.sqrt(2)) / 2)
+    assert_allclose(memory.response, [[0.5, 0.25], [0, 0.25]])
+    assert_allclose(memory.response_var, [[0.125, 0.03125], [0, 0.03125]])
+    assert memory.n_touches == 2
+    still = SensorMemory.of([rest], rest)
+    assert_allclose(still.response, 0)
+    large = SensorMemory.of([np.ones((65, 64))], np.zeros((65, 64)))
+    assert large.response.shape == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("times", "n_touches", "told"),
+    [(1.9, 40, False), (2.2, 40, True), (1 / 2.2, 40, True), (2.2, 9, False)],
+)
+def test_a_taxel_that_answers_twice_as_much_is_named(times, n_touches, told, rng):
+    rest = np.zeros((4, 4))
+    images = 10 + rng.normal(scale=0.1, size=(n_touches, 4, 4))
+    before = SensorMemory.of(images, rest)
+    other = images.copy()
+    other[:, 1, 2] *= times
+    # All shares sum to 1: one that doubles lessens the others by a sixteenth.
+    now = SensorMemory.of(other * 1.0, rest)
+    grown = now.response[1, 2] / before.response[1, 2]
+    said = gain_warning(before, now)
+    assert (("row 1 column 2" in said) == told) or 1.9 < max(grown, 1 / grown) < 2.1
+    assert gain_warning(before, before) == ""
+
+
+@pytest.mark.parametrize(("off", "told"), [(2.4, ""), (2.6, "by 26% of what a touch")])
+def test_rest_that_is_off_by_a_quarter_of_a_touch_is_told(off, told):
+    rest = np.zeros((4, 4))
+    memory = SensorMemory.of([rest + 10], rest)
+    said = baseline_warning(memory, rest + off)
+    assert told in said
+    assert bool(said) == bool(told)
+    assert "this one has 4 x 5" in baseline_warning(memory, np.zeros((4, 5)))
+
+
+def test_the_noise_about_a_given_baseline_is_learnt_from_nine_frames_at_rest(rng):
+    """Eight differences of neighbours; noise of 0.4 and rounding (1/12) about it."""
+    rest = np.full((64, 64), 100, np.uint8)
+    images = np.rint(rest + rng.normal(scale=0.4, size=(12, 64, 64))).astype(np.uint8)
+    detector = TouchDetector(rest)
+    noises = []
+    for number, image in enumerate(images):
+        detector.update(Frame(image, number / 10, number))
+        noises.append(detector.noise)
+    assert noises[:8] == [0.0] * 8
+    expected = float(np.sqrt(np.mean((images[:9] - 100.0) ** 2)))
+    assert noises[8] == pytest.approx(expected, rel=0.05)
+    assert set(noises[8:]) == {noises[8]}  # and not again
+    assert detector.begin == pytest.approx(max(2.0, 6 * noises[8]))
+
+
+def test_a_step_of_the_numbers_bounds_the_limit_from_below():
+    whole, real = TouchDetector(REST), TouchDetector(REST.astype(float))
+    assert (whole.begin, whole.end) == (2.0, 1.0)
+    assert real.begin < 1e-30
+    for detector, begin in ((whole, 2.0), (real, 1.0)):
+        detector.step = 0.5
+        assert detector.begin == begin
+    whole.step = 3.0
+    assert whole.begin == 6.0
+
+
+def test_a_touch_after_a_short_flash_is_whole():
+    """What is kept of a flash that was no touch is not of the next."""
+    detector = TouchDetector(REST, begin=10, end=5, summary="mean", min_frames=3)
+    (touch,) = touches_of(detector, [0, 90, 90, 0, 0, 40, 40, 40, 40, 0])
+    assert_array_equal(touch.image, REST + 40)
+    assert (touch.began_s, touch.ended_s, touch.n_frames) == (0.5, 0.9, 4)
+    assert touch.change == 40
+
+
+def test_a_hold_is_of_the_last_64_frames():
+    detector = TouchDetector(REST, begin=10, end=5, summary="mean")
+    (touch,) = touches_of(detector, [0] + [50] * 30 + [40] * 64 + [0])
+    assert_array_equal(touch.image, REST + 40)  # of 50 none is left
+
+
+def test_a_stream_that_ends_in_contact_ends_with_a_touch():
+    images = np.stack([REST + level for level in (0, 0, 40, 40)]).astype(np.uint8)
+    found = TouchDetector().touches_in(Touches(images, no_contact=REST))
+    assert found.columns["duration_s"].tolist() == [1]  # frames are a second apart
+    assert found.columns["time_s"].tolist() == [2]
+    assert found.order.tolist() == [0]
+    assert_array_equal(found.no_contact, REST)
+
+
+def test_a_stream_without_a_touch_says_what_did_not_change():
+    images = np.stack([REST + level for level in (0, 1, 0, 1)]).astype(np.uint8)
+    with pytest.raises(SensorError, match=r"got 4 frames .*changed by 2 for 2 frames"):
+        TouchDetector().touches_in(Touches(images, no_contact=REST))

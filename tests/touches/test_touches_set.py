@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from palpate import Touches
+from palpate import ObjectRecogniser, Touches
+from palpate.images import ChannelMean
 from palpate.touches import TouchesError
 
 
@@ -318,3 +319,42 @@ def test_pickle_keeps_everything(six):
     again = pickle.loads(pickle.dumps(six))
     assert repr(again) == repr(six)
     assert_array_equal(again.images, six.images)
+
+
+def masked_images(dtype):
+    """Four images of 3 x 3, two taxels of the second masked."""
+    images = np.ma.masked_array(np.arange(36, dtype=dtype).reshape(4, 3, 3))
+    images[1, 0, :2] = np.ma.masked
+    return images
+
+
+def test_what_is_masked_is_a_dead_taxel():
+    touches = Touches(masked_images(float))
+    assert np.isnan(touches.images).sum() == 2
+    assert np.isnan(touches.images[1, 0, :2]).all()
+    column = np.ma.masked_array([1.0, 2.0, 3.0, 4.0], [False, True, False, False])
+    assert np.isnan(Touches(touches.images, force_n=column).columns["force_n"][1])
+
+
+def test_masked_whole_numbers_are_refused_and_the_fix_is_named():
+    with pytest.raises(TouchesError, match=r"images .*masked.*int64, got 2.*\.astype"):
+        Touches(masked_images(np.int64))
+    with pytest.raises(ValueError, match=r"images .*masked.*uint8, got 2.*\.filled"):
+        ChannelMean().fit(masked_images(np.uint8))
+    with pytest.raises(ValueError, match="X must have no masked"):
+        ObjectRecogniser().fit(masked_images(int).reshape(4, 9), list("aabb"))
+    whole = np.ma.masked_array(np.ones((2, 3, 3), int))
+    assert Touches(whole).images.sum() == 18  # nothing is masked
+
+
+def test_masked_images_are_recognised_as_images_with_nan(rng):
+    images = rng.random((12, 4, 4))
+    images[6:] += 3 * np.eye(4)
+    recogniser = ObjectRecogniser("liu2014").fit(images, ["a"] * 6 + ["b"] * 6)
+    hidden = images[:1].copy()
+    hidden[0, 0, 0] = np.nan
+    masked = np.ma.masked_array(images[:1], np.isnan(hidden))
+    masked.data[0, 0, 0] = 1e6  # what lies behind a mask must not count
+    assert_array_equal(
+        recogniser.log_likelihood(masked), recogniser.log_likelihood(hidden)
+    )

@@ -2,7 +2,11 @@
 
 import asyncio
 import json
+import logging
 import socket
+import threading
+import time
+from contextlib import ExitStack, suppress
 
 import cv2
 import numpy as np
@@ -19,6 +23,8 @@ from palpate.web import (
     open_socket,
     qr_code,
 )
+from palpate.web._connections import SaidOnce, saying_once
+from palpate.web._reading import ReadingRoom
 
 TOKEN = "right-token"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -171,7 +177,7 @@ def test_every_answer_says_what_a_browser_may_do(client, path, headers):
 
 
 def test_half_a_request_is_not_waited_for(make_session, connected, monkeypatch):
-    monkeypatch.setattr("palpate.web._request_guard._HEAD_S", 0.2)
+    monkeypatch.setattr("palpate.web._connections._HEAD_S", 0.2)
     monkeypatch.setattr("palpate.web._request_guard._PART_S", 0.2)
     # What rests on a connection after an answer has as long as uvicorn keeps it.
     with connected(make_session(sensor=False), keep_alive_s=0.3) as client:
@@ -288,3 +294,140 @@ def test_tokens_are_long_and_never_alike():
     tokens = {new_token() for _ in range(100)}
     assert len(tokens) == 100
     assert min(map(len, tokens)) >= 32  # 24 bytes in base64
+
+
+def idle_connections(place, count):
+    """Open connections that say nothing."""
+    return [socket.create_connection(place, timeout=30) for _ in range(count)]
+
+
+def test_idle_connections_give_way_to_whoever_comes(
+    make_session, connected, monkeypatch
+):
+    """The oldest without a token are closed; one that has shown it is kept."""
+    monkeypatch.setattr("palpate.web._connections.most_waiting", lambda: 5)
+    with connected(make_session(sensor=False)) as client:
+        assert client.get("/api/health").status_code == 200  # and stays connected
+        place = client.base_url.host, client.base_url.port
+        held = idle_connections(place, 12)
+        for closed in held[:7]:
+            with suppress(ConnectionResetError):
+                assert closed.recv(1) == b""
+        assert client.get("/api/health").status_code == 200
+        for one in held[7:]:
+            one.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                one.recv(1)
+        for one in held:
+            one.close()
+
+
+def test_connections_that_rest_after_their_token_are_bounded_too(
+    make_session, connected, monkeypatch
+):
+    monkeypatch.setattr("palpate.web._connections.most_waiting", lambda: 3)
+    session = make_session(sensor=False)
+    with connected(session) as client:
+        place = client.base_url.host, client.base_url.port
+        asked = b"GET /api/health HTTP/1.1\r\nHost: localhost\r\n"
+        asked += b"Authorization: Bearer token\r\n\r\n"
+        with ExitStack() as stack:
+            held = []
+            for _ in range(6):
+                (one,) = idle_connections(place, 1)
+                stack.callback(one.close)
+                one.sendall(asked)
+                assert b" 200 " in one.recv(65536)
+                held.append(one)
+            with suppress(ConnectionResetError):
+                while held[0].recv(65536):  # the rest of its answer, then the end
+                    pass
+            assert client.get("/api/health").status_code == 200
+
+
+def test_requests_without_the_token_do_not_use_up_the_owners(make_session, connected):
+    with connected(make_session(sensor=False), rate_hz=5) as client:
+        wrong = {"Authorization": "Bearer wrong"}
+        refused = [client.get("/api/health", headers=wrong) for _ in range(30)]
+        assert {answer.status_code for answer in refused} <= {403, 429}
+        owner = [client.get("/api/health") for _ in range(10)]
+    assert [answer.status_code for answer in owner] == [200] * 10
+
+
+def test_the_owners_requests_do_not_use_up_those_of_a_stranger(make_session, connected):
+    """Who has just been slowed down may still be told that a token is wrong."""
+    with connected(make_session(sensor=False), rate_hz=5) as client:
+        for _ in range(30):
+            client.get("/api/health")
+        answer = client.get("/api/health", headers={"Authorization": "Bearer wrong"})
+    assert answer.status_code == 403
+
+
+def test_what_goes_wrong_again_and_again_is_said_once_a_minute(caplog, monkeypatch):
+    now_s = 0.0
+    monkeypatch.setattr("palpate.web._connections.time.monotonic", lambda: now_s)
+    log = logging.getLogger("palpate.test")
+    log.addFilter(SaidOnce())
+    for now_s in (0.0, 1.0, 59.0, 61.0):
+        log.error("accept() failed\nsocket %s", now_s)
+        log.error("something else %s", now_s)
+    said = [record.getMessage().partition("\n")[0] for record in caplog.records]
+    assert said.count("accept() failed") == 2
+    assert len(said) == 6
+
+
+def test_the_log_is_left_as_it_was():
+    before = [*logging.getLogger("asyncio").filters]
+    with saying_once():
+        assert len(logging.getLogger("asyncio").filters) == len(before) + 1
+    assert logging.getLogger("asyncio").filters == before
+
+
+def test_a_picture_that_takes_too_long_holds_up_nothing_else(
+    make_session, connected, monkeypatch
+):
+    go_on = threading.Event()
+    room = ReadingRoom("test", 1, 0.2)
+    monkeypatch.setattr("palpate.web._routes.PICTURES", room)
+    monkeypatch.setattr(
+        "palpate.web._routes.read_picture", lambda *_: go_on.wait(30) and None
+    )
+    kind = {"Content-Type": "image/jpeg"}
+    with connected(make_session(sensor=False)) as client:
+        try:
+            for _ in range(8):  # the first is being read, the others wait
+                answer = client.post("/api/touch/picture", content=b"x", headers=kind)
+                assert answer.status_code == 503
+                assert "took more than 0.2 s" in answer.json()["detail"]
+                assert answer.headers["retry-after"] == "1"
+            taught = {"object": "disc", "image": [[1.0, 2.0], [3.0, 4.0]]}
+            assert client.post("/api/teach/touch", json=taught).status_code == 200
+            with connect(socket_address(client, "?token=token")) as page:
+                assert json.loads(page.recv())["kind"] == "state"
+        finally:
+            go_on.set()
+
+
+def test_what_is_being_answered_is_not_hung_up_on(make_session, connected, monkeypatch):
+    """The limit is for heads: an answer, and a websocket, may take longer."""
+    monkeypatch.setattr("palpate.web._connections._HEAD_S", 0.2)
+    monkeypatch.setattr(
+        "palpate.web._routes.read_json", lambda _: time.sleep(0.8) or ({}, None)
+    )
+    slow = connected(make_session(sensor=False))
+    with slow as client, connect(socket_address(client, "?token=token")) as page:
+        assert json.loads(page.recv())["kind"] == "state"
+        answer = client.post("/api/touch", content=b"{}")
+        assert answer.status_code in (409, 422, 500)
+        page.send("ping")
+        kinds = []
+        while "pong" not in kinds:
+            kinds.append(json.loads(page.recv(20))["kind"])
+
+
+@pytest.mark.parametrize("origin", ["http://[", "null", "", "file://"])
+def test_an_origin_that_is_none_is_another_site(client, origin):
+    headers = {**BEARER, "Origin": origin}
+    answer = client.post("/api/episode/start", headers=headers)
+    assert answer.status_code == 403
+    assert "other sites" in answer.json()["detail"]

@@ -224,3 +224,37 @@ def test_nothing_waits_for_a_sensor_that_is_not_there(make_session, connected):
         assert answer.status_code == 409
         assert "no sensor here" in answer.json()["detail"]
         assert client.get("/api/state").json()["lesson"] is None
+
+
+@pytest.mark.parametrize(("with_sensor", "side"), [(True, 12), (False, 8)])
+def test_of_an_object_of_two_sizes_those_of_the_sensor_are_exported(
+    folder, make_session, with_sensor, side
+):
+    """Without a sensor, those of the size of the newest."""
+    with TouchLibrary.open(folder) as library:
+        library.add(small_touches("disc", 3))
+    session = make_session(sensor=with_sensor, library=folder)
+    try:
+        touches = session.teacher.touches("disc")
+    finally:
+        session.stop()
+    assert touches.images.shape[1:] == (side, side)
+    assert len(touches) == (8 if side == 12 else 3)
+
+
+def test_what_was_never_taught_is_named_with_what_is_near(folder):
+    with LiveSession(library=folder) as session:
+        with pytest.raises(LibraryError, match="no object 'mug' in the library"):
+            session.teacher.touches("mug")
+        with pytest.raises(LibraryError, match="Did you mean 'disc'"):
+            session.teacher.ids("disk", 3)
+        assert len(session.teacher.ids("disc", 3)) == 3
+
+
+def test_a_new_name_is_kept_without_the_blanks_around_it(folder):
+    with LiveSession(library=folder) as session:
+        assert session.teacher.rename("disc", "  a  disc ", learnt=False) == "a disc"
+        session.rename("bar", " long bar ")
+        assert session.message == "bar is called long bar now."
+        names = [one["name"] for one in session.to_dict()["library"]["objects"]]
+    assert sorted(names) == ["a disc", "long bar"]

@@ -8,7 +8,9 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
+from palpate.sensors import LiveSensor
 from palpate.web import LiveSession, Variety, advice, object_quality
+from palpate.web._teaching import Teacher
 
 REST = np.full((40, 60), 7.0)
 
@@ -197,3 +199,65 @@ def test_touches_without_contact_do_not_count(drawn):
     bar, disc = object_quality(ObjectRecogniser().fit(touches))
     assert (bar["n_touches"], disc["n_touches"]) == (30, 25)
     assert disc["after_one"] == 1
+
+
+@pytest.mark.parametrize(("n_touches", "first"), [(3, 1), (60, 1), (63, 4)])
+def test_the_newest_sixty_touches_are_on_the_map(n_touches, first, rng):
+    variety = Variety()
+    for _ in range(n_touches):
+        variety.add(rng.uniform(0, 99, (6, 6)), None, 0.1)
+    numbers = [one["number"] for one in variety.map()]
+    assert numbers == list(range(first, n_touches + 1))
+
+
+def test_a_touch_that_is_dropped_leaves_its_like_new(rng):
+    image = rng.uniform(0, 99, (6, 6))
+    variety = Variety()
+    for one in (image, rng.uniform(0, 99, (6, 6)), image):
+        variety.add(one, None, 0.1)
+    assert variety.like == [None, None, 1]
+    assert variety.n_new == 2
+    variety.drop(0)
+    assert variety.like == [None, None]
+
+
+class ColourSensor(LiveSensor):
+    """A camera of 4 x 4 pixels that shows nothing."""
+
+    def __init__(self):
+        super().__init__("colour", "grey level", (4, 4, 3), np.uint8, "plane")
+
+    def _open(self):
+        pass
+
+    def _grab(self):
+        return []
+
+    def _close(self):
+        pass
+
+
+def test_a_lesson_of_a_camera_keeps_its_channels(tmp_path):
+    teacher = Teacher(tmp_path / "library", ColourSensor())
+    teacher.begin("mug", 2)
+    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    said = teacher.take(image, None, 1.0, {"force_n": 0.5})
+    assert said == "Touch 1 of 2 of mug is stored."
+    (key,) = teacher.ids("mug", 5)
+    assert teacher.channels(key) == ["r", "g", "b"]
+    assert teacher.touches("mug").columns["force_n"].tolist() == [0.5]
+    assert teacher.lesson.to_dict()["done"] == 1
+    assert teacher.take(image[::-1], None, 1.0).startswith("Touch 2 of 2 of mug is")
+    assert teacher.lesson is None
+    teacher.close()
+
+
+def test_colours_are_compared_one_by_one(rng):
+    """Two touches of one grey that differ in their colours are not alike."""
+    base = rng.uniform(0, 99, (6, 8))
+    red, blue = np.zeros((6, 8, 3)), np.zeros((6, 8, 3))
+    red[..., 0], blue[..., 2] = base, base
+    variety = Variety()
+    for one in (red, blue, red):
+        variety.add(one, None, 0.1)
+    assert variety.like == [None, None, 1]

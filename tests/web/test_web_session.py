@@ -1,5 +1,6 @@
 """The live loop by itself, without any web in it."""
 
+import io
 import os
 import queue
 import signal
@@ -401,3 +402,62 @@ def test_another_mounting_is_told_after_ten_touches(make_session, drawn, tmp_pat
             session.post_touch(image // 2 + 60)
         assert "sensor, mounting or light" in session.alarm
         assert session.advice[0] == session.alarm
+
+
+@pytest.fixture
+def library_with_empty_touches(drawn, tmp_path):
+    """Give a library of float images, two of which hold no number, and their ids."""
+    images = drawn.images[:60].astype(np.float32)
+    images[[5, 41]] = np.nan
+    touches = Touches(images, object=drawn.object[:60], geometry="array")
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        ids = library.add(touches=touches, session="one", progress=False)
+    return tmp_path / "library", [ids[5], ids[41]]
+
+
+def test_learning_leaves_out_what_holds_no_number_and_names_it(
+    library_with_empty_touches, learn_job, tmp_path
+):
+    folder, empty = library_with_empty_touches
+    answer = learn_job(folder, tmp_path / "m.palpate")
+    assert sorted(answer["left_out"]) == sorted(empty)
+    assert answer["n_touches"] == 58
+    assert sorted(answer["objects"]) == ["bar", "disc"]
+
+
+def test_the_page_says_what_learning_left_out(library_with_empty_touches):
+    folder, empty = library_with_empty_touches
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        assert session.learn_error == ""
+        for key in empty:
+            assert key in session.message
+
+
+def test_a_library_is_refused_with_the_id_of_what_holds_no_number(
+    library_with_empty_touches,
+):
+    folder, empty = library_with_empty_touches
+    with TouchLibrary.open(folder) as library:
+        with pytest.raises(
+            ValueError, match=f"NaN in touch {empty[0]}, {empty[1]}.*id"
+        ):
+            ObjectRecogniser("liu2014").fit(library.select())
+        rest = library.select(f"id != '{empty[0]}' and id != '{empty[1]}'")
+        assert len(ObjectRecogniser("liu2014").fit(rest).memory_) == 58
+
+
+def test_images_of_nothing_are_refused_at_the_door(make_session, connected):
+    nulls = {"object": "disc", "image": [[None] * 3] * 3}
+    numbers = io.BytesIO()
+    np.save(numbers, np.full((3, 3), np.nan, np.float32))
+    kind = {"Content-Type": "application/x-npy"}
+    with connected(make_session(sensor=False)) as client:
+        answers = [client.post("/api/teach/touch", json=nulls)]
+        for path in ("teach/touch/picture?object=disc", "touch/picture"):
+            body = numbers.getvalue()
+            answers.append(client.post(f"/api/{path}", content=body, headers=kind))
+        assert client.get("/api/state").json()["library"]["objects"] == []
+    for answer in answers:
+        assert answer.status_code == 422
+        assert "at least one number, got only NaN" in answer.json()["detail"]

@@ -7,6 +7,9 @@ that `palpate --help` answers at once.
 import errno
 import os
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -14,7 +17,7 @@ import typer
 
 from .. import __version__
 from ._options import option
-from ._output import answer
+from ._output import answer, printable, say
 from .remount import sensor
 from .sensor_check import sensor_check
 
@@ -71,7 +74,8 @@ def main() -> None:
     """
     as_json = "--json" in sys.argv
     try:
-        sys.exit(app(standalone_mode=not as_json))
+        with _plain_warnings():
+            sys.exit(app(standalone_mode=not as_json))
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
@@ -79,8 +83,23 @@ def main() -> None:
     except _Usage as error:  # with --json; otherwise typer shows it
         said, code = error.format_message(), error.exit_code
     answer(as_json, {"error": said})
-    print(f"palpate: {said}", file=sys.stderr)
+    say(f"palpate: {said}", file=sys.stderr)
     sys.exit(code)
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Show warnings with what a terminal would obey, in names of files, written out."""
+    usual = warnings.formatwarning
+
+    def plain(message: Any, *rest: Any, **more: Any) -> str:
+        return usual(printable(str(message)), *rest, **more)
+
+    warnings.formatwarning = plain
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
 
 
 def _sentence(error: BaseException) -> str:

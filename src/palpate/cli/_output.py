@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any, Literal, TextIO
 
 BAR_WIDTH = 24
 SHOWN = 3
@@ -25,7 +25,12 @@ def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
         print_json(values)
         return
     for line in lines:
-        print(printable(str(line)))
+        say(line)
+
+
+def say(line: object = "", *, file: TextIO | None = None, flush: bool = False) -> None:
+    """Print a line in which names of files and objects can do a terminal no harm."""
+    print(printable(str(line)), file=file, flush=flush)
 
 
 def printable(text: str) -> str:
@@ -62,7 +67,7 @@ def table(
     from rich.console import Console
     from rich.table import Table
 
-    drawn = Table(title=title, title_justify="left")
+    drawn = Table(title=printable(title), title_justify="left")
     for number, column in enumerate(columns):
         side: Literal["left", "right"] = "left" if text or number == 0 else "right"
         kept = column == whole
@@ -99,7 +104,7 @@ def stages() -> Iterator[Callable[[str], None]]:
     columns = SpinnerColumn(), text, TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None)
-        yield lambda stage: bar.update(task, description=stage)
+        yield lambda stage: bar.update(task, description=printable(stage))
 
 
 def _plain(value: Any) -> Any:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, cast
 
 from . import _options
 from ._options import option
-from ._output import print_json, stages, table
+from ._output import print_json, say, stages, table
 
 
 @_options.grouped
@@ -64,9 +64,9 @@ def benchmark(
     for one in evaluation.benchmark_tables(result):
         table(*one, whole="recogniser")
     for line in evaluation.verdicts(result):
-        print(line)
+        say(line)
     if report is not None:
-        print(report)
+        say(report)
 
 
 def _names(text: str | None, every: Iterable[str]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ._options import AsJson, Reading, Report, TouchesPath, grouped
-from ._output import answer, counted, percent, printable, stages, table
+from ._output import answer, counted, percent, say, stages, table
 
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
@@ -70,7 +70,7 @@ def check(
     else:
         _print(found)
         if report is not None:
-            print(report)
+            say(report)
     if found["bad"]:
         raise typer.Exit(1)
 
@@ -176,11 +176,11 @@ def _advice(found: dict[str, Any], touches: "Touches | None") -> list[str]:
 def _print(found: dict[str, Any]) -> None:
     many = counted(found["n_touches"])
     size = f" of {found['size']}" if found["size"] else ""
-    print(printable(f"{found['touches']}: {many}{size} can be used."))
+    say(f"{found['touches']}: {many}{size} can be used.")
     if found["problem"]:
-        print(printable(found["problem"]))
+        say(found["problem"])
     if found["read_as"]:
-        print(f"{found['read_as'].capitalize()}.")
+        say(f"{found['read_as'].capitalize()}.")
     if bad := found["bad"]:
         rows = [list(one.values()) for one in bad]
         table(
@@ -190,17 +190,17 @@ def _print(found: dict[str, Any]) -> None:
             text=True,
         )
     for note in found["notes"]:
-        print(printable(f"Note: {note}."))
+        say(f"Note: {note}.")
     if objects := found["objects"]:
         columns = [name for name in objects[0] if objects[0][name] is not None]
         rows = [[str(one[name]) for name in columns] for one in objects[:_SHOWN]]
         table(counted(len(objects), "object"), columns, rows)
         if len(objects) > _SHOWN:
-            print(f"and {len(objects) - _SHOWN} more")
+            say(f"and {len(objects) - _SHOWN} more")
     for line in _alone_lines(found["alone"]):
-        print(line)
+        say(line)
     for advice in found["advice"]:
-        print(printable(f"- {advice[0].upper()}{advice[1:]}."))
+        say(f"- {advice[0].upper()}{advice[1:]}.")
 
 
 def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:

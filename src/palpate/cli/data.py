@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from ._options import AsJson, RecordedData, argument, option
-from ._output import answer, stages
+from ._output import answer, say, stages
 
 data = typer.Typer(
     no_args_is_help=True,
@@ -43,12 +43,13 @@ def fetch(
     from .. import datasets
 
     one = datasets.card(name)
-    print(f"{one['source']['page']}\nLicence: {one['licence']}", file=sys.stderr)
+    say(f"{one['source']['page']}\nLicence: {one['licence']}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as noted, stages() as stage:
         warnings.simplefilter("always", UserWarning)
         path = datasets.fetch(name, folder=data, mirror=mirror, progress=stage)
     notes = [str(note.message) for note in noted]
-    sys.stderr.writelines(f"{note}\n" for note in notes)
+    for note in notes:
+        say(note, file=sys.stderr)
     answer(as_json, {"name": name, "path": str(path), "notes": notes}, path)
 
 

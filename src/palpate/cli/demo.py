@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ._options import AsJson, RecordedData, Seed, Strangers, option
-from ._output import print_json, stages
+from ._output import print_json, say, stages
 from .evaluate import print_figures
 from .explore import exploration_to_dict, print_attempt
 from .recognise import print_episode, recognise_episodes
@@ -65,7 +65,7 @@ def demo(
         )
     recogniser = trials[0].recogniser
     if not as_json:
-        print(
+        say(
             f"Learnt {len(recogniser.classes_)} objects from {len(train)} touches "
             f"({len(train) // len(recogniser.classes_)} each).\n"
         )
@@ -83,8 +83,8 @@ def demo(
         print_json({**figures, "episodes": episodes, **written})
         return
     print_figures(figures)
-    print(f"model: {model.resolve()}")
-    print(report.resolve())
+    say(f"model: {model.resolve()}")
+    say(report.resolve())
 
 
 def _explored(seed: int) -> Sets:
@@ -131,7 +131,7 @@ def _recognise_by_exploring(
         )
         met = "never learnt" if name in UNLIKE else "learnt"
         if not quiet:
-            print(f"The arm touches the {name} ({met}) at random places:")
+            say(f"The arm touches the {name} ({met}) at random places:")
         end = explore(
             stand.robot,
             stand.sensor,
@@ -145,7 +145,7 @@ def _recognise_by_exploring(
             on_attempt=None if quiet else print_attempt,
         )
         if not quiet:
-            print(f"  {end.reason}\n")
+            say(f"  {end.reason}\n")
         ended = exploration_to_dict(recogniser, end, strangers)
         episodes.append({"object": name, **ended})
     return episodes
@@ -169,7 +169,7 @@ def _recognise_recorded(
         "there is something unknown:": others,
     }
     for title, episodes in shown.items() if not quiet else ():
-        print(f"{title}\n")
+        say(f"{title}\n")
         for episode in episodes:
             print_episode(episode)
     return known + others

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import percent, print_json, printable, stages, table
+from ._output import percent, print_json, say, stages, table
 
 
 @_options.grouped
@@ -80,7 +80,7 @@ def evaluate(
         return
     print_figures(figures)
     if report is not None:
-        print(report)
+        say(report)
 
 
 def print_figures(figures: dict[str, Any]) -> None:
@@ -97,18 +97,18 @@ def print_figures(figures: dict[str, Any]) -> None:
         title, ["after touches", *figures["accuracy"]], evaluation.figure_lines(figures)
     )
     for sentence in figures["chosen"].get("found", ()):
-        print(f"Found out from the training touches: {sentence}.")
+        say(f"Found out from the training touches: {sentence}.")
     for flag, share in figures["flags"].items():
-        print(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
+        say(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
     table(*evaluation.decision_table(figures["decision"]))
-    print(evaluation.bound_said(figures["decision"]))
+    say(evaluation.bound_said(figures["decision"]))
     for sentence in evaluation.as_good_alone(figures):
-        print(sentence)
-    print(said_of_sessions(figures["sessions"]))
+        say(sentence)
+    say(said_of_sessions(figures["sessions"]))
     if gone := figures["left_out"]:
         names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
-        print(f"Left out, met in no other {figures['split']}: {len(gone)} ({names}).")
+        say(f"Left out, met in no other {figures['split']}: {len(gone)} ({names}).")
     if todo := figures["recommendations"]:
-        print("What to do now:")
+        say("What to do now:")
         for sentence in todo:
-            print(printable(f"- {sentence}"))
+            say(f"- {sentence}")

@@ -8,7 +8,7 @@ import typer
 
 from . import _options
 from ._options import option
-from ._output import answer, belief_line, stages
+from ._output import answer, belief_line, say, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def recognise(
         way = exploration.InformativeTouch(touch_map, stand.hemisphere)
     knower = recogniser if touch_map is None else touch_map
     if folder is not None and (folder / "episode.json").exists() and not as_json:
-        print(f"Goes on after {len(exploration.read_episode(folder))} attempts.")
+        say(f"Goes on after {len(exploration.read_episode(folder))} attempts.")
     end = exploration.explore(
         stand.robot,
         stand.sensor,
@@ -188,9 +188,9 @@ def print_attempt(record: "TouchRecord", belief: Any) -> None:
         flag = belief.flags[-1]
         note = touch_note(belief.touches_used, flag)
         shown = belief_line(belief.touches_used, belief.posterior, belief.unknown)
-        print(f"  {note}" if note else shown)
+        say(f"  {note}" if note else shown)
     else:
-        print(f"  {record.outcome}. {record.message}".rstrip())
+        say(f"  {record.outcome}. {record.message}".rstrip())
 
 
 def exploration_to_dict(

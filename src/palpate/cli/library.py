@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import AsJson, Reading, TouchesPath, Where, argument, grouped, option
-from ._output import answer, counted, print_json, table
+from ._output import answer, counted, print_json, say, table
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow
@@ -196,18 +196,18 @@ def check(
         print_json({**found, "repair": done})
     else:
         if repaired is not None and repaired.rebuilt:
-            print(
+            say(
                 f"{counted(repaired.n_touches)} and "
                 f"{counted(repaired.n_changes, 'change')} kept in a new database; the "
                 f"damaged one is {repaired.set_aside}."
             )
             if repaired.lost or repaired.n_changes_lost:
-                print(
+                say(
                     f"Lost: {counted(len(repaired.lost))}, "
                     f"{counted(repaired.n_changes_lost, 'change')}. Touches can be "
                     "added again."
                 )
-        print(report)
+        say(report)
     if not report.ok:
         raise typer.Exit(1)
 

@@ -20,7 +20,7 @@ from ._options import (
     grouped,
     option,
 )
-from ._output import belief_line, print_json
+from ._output import belief_line, print_json, say
 
 if TYPE_CHECKING:
     from ..web import LiveSession
@@ -79,7 +79,7 @@ def live(
                     break
                 done.append(episode)
         except KeyboardInterrupt:
-            print("Ended.", file=sys.stderr)
+            say("Ended.", file=sys.stderr)
     if as_json:
         print_json({"episodes": done})
     if not done or session.trouble:
@@ -97,7 +97,7 @@ def _episode(
 ) -> Episode | None:
     """Follow the episode after number `ended` to its decision; None without a touch."""
     if not quiet:
-        print("Touch an object.")
+        say("Touch an object.")
     while (episode := _next_touch(session, found, timeout_s)) is not None:
         if episode["number"] <= ended:  # a touch that was on its way when it ended
             continue
@@ -105,10 +105,10 @@ def _episode(
         if not quiet:
             shares = touch["posterior"], touch["unknown"]
             line = belief_line(touch["number"], *shares)
-            print(f"  {touch['note']}" if touch["note"] else line, flush=True)
+            say(f"  {touch['note']}" if touch["note"] else line, flush=True)
         if episode["decision"] is not None or touch["number"] >= most:
             if not quiet:
-                print(f"  {episode['reason']}\n", flush=True)
+                say(f"  {episode['reason']}\n", flush=True)
             return session.end_episode()
     return None
 
@@ -122,11 +122,11 @@ def _next_touch(
         try:
             event = found.get(timeout=max(0.0, end_s - time.monotonic()))
         except queue.Empty:
-            print(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+            say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
             return None
         if "lesson" not in event:
             episode: Episode = event["episode"]
             return episode
         if session.trouble:
-            print(f"palpate: {session.trouble}", file=sys.stderr)
+            say(f"palpate: {session.trouble}", file=sys.stderr)
             return None

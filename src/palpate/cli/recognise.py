@@ -4,7 +4,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 from . import _options
-from ._output import belief_line, print_json, stages
+from ._output import belief_line, print_json, say, stages
 
 if TYPE_CHECKING:
     from ..recognition import Evidence, ObjectRecogniser
@@ -57,7 +57,7 @@ def recognise(
         print_json({"episodes": episodes, "mounting": mounting})
         return
     if check.changed:
-        print(OTHER_MOUNTING.format("; see palpate remount"))
+        say(OTHER_MOUNTING.format("; see palpate remount"))
     for episode in episodes:
         print_episode(episode, explain=explain)
 
@@ -119,25 +119,25 @@ def print_episode(episode: dict[str, Any], *, explain: bool = False) -> None:
     from ..recognition import touch_note
 
     name = episode["object"]
-    print(f"{'Touches of ' + name if name is not None else 'Touches'}:")
+    say(f"{'Touches of ' + name if name is not None else 'Touches'}:")
     used, last = episode["touches_used"], 0
     for belief in episode["beliefs"][:used]:
         number = belief["touch"]
         if number > SHOWN_ALL and number not in (*SHOWN_LATER, used):
             continue
         if number > last + 1:
-            print("         ...")
+            say("         ...")
         last = number
         if note := touch_note(number, belief["flag"]):
-            print(f"  {note}")
+            say(f"  {note}")
             continue
-        print(belief_line(number, belief["posterior"], belief["unknown"]))
+        say(belief_line(number, belief["posterior"], belief["unknown"]))
         if belief.get("pose"):
-            print(f"             {_pose_line(belief['pose'])}")
-    print(f"  {episode['reasons'][-1]}")
+            say(f"             {_pose_line(belief['pose'])}")
+    say(f"  {episode['reasons'][-1]}")
     for sentence in (*episode["withdrawn"], *(episode["why"] if explain else ())):
-        print(f"    {sentence}")
-    print()
+        say(f"    {sentence}")
+    say()
 
 
 def _pose_line(pose: dict[str, Any]) -> str:

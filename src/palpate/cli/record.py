@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._options import AsJson, argument, grouped, option
-from ._output import answer, counted
+from ._output import answer, counted, say
 from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def record(
 def _place_again(session: "LiveSession") -> None:
     from ..sensors import ContactError, SensorError
 
-    print(
+    say(
         "Lift the sensor and place it again: light first, let the camera settle, "
         "touch nothing. Then press Enter: the baseline is taken.",
         file=sys.stderr,
@@ -97,7 +97,7 @@ def _place_again(session: "LiveSession") -> None:
         try:
             session.take_baseline(changed="placed again")
         except ContactError as error:
-            print(f"{error} Then press Enter.", file=sys.stderr)
+            say(f"{error} Then press Enter.", file=sys.stderr)
         else:
             return
     raise SensorError(
@@ -115,19 +115,19 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
     assert session.teacher is not None
     lesson = session.teacher.lesson
     shown = 0
-    print(f"Touch {name} {wanted} times.", file=sys.stderr)
+    say(f"Touch {name} {wanted} times.", file=sys.stderr)
     try:
         while lesson is not None and len(lesson.ids) < wanted:
             changed.clear()
             if not changed.wait(timeout_s):
-                print(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+                say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
                 break
             if session.trouble:
-                print(f"palpate: {session.trouble}", file=sys.stderr)
+                say(f"palpate: {session.trouble}", file=sys.stderr)
                 break
             if len(lesson.ids) != shown:
                 shown = len(lesson.ids)
-                print(f"  touch {shown} of {wanted}", file=sys.stderr)
+                say(f"  touch {shown} of {wanted}", file=sys.stderr)
     except KeyboardInterrupt:
-        print("Ended; what was counted is kept.", file=sys.stderr)
+        say("Ended; what was counted is kept.", file=sys.stderr)
     return 0 if lesson is None else len(lesson.ids)

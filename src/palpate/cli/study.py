@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import print_json, table
+from ._output import print_json, say, table
 
 
 @_options.grouped
@@ -33,7 +33,7 @@ def study(
 
     if list_names or not name:
         for known, one in STUDIES.items():
-            print(f"{known:12s} {one.summary}")
+            say(f"{known:12s} {one.summary}")
         return
     one = STUDIES[check_option("study", name, STUDIES)]
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
@@ -46,7 +46,7 @@ def study(
     with working.started(usual=-1) as n:
         result = one.run(**{**options, "workers": n})
     for sentence in result["skipped"]:
-        print(sentence, file=sys.stderr)
+        say(sentence, file=sys.stderr)
     if report is not None:
         one.write_report(report, result)
     if as_json:
@@ -55,4 +55,4 @@ def study(
     for title, columns, rows in one.tables(result):
         table(title, columns, rows)
     if report is not None:
-        print(report)
+        say(report)

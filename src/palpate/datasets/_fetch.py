@@ -4,28 +4,26 @@ Downloads lie in `.downloads/NAME` until the archive is made. Where the card has
 SHA-256, that of the first goes to `.fetched/NAME.sha256`; a later one must be the same.
 What is made is compared with the arrays behind the figures, whose SHA-256 the card has.
 
-`[convert]` of a card has the `pattern` of the files' paths, whose named groups fill
-the columns; how a file is `read`; which to `keep`, by a mask of numbers for each
-object; the groups to `sort` by. `ways` make the image of a file; where there are
-several, nobody wrote down which the archive behind the figures has: all are compared.
+A mirror is not trusted: names, files, their number and their sums are bounded before
+anything is read, as is the time; what cannot be right is deleted with what was made.
 Files are read in memory, and never unpacked under names of the source.
 """
 
 import hashlib
-import io
 import os
 import re
 import shutil
+import struct
 import sys
+import threading
+import time
 import tomllib
 import warnings
 import zipfile
-import zlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from errno import EACCES, EDQUOT, EIO, EMFILE, ENFILE, ENOSPC, EPERM, EROFS
 from functools import partial
-from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -37,18 +35,18 @@ from .._checks import check_option
 from .._durable import replacing, write_text
 from .._extras import needed
 from .._types import Array
-from ..touches import Touches, decode_bytes
+from ..touches import Touches
+from ._convert import LONGEST_PATH, Made, Member, converted, digest
 
 _CARDS = files(__package__) / "cards"
 _CACHES = {"win32": "AppData/Local", "darwin": "Library/Caches"}
 _MB = 10**6
 _MOST_IN_ZIP = 100 * _MB  # of one file; zipfile inflates no more than it promises
 Say = Callable[[str], None]
-Read = Callable[[], bytes]
-Groups = dict[str, Any]
-Rule = dict[str, Any]
-_NUMBER = re.compile(r"-?[1-9]\d*|0").fullmatch
-Made = tuple[dict[str, Array], dict[str, bytes]]  # arrays, and files beside by path
+# Of a zip's list of files, which zipfile reads as a whole; all downloads of a set.
+_LONGEST_LIST, _MOST_S = 20 * _MB, 7200.0
+_LIST_END, _INFLATED = b"PK\x05\x06", (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_FULL = (ENOSPC, EDQUOT, EACCES, EPERM, EROFS, EIO, EMFILE, ENFILE)
 
 
 def names() -> tuple[str, ...]:
@@ -113,7 +111,8 @@ def fetch(
     downloads, seen = here / ".downloads" / name, here / ".fetched" / f"{name}.sha256"
     known = one["source"]["sha256"] or (seen.read_text() if seen.is_file() else "")
     with _explained(name, downloads, seen):
-        load = partial(_download, one, downloads, progress or (lambda stage: None))
+        meter = _Meter(one["name"], one["source"]["most_mb"], progress)
+        load = partial(_download, meter, downloads)
         url = _address(one["source"]["url"], mirror)
         with _source(one, url, known, load) as source:
             chosen, differs = _chosen(one, source)
@@ -140,78 +139,136 @@ def _address(url: str, mirror: str | None) -> str:
     return f"{root.rstrip('/')}{urlsplit(url).path}" if root else url
 
 
-def _download(
-    one: dict[str, Any], folder: Path, say: Say, url: str, name: str, known: str
-) -> Path:
-    """Return a download, whole and with the SHA-256 that is known, if one is."""
+def _download(meter: "_Meter", folder: Path, url: str, name: str, known: str) -> Path:
+    """Return a download, whole and with the SHA-256 that is known, if one is.
+
+    It works in a thread that is left behind where it does not end in time: a server may
+    send a byte now and then for days.
+    """
     pooch = needed("pooch", "data", "Fetching recorded touches")
     pooch.get_logger().setLevel("WARNING")
     downloader = pooch.HTTPDownloader(
-        progressbar=_Meter(one["name"], one["source"]["most_mb"], say),
+        progressbar=meter,
         chunk_size=2**16,
         timeout=30,
         headers={"Accept-Encoding": "identity"},
     )
-    return Path(pooch.retrieve(url, known or None, name, folder, downloader=downloader))
+    got: list[Path | BaseException] = []
+
+    def retrieve() -> None:
+        how = {"downloader": downloader}
+        try:
+            got.append(Path(pooch.retrieve(url, known or None, name, folder, **how)))
+        except BaseException as error:  # handed on below
+            got.append(error)
+
+    thread = threading.Thread(target=retrieve, daemon=True)
+    thread.start()
+    try:
+        thread.join(max(0.0, meter.until_s - time.monotonic()))
+        if not got:
+            raise ValueError(f"the source must be sent within {_MOST_S / 60:.0f} min.")
+    finally:
+        meter.over = not got
+    if isinstance(got[0], BaseException):
+        raise got[0]
+    return got[0]
 
 
 class _Meter:
-    """What pooch takes for a bar: says how far it is, refuses what is too large."""
+    """What pooch takes for a bar: says how far it is, refuses what is too large.
 
-    def __init__(self, name: str, most_mb: int, say: Say) -> None:
-        self.total, self._done = 0, 0
+    It counts all the downloads of a set.
+    """
+
+    def __init__(self, name: str, most_mb: int, say: Say | None) -> None:
+        self.total, self.over = 0, False
+        self.until_s = time.monotonic() + _MOST_S
+        self._done = self._before = 0
         self._name, self._most_mb, self._say = name, most_mb, say
 
     def update(self, n_bytes: int) -> None:
         self._done += n_bytes
-        if max(self.total, self._done) > self._most_mb * _MB:
-            got = f"got {max(self.total, self._done) / _MB:.0f}"
+        if self.over:
+            raise ValueError("the download was given up.")
+        n_bytes = self._before + max(self.total, self._done)
+        if n_bytes > self._most_mb * _MB:
+            got = f"got {n_bytes / _MB:.0f}"
             raise ValueError(f"the source must have at most {self._most_mb} MB, {got}.")
-        self._say(f"{self._name}: {self._done // _MB} of {self.total // _MB or '?'} MB")
+        if self._say is not None:
+            done = self._done // _MB
+            self._say(f"{self._name}: {done} of {self.total // _MB or '?'} MB")
 
     def reset(self) -> None:
         self._done = 0
 
     def close(self) -> None:
-        pass
+        self._before += self._done
+        self.total = self._done = 0
 
 
 @contextmanager
 def _source(
     one: dict[str, Any], url: str, known: str, load: Callable[[str, str, str], Path]
-) -> Iterator[Mapping[str, Read]]:
+) -> Iterator[Mapping[str, Member]]:
     """Yield the files of a zip, or those that a list of checksums names."""
     first = load(url, "source", known)
     if "listed" in one["source"]:
         wanted = re.compile(rf"([0-9a-f]{{64}}) [ *]?({one['source']['listed']})")
-        told = map(wanted.fullmatch, first.read_text(errors="replace").splitlines())
-        base = url.rpartition("/")[0]
-        yield {m[2]: load(f"{base}/{m[2]}", m[1], m[1]).read_bytes for m in told if m}
+        lines = first.read_text(errors="replace").splitlines()
+        told = (wanted.fullmatch(s) for s in lines if len(s) < 66 + LONGEST_PATH)
+        sums = {m[2]: m[1] for m in told if m}
+        most, base = 3 * one["touches"], url.rpartition("/")[0]
+        if len(sums) > most:
+            raise ValueError(f"the list must name at most {most}, got {len(sums)}.")
+        places = {n: load(f"{base}/{n}", known, known) for n, known in sums.items()}
+        yield {n: Member(p.stat().st_size, p.read_bytes) for n, p in places.items()}
         return
+    _refuse_long_list(first)
     with zipfile.ZipFile(first) as archive:
-        small = [info for info in archive.infolist() if info.file_size <= _MOST_IN_ZIP]
-        yield {info.filename: partial(archive.read, info) for info in small}
+        yield {
+            info.filename: Member(info.file_size, partial(_read_member, archive, info))
+            for info in archive.infolist()
+            if info.file_size <= _MOST_IN_ZIP and info.compress_type in _INFLATED
+        }
 
 
-def _chosen(one: dict[str, Any], source: Mapping[str, Read]) -> tuple[Made, list[str]]:
+def _refuse_long_list(path: Path) -> None:
+    """Refuse a zip whose list of files is very long, before zipfile reads it."""
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, 2**16 + 22), os.SEEK_END)
+        tail = file.read()
+    for found in re.finditer(re.escape(_LIST_END), tail):
+        end = tail[found.start() : found.start() + 16]
+        n_bytes = struct.unpack("<I", end[12:])[0] if len(end) == 16 else 0
+        if n_bytes > _LONGEST_LIST:
+            raise ValueError(
+                f"the zip's list of files must have at most {_LONGEST_LIST // _MB} MB, "
+                f"got {n_bytes / _MB:.0f}."
+            )
+
+
+def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    """Return a file of a zip; no more is inflated than the list promises."""
+    with archive.open(info) as file:
+        return file.read(info.file_size)
+
+
+def _chosen(
+    one: dict[str, Any], source: Mapping[str, Member]
+) -> tuple[Made, list[str]]:
     """Return the version behind the figures, else the first, and what differs."""
     tried: list[tuple[Made, list[str]]] = []
-    for made in _converted(source, one["convert"]):
+    most_bytes = one["source"]["most_mb"] * _MB
+    for made in converted(source, one["convert"], one["touches"], most_bytes):
         Touches(**made[0])  # refuses what would not read as an archive
         got = {name: digest(array) for name, array in made[0].items()}
-        differs = [n for n, wanted in one["arrays"].items() if got.get(n) != wanted]
+        wanted = one["arrays"]
+        differs = [n for n in {**wanted, **got} if got.get(n) != wanted.get(n)]
         tried = [*tried[:1], (made, differs)]
         if not differs:
             return tried[-1]
     return tried[0]
-
-
-def digest(array: Array) -> str:
-    """Return the SHA-256 of an array's kind, shape and values; text of any width."""
-    text = array.dtype.kind == "U"
-    values = "\0".join(array.ravel().tolist()).encode() if text else array.tobytes()
-    head = f"{'U' if text else array.dtype.str}{array.shape}".encode()
-    return hashlib.sha256(head + values).hexdigest()
 
 
 def _write(
@@ -247,127 +304,14 @@ def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
         said = error if http else "the source cannot be reached, or was cut off"
         again = "Check the network and try again, or give a copy with --mirror"
         raise OSError(f"{name}: {said}. {again}.") from error
-    except (ValueError, zipfile.BadZipFile, zlib.error, EOFError) as error:
+    except Exception as error:
+        # Damaged files make zipfile, scipy and numpy raise two dozen kinds.
+        full = isinstance(error, OSError) and error.errno in _FULL
+        if full or isinstance(error, ImportError):
+            raise
         shutil.rmtree(downloads, ignore_errors=True)
         raise ValueError(
             f"{name}: {error} The download was deleted; fetch it again. If so again, "
             "the source has changed: give a copy with --mirror, or, if you trust the "
             f"source as it is now, delete {seen}."
         ) from error
-
-
-def _converted(files: Mapping[str, Read], rule: Rule) -> Iterator[Made]:
-    """Yield the arrays of a set, in each way that its images may have been made."""
-    rows, masks = _matching(files, rule["pattern"]), rule.get("keep")
-    if masks is not None:  # hexadecimal, by object: bit n is whether number n is kept
-        bits = {name: int(mask, 16) for name, mask in masks.items()}
-        rows = [row for row in rows if bits.get(row[0]["object"], 0) >> row[0]["n"] & 1]
-    if rule["read"] == "films":
-        yield from _films({groups["object"]: read() for groups, read in rows})
-        return
-    rows.sort(key=lambda row: [row[0][name] for name in rule["sort"]])
-    groups, data = [row[0] for row in rows], [row[1]() for row in rows]
-    seen: Counter[tuple[Any, ...]] = Counter()
-    for one in groups:  # the place of each file within its recording
-        recording = tuple(one[name] for name in rule.get("recording", []))
-        one["place"] = seen[recording]
-        seen[recording] += 1
-    columns = {name: _column(groups, how) for name, how in rule["columns"].items()}
-    whole = {name: np.array(value) for name, value in rule.get("whole", {}).items()}
-    member, pairs = rule.get("beside", ""), zip(groups, data, strict=True)
-    beside = {one["path"]: d for one, d in pairs if one.get("member") == member}
-    levels = [_READ[rule["read"]](content, rule) for content in data]
-    if "no_contact" in rule:
-        one, read = _matching(files, rule["no_contact"])[0]
-        beside[one["path"]] = read()
-        idle = _READ[rule["read"]](beside[one["path"]], rule)
-        whole["no_contact"] = _WAYS[rule["ways"][0]](idle)
-    for way in rule["ways"]:
-        images = np.stack([_WAYS[way](picture) for picture in levels])
-        yield {"images": images, **columns, **whole}, beside
-
-
-def _matching(files: Mapping[str, Read], pattern: str) -> list[tuple[Groups, Read]]:
-    """Return what matches the end of each path; in several folders, the first counts.
-
-    `path` is the part that matches; a group of digits without a leading 0 is a number.
-    """
-    found: dict[str, tuple[Groups, Read]] = {}
-    for path in sorted(files):
-        match = re.search(rf"(?:^|/)(?P<path>{pattern})$", path)
-        if match:
-            told = match.groupdict().items()
-            groups = {name: int(t) if _NUMBER(t) else t for name, t in told}
-            found.setdefault(match["path"], (groups, files[path]))
-    if not found:
-        raise ValueError(
-            f"the source must hold files like {pattern}, got none among {len(files)}. "
-            "It is laid out in another way than palpate knows: please report it."
-        )
-    return list(found.values())
-
-
-def _column(rows: list[Groups], how: Rule) -> Array:
-    """Fill the templates of a column from the groups of each path."""
-    of, kind = how["of"], how["type"]
-    if isinstance(of, list):
-        return np.array([[int(one.format(**g)) for one in of] for g in rows], kind)
-    texts = [of.format(**groups) for groups in rows]
-    if not kind.startswith("<U"):
-        return np.array([int(text) + how.get("add", 0) for text in texts], kind)
-    told = [text.lower() if "lower" in how else text for text in texts]
-    return np.array(told, f"<U{max([int(kind[2:]), *map(len, told)])}")
-
-
-def _counts(data: bytes, rule: Rule) -> Array:
-    """Return the numbers of a text; lines with letters are headings."""
-    lines = data.decode("ascii", "replace").splitlines()
-    numbers = " ".join(line for line in lines if not re.search("[A-Za-z]", line))
-    return np.array(numbers.split(), float).astype(np.uint16).reshape(*rule["shape"])
-
-
-def _means(levels: Array, side: int) -> Array:
-    """Return the means of squares of `side` pixels, rounded."""
-    rows, cols, *channels = levels.shape
-    squares = levels.reshape(rows // side, side, cols // side, side, *channels)
-    return np.asarray(np.rint(squares.mean((1, 3))), np.uint8)
-
-
-def _films(data: Mapping[str, bytes]) -> Iterator[Made]:
-    """MATLAB films of presses, C (100 taxels, frames, presses), one file an object.
-
-    Whether frame 600 was counted from 0 or from 1 is not written down.
-    """
-    loadmat: Any = import_module("scipy.io").loadmat  # its types know no open file
-
-    names, index = sorted(data), np.arange(300, 900, 20)
-    films = [loadmat(io.BytesIO(data[n]), variable_names=["C"])["C"] for n in names]
-    grids = [film.T.reshape(*film.shape[:0:-1], 10, 10) for film in films]
-    presses = [np.arange(len(grid), dtype=np.int16) for grid in grids]
-    for first in (0, 1):
-        frames = [grid[:, index - first].astype(np.float32) for grid in grids]
-        arrays = {
-            "images": np.concatenate([grid[:, 600 - first] for grid in grids]),
-            "object": np.repeat(np.array(names, "<U16"), list(map(len, grids))),
-            "press": np.concatenate(presses),
-            "frames": np.concatenate(frames),
-            "frame_index": index,
-        }
-        yield arrays, {}
-
-
-_READ: dict[str, Callable[[bytes, Rule], Array]] = {
-    "grey": lambda data, rule: decode_bytes(data),
-    "colour": lambda data, rule: decode_bytes(data, colour=True),
-    "counts": _counts,
-}
-_WAYS: dict[str, Callable[[Array], Array]] = {
-    "as it is": lambda levels: levels,
-    "dome": lambda levels: _means(levels[:, :480], 4),
-    "half": lambda levels: _means(levels, 2),
-    "every other": lambda levels: levels[::2, ::2],
-    "middle frame": lambda film: film[len(film) // 2],
-    "third frame": lambda film: film[2],
-    "first frame": lambda film: film[0],
-    "last frame": lambda film: film[-1],
-}

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from ..simulation import (
 from ..touches import Touches
 from ._episode import gather
 from ._guarded import Guard
-from ._record import TouchRecord, as_touches
+from ._record import TouchRecord, as_touches, tip_mm
 from ._robot import MissingFrames, SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
 from ._touching import Toucher, touch_from_hemisphere
@@ -49,7 +50,14 @@ class Stand:
     sensor: SimulatedSensor
 
     def touch(self, start: SensorPose, guard: Guard | None = None) -> TouchRecord:
-        """Go round the object to a pose on the hemisphere and touch from there."""
+        """Go round the object to a pose on the hemisphere and touch from there.
+
+        An arm that was stopped, since it did not come out, is not moved again.
+        """
+        if self.robot.stopped:
+            message = "The arm was stopped before. Put the object down anew."
+            how: dict[str, Any] = {"message": message, "retracted": False}
+            return TouchRecord("robot error", start, tip_mm(start), **how)
         arm = self.robot, self.sensor, guard or Guard(), self.robot.clock
         # The simulated force sensor is known not to lag.
         return touch_from_hemisphere(Toucher(*arm, lag=0), self.hemisphere, start)

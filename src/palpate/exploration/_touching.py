@@ -9,6 +9,7 @@ step takes anyway.
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 from ..sensors import TouchSensor
 from ..simulation import SensorPose
@@ -16,7 +17,7 @@ from ._guarded import Clock, Guard, approach_once
 from ._record import TouchRecord, tip_mm
 from ._robot import Robot
 from ._strategies import Hemisphere
-from ._ways import DeadForceError, LoadOnWayError, follow
+from ._ways import DeadForceError, LoadOnWayError, follow, is_out
 
 
 @dataclass
@@ -49,6 +50,7 @@ def touch_from_hemisphere(
     toucher: Toucher, hemisphere: Hemisphere, pose: SensorPose
 ) -> TouchRecord:
     """Go to a pose on the hemisphere and touch; what goes wrong is in the record."""
+    how: dict[str, Any]
     try:
         follow(toucher.robot, hemisphere, pose, toucher.guard, toucher.wait_readings)
     except LoadOnWayError as error:
@@ -61,8 +63,10 @@ def touch_from_hemisphere(
             retracted=error.retracted,
         )
     except DeadForceError as error:
-        return TouchRecord("force sensor", pose, tip_mm(pose), message=str(error))
+        how = {"message": str(error), "retracted": error.retracted}
+        return TouchRecord("force sensor", pose, tip_mm(pose), **how)
     except Exception as error:
         message = f"On the way to the start: {type(error).__name__}: {error}"
-        return TouchRecord("robot error", pose, tip_mm(pose), message=message)
+        how = {"message": message, "retracted": is_out(toucher.robot, hemisphere)}
+        return TouchRecord("robot error", pose, tip_mm(pose), **how)
     return toucher.touch(pose)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
@@ -43,7 +44,18 @@ class LoadOnWayError(RobotError):
 
 
 class DeadForceError(RobotError):
-    """The force sensor gave no number where it was asked for one."""
+    """The force sensor gave no number where it was asked for one.
+
+    Attributes
+    ----------
+    retracted : bool
+        Whether it gives one again after the last step was taken back, and is clear;
+        else the arm was stopped. Before a way the arm stays as it is.
+    """
+
+    def __init__(self, message: str, *, retracted: bool = True) -> None:
+        super().__init__(message)
+        self.retracted = retracted
 
 
 def follow(
@@ -70,7 +82,8 @@ def follow(
     here = robot.read_pose()
     for waypoint in hemisphere.way(here, end):
         for pose in _steps(here, waypoint, guard.way_step_mm):
-            robot.move_to(pose)
+            with _stopping_pressed(robot, guard):
+                robot.move_to(pose)
             _refuse_load(robot, here, guard)
             here = pose
 
@@ -89,16 +102,72 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
     if way_mm <= 0:
         return
     _refuse_way_inward(hemisphere, pose, way_mm)
-    robot.retract(way_mm)
+    n_steps = math.ceil(way_mm / guard.way_step_mm)
+    force_n = most_n = max(abs(_reading(robot)), guard.limit_n)
+    with _stopping(robot):
+        for _ in range(n_steps):
+            robot.retract(way_mm / n_steps)
+            force_n = abs(_reading(robot))
+            if not force_n <= most_n:  # a load may be on at first, and goes
+                break
+            most_n = max(force_n, guard.limit_n)
     left_mm = hemisphere.way_out_mm(robot.read_pose())
-    force_n = _reading(robot)
-    if left_mm <= 0 and abs(force_n) <= guard.limit_n:
+    if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
     robot.stop()
     raise RobotError(
-        f"The arm was pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} mm are "
-        f"left, with {force_n:.3f} N: it was stopped. Free it by hand and begin again."
+        f"The arm was to be pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} "
+        f"mm are left, with {force_n:.3f} N: it was stopped. Free it by hand and begin "
+        "again."
     )
+
+
+def is_out(robot: Robot, hemisphere: Hemisphere) -> bool:
+    """Whether the arm says that it is on the hemisphere, on a way round it or outside.
+
+    Where it cannot say, it is not known to be out.
+    """
+    try:
+        pose = robot.read_pose()
+    except Exception:
+        return False
+    arm = np.asarray(pose.position_mm) - np.asarray(hemisphere.centre_mm)
+    least_mm = hemisphere.radius_mm * math.cos(hemisphere.arc_rad / 2) - _OUTSIDE_MM
+    return float(np.linalg.norm(arm)) >= least_mm
+
+
+@contextmanager
+def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
+    """Stop the arm where anything is raised and it is not known to be clear."""
+    try:
+        yield
+    except BaseException as error:
+        clear, force_n = False, math.nan
+        with suppress(Exception):
+            force_n = abs(_reading(robot))
+            clear = force_n <= guard.limit_n
+        if not clear:
+            with suppress(Exception):
+                robot.stop()
+        if clear or not isinstance(error, Exception):
+            raise
+        raise LoadOnWayError(
+            f"On the way to the start: {type(error).__name__}: {error} The force "
+            f"sensor reads {force_n:.3f} N, so the arm was stopped. Free it by hand.",
+            0.0 if math.isnan(force_n) else force_n,
+            retracted=False,
+        ) from error
+
+
+@contextmanager
+def _stopping(robot: Robot) -> Iterator[None]:
+    """Stop the arm where anything is raised, an interrupt too: it may press."""
+    try:
+        yield
+    except BaseException:
+        with suppress(Exception):
+            robot.stop()
+        raise
 
 
 def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) -> None:
@@ -154,8 +223,6 @@ def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
     force_n = _reading(robot)
     if abs(force_n) <= guard.limit_n:
         return
-    if math.isnan(force_n):
-        raise DeadForceError("The force sensor reads no number on the way.")
     clear = False
     try:
         robot.move_to(before)
@@ -164,6 +231,10 @@ def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
         if not clear:
             robot.stop()
     where = "it went back one step" if clear else "it did not come free and was stopped"
+    if math.isnan(force_n):
+        raise DeadForceError(
+            f"The force sensor reads no number on the way: {where}.", retracted=clear
+        )
     raise LoadOnWayError(
         f"{force_n:.3f} N on the way to the start, beyond the limit of "
         f"{guard.limit_n:g}: something stands where nothing should; {where}. Is the "

@@ -1,6 +1,7 @@
 """Images made cleaner: arrays, camera domes, orientation and calibration."""
 
 from ._array import ArrayCleanUp, ChannelMean, fill_dead_taxels
+from ._array import NoLivingTaxelError as NoLivingTaxelError
 from ._array import binarise as binarise
 from ._array import correct_gamma as correct_gamma
 from ._array import filter_noise as filter_noise

@@ -30,6 +30,10 @@ _OUTPUTS = ("resized", "gamma", "filtered", "binary")
 _ROUNDING = 1e-12
 
 
+class NoLivingTaxelError(ValueError):
+    """An image holds nothing but NaN, so that no taxel can be filled."""
+
+
 class ArrayCleanUp(ImageEstimator):
     """Turn images of a pressure array into binary images of the pressed shape.
 
@@ -320,7 +324,7 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
         )
     whole = np.flatnonzero(count == checked[0].size)
     if len(whole):
-        raise ValueError(
+        raise NoLivingTaxelError(
             f"Images must have at least one living taxel, got only NaN in touch "
             f"{whole[0]}. Leave that touch out."
         )

@@ -5,6 +5,7 @@ from ._belief import Level as Level
 from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
 from ._contact import correlation as correlation
+from ._empty_touches import EmptyTouchError as EmptyTouchError
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
 from ._episode import EpisodeTouch as EpisodeTouch

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._checks import check_positive
+from .._checks import check_positive, unmasked
 from .._numbers import exp, log, log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
@@ -96,7 +96,7 @@ def as_touches(given: Any) -> Touches:
         return given
     if isinstance(given, list) and given and isinstance(given[0], Touches):
         return Touches.concatenate(given)
-    images = np.asarray(given)
+    images = np.asarray(unmasked("touch", given))
     if images.ndim not in (2, 3):
         named = 'Touches(images, channels=["r", "g", "b"])'
         hint = f" Name its channels: {named}." if images.ndim == 4 else ""

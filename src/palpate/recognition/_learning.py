@@ -13,6 +13,7 @@ from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, learns_by_landmarks
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
+from ._empty_touches import naming_empty
 from ._encoder import Encoder, TouchEncoder, find_geometry
 from ._evidence import with_floor
 from ._memory import Memory, rows_of_each
@@ -81,6 +82,17 @@ def learn_encoding(
     pass through it. Returns encoder, contact, the reasons for the encodings, and what
     they make of all the touches.
     """
+    with naming_empty(touches):
+        return _learnt_encoding(preset, touches, labels, group, presentation)
+
+
+def _learnt_encoding(
+    preset: Preset,
+    touches: Touches | TouchSource,
+    labels: Array,
+    group: Indices,
+    presentation: str,
+) -> tuple[TouchEncoder, ContactCheck, dict[str, Any], Encoded]:
     if isinstance(touches, Touches):
         rows, shown = np.arange(len(labels)), touches
     else:
@@ -122,11 +134,12 @@ def encoded(
         nothing = np.array(flags) == NO_CONTACT
         return np.column_stack([features, encoder.look(some), nothing])
 
-    if isinstance(touches, Touches):
-        table = encode(touches)
-    else:
-        key = state_digest(encoder) + state_digest(contact) + "looks"
-        table = touches.features(key, encode)
+    with naming_empty(touches):
+        if isinstance(touches, Touches):
+            table = encode(touches)
+        else:
+            key = state_digest(encoder) + state_digest(contact) + "looks"
+            table = touches.features(key, encode)
     own, seen = np.ascontiguousarray(table[:, : -N_LOOKS - 1]), table[:, -N_LOOKS - 1 :]
     return Encoded(own, seen[:, -1] > 0, seen[:, :-1])
 

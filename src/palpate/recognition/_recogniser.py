@@ -16,7 +16,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
 from sklearn.utils.validation import validate_data
 
-from .._checks import check_count, check_number, check_option
+from .._checks import check_count, check_number, check_option, unmasked
 from .._extras import needed
 from .._numbers import log_softmax
 from .._parallel import on_one_thread, opencv_on_one_thread, results_of
@@ -773,6 +773,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         """Return what `fit` is given; feature vectors as touches without geometry."""
         for name in {"n_features_in_", "feature_names_in_"} & vars(self).keys():
             delattr(self, name)
+        X = unmasked("X", X)
         of_touches = isinstance(X, list) and X and isinstance(X[0], Touches)
         if isinstance(X, Touches | TouchSource) or of_touches or _n_axes(X) != 2:
             return X, y
@@ -786,6 +787,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         """Return touches, or what is like what `fit` saw, as touches."""
         if isinstance(X, Touches) or not hasattr(self, "n_features_in_"):
             return as_touches(X)
+        X = unmasked("X", X)
         return _without_places(validate_data(self, X, reset=False, dtype=np.float64))
 
     def _given(self, touches: Any) -> Touches:

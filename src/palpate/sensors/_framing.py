@@ -50,7 +50,8 @@ class LineFraming:
     Attributes
     ----------
     n_damaged : int
-        Frames that came but were no good.
+        Frames that came but were no good: at least so many. Of one that was cut and
+        its line's end lost the next stands in the same line.
     n_missed : int
         Frames that never came, known only where they carry numbers: always 0.
     step : float
@@ -75,14 +76,20 @@ class LineFraming:
             self._begun = b""
             self.n_damaged += 1
         found = [self._frame(line.strip()) for line in lines if line.strip()]
-        frames = [frame for frame in found if frame is not None]
-        self.n_damaged += len(found) - len(frames)
-        return frames
+        return [frame for frame in found if frame is not None]
 
     def _frame(self, line: bytes) -> NDArray[np.float32] | None:
-        dollar = line.rfind(b"$")
-        if dollar >= 0:
-            line, star, check = line[dollar + 1 :].partition(b"*")
+        """Return the frame at the end of a line; count those it has the rest of."""
+        cut, _, last = line.rpartition(b"$")
+        frame = self._whole(last, line[len(cut) : len(cut) + 1] == b"$")
+        rest = line if frame is None else cut
+        self.n_damaged += sum(bool(piece.strip()) for piece in rest.split(b"$"))
+        return frame
+
+    def _whole(self, line: bytes, begun: bool) -> NDArray[np.float32] | None:
+        """Return what a line is, `begun` where it stood behind a `$`."""
+        if begun:
+            line, star, check = line.partition(b"*")
             if not star or not _is_check(check, line):
                 return None
             if self.checksum is None:

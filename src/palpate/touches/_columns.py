@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import check_option, one_spelling, size_said
+from .._checks import check_option, one_spelling, size_said, unmasked
 from .._types import Array, Floats
 
 Arrays = dict[str, Array]
@@ -102,6 +102,10 @@ def sorted_out(
 
 def plain_array(name: str, value: ArrayLike) -> Array:
     """Return `value` as an array of plain numbers, text or times, or explain."""
+    try:
+        value = unmasked(name, value)
+    except ValueError as error:
+        raise TouchesError(str(error)) from None
     try:
         array = np.asarray(value)
     except ValueError as error:

@@ -14,9 +14,10 @@ from .._checks import nearest_path
 from .._types import Array
 from . import _pictures
 from ._check_folder import BadPicture, PictureCheck, check_pictures, without_bad
-from ._columns import WHOLE, Arrays, TouchesError
+from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
 from ._layout import kept_names, labels_of_folders, levels_pattern, odd_depths
+from ._name_pattern import POSITIONS, TAKEN, compiled, matched
 from ._pictures import RGB, Header, common_header, decode_picture, decode_pictures
 from ._tables import TABLES, folder_levels, label_columns
 
@@ -24,12 +25,9 @@ PICTURES = (".jpg", ".jpeg", ".png")
 _OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
 _LABELS = "labels.csv"
 _TEXT_GROUPS = ("object", "category", "session")
-_POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
-_NEEDED = ("object", "category", "session", "order", "n", *sum(_POSITIONS.values(), ()))
-_TAKEN = (*WHOLE, *_POSITIONS, "images", "source_path")
+_NEEDED = ("object", "category", "session", "order", "n", *sum(POSITIONS.values(), ()))
 _WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_EXAMPLE = r"(?P<object>[a-z]+)_(?P<n>\d+)"
 
 
 def folder_arrays(
@@ -127,7 +125,7 @@ def _chosen(
     if levels is not None:
         name_pattern = levels_pattern(levels)
         names = kept_names(names, levels)
-    return root, names, None if name_pattern is None else _compiled(name_pattern)
+    return root, names, None if name_pattern is None else compiled(name_pattern)
 
 
 def _checked(
@@ -142,11 +140,8 @@ def _checked(
     known = {one.picture for one in found.bad}
     fix = "move it to the folder of its object, or give it as --no-contact"
     if pattern is not None:
-        odd = {
-            name: "not named like the others"
-            for name in names
-            if not _match(pattern, name)
-        }
+        pairs = zip(names, matched(pattern, names), strict=True)
+        odd = {n: "not named like the others" for n, one in pairs if one is None}
     elif (root / _LABELS).is_file():
         odd = {}
     else:
@@ -258,44 +253,12 @@ def _natural_order(name: str) -> tuple[Any, ...]:
     return parts, name
 
 
-def _compiled(name_pattern: object) -> re.Pattern[str]:
-    if not isinstance(name_pattern, str):
-        kind = type(name_pattern).__name__
-        raise TypeError(f"name_pattern must be a string, got {kind}.")
-    try:
-        pattern = re.compile(name_pattern)
-    except re.error as error:
-        raise TouchesError(
-            f"name_pattern must be a regular expression, got {name_pattern!r}: "
-            f"{error}. An example: {_EXAMPLE}"
-        ) from error
-    groups = set(pattern.groupindex)
-    if not groups:
-        raise TouchesError(
-            f"name_pattern must have named groups, got {name_pattern!r}. "
-            f"An example: {_EXAMPLE}"
-        )
-    taken = sorted(g for g in groups if g in _TAKEN or g.startswith("set_"))
-    if taken or {"n", "order"} <= groups:
-        got = taken[0] if taken else "both n and order"
-        raise TouchesError(
-            f"name_pattern must leave some names alone, got the group {got}. "
-            "Rename it: x, y, z give position_raw, x_mm, y_mm, z_mm position_mm, n "
-            "the order; the path is kept as source_path."
-        )
-    return pattern
-
-
-def _match(pattern: re.Pattern[str], name: str) -> re.Match[str] | None:
-    return pattern.search(name.rpartition("/")[2]) or pattern.search(name)
-
-
 def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
     """Match every name; turn the named groups into columns.
 
     The file name is searched first, then the path relative to the folder.
     """
-    matches = [_match(pattern, name) for name in names]
+    matches = matched(pattern, names)
     texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
     for name, match in zip(names, matches, strict=True):
         if match is None:
@@ -312,7 +275,7 @@ def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
                 )
             values.append(match[group])
     columns: Arrays = {}
-    for column, axes in _POSITIONS.items():
+    for column, axes in POSITIONS.items():
         if all(axis in texts for axis in axes):
             parts = [_numbers(axis, texts.pop(axis), names) for axis in axes]
             columns[column] = np.stack(parts, axis=1)
@@ -331,9 +294,9 @@ def _from_table(root: Path, names: Sequence[str], max_bytes: int) -> Arrays:
     if not (root / _LABELS).is_file():
         return {}
     columns = label_columns(root / _LABELS, names, max_bytes)
-    if taken := sorted({*columns} & {*_TAKEN}):
+    if taken := sorted({*columns} & {*TAKEN}):
         raise TouchesError(f"{_LABELS} must not have a column {taken[0]}. Rename it.")
-    for column, axes in _POSITIONS.items():
+    for column, axes in POSITIONS.items():
         if all(axis in columns for axis in axes):
             columns[column] = np.stack([columns.pop(a) for a in axes], axis=1)
     return columns

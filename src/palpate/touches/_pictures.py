@@ -28,6 +28,7 @@ import numpy as np
 from .._progress import Progress
 from .._types import Array
 from ._columns import TouchesError
+from ._jpeg_scans import MOST_SCANS, has_many_scans
 
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -363,6 +364,8 @@ def _stored_levels(data: bytes, header: Header, out: Array | None = None) -> Arr
 def _jpeg_levels(data: bytes, header: Header, out: Array | None) -> Array:
     import simplejpeg
 
+    if has_many_scans(data, header.n_rows * header.n_cols):
+        raise PictureError(f"a JPEG of more than {MOST_SCANS} scans")
     out = np.empty(header.shape, header.dtype) if out is None else out
     space = "RGB" if header.colour else "GRAY"
     try:

@@ -19,6 +19,7 @@ from fastapi.staticfiles import StaticFiles
 from pydantic import ValidationError
 
 from ..sensors import ContactError, SensorError
+from ._connections import saying_once
 from ._learning import LearningError
 from ._request_guard import STATIC, RequestGuard, cookie_name
 from ._routes import router
@@ -37,12 +38,13 @@ def build_app(sessions: Sequence[LiveSession], token: str, **limits: Any) -> Fas
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        start_all(sessions)
-        try:
-            yield
-        finally:
-            for session in sessions:
-                session.stop()
+        with saying_once():
+            start_all(sessions)
+            try:
+                yield
+            finally:
+                for session in sessions:
+                    session.stop()
 
     app = FastAPI(
         title="palpate",

@@ -22,7 +22,7 @@ import numpy as np
 from .._checks import size_said
 from .._types import Array
 from ..library import LibraryError, Selection, TouchLibrary
-from ..recognition import ObjectRecogniser
+from ..recognition import EmptyTouchError, ObjectRecogniser
 from ..sensors import SensorMemory
 
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
@@ -130,10 +130,30 @@ def learn_job(
     Kept are the objects of the model in `base` that are not of the library, but for
     those to `drop`. Learnt are touches of `image_shape`, by default of the newest
     one's. Returns `n_touches`, `objects`, and `kept`, those of the base model; no
-    `objects` where too little is left to be a model.
+    `objects` where too little is left to be a model. Touches that hold no number at all
+    are left out; `left_out` are their ids.
     """
+    left_out: list[str] = []
+    while True:
+        try:
+            asked = library, output, base, drop, image_shape
+            return {**_learnt_once(*asked, left_out), "left_out": left_out}
+        except EmptyTouchError as error:
+            if {*error.touch_ids} <= {*left_out}:
+                raise
+            left_out += error.touch_ids
+
+
+def _learnt_once(
+    library: str | Path,
+    output: str | Path,
+    base: str | Path | None,
+    drop: Sequence[str],
+    image_shape: tuple[int, ...] | None,
+    left_out: Sequence[str],
+) -> dict[str, Any]:
     with TouchLibrary.open(library) as opened:
-        touches = _taught(opened, image_shape)
+        touches = _taught(opened, image_shape, left_out)
         model, kept = None, []
         if base is not None and Path(base).is_file():
             model = ObjectRecogniser.load(base)
@@ -180,7 +200,9 @@ def remember_sensor(
     model.remember_sensor(memory.to_dict())
 
 
-def _taught(library: TouchLibrary, image_shape: Sequence[int] | None) -> Any:
+def _taught(
+    library: TouchLibrary, image_shape: Sequence[int] | None, left_out: Sequence[str]
+) -> Any:
     if image_shape is None:
         newest = library.list(limit=1, offset=max(0, len(library) - 1))
         if not newest:
@@ -190,6 +212,11 @@ def _taught(library: TouchLibrary, image_shape: Sequence[int] | None) -> Any:
     if not library.list(where, limit=1):
         return None
     chosen = library.select(where)
+    if left_out:
+        whole = np.flatnonzero(~np.isin(chosen.touch_id, left_out))
+        if not len(whole):
+            return None
+        chosen = chosen[whole]
     labels = np.asarray(chosen.object)
     at, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
     rows = np.flatnonzero(counts[at] >= LEAST_TOUCHES)

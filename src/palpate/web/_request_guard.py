@@ -24,7 +24,6 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 STATIC = Path(__file__).parent / "static"
 _RULES = (
@@ -50,15 +49,20 @@ _DROP_TIMES, _DROP_S = 10, 0.5
 # Bodies are images at these addresses; elsewhere they are a few words, which are read
 # in the event loop.
 _IMAGES, _FEW_WORDS = ("/api/touch", "/api/teach/touch"), 2**16
-# A head that takes so long, and a body of which nothing comes for so long, is given up.
-_HEAD_S, _PART_S = 10.0, 20.0
+# A body of which nothing comes for so long is given up.
+_PART_S = 20.0
+
+
+_Permits = dict[str, tuple[float, float]]  # of an address: how many, and when
 
 
 class RequestGuard:
     """ASGI middleware that lets in whoever knows the token, within limits.
 
     These are bytes of a body, and requests per second that one address may keep up,
-    twice as many at once. `names` are those of this server beside its machine's own.
+    twice as many at once; those without the token are counted apart, so that nobody's
+    refused requests use up the owner's. `names` are those of this server beside its
+    machine's own.
     """
 
     def __init__(
@@ -73,13 +77,20 @@ class RequestGuard:
         own = socket.gethostname().lower()
         self._names = {"localhost", own, f"{own}.local", *map(str.lower, names)}
         self._max_body, self._rate_hz = max_body, rate_hz
-        self._permits: dict[str, tuple[float, float]] = {}
+        self._known: _Permits = {}
+        self._strangers: _Permits = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        refusal = self._refusal(HTTPConnection(scope))
+        asked = HTTPConnection(scope)
+        refusal = self._refusal(asked)
+        known = refusal is None and scope["path"] not in _OPEN
+        if known and (connection := scope.get("state", {}).get("connection")):
+            connection.known = True
+        if not self._in_time(asked, self._known if known else self._strangers):
+            refusal = 429, "Too many requests; slow down."
         if scope["type"] == "websocket":
             if refusal is None:
                 await self._app(scope, receive, send)
@@ -102,8 +113,6 @@ class RequestGuard:
             await self._within_size(scope, receive, send_with_rules)
 
     def _refusal(self, asked: HTTPConnection) -> tuple[int, str] | None:
-        if not self._in_time(asked):
-            return 429, "Too many requests; slow down."
         if not self._is_ours(asked.headers.get("host", "")):
             return 403, (
                 "Host must be a name of this server, got another. Start palpate serve "
@@ -138,15 +147,15 @@ class RequestGuard:
             return bool(ip_address(name))
         return False
 
-    def _in_time(self, asked: HTTPConnection) -> bool:
+    def _in_time(self, asked: HTTPConnection, permits: _Permits) -> bool:
         """Take a permit of an address; they come back at the rate, up to twice it."""
         client = "" if asked.client is None else asked.client.host
-        if client not in self._permits and len(self._permits) >= _MOST_CLIENTS:
-            self._permits.clear()
+        if client not in permits and len(permits) >= _MOST_CLIENTS:
+            permits.clear()
         now_s, most = time.monotonic(), 2 * self._rate_hz
-        left, before_s = self._permits.get(client, (most, now_s))
+        left, before_s = permits.get(client, (most, now_s))
         left = min(most, left + (now_s - before_s) * self._rate_hz)
-        self._permits[client] = (left - 1 if left >= 1 else left), now_s
+        permits[client] = (left - 1 if left >= 1 else left), now_s
         return left >= 1
 
     async def _within_size(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -200,38 +209,6 @@ class RequestGuard:
             if not too_large:
                 raise
         return None if too_large else bytes(body)
-
-
-class PatientProtocol(H11Protocol):
-    """HTTP that hangs up on clients that begin a request and never end its head.
-
-    uvicorn limits how long a connection may rest between two requests, not how long
-    the first one, or one that was begun, may take.
-    """
-
-    _ending: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        super().connection_made(transport)
-        self._wait()
-
-    def data_received(self, data: bytes) -> None:
-        """Go on waiting unless a request is whole, or a websocket by now."""
-        super().data_received(data)
-        self._wait()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        super().connection_lost(exc)
-        self._wait(False)
-
-    def _wait(self, whether: bool = True) -> None:
-        asked = self.cycle is not None and not self.cycle.response_complete
-        if not whether or asked or self.transport.get_protocol() is not self:
-            if self._ending is not None:
-                self._ending.cancel()
-            self._ending = None
-        elif self._ending is None:
-            self._ending = self.loop.call_later(_HEAD_S, self.transport.close)
 
 
 def cookie_name(asked: HTTPConnection) -> str:

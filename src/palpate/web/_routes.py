@@ -4,7 +4,6 @@ First what goes in and out, as OpenAPI describes it, then the actions. Each runs
 thread of its own; what a session refuses becomes a clear answer in `_app`.
 """
 
-import asyncio
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -22,6 +21,7 @@ from ..library import LibraryError
 from ..touches import Touches
 from ._episode import LiveTouch, episode_report
 from ._images import KINDS, read_json, read_picture, thumbnail
+from ._reading import NUMBERS, PICTURES
 from ._session import LiveSession
 from ._teaching import Teacher
 
@@ -176,6 +176,7 @@ _REFUSALS: dict[int | str, dict[str, Any]] = {
     413: {"model": Answer, "description": "Too large."},
     422: {"description": "Not what was asked for."},
     429: {"model": Answer, "description": "Too many requests."},
+    503: {"model": Answer, "description": "The image took too long to read."},
     507: {"model": Answer, "description": "The disk has no room."},
 }
 
@@ -214,11 +215,11 @@ async def _teacher(session: Session) -> Teacher:
 async def _picture(request: Request, session: Session) -> Array:
     kind = request.headers.get("content-type", "")
     colour = request.query_params.get("colour") == "1" or session.takes_colour()
-    return await asyncio.to_thread(read_picture, await request.body(), kind, colour)
+    return await PICTURES.read(read_picture, await request.body(), kind, colour)
 
 
 async def _posted(request: Request) -> tuple[dict[str, Any], Array]:
-    return await asyncio.to_thread(read_json, await request.body())
+    return await NUMBERS.read(read_json, await request.body())
 
 
 Posted = Annotated[tuple[dict[str, Any], Array], Depends(_posted)]

@@ -148,20 +148,21 @@ def server_of(app: Any, *, log_level: str = "warning") -> "Server":
     """Return the server of an ASGI application; it is not running yet."""
     import uvicorn
 
-    from ._request_guard import PatientProtocol
+    from ._connections import AT_ONCE, PatientProtocol, PatientServer
 
     config = uvicorn.Config(
         app,
         log_level=log_level,
         access_log=False,  # its lines would hold the token
         http=PatientProtocol,
+        backlog=AT_ONCE,
         ws="websockets-sansio",
         ws_max_size=2**16,
         ws_per_message_deflate=False,  # pictures are small already, and time is not
         timeout_graceful_shutdown=3,
         server_header=False,
     )
-    return uvicorn.Server(config)
+    return PatientServer(config)
 
 
 def run_app(app: Any, opened: socket.socket) -> None:

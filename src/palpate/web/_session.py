@@ -504,6 +504,11 @@ class LiveSession:
             self._use(ObjectRecogniser.load(path))
             more = " What to teach next stands under Teach." * bool(self.advice)
             said = f"Learnt {len(names)} objects from {answer['n_touches']} touches."
+            if empty := answer["left_out"]:
+                said += (
+                    f" Left out as holding no number: {', '.join(empty[:3])}"
+                    f"{' and more' * (len(empty) > 3)}; retract them for good."
+                )
             self.message = said + more
             return
         self._use(None)

@@ -1,0 +1,206 @@
+"""A mirror that lies: names, sizes, numbers and times that would hold up a computer."""
+
+import hashlib
+import io
+import time
+import zipfile
+from http.server import SimpleHTTPRequestHandler
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from palpate import Touches
+from palpate.datasets import card, fetch, where
+
+from .conftest import png, zipped
+
+# pooch leaves the socket of a failed download open.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:(tactip4|mattress|taxel10x10):UserWarning"),
+    pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning"),
+]
+ROOT = "dataset-image/Dataset-shapes"
+
+
+def downloads():
+    """Return what is left of downloads."""
+    folder = where() / ".downloads"
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
+@pytest.fixture
+def small_sources(monkeypatch):
+    """Let every source have at most 1 MB."""
+
+    def small(name):
+        one = card(name)
+        return {**one, "source": {**one["source"], "most_mb": 1}}
+
+    monkeypatch.setattr("palpate.datasets._fetch.card", small)
+
+
+def test_names_of_65_thousand_letters_are_passed_over(sources, pins):
+    """As long as a zip can have; a pattern takes the square of that, or its cube."""
+    long = {f"{ROOT}/cuboid/_{'0' * 65_000}{n}.png": b"" for n in range(20)}
+    sources.put("tactip4", zipped({**pins[0], **long}))
+    assert len(Touches.load(fetch("tactip4"))) == 5
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_what_inflates_without_a_bound_is_passed_over(sources, pins, kind):
+    buffer = io.BytesIO(zipped(pins[0]))
+    with zipfile.ZipFile(buffer, "a", kind) as archive:
+        archive.writestr(f"{ROOT}/cuboid/_3.png", bytes(10**6))
+    sources.put("tactip4", buffer.getvalue())
+    assert len(Touches.load(fetch("tactip4"))) == 5
+
+
+def test_no_more_is_inflated_than_the_list_promises(sources, pins):
+    """A file whose size in the list is a lie."""
+    bomb = bytes(10**6)
+    content = zipped({**pins[0], f"{ROOT}/prism/_8.png": bomb})
+    told = len(bomb).to_bytes(4, "little")
+    sources.put("tactip4", content.replace(told, (1000).to_bytes(4, "little")))
+    with pytest.raises(ValueError, match=r"tactip4: .*The download was deleted"):
+        fetch("tactip4")
+    assert downloads() == []
+
+
+def test_the_sum_of_a_zips_files_is_bounded(sources, pins, small_sources):
+    large = {f"{ROOT}/prism/_{n}.png": bytes(300_000) for n in (13, 14, 16, 17)}
+    sources.put("tactip4", zipped({**pins[0], **large}))
+    with pytest.raises(ValueError, match="files must have at most 1 MB, got 1"):
+        fetch("tactip4")
+    assert downloads() == []
+
+
+def test_a_set_has_no_more_files_than_it_can_have(sources):
+    files = {f"data/a_b/interaction_{n:04d}.jpg": b"" for n in range(901)}
+    sources.put("digit_survey", zipped(files))
+    with pytest.raises(ValueError, match="at most 900 files, got 901"):
+        fetch("digit_survey")
+    assert downloads() == []
+
+
+def test_a_zip_with_a_very_long_list_is_not_read(sources, pins, monkeypatch):
+    monkeypatch.setattr("palpate.datasets._fetch._LONGEST_LIST", 400)
+    sources.put("tactip4", zipped(pins[0]))
+    with pytest.raises(ValueError, match="list of files must have at most"):
+        fetch("tactip4")
+    assert downloads() == []
+
+
+def test_a_picture_of_very_many_pixels_is_refused(sources, pins):
+    large = png(np.zeros((3000, 3000), np.uint8))
+    sources.put("tactip4", zipped({**pins[0], f"{ROOT}/prism/_8.png": large}))
+    with pytest.raises(ValueError, match="at most 307200 pixels, got 3000 x 3000"):
+        fetch("tactip4")
+    assert downloads() == []
+
+
+def listed(sources, texts):
+    """Put files of the set mattress on the server, with the list of their sums."""
+    lines = []
+    for n, text in enumerate(texts, start=1):
+        name = f"experiment-ii/S1/Air_Mat/Matrix_Air_B{n}.txt"
+        sources.put("mattress", text, f"files/pmd/1.0.0/{name}")
+        lines.append(f"{hashlib.sha256(text).hexdigest()} {name}\n")
+    return sources.put("mattress", "".join(lines).encode())
+
+
+WHOLE = b"\n".join([b"1 " * 27] * 64)
+
+
+def test_files_of_a_list_are_bounded_by_their_sum(sources, small_sources):
+    listed(sources, [WHOLE + b" " * 400_000 + b"%d" % n for n in range(4)])
+    with pytest.raises(ValueError, match="the source must have at most 1 MB"):
+        fetch("mattress")
+    assert downloads() == []
+    assert len(sources.asked) == 4  # the list and three files
+
+
+def test_a_list_names_no_more_files_than_the_set_can_have(sources):
+    place = listed(sources, [WHOLE])
+    known = place.read_text()
+    more = [known.replace("_B1", f"_B{n}") for n in range(2, 700)]
+    place.write_text(known + "".join(more))
+    with pytest.raises(ValueError, match="name at most 696, got 699"):
+        fetch("mattress")
+    assert len(sources.asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (WHOLE.replace(b"1", b"-1", 1), "0 to 65535, got others"),
+        (WHOLE.replace(b"1", b"65536", 1), "0 to 65535, got others"),
+        (WHOLE[:-4], "mattress: .*reshape"),
+        (WHOLE + b" " * 10**7, "at most 10000000 bytes"),
+    ],
+    ids=["negative", "large", "short", "long"],
+)
+def test_counts_that_are_none_are_refused(sources, text, told):
+    listed(sources, [text])
+    with pytest.raises(ValueError, match=told):
+        fetch("mattress")
+    assert downloads() == []
+
+
+def film(**arrays):
+    buffer = io.BytesIO()
+    savemat(buffer, arrays, do_compression=True)
+    place = "Data_Analysis/Measurements_Collected/ball/ball_raster.mat"
+    return zipped({place: buffer.getvalue()})
+
+
+@pytest.mark.parametrize(
+    ("content", "got"),
+    [
+        (film(D=np.ones((100, 901, 2))), "D"),
+        (film(C=np.ones((100, 901))), "C of shape"),
+        (film(C=np.array(["a", "b"])), "C of shape"),
+        (film(C=np.ones((100, 1000, 300), np.uint8)), "C of shape"),
+        (zipped({"Measurements_Collected/a/a_raster.mat": b"MATLAB"}), "be read"),
+        (film(C=np.ones((100, 90, 2))), "taxel10x10: .*deleted"),
+    ],
+    ids=["other name", "flat", "text", "large", "no film", "short"],
+)
+def test_a_film_that_is_none_is_refused_in_a_sentence(sources, content, got):
+    sources.put("taxel10x10", content)
+    with pytest.raises(ValueError, match=got) as refused:
+        fetch("taxel10x10")
+    assert "fetch it again" in str(refused.value)
+    assert downloads() == []
+
+
+def test_a_source_that_sends_a_little_now_and_then_is_given_up(
+    sources, pins, monkeypatch
+):
+    sources.put("tactip4", zipped(pins[0]))
+
+    def drip(self, source, outputfile):
+        for byte in source.read():
+            outputfile.write(bytes([byte]))
+            outputfile.flush()
+            time.sleep(0.05)
+
+    monkeypatch.setattr("palpate.datasets._fetch._MOST_S", 0.5)
+    with monkeypatch.context() as patch:
+        patch.setattr(SimpleHTTPRequestHandler, "copyfile", drip)
+        with pytest.raises(ValueError, match="must be sent within"):
+            fetch("tactip4")
+    monkeypatch.setattr("palpate.datasets._fetch._MOST_S", 60.0)
+    assert fetch("tactip4").is_file()
+
+
+@pytest.mark.parametrize(
+    "name", ["tactip4", "taxel10x10", "mattress", "postures", "digit_survey"]
+)
+@pytest.mark.realdata
+def test_the_cards_know_every_array_behind_the_figures(name, data_folder):
+    """What is fetched is compared with these, also where the source has no SHA-256."""
+    from palpate.datasets._convert import digest
+
+    with np.load(data_folder / card(name)["makes"][0]) as archive:
+        assert {n: digest(archive[n]) for n in archive} == card(name)["arrays"]
