@@ -3,8 +3,8 @@
 A page is run from top to bottom in a folder of its own. Blocks of ```sh are commands,
 blocks of ```python share their names. `<!-- not run: REASON -->` before a block leaves
 it out; so does a page whose first lines say `<!-- blocks not run: REASON -->`. After
-`<!-- needs PACKAGE -->` a block is run where the package is. A ```text block that follows
-one with nothing between is what that prints; a line "..." stands for any lines.
+`<!-- needs PACKAGE -->` a block is run where the package is. A ```text block right
+below one is what that prints; a line "..." stands for any lines.
 """
 
 import io
