@@ -4,6 +4,7 @@ import numpy as np
 
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate
+from palpate.evaluation._advice import verdict
 
 RNG = np.random.default_rng(0)
 BASE = dict(zip("abcd", RNG.normal(size=(4, 3, 24)), strict=True))
@@ -59,3 +60,28 @@ def test_a_recording_that_gives_it_away_is_named():
 def test_more_touches_are_recommended_where_they_help():
     found = said(touches(40, noise=4))
     assert any(one.startswith("More touches help") for one in found)
+
+
+def figured(right, control, chance=0.25):
+    after = {"1": 0.5, "5": right}
+    controls = {"brightness": {"1": 0.1, "5": control}, "no contact": {"1": 1, "5": 1}}
+    return {"accuracy": after, "controls": controls, "chance": chance}
+
+
+def test_one_sentence_says_whether_it_is_good_and_why():
+    beside = "where chance is 25%, and brightness alone, which is no touch, 40%."
+    assert verdict(figured(0.97, 0.4)) == f"Good: 97% right after 5 touches, {beside}"
+    assert verdict(figured(0.85, 0.4)).startswith("Fair: 85%")
+    assert verdict(figured(0.6, 0.4)).startswith("Not good yet: 60%")
+    assert verdict(figured(0.3, 0.4)).startswith("Not better than guessing: 30%")
+    as_good = verdict(figured(0.97, 0.98))
+    assert as_good.startswith("This does not show that touch works: 97% right")
+    assert "brightness alone" in as_good
+    assert verdict({**figured(0.9, 0.1), "accuracy": {}}).startswith("Nothing can be")
+
+
+def test_the_sentence_stands_in_the_figures():
+    plan = Plan(touches=(1, 3), orders=5)
+    figures, _ = evaluate(touches(), split="last", plan=plan)
+    assert figures["verdict"] == verdict(figures)
+    assert "3 touches" in figures["verdict"]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.evaluation import Plan, evaluate, write_report
 from palpate.library import TouchLibrary
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
@@ -252,3 +253,19 @@ def test_the_answer_and_the_count_are_read_aloud(page, taught, serving, drawn):
         taught.post_touch(drawn.images[0])
         words = re.compile("disc|bar")
         expect(page.locator("#answer")).to_contain_text(words)
+
+
+def test_the_report_of_an_evaluation_fits_a_phone(page, drawn, tmp_path):
+    pytest.importorskip("matplotlib", reason='pip install "palpate[plot]"')
+    plan = Plan(touches=(1, 3, 5, 10), orders=3, preset="liu2014")
+    report = write_report(
+        tmp_path / "r.html", *evaluate(drawn, split="last", plan=plan)
+    )
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.set_content(report.read_text("utf-8"))
+    wide = page.evaluate(
+        """() => [document.documentElement,
+        ...document.querySelectorAll("table, .why")]
+        .filter((e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.outerHTML)"""
+    )
+    assert wide == []

@@ -18,7 +18,7 @@ from ..recognition import (
     left_out_groups,
 )
 from ..touches import Touches
-from ._advice import recommendations
+from ._advice import recommendations, verdict
 from ._controls import CONTROLS, control_log_likelihood, without_contact
 from ._episodes import Episodes, run_episodes
 from ._splits import SPLITS, Fold, column_of, draw_touches, split_touches
@@ -110,6 +110,7 @@ def evaluate(
     if split in ("between", "last") and train.order is None:
         found = figures["chosen"].get("found", ())
         figures["chosen"] = {**figures["chosen"], "found": [*found, _UNORDERED]}
+    figures["verdict"] = verdict(figures)
     figures["recommendations"] = recommendations(figures, trials)
     return figures, trials
 
