@@ -2,9 +2,9 @@
 A thing that was never taught
 =============================
 
-The probability of nothing learnt falls while a known thing is touched. For the long bar,
-which resembles nothing that was taught, it stays up. The disc is taken for a hexagon of its
-width: "unknown" is worth as much as the new thing differs from all that was taught.
+The probability of nothing learnt falls while a known thing is touched. For the long
+bar, which resembles nothing that was taught, it stays up. The disc is taken for a
+hexagon of its width: a new thing is found out as far as it differs from all others.
 """
 
 import matplotlib.pyplot as plt

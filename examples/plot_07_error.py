@@ -3,8 +3,8 @@ Choose an error rate
 ====================
 
 `belief.decide(error=...)` names a thing when the accepted share of wrong names is met.
-A smaller error costs more touches, and some episodes stay undecided. Each part was taught
-with four presses; with more, fewer touches are needed.
+A smaller error costs more touches, and some episodes stay undecided. Each part was
+taught with four presses; with more, fewer touches are needed.
 """
 
 import matplotlib.pyplot as plt

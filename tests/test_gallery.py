@@ -40,7 +40,9 @@ def test_those_blind_to_turns_are_right_more_often_but_for_hu(run):
 
 
 def test_those_blind_to_turns_move_at_most_a_quarter(run):
-    drawn = {line.get_label(): line.get_ydata() for line in run("05_turns")["axes"].lines}
+    drawn = {
+        line.get_label(): line.get_ydata() for line in run("05_turns")["axes"].lines
+    }
     for name in ("ring-quantiles", "zernike", "centroid-moments"):
         assert max(drawn[name]) < 26
     for name in ("taxels", "grid-levels"):

@@ -74,3 +74,12 @@ def test_drawn_touches(recordings):
 def test_what_cannot_be_split_is_refused(recordings, change, split, message):
     with pytest.raises(ValueError, match=message):
         split_touches(change(recordings), split)
+
+
+@pytest.mark.parametrize("name", ["order", "time_s"])
+def test_touches_are_split_in_the_order_in_which_they_were_made(name):
+    images = np.arange(8.0).reshape(8, 1, 1)
+    places = np.array([4, 5, 6, 7, 0, 1, 2, 3])
+    touches = Touches(images, object=["mug"] * 8, **{name: places})
+    (fold,) = split_touches(touches, "last")
+    assert sorted(fold.test.columns[name]) == [6, 7]
