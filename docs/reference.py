@@ -89,7 +89,10 @@ def command_page() -> str:
 
     from palpate.cli import app
 
-    parts = ["# The command line", "What `palpate COMMAND --help` says, on one page."]
+    parts = [
+        "# Options of commands",
+        "What `palpate COMMAND --help` says, on one page.",
+    ]
     for words, command in sorted(_commands(get_command(app), ())):
         parts += [f"## palpate {' '.join(words)}", _escaped(command.help)]
         takes = [p for p in command.params if p.param_type_name == "argument"]

@@ -132,6 +132,22 @@ def fetch(
     return made[0]
 
 
+def load(
+    name: str,
+    *,
+    folder: str | Path | None = None,
+    mirror: str | None = None,
+    progress: Say | None = None,
+) -> Touches:
+    """Return the touches of a set, fetched first if it is not there.
+
+    Parameters and errors as for `fetch`: `name` is one of `names()`, `folder` where the
+    set is or goes, `mirror` stands for the source's host, `progress` is called with the
+    present stage.
+    """
+    return Touches.load(fetch(name, folder=folder, mirror=mirror, progress=progress))
+
+
 def _address(url: str, mirror: str | None) -> str:
     """Return the address with the mirror in place of the host, if there is one."""
     root = mirror or os.environ.get("PALPATE_DATA_MIRROR")
