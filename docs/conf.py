@@ -45,7 +45,7 @@ numpydoc_xref_param_type = False
 
 REPOSITORY = "https://github.com/palpate/palpate"
 LOGO = "_static/icon.svg"
-html_search_scorer = "_static/scorer.js"
+html_search_scorer = str(HERE / "_static" / "scorer.js")
 html_theme = "pydata_sphinx_theme"
 html_title = "palpate"
 html_static_path = [
