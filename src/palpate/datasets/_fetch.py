@@ -246,7 +246,8 @@ def _write(
             partly.rename(folder)
         shutil.rmtree(partly, ignore_errors=True)
     with replacing(archive) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        plain: dict[str, Any] = dict(arrays)  # numpy 2.0 has no allow_pickle
+        np.savez_compressed(file, **plain)
 
 
 @contextmanager
