@@ -20,12 +20,14 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # Neighbouring tests in one process, so that what a file learns is learnt once; one more
 # than two cores have, since browsers and disks let a process wait.
 IN_THREE := -n 3 --dist worksteal
+# Checks accessibility in the tests of the page; fetched, never shipped.
+AXE_CORE := 4.14.1
 # Compiled tests are kept, whatever the shell says: half of the time of finding them.
 unexport PYTHONDONTWRITEBYTECODE
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look check-clients format fuzz mutants bench docs linkcheck dist clean
+.PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look check-clients check-page format fuzz mutants bench docs linkcheck dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -70,6 +72,16 @@ fuzz: $(VENV)/.test-installed
 N ?= 24
 mutants: $(VENV)/.test-installed
 	$(ONE_THREAD) $(BIN)/python benchmarks/mutants.py -n $(N)
+
+# What a checker of accessibility finds on the live page; needs npm and Chromium.
+check-page: $(VENV)/.test-installed $(VENV)/axe/package/axe.min.js
+	PALPATE_AXE=$(VENV)/axe/package/axe.min.js $(ONE_THREAD) $(BIN)/python -m pytest \
+		-n 0 tests/web/test_web_axe.py
+
+$(VENV)/axe/package/axe.min.js: Makefile
+	mkdir -p $(VENV)/axe
+	cd $(VENV)/axe && npm pack --silent axe-core@$(AXE_CORE)
+	tar -xzf $(VENV)/axe/axe-core-$(AXE_CORE).tgz -C $(VENV)/axe -m package/axe.min.js
 
 # Does lerobot's own package read what is exported? It asks for an older torch than the
 # one this project tests with, so it is installed without its dependencies, then these.

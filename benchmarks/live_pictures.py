@@ -1,8 +1,8 @@
 """Draw the pictures of the live page in `docs/images`, with simulated touches.
 
 `python benchmarks/live_pictures.py [FOLDER]`; needs the extras `web` and `test` and
-Debian's chromium. Six household objects are taught twelve touches each; one of them
-is then touched nine times. `python
+Debian's chromium. Six household objects are taught 24 touches each; one of them is then
+touched until there is a decision. `python
 benchmarks/live_pictures.py --report [FOLDER]` runs `palpate demo` and draws the first
 part of its report.
 """
@@ -21,7 +21,7 @@ from palpate.sensors import open_sensor
 from palpate.web import LiveSession, create_app, new_token, open_socket, server_of
 
 TAUGHT = ("mug", "stapler", "pen", "toothbrush", "box", "ball")
-TOUCHED, N_TAUGHT, N_TOUCHES = "mug", 12, 9
+TOUCHED, N_TAUGHT, LONGEST = "mug", 24, 30
 SIZES = {"desktop": (1280, 1000), "phone": (390, 1400)}
 
 
@@ -37,9 +37,11 @@ def taught(session: LiveSession) -> None:
     session.learn(wait=True)
     session.begin_episode()
     session.place(TOUCHED)
-    while len(session.episode.touches) < N_TOUCHES:
-        time.sleep(0.05)
+    while session.episode.decision is None and len(session.episode.touches) < LONGEST:
+        time.sleep(0.02)
     session.place(None)
+    if session.episode.decision != TOUCHED:
+        raise SystemExit(f"It must be the {TOUCHED}, got {session.episode.sentence}.")
 
 
 def pictured(page: Page, address: str, folder: Path, name: str) -> None:

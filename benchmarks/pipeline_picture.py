@@ -14,21 +14,25 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from palpate import ObjectRecogniser, simulate_touches
+from palpate import ObjectRecogniser, Touches, simulate_touches
 from palpate.simulation import DomeCamera
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "images" / "pipeline.png"
 OBJECTS = ("ball", "box", "mug", "pen", "stapler")
 TRUTH = "mug"
 N_TOUCHES = 6
+PLACEMENTS = range(8)
 BLUE, GREY, ORANGE = "#4c78a8", "#b8b8b8", "#f58518"
 
 
 def main() -> None:
     """Learn five simulated objects, touch one of them, and draw each step."""
     camera = DomeCamera(image_shape=(120, 120), n_nodes=32)
-    train = simulate_touches(OBJECTS, 30, camera, random_state=0)
-    test = simulate_touches((TRUTH,), N_TOUCHES, camera, random_state=1)
+    # Each object is put down several times, and once more to be asked about.
+    train = Touches.concatenate(
+        simulate_touches(OBJECTS, 10, camera, random_state=seed) for seed in PLACEMENTS
+    )
+    test = simulate_touches((TRUTH,), N_TOUCHES, camera, random_state=100)
     recogniser = ObjectRecogniser().fit(train)
     figure, columns = plt.subplots(
         1, 9, figsize=(14, 3.2), layout="constrained", width_ratios=[8, 1] * 4 + [8]

@@ -43,18 +43,26 @@ autodoc_typehints = "none"  # numpydoc says the types in words
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 
+REPOSITORY = "https://github.com/palpate/palpate"
+LOGO = "_static/icon.svg"
+html_search_scorer = str(HERE / "_static" / "scorer.js")
 html_theme = "pydata_sphinx_theme"
 html_title = "palpate"
-html_static_path = ["_static"]
+html_static_path = [
+    "_static",
+    str(Path(palpate.__file__).parent / "web" / "static" / "icon.svg"),
+]
 html_css_files = ["palpate.css"]
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
-    "logo": {"text": "palpate"},
+    "logo": {"text": "palpate", "image_light": LOGO, "image_dark": LOGO},
     "navbar_align": "left",
     "header_links_before_dropdown": 6,
-    "navbar_end": ["theme-switcher"],
-    "icon_links": [],
+    "navbar_end": ["theme-switcher", "navbar-icon-links"],
+    "icon_links": [
+        {"name": "Repository", "url": REPOSITORY, "icon": "fa-brands fa-github"}
+    ],
     "show_prev_next": True,
     "secondary_sidebar_items": {"**": ["page-toc"], "index": []},
     "footer_start": ["copyright"],

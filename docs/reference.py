@@ -89,7 +89,10 @@ def command_page() -> str:
 
     from palpate.cli import app
 
-    parts = ["# The command line", "What `palpate COMMAND --help` says, on one page."]
+    parts = [
+        "# Options of commands",
+        "What `palpate COMMAND --help` says, on one page.",
+    ]
     for words, command in sorted(_commands(get_command(app), ())):
         parts += [f"## palpate {' '.join(words)}", _escaped(command.help)]
         takes = [p for p in command.params if p.param_type_name == "argument"]
@@ -121,17 +124,20 @@ def _options(parameters: list[Any]) -> str:
             continue
         argument = one.param_type_name == "argument"
         name = _argument(one) if argument else ", ".join(one.opts)
-        kind = (
-            ""
-            if argument or one.is_flag
-            else f" {one.type_descriptor.annotation.__name__}"
-        )
+        kind = "" if argument or one.is_flag else f" {_type(one)}"
         default = one.default
         known = default not in (None, "", ()) and default is not False
         said = "required" if one.required else f"`{default}`" if known else ""
         help_ = _escaped(one.help or "").replace("|", "\\|")
         rows.append(f"| `{name}{kind}` | {help_} | {said} |")
     return "| | what | default |\n|---|---|---|\n" + "\n".join(rows)
+
+
+def _type(parameter: Any) -> str:
+    """Return the type of an option; typer before 0.29 has click's name of it."""
+    described = getattr(parameter, "type_descriptor", None)
+    known = parameter.type.name if described is None else described.annotation.__name__
+    return str(known)
 
 
 def _escaped(text: str) -> str:

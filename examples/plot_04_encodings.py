@@ -3,8 +3,8 @@ Encodings side by side
 ======================
 
 An encoding turns an image into numbers. Which one is good depends on the sensor and on
-how things come to it. Here parts are laid on a pressure array at any angle: an encoding
-that is blind to turns needs fewer presses.
+how things come to it. Here parts are laid on a pressure array at any angle: those
+blind to turns are right more often, but for Hu's moments, which leave out much.
 """
 
 import matplotlib.pyplot as plt

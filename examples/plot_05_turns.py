@@ -4,7 +4,7 @@ What a turn does
 
 The same press, turned step by step. How far do the features move from those of the
 upright press, in units of the distance to another part? An encoding that is blind to
-turns should stay near 0.
+turns should stay near 0; on taxels as coarse as these it reaches a quarter.
 """
 
 import matplotlib.pyplot as plt

@@ -4,7 +4,7 @@ Is it the touch, or the recording?
 
 Each thing was recorded by itself, so the place of the camera or the brightness may name
 it. `evaluate` always asks such nuisance values alone. Touch counts only as far as it is
-above them.
+above them: here it is below all three, and the recording proves nothing.
 """
 
 import matplotlib.pyplot as plt

@@ -3,8 +3,7 @@ One day or two
 ==============
 
 The same number of touches, taught in one mounting of the sensor or in several. Asked is
-always a mounting that was not taught. Teaching on two days is worth more than teaching
-longer.
+always a mounting that was not taught: spread over more days, they are worth more.
 """
 
 import matplotlib.pyplot as plt

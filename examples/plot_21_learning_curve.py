@@ -11,9 +11,10 @@ import numpy as np
 
 from palpate import ObjectRecogniser, simulate_presses
 
-asked = simulate_presses(None, 10, load_kgf=(2, 5), random_state=99)
-taught = simulate_presses(None, 12, load_kgf=(2, 5), random_state=0)
-numbers = [2, 5, 12]
+asked = simulate_presses(None, 30, load_kgf=(2, 5), random_state=99)
+taught = simulate_presses(None, 24, load_kgf=(2, 5), random_state=0)
+numbers = [2, 5, 12, 24]
+curves = {}
 figure, axes = plt.subplots()
 for preset in ("default", "corradi2015", "liu2014"):
     right = []
@@ -23,6 +24,7 @@ for preset in ("default", "corradi2015", "liu2014"):
         right.append(100 * recogniser.score(asked.images, asked.object))
     axes.plot(numbers, right, marker="o", label=preset)
     print(preset, np.round(right))
+    curves[preset] = right
 axes.set(xlabel="training presses of each part", ylabel="right after one press, %")
 axes.set(ylim=(0, 102), title="Twelve parts on a 10 x 10 array, 2 to 5 kgf")
 axes.legend()

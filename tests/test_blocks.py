@@ -3,9 +3,11 @@
 A page is run from top to bottom in a folder of its own. Blocks of ```sh are commands,
 blocks of ```python share their names. `<!-- not run: REASON -->` before a block leaves
 it out; so does a page whose first lines say `<!-- blocks not run: REASON -->`. After
-`<!-- needs PACKAGE -->` a block is run where the package is.
+`<!-- needs PACKAGE -->` a block is run where the package is. A ```text block right
+below one is what that prints; a line "..." stands for any lines.
 """
 
+import io
 import os
 import re
 import shlex
@@ -13,7 +15,9 @@ import subprocess
 import sys
 import time
 import warnings
+from contextlib import redirect_stdout
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -77,6 +81,33 @@ def test_commands_are_not_hidden_as_text():
     assert hidden == []
 
 
+def printed_below(page):
+    """Return what stands right below a block as what that prints, by its line."""
+    lines, found = page.read_text("utf-8").splitlines(), blocks(page)
+    shown = {}
+    for (line, _, body, _), (next_line, kind, text, _) in pairwise(found):
+        end = line + body.count("\n") + 1
+        if kind == "text" and not "".join(lines[end : next_line - 1]).strip():
+            shown[line] = text
+    return shown
+
+
+def is_like(output, shown):
+    """Return whether lines are those shown, of which "..." is any number."""
+    patterns = (
+        r"(.*\n)*" if line.strip() == "..." else re.escape(line.rstrip()) + r" *\n"
+        for line in shown.splitlines()
+    )
+    return re.fullmatch("".join(patterns), output.rstrip() + "\n") is not None
+
+
+def test_what_is_printed_is_compared_with_what_is_shown():
+    assert is_like("a\nb  \nc\n", "a\nb\nc\n")
+    assert is_like("a\nb\nc\n", "...\nc\n")
+    assert not is_like("a\nb\nc\n", "a\nb\n")
+    assert not is_like("mug 0.9\n", "mug 1.0\n")
+
+
 def run_pages():
     """Return a parameter for every page with something to run."""
     return [
@@ -100,14 +131,17 @@ def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{_commands(tmp_path)}{os.pathsep}{os.environ['PATH']}")
     names = {"__name__": "__main__"}
     begun = time.monotonic()
+    shown = printed_below(page)
     for line, kind, body, reason in blocks(page):
         if reason is not None or kind not in {"sh", "python"}:
             continue
         if kind == "python":
-            with warnings.catch_warnings():
+            printed = io.StringIO()
+            with warnings.catch_warnings(), redirect_stdout(printed):
                 if "torch" in body:  # warns about itself
                     warnings.simplefilter("ignore")
                 exec(compile(body, f"{page}:{line}", "exec"), names)
+            output = printed.getvalue()
         else:
             done = subprocess.run(
                 ["bash", "-euo", "pipefail", "-c", body],
@@ -117,7 +151,10 @@ def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
             )
             said = f"{page}:{line}\n{done.stdout}\n{done.stderr}"
             assert done.returncode == 0, said
-            print(done.stdout)
+            output = done.stdout
+        print(output)
+        if line in shown:
+            assert is_like(output, shown[line]), f"{page}:{line} prints\n{output}"
     print(f"{page.name}: {time.monotonic() - begun:.0f} s")
 
 

@@ -201,6 +201,13 @@ def test_the_site_is_built_and_asks_nobody_outside(tmp_path):
     for room, public in ROOMS.items():
         for name in public:
             assert (names / f"palpate.{room}.{name}.html").is_file()
+    page = (names / "palpate.recognition.ObjectRecogniser.html").read_text("utf-8")
+    assert 'rubric">Methods' in page  # a table of them before the rest
+    titles = re.compile(r"<h1>(.*?)<a")
+    pages = [path.read_text("utf-8") for path in built.rglob("*.html")]
+    found_titles = [titles.search(one) for one in pages]
+    named = [one[1] for one in found_titles if one]
+    assert named.count("The command line") == 1
     loads = re.compile(
         r'<(?:script|img|link rel="stylesheet)[^>]+(?:src|href)="(http[^"]+)'
     )

@@ -231,13 +231,14 @@ def test_touches_without_an_order_are_split_as_read_and_it_is_said(
     palpate, archive, tmp_path
 ):
     words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1"]
-    said = "there is no order (a column `order`), so touches were split as they were"
+    said = "there is no order (a column `order` or `time_s`), so touches were split as"
     assert said in " ".join(palpate(*words).stdout.split())
     assert said in json.loads(palpate(*words, "--json").stdout)["chosen"]["found"][-1]
     touches = Touches.load(archive)
     path = tmp_path / "t.npz"
-    touches.with_columns(order=np.arange(len(touches))).save(path)
-    assert said not in palpate("evaluate", "--train", path, *words[3:]).stdout
+    for name in ("order", "time_s"):  # `record` writes the second
+        touches.with_columns(**{name: np.arange(len(touches))}).save(path)
+        assert said not in palpate("evaluate", "--train", path, *words[3:]).stdout
 
 
 def test_one_picture_is_recognised(palpate, tmp_path, rng):

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.datasets import card, fetch, names, where
+from palpate.datasets import card, fetch, load, names, where
 
 from .conftest import zipped
 
@@ -40,6 +40,7 @@ def test_a_set_becomes_an_archive_once(sources, pins, tmp_path):
         "tactip4/tactip4.npz",
     ]
     assert fetch("tactip4") == path
+    assert_array_equal(load("tactip4").images, touches.images)
     assert len(sources.asked) == 1
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate
-from palpate.evaluation._advice import recommendations
+from palpate.evaluation._advice import recommendations, verdict
 
 RNG = np.random.default_rng(0)
 BASE = dict(zip("abcd", RNG.normal(size=(4, 3, 24)), strict=True))
@@ -157,3 +157,28 @@ def test_of_two_objects_and_of_few_mistakes_no_pair_is_told():
         "a taken for b"
         in recommendations(figures_of((0.5, 0.5)), [trial_of(confusion=few)])[0]
     )
+
+
+def figured(right, control, chance=0.25):
+    after = {"1": 0.5, "5": right}
+    controls = {"brightness": {"1": 0.1, "5": control}, "no contact": {"1": 1, "5": 1}}
+    return {"accuracy": after, "controls": controls, "chance": chance}
+
+
+def test_one_sentence_says_whether_it_is_good_and_why():
+    beside = "where chance is 25%, and brightness alone, which is no touch, 40%."
+    assert verdict(figured(0.97, 0.4)) == f"Good: 97% right after 5 touches, {beside}"
+    assert verdict(figured(0.85, 0.4)).startswith("Fair: 85%")
+    assert verdict(figured(0.6, 0.4)).startswith("Not good yet: 60%")
+    assert verdict(figured(0.3, 0.4)).startswith("Not better than guessing: 30%")
+    as_good = verdict(figured(0.97, 0.98))
+    assert as_good.startswith("This does not show that touch works: 97% right")
+    assert "brightness alone" in as_good
+    assert verdict({**figured(0.9, 0.1), "accuracy": {}}).startswith("Nothing can be")
+
+
+def test_the_sentence_stands_in_the_figures():
+    plan = Plan(touches=(1, 3), orders=5)
+    figures, _ = evaluate(touches(), split="last", plan=plan)
+    assert figures["verdict"] == verdict(figures)
+    assert "3 touches" in figures["verdict"]

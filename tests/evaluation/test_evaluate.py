@@ -2,12 +2,13 @@
 
 import json
 import re
+from html import escape
 
 import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import Plan, decide_episodes, evaluate, write_report
+from palpate.evaluation import Plan, decide_episodes, evaluate, plots, write_report
 
 PLAN = Plan(touches=(1, 3, 6), orders=5)
 
@@ -93,7 +94,10 @@ def test_how_episodes_end_is_in_the_report(result, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     page = write_report(tmp_path / "r.html", *result).read_text()
     assert "Stopping at an error of 0.01, a refusal of 0.01" in page
-    assert "<th>called unknown</th>" in page
+    assert "<td>called unknown</td>" in page
+    assert escape(result[0]["verdict"]) in page
+    assert re.search(r"<td>[^<]*</td>(<td>-</td>)+</tr>", page) is None
+    assert re.search(r"<b>([^<]+)</b>[^<]* taken for <b>\1</b>", page) is None
     assert "objects cannot prove 1 %, about 300 would." in page
     assert "category right, %" in page
 
@@ -202,3 +206,9 @@ def test_calibration_is_told_before_and_after():
     assert figures["ece"].keys() == figures["ece_before"].keys()
     assert figures["ece"]["1"] == pytest.approx(figures["ece_before"]["1"])
     assert figures["ece"]["6"] < figures["ece_before"]["6"]
+
+
+def test_ticks_are_whole_round_and_few():
+    assert plots.whole_ticks(5) == [1, 2, 3, 4, 5]
+    assert plots.whole_ticks(20) == [1, 5, 10, 15, 20]
+    assert all(len(plots.whole_ticks(n)) <= 8 for n in range(2, 400))

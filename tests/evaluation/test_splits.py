@@ -136,3 +136,12 @@ def test_a_session_that_teaches_one_object_alone_asks_nobody():
     )
     (fold,) = split_touches(touches, "session")
     assert {*fold.test.session.tolist()} == {"mon"}
+
+
+@pytest.mark.parametrize("name", ["order", "time_s"])
+def test_touches_are_split_in_the_order_in_which_they_were_made(name):
+    images = np.arange(8.0).reshape(8, 1, 1)
+    places = np.array([4, 5, 6, 7, 0, 1, 2, 3])
+    touches = Touches(images, object=["mug"] * 8, **{name: places})
+    (fold,) = split_touches(touches, "last")
+    assert sorted(fold.test.columns[name]) == [6, 7]

@@ -385,13 +385,13 @@ class SessionMachine(RuleBasedStateMachine):
         self.learning_here = mock.patch("palpate.web._session.learn_apart", learn_job)
         self.learning_here.start()
         self.truth, self.number = Names(), 0
-        self.learnt = None
+        self.learnt, self.undoable = None, []
         self._open()
 
     def _open(self):
         self.sensor = PressedArray()
         self.session = LiveSession(self.sensor, library=self.folder).start()
-        self.undoable, self.lesson = [], None
+        self.lesson = None
         self.has, self.had, self.asking, self.pressed = False, False, False, False
         self.n_touches, self.closed = 0, False
 

@@ -87,9 +87,9 @@ def test_a_film_that_ends_early_is_refused(film):
     path = film(presses(3), "press.avi")
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(
-        SensorError, match=r"must hold 60 frames, got \d+: it ends early"
-    ):
+    # OpenCV before 4.11 does not even open it.
+    early = r"must hold 60 frames, got \d+: it ends early|must be a film that OpenCV"
+    with pytest.raises(SensorError, match=early):
         TouchDetector().touches_in(path)
 
 

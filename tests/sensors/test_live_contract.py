@@ -60,6 +60,7 @@ def recording(n=6, shape=(4, 5)):
         ReplaySensor(recording(), rate_hz=500),
         SimulatedStream("bar10", rate_hz=300),
         SimulatedStream("mug", (32, 32), rate_hz=200),
+        SimulatedStream("gel", (32, 48), rate_hz=200),
     ],
     ids=lambda sensor: sensor.name,
 )
@@ -211,6 +212,10 @@ def test_sensors_by_name(tmp_path):
     assert replay.image_shape == (4, 5)
     assert replay.rate_hz == 50
     assert open_sensor("sim:mug", image_shape=(32, 32)).image_shape == (32, 32)
+    assert open_sensor("sim:gel").image_shape == (120, 160, 3)
+    assert open_sensor("sim:gel?place=pen").placed == "pen"
+    assert open_sensor("sim:array").image_shape == (10, 10)
+    assert open_sensor("sim:dome").placed == "mug"
     array = open_sensor("serial:/dev/nowhere", image_shape=(16, 8), baud=9600)
     assert (array.image_shape, array.baud) == ((16, 8), 9600)
     assert open_sensor("camera:0").image_shape == (480, 640)

@@ -34,8 +34,9 @@ def _h5(path, images):
 def _zarr(path, images):
     zarr = pytest.importorskip("zarr")
     group = zarr.open_group(str(path), mode="w")
-    group.create_array("X", data=images)
-    group.create_array("force_n", data=np.array([1.0, 2, 3, 4]))
+    for name, values in {"X": images, "force_n": np.array([1.0, 2, 3, 4])}.items():
+        made = group.create_array(name, shape=values.shape, dtype=values.dtype)
+        made[...] = values
 
 
 def _mat(path, images):

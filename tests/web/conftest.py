@@ -1,14 +1,17 @@
 """Sessions, servers and drawn things to touch, for the whole room."""
 
+import shutil
 import threading
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 
 from palpate import ObjectRecogniser, Touches
+from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor
 from palpate.web import LiveSession, create_app, learn_job, new_token
 
@@ -16,6 +19,7 @@ pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
 pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
 
 SIDE = 12
+CHROMIUM = Path("/usr/bin/chromium")
 
 
 def drawn_touches(name, count, rng):
@@ -171,3 +175,53 @@ def connected():
                 yield client
 
     return connect
+
+
+@pytest.fixture(scope="module")
+def window():
+    """One window of a browser: opening one takes a second of two processors' time."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed"
+    )
+    if not CHROMIUM.exists():
+        pytest.skip("Debian's chromium is not installed (apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(
+            executable_path=str(CHROMIUM), args=["--no-sandbox"]
+        )
+        context = started.new_context(viewport={"width": 1280, "height": 900})
+        context.new_page()  # the window stays open while it has a tab
+        yield context
+        started.close()
+
+
+@pytest.fixture
+def page(window):
+    """A new tab, without what others were told to keep."""
+    opened = window.new_page()
+    opened.errors = []
+    opened.on("pageerror", lambda error: opened.errors.append(str(error)))
+    yield opened
+    for tab in window.pages[1:]:
+        tab.close()
+    window.clear_cookies()
+    assert opened.errors == []
+
+
+@pytest.fixture(scope="module")
+def taught_library(tmp_path_factory, drawn):
+    """The library of a session that has learnt the disc and the bar."""
+    folder = tmp_path_factory.mktemp("taught") / "library"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(drawn[drawn.object != "both"])
+    learn_job(folder, folder / "model.palpate")
+    return folder
+
+
+@pytest.fixture
+def taught(make_session, taught_library, tmp_path):
+    """A session that has learnt the disc and the bar."""
+    folder = shutil.copytree(taught_library, tmp_path / "taught")
+    session = make_session(library=folder)
+    session.watch.sensor.rate_hz = 60.0
+    return session

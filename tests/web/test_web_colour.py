@@ -158,7 +158,7 @@ def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connec
         # Only some frames are shown: until one of them is a press.
         waited(lambda: np.ptp(strongest(events), axis=(0, 1)).max() > 50)
         session.place(None)
-        (key, *_) = session.teacher.ids("rose", 3)
+        key = session.teacher.newest("rose", 3)[0].id
         shown = seen(client.get(f"/api/touches/{key}/picture").content)
         assert client.get("/api/episode/touches/1/picture").status_code == 200
         assert session.teacher.touches("rose").channels == tuple(names)

@@ -177,10 +177,10 @@ def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch
         return rows
 
     monkeypatch.setattr(TouchLibrary, "list", spy)
-    ids = session.teacher.ids("disc", 5)
+    ids = [row.id for row in session.teacher.newest("disc", 5)]
     assert len(ids) == 5
     with pytest.raises(LibraryError, match="no object 'hat'"):
-        session.teacher.ids("hat", 5)
+        session.teacher.newest("hat", 5)
     assert max(listed) <= 5
     session.stop()
 

@@ -4,10 +4,10 @@
 >>> datasets.card("tactip4")["touches"]
 800
 
-`fetch("tactip4")` returns the path of its archive. A set is fetched once, from its
-public source at a fixed commit or version, into `where()`.
+`load("tactip4")` returns its touches, `fetch("tactip4")` the path of its archive. A set
+is fetched once, from its public source at a fixed commit or version, into `where()`.
 """
 
-from ._fetch import card, fetch, names, where
+from ._fetch import card, fetch, load, names, where
 
-__all__ = ["card", "fetch", "names", "where"]
+__all__ = ["card", "fetch", "load", "names", "where"]

@@ -131,6 +131,22 @@ def fetch(
     return made[0]
 
 
+def load(
+    name: str,
+    *,
+    folder: str | Path | None = None,
+    mirror: str | None = None,
+    progress: Say | None = None,
+) -> Touches:
+    """Return the touches of a set, fetched first if it is not there.
+
+    Parameters and errors as for `fetch`: `name` is one of `names()`, `folder` where the
+    set is or goes, `mirror` stands for the source's host, `progress` is called with the
+    present stage.
+    """
+    return Touches.load(fetch(name, folder=folder, mirror=mirror, progress=progress))
+
+
 def _address(url: str, mirror: str | None) -> str:
     """Return the address with the mirror in place of the host, if there is one."""
     root = mirror or os.environ.get("PALPATE_DATA_MIRROR")
@@ -287,7 +303,8 @@ def _write(
             partly.rename(folder)
         shutil.rmtree(partly, ignore_errors=True)
     with replacing(archive) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        plain: dict[str, Any] = dict(arrays)  # numpy 2.0 has no allow_pickle
+        np.savez_compressed(file, **plain)
 
 
 @contextmanager

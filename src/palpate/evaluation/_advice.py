@@ -1,4 +1,4 @@
-"""What to do about an accuracy: at most three recommendations, from the figures."""
+"""Whether an accuracy is good, in a sentence, and what to do: at most three more."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -10,11 +10,38 @@ from ._controls import as_good_alone
 from ._trial import Trial
 
 MOST = 3
-GOOD = 0.95
+# Right after the most touches that were asked for: good, and worth going on with.
+GOOD, FAIR = 0.95, 0.8
 # A share of touches without contact, an accuracy gained, a share of all mistakes, and a
 # number of training touches, at which something is worth saying.
 IDLE_SHARE, GAIN, SHARE_OF_MISTAKES, FEW_TOUCHES = 0.1, 0.05, 1 / 3, 20
 ENOUGH_TOUCHES = 60
+
+
+def verdict(figures: dict[str, Any]) -> str:
+    """Return one sentence: whether this is good, and why."""
+    accuracy = figures["accuracy"]
+    if not accuracy:
+        return "Nothing can be said: no object has as many test touches as asked for."
+    *_, last = accuracy
+    right, chance = accuracy[last], figures["chance"]
+    after = f"{right:.0%} right after {last} touch{'es' * (last != '1')}"
+    beside = f"chance is {chance:.0%}"
+    alone = {k: v[last] for k, v in figures["controls"].items() if v and last in v}
+    alone.pop("no contact", None)
+    if alone:
+        best = max(alone, key=lambda name: alone[name])
+        beside += f", and {best} alone, which is no touch, {alone[best]:.0%}"
+        if alone[best] >= right > 1.5 * chance:
+            return (
+                f"This does not show that touch works: {after}, but {best} alone, "
+                f"which is no touch, names {alone[best]:.0%}."
+            )
+    if right <= 1.5 * chance:
+        return f"Not better than guessing: {after}, where {beside}."
+    if right >= GOOD:
+        return f"Good: {after}, where {beside}."
+    return f"{'Fair' if right >= FAIR else 'Not good yet'}: {after}, where {beside}."
 
 
 def recommendations(figures: dict[str, Any], trials: Sequence[Trial]) -> list[str]:

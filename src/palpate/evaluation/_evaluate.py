@@ -18,16 +18,24 @@ from ..recognition import (
     left_out_groups,
 )
 from ..touches import Touches
-from ._advice import recommendations
+from ._advice import recommendations, verdict
 from ._controls import CONTROLS, control_log_likelihood, without_contact
 from ._episodes import Episodes, run_episodes
-from ._splits import SPLITS, Fold, column_of, draw_touches, split_touches
+from ._splits import (
+    SPLITS,
+    Fold,
+    column_of,
+    draw_touches,
+    recorded_order,
+    split_touches,
+)
 from ._trial import Plan, Trial, figures_of
 
 Progress = Callable[[str], None]
 N_TIMED = 100
 _UNORDERED = (
-    "there is no order (a column `order`), so touches were split as they were read"
+    "there is no order (a column `order` or `time_s`), so touches were split as they "
+    "were read"
 )
 
 
@@ -107,9 +115,10 @@ def evaluate(
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
     figures = figures_of(trials, plan, split)
-    if split in ("between", "last") and train.order is None:
+    if split in ("between", "last") and recorded_order(train) is None:
         found = figures["chosen"].get("found", ())
         figures["chosen"] = {**figures["chosen"], "found": [*found, _UNORDERED]}
+    figures["verdict"] = verdict(figures)
     figures["recommendations"] = recommendations(figures, trials)
     return figures, trials
 

@@ -48,6 +48,11 @@ td:first-child,th:first-child{text-align:left}
 table,figure div{display:block;max-width:100%;overflow-x:auto}
 figure{display:flex;flex-wrap:wrap;gap:1rem;margin:2.5rem 0}figcaption{flex:1 1 18rem}
 figure svg{min-width:calc(var(--inches)*72px)}
+@media(max-width:36rem){body{margin:1rem auto;padding:0 .7rem}
+table{font-size:.85rem}td,th{padding:.15rem .3rem}th:first-child{min-width:8rem}
+.why{flex-wrap:wrap;gap:.3rem .5rem;border-top:1px solid #dde3e8;padding-top:.4rem}
+.why div{width:calc(33% - .5rem)}.why div:first-child{width:100%;border:0}
+.why div:first-child span{width:auto;flex:1}}
 """
 
 
@@ -99,7 +104,7 @@ def write_report(
         _accuracy(figures, trials),
         "".join(f"<p><b>{escape(one)}</b></p>" for one in as_good_alone(figures)),
         _recommended(figures.get("recommendations", ())),
-        html_table(*decision_table(figures["decision"])),
+        _ends(figures["decision"]),
         f"<p class=note>{bound_said(figures['decision'])}</p>",
         _confusion(figures, trials),
         _explanations(figures, trials),
@@ -108,6 +113,14 @@ def write_report(
     title = f"palpate: {figures['n_labels']} {figures['label']} labels"
     write_text(target, report_page(title, sections))
     return target
+
+
+def _ends(decision: dict[str, Any]) -> str:
+    """Return how many episodes ended how, a line each: that fits a phone."""
+    title, columns, (cells,) = decision_table(decision)
+    named = {"touches": "touches on average"}
+    rows = [[named.get(n, n), cell] for n, cell in zip(columns, cells, strict=True)]
+    return html_table(title, ["", "episodes"], rows)
 
 
 def _recommended(sentences: Sequence[str]) -> str:
@@ -159,7 +172,7 @@ def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
     return [
         [name, *(as_text(values.get(k), scale, n) for k in figures["accuracy"])]
         for name, values, scale, n in rows
-        if values
+        if any(value is not None for value in values.values())
     ]
 
 
@@ -222,11 +235,12 @@ def explained_episodes(
 def _head(figures: dict[str, Any]) -> str:
     how = figures["split"] or "separate test touches"
     folds = f", {figures['n_folds']} folds" if figures["n_folds"] > 1 else ""
+    good = f"<p><b>{escape(figures['verdict'])}</b></p>"
     chosen = figures["chosen"]
     found = "".join(f"<br>Found: {escape(one)}." for one in chosen.get("found", ()))
     return (
         f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
-        f"<p>Preset <b>{escape(figures['preset'])}</b>, "
+        f"{good}<p>Preset <b>{escape(figures['preset'])}</b>, "
         f"{figures['n_train_touches']} training and {figures['n_test_touches']} "
         f"test touches ({escape(how)}{folds}), "
         f"{figures['orders']} random orders of each object's touches.<br>"
@@ -367,9 +381,10 @@ def _episode(one: Explained, asked: dict[str, Any]) -> str:
         f"<div class=why>{''.join(_touch(one, step))}</div>"
         for step in belief.explain(MOVED, NEAREST)
     )
+    said = "nothing I know" if one.said == "unknown" else escape(one.said)
+    ended = "recognised" if one.right else f"taken for <b>{said}</b>"
     return (
-        f"<p><b>{escape(one.name)}</b>{of_label} taken for <b>{escape(one.said)}</b>: "
-        f"{'right' if one.right else 'wrong'}.<br>"
+        f"<p><b>{escape(one.name)}</b>{of_label} {ended}.<br>"
         f"<span class=note>{escape(reason)}</span></p>{moved}"
     )
 

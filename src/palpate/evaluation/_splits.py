@@ -85,7 +85,7 @@ def split_touches(touches: Touches, split: str, label: str = "object") -> list[F
             Fold(f"{split} {name}", touches[train], touches[test], left_out)
             for name, train, test in parts
         ]
-    test = np.zeros(len(touches), dtype=bool)
+    test, order = np.zeros(len(touches), dtype=bool), recorded_order(touches)
     for name in np.unique(objects):
         rows = np.flatnonzero(objects == name)
         if len(rows) < 4:
@@ -93,10 +93,19 @@ def split_touches(touches: Touches, split: str, label: str = "object") -> list[F
                 f"Every object must have at least 4 touches to be split, "
                 f"got {len(rows)} of {str(name)!r}."
             )
-        if touches.order is not None:
-            rows = rows[np.argsort(touches.order[rows], kind="stable")]
+        if order is not None:
+            rows = rows[np.argsort(order[rows], kind="stable")]
         test[rows[3::4] if split == "between" else rows[-(len(rows) // 4) :]] = True
     return [Fold(split, touches[~test], touches[test])]
+
+
+def recorded_order(touches: Touches) -> Array | None:
+    """Return what tells the order of touches: `order`, or when they were made."""
+    if touches.order is not None:
+        return touches.order
+    time_s = touches.columns.get("time_s")
+    known = time_s is not None and bool(np.isfinite(time_s).all())
+    return time_s if known else None
 
 
 def protocol_folds(
@@ -241,7 +250,8 @@ def _places(touches: Touches) -> tuple[Rows, Rows, Rows]:
     press = _codes(touches, *RECORDING, *PRESS)
     if not any(name in touches.columns for name in PRESS):
         press = np.arange(len(touches))
-    order = touches.columns.get("order", np.arange(len(touches)))
+    order = recorded_order(touches)
+    order = np.arange(len(touches)) if order is None else order
     place, count = np.empty_like(press), np.empty_like(press)
     in_order = np.lexsort((order, _codes(touches, "subject"), recording))
     for rows in np.split(in_order, np.flatnonzero(np.diff(recording[in_order])) + 1):

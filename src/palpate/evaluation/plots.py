@@ -48,8 +48,16 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
     axes.set(
         xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
     )
+    axes.set_xticks(whole_ticks(max(2, len(curve))))
     axes.legend(frameon=False, loc="center right", fontsize=8)
     return svg(figure, "Share right against touches")
+
+
+def whole_ticks(last: int) -> list[int]:
+    """Return at most eight numbers of touches from 1 to `last`, round ones."""
+    steps = (factor * 10**power for power in range(9) for factor in (1, 2, 5))
+    step = next(one for one in steps if last / one <= 7)
+    return [1, *range(step, last + 1, step)] if step > 1 else [*range(1, last + 1)]
 
 
 def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:

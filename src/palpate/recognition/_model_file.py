@@ -11,6 +11,7 @@ anew from the training touches that it keeps.
 import hashlib
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
@@ -19,7 +20,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
@@ -98,9 +99,21 @@ def write_model(
         raise ModelFileError(f"This model could not be read again: {error}.") from error
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
     with replacing(target) as file:
-        save_file(tensors or {"empty": np.zeros(1)}, file.name, metadata=metadata)
+        _write(tensors or {"empty": np.zeros(1)}, file.name, metadata)
         _order_header(Path(file.name))
     return target
+
+
+def _write(tensors: Tensors, name: str, metadata: dict[str, str]) -> None:
+    """Write a file of safetensors, which before 0.6 hides what the disk said."""
+    try:
+        save_file(tensors, name, metadata=metadata)
+    except SafetensorError as error:
+        code = re.search(r"Os \{ code: (\d+)", str(error))
+        if code is None:
+            raise
+        number = int(code[1])
+        raise OSError(number, os.strerror(number), name) from error
 
 
 def state_digest(model: object) -> str:

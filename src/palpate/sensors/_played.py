@@ -20,18 +20,27 @@ from scipy.spatial.distance import cdist
 from .. import simulation
 from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
 from .._types import Array
-from ..simulation import HOUSEHOLD, PARTS, UNLIKE_OTHERS, DomeCamera, PressureArray
+from ..simulation import (
+    HOUSEHOLD,
+    PARTS,
+    UNLIKE_OTHERS,
+    DomeCamera,
+    GelCamera,
+    PressureArray,
+)
 from ..touches import Touches, TouchesError
 from ._contract import LiveSensor, SensorError, as_kind
 
 _LONGEST_WAIT_S = 0.2
 _UNLABELLED = "recording"
 _NOISE_FRAMES = 8
+_NAMES = {"dome": "dome camera", "gel": "gel camera", "array": "pressure array"}
 # Quiet pictures differ by under a tenth of what pictures that differ much do (90 % of
 # the pairs differ less). They are of at least half of the objects; of one object a
 # third of all, since a thing may be touched in one place a few times.
 _ALIKE, _OF_PAIRS, _LEAST_QUIET, _COMPARED, _COMPARED_SIDE = 0.1, 90, 3, 300, 24
-_DOME_NOISE, _ARRAY_NOISE = 1.0, 0.5
+# Of each kind of simulated sensor: noise (grey levels), what lies there at first.
+_KINDS = {"dome": (1.0, "mug"), "gel": (1.5, "ball"), "array": (0.5, PARTS[0].name)}
 
 
 class PlayedSensor(LiveSensor):
@@ -252,12 +261,14 @@ def _quiet_mean(images: Array, labels: Array) -> Array | None:
 class SimulatedStream(PlayedSensor):
     """Plays simulated touches of one object after the other, live.
 
-    The object is a built-in one, touched by a dome camera of `image_shape` (by default
-    120 x 120), or a built-in part, pressed on a pressure array of 10 x 10. `objects`
-    are all that the same sensor can touch. While frames of nothing are played, each
-    touch is simulated as `simulate_touches` or `simulate_presses` does. The way in and
-    out is a blend of the two pictures. Noise has a standard deviation of 1 grey level
-    (dome) or half of one (array); `random_state` is the seed of touches and noise.
+    `name` is a kind of sensor, "dome", "gel" or "array", or else what lies there at
+    first: a built-in object, touched by a dome camera, or a built-in part, pressed on a
+    pressure array of 10 x 10. A dome's `image_shape` is 120 x 120 by default, a gel's
+    120 x 160, in colour. `objects` are all that the same sensor can touch. While frames
+    of nothing are played, each touch is simulated as `simulate_touches` or
+    `simulate_presses` does. The way in and out is a blend of the two pictures. Noise
+    has a standard deviation of 1 grey level (dome), 1.5 (gel) or half of one (array);
+    `random_state` is the seed of touches and noise.
     """
 
     def __init__(
@@ -275,12 +286,16 @@ class SimulatedStream(PlayedSensor):
             thing.name for thing in (*HOUSEHOLD, *simulation.UNSEEN, *UNLIKE_OTHERS)
         ]
         parts = [part.name for part in PARTS]
-        check_option("name", name, [*solids, *parts])
-        dome = name in solids
+        check_option("name", name, [*_KINDS, *solids, *parts])
+        kind = name if name in _KINDS else "dome" if name in solids else "array"
+        noise_sd, first = _KINDS[kind]
         self._rng = np.random.default_rng(random_state)
-        self._device: DomeCamera | PressureArray
-        if dome:
+        self._device: DomeCamera | GelCamera | PressureArray
+        if kind == "dome":
             self._device = DomeCamera(image_shape=image_shape or (120, 120))
+            rest = self._device.no_contact()
+        elif kind == "gel":
+            self._device = GelCamera(image_shape=image_shape or (120, 160))
             rest = self._device.no_contact()
         else:
             self._device = PressureArray()
@@ -288,23 +303,23 @@ class SimulatedStream(PlayedSensor):
             rest = np.zeros(shape, dtype=np.uint8)
         # Fields of noise, (n_frames, n_rows, n_cols), that are played round.
         self._rest, size = rest, (_NOISE_FRAMES, *rest.shape)
-        noise = self._rng.normal(scale=_DOME_NOISE if dome else _ARRAY_NOISE, size=size)
+        noise = self._rng.normal(scale=noise_sd, size=size)
         self._noise = np.rint(noise).astype(np.int16)
         self._pool: ThreadPoolExecutor | None = None
         self._made: tuple[str, Future[Array]] | None = None
         super().__init__(
-            f"simulated {'dome camera' if dome else 'pressure array'}",
+            f"simulated {_NAMES[kind]}",
             "grey level",
             rest.shape,
             np.uint8,
-            "dome" if dome else "array",
-            objects=solids if dome else parts,
+            "plane" if kind == "gel" else kind,
+            objects=parts if kind == "array" else solids,
             rate_hz=rate_hz,
             hold=hold,
             gap=gap,
             ramp=ramp,
         )
-        self.placed = name
+        self.placed = first if name in _KINDS else name
 
     def _open(self) -> None:
         super()._open()
@@ -328,7 +343,7 @@ class SimulatedStream(PlayedSensor):
     def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
         how: Any = {"random_state": seed}
-        if isinstance(self._device, DomeCamera):
+        if not isinstance(self._device, PressureArray):
             made = simulation.simulate_touches(
                 name, 1, self._device, drift=False, **how
             )

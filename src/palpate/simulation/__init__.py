@@ -2,14 +2,16 @@
 
 `PressureArray` presses flat parts on an array of pressure sensors; each parameter
 is published, from a handbook, or marked as a guess. `DomeCamera` presses a rubber
-dome with a camera in it on solid objects, `TacTipPins` one with pins; both take the
-objects built in here and mesh files (`pip install "palpate[sim]"`).
+dome with a camera in it on solid objects, `TacTipPins` one with pins, `GelCamera` a
+gel lit in three colours; all take the objects built in here and mesh files (`pip
+install "palpate[sim]"`).
 """
 
 from ._array import Press as Press
 from ._array import PressureArray
 from ._dome import DomeCamera
 from ._dome import DomePress as DomePress
+from ._gel import GelCamera
 from ._membrane import Contact as Contact
 from ._membrane import Membrane
 from ._membrane import solve_contact as solve_contact
@@ -33,6 +35,7 @@ from ._simulate import simulate_presses, simulate_touches
 
 __all__ = [
     "DomeCamera",
+    "GelCamera",
     "Lighting",
     "Membrane",
     "MeshError",

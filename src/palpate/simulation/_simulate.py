@@ -18,6 +18,7 @@ from .._types import Indices
 from ..touches import Touches
 from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
+from ._gel import GelCamera
 from ._objects import HOUSEHOLD, find_object, refuse_same_names
 from ._parts import PARTS, Part, find_parts
 from ._pins import TacTipPins
@@ -30,7 +31,7 @@ _ATTEMPTS = 50
 def simulate_touches(
     objects: Iterable[SimObject | str] | SimObject | str | None = None,
     n_touches: int = 60,
-    camera: DomeCamera | TacTipPins | None = None,
+    camera: DomeCamera | TacTipPins | GelCamera | None = None,
     strategy: str = "hemisphere",
     *,
     n_sessions: int = 1,
@@ -56,7 +57,7 @@ def simulate_touches(
         household objects.
     n_touches : int, default=60
         Touches of each object.
-    camera : DomeCamera or TacTipPins, optional
+    camera : DomeCamera, TacTipPins or GelCamera, optional
         The sensor, by default `DomeCamera(image_shape=(120, 120))`.
     strategy : {"hemisphere", "above"}, default="hemisphere"
         "hemisphere": from points evenly spread on a hemisphere about the middle of
@@ -98,7 +99,8 @@ def simulate_touches(
     Returns
     -------
     touches : Touches
-        uint8 images, object after object, geometry "dome", with `no_contact`.
+        uint8 images, object after object, with `no_contact`; geometry "dome", or
+        "plane" and channels of a gel.
         Columns: `object`, `category`, `session`, `order` (within the object),
         `position_mm` (the tip at the end), `direction` (unit vector of approach),
         `roll_rad`, `force_n`, `depth_mm`, `area_mm2`, `contact` (whether the dome
@@ -165,7 +167,8 @@ def simulate_touches(
         object=np.array([thing.name for thing in repeated]),
         category=np.array([thing.category for thing in repeated]),
         no_contact=sensor.no_contact(),
-        geometry="dome",
+        geometry=getattr(sensor, "geometry", "dome"),
+        channels=getattr(sensor, "channels", None),
         session=np.tile(session, len(things)),
         order=np.tile(np.arange(count), len(things)),
         position_mm=np.stack([np.asarray(end.position_mm) for end in ends]),
@@ -363,7 +366,7 @@ class _Way:
 
 
 def _touch_some(
-    sensor: DomeCamera | TacTipPins,
+    sensor: DomeCamera | TacTipPins | GelCamera,
     way: _Way,
     thing: SimObject,
     session: SeedSequence,

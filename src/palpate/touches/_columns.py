@@ -228,8 +228,9 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
                 )
             one, first = part[name], parts[0][name]
             numbers = one.dtype.kind in "fc" and first.dtype.kind in "fc"
-            alike = np.array_equal(one, first, equal_nan=numbers)
-            if _kind(one) != _kind(first) or not alike:
+            # Kinds first: numpy before 2.1 cannot compare texts with numbers.
+            alike = _kind(one) == _kind(first)
+            if not alike or not np.array_equal(one, first, equal_nan=numbers):
                 drop = f"Drop it with touches.without({name!r}), or keep"
                 keep = "Keep" if name == "channels" else drop
                 raise TouchesError(

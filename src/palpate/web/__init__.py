@@ -7,6 +7,9 @@ FastAPI application (the extra `web`).
 from ._learning import LearningError as LearningError
 from ._learning import learn_job as learn_job
 from ._learning import remember_library as remember_library
+from ._lesson import Variety as Variety
+from ._quality import advice as advice
+from ._quality import object_quality as object_quality
 from ._ros import RosPublisher as RosPublisher
 from ._sensor_watch import Event as Event
 from ._serving import address_of as address_of
@@ -20,8 +23,5 @@ from ._serving import run_app as run_app
 from ._serving import server_of as server_of
 from ._session import LiveSession
 from ._session import start_all as start_all
-from ._teaching import Variety as Variety
-from ._teaching import advice as advice
-from ._teaching import object_quality as object_quality
 
 __all__ = ["LiveSession", "create_app", "new_token"]

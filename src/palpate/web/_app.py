@@ -25,7 +25,8 @@ from ._request_guard import STATIC, RequestGuard, cookie_name
 from ._routes import router
 from ._sensor_watch import Event
 from ._session import LiveSession, start_all
-from ._teaching import MissingObjectError
+from ._teaching import MissingObjectError, MissingTouchError
+from ._touch_routes import router as touch_router
 
 _COOKIE_S = 30 * 24 * 3600
 _NOT_NOW = (ContactError, SensorError, LearningError)
@@ -63,6 +64,7 @@ def build_app(sessions: Sequence[LiveSession], token: str, **limits: Any) -> Fas
         session.listeners.number = number
     app.state.session, app.state.sessions = sessions[0], sessions
     app.include_router(router)
+    app.include_router(touch_router)
     app.websocket("/ws")(_Hub(sessions).serve)
 
     @app.get("/", include_in_schema=False)
@@ -86,7 +88,7 @@ async def _refused(request: Request, error: Exception) -> JSONResponse:
     status, detail = 507 if _lacks_room(error) else 422, str(error)
     if isinstance(error, _NOT_NOW):
         status = 409
-    elif isinstance(error, MissingObjectError):
+    elif isinstance(error, MissingObjectError | MissingTouchError):
         status = 404
     elif isinstance(error, OSError):
         reason = error.strerror or error

@@ -89,13 +89,17 @@ class FramePainter:
         return (share * 255).astype(np.uint8)
 
 
-def thumbnail(image: Array, channels: Sequence[str] | None = None) -> bytes:
-    """Return one touch as a small PNG, stretched to its own range."""
+def thumbnail(
+    image: Array, channels: Sequence[str] | None = None, side: int = _THUMBNAIL
+) -> bytes:
+    """Return one touch as a PNG of `side` pixels, stretched to its own range."""
     painter = FramePainter(image.shape, channels)
     n_rows, n_cols = image.shape[:2]
-    scale = _THUMBNAIL / max(n_rows, n_cols)
+    scale = side / max(n_rows, n_cols)
     size = max(1, round(n_cols * scale)), max(1, round(n_rows * scale))
     how = cv2.INTER_NEAREST if painter.coloured else cv2.INTER_AREA
+    if scale > 1 and not painter.coloured:
+        how = cv2.INTER_LINEAR
     return _png(cv2.resize(painter.levels(image), size, interpolation=how))
 
 

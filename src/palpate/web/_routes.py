@@ -17,7 +17,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.background import BackgroundTask
 
 from .._types import Array
-from ..library import LibraryError
 from ..touches import Touches
 from ._episode import LiveTouch, episode_report
 from ._images import KINDS, read_json, read_picture, thumbnail
@@ -161,12 +160,15 @@ class State(BaseModel):
     ]
     advice: Annotated[list[str], Field(description="What to teach next.")]
     learning: bool
+    unlearnt: Annotated[
+        bool, Field(description="Touches were taught, removed or moved since.")
+    ]
     learn_error: str
     message: str
     health: dict[str, Any]
 
 
-_REFUSALS: dict[int | str, dict[str, Any]] = {
+REFUSALS: dict[int | str, dict[str, Any]] = {
     400: {"model": Answer, "description": "A body that cannot be read."},
     401: {"model": Answer, "description": "No token."},
     403: {"model": Answer, "description": "Wrong token, name of server, or origin."},
@@ -190,8 +192,8 @@ _PICTURE = _body({"type": "string", "format": "binary"}, *KINDS)
 _IMAGE = _body(Image.model_json_schema(), "application/json")
 _NAMED_IMAGE = _body(NamedImage.model_json_schema(), "application/json")
 _EPISODE: Any = {"response_model": EpisodeState, "tags": ["episode"]}
-_TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
-router = APIRouter(prefix="/api", responses=_REFUSALS, dependencies=[Depends(_TOKEN)])
+TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
+router = APIRouter(prefix="/api", responses=REFUSALS, dependencies=[Depends(TOKEN)])
 
 
 async def _session(
@@ -278,7 +280,7 @@ def undo_baseline(session: Session) -> Done:
 def press(session: Session) -> Response:
     """Return the last test press, as its difference from the baseline, as a PNG."""
     channels = None if session.watch is None else session.watch.sensor.channels
-    return _shown(session.press_difference(), channels)
+    return shown_touch(session.press_difference(), channels)
 
 
 @router.post("/zero", tags=["sensor"], deprecated=True)
@@ -348,12 +350,16 @@ def report(session: Session) -> Response:
 @router.get(
     "/episode/touches/{number}/picture", tags=["episode"], response_class=Response
 )
-def episode_picture(number: int, session: Session) -> Response:
-    """Return one touch of the episode as a small PNG."""
+def episode_picture(
+    number: int,
+    session: Session,
+    side: Annotated[int, Query(ge=16, le=640, description="Pixels.")] = 96,
+) -> Response:
+    """Return one touch of the episode as a PNG."""
     episode = session.episode
     if not 1 <= number <= len(episode.images):
         raise HTTPException(404, f"The episode has no touch {number}.")
-    return _shown(episode.images[number - 1], episode.channels)
+    return shown_touch(episode.images[number - 1], episode.channels, side)
 
 
 @router.post("/teach", tags=["teach"])
@@ -372,8 +378,16 @@ def stop(session: Session) -> Done:
 
 @router.post("/teach/undo", tags=["teach"])
 def undo(session: Session) -> Done:
-    """Leave out the touch stored last."""
-    return Done(message=f"The last touch of {session.undo()} is undone.")
+    """Take back the last touch taught, removed or moved, also after a restart."""
+    session.undo()
+    return Done(message=session.message)
+
+
+@router.post("/teach/resume", tags=["teach"])
+def resume(session: Session) -> Done:
+    """Go on with the lesson that a restart interrupted."""
+    session.resume_teaching()
+    return Done(message="The lesson goes on.")
 
 
 @router.post("/teach/touch", tags=["teach"], openapi_extra=_NAMED_IMAGE)
@@ -417,31 +431,10 @@ def export(name: NameQuery, teacher: StoredTouches) -> Response:
     return _archive(teacher.touches(name), f"{name}.npz")
 
 
-@router.get("/objects/touches", tags=["objects"])
-def stored(
-    name: NameQuery,
-    teacher: StoredTouches,
-    limit: Annotated[int, Query(ge=1, le=200)] = 8,
-) -> list[Stored]:
-    """Return the newest touches of an object, newest first."""
-    return [Stored(id=key) for key in teacher.ids(name, limit)]
-
-
-@router.get("/touches/{key}/picture", tags=["objects"], response_class=Response)
-def picture(key: str, teacher: StoredTouches) -> Response:
-    """Return a stored touch as a small PNG."""
-    try:
-        image = teacher.library.image(key)
-        channels = teacher.channels(key) if image.ndim == 3 else None
-    except LibraryError as error:
-        raise HTTPException(404, str(error)) from error
-    shown = _shown(image, channels)
-    shown.headers["Cache-Control"] = "private, max-age=86400, immutable"
-    return shown
-
-
-def _shown(image: Array, channels: Sequence[str] | None) -> Response:
-    return Response(thumbnail(image, channels), media_type="image/png")
+def shown_touch(
+    image: Array, channels: Sequence[str] | None, side: int = 96
+) -> Response:
+    return Response(thumbnail(image, channels, side), media_type="image/png")
 
 
 def _archive(touches: Touches, name: str) -> Response:

@@ -22,8 +22,9 @@ from ..sensors import DetectedTouch, LiveSensor, SensorError, channels_of, desk_
 from ._episode import LiveEpisode
 from ._images import ImageKind, Names, check_image
 from ._learning import LearningError, learn_apart, start_learning
+from ._quality import advice, object_quality
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
-from ._teaching import Teacher, advice, columns_of, object_quality
+from ._teaching import Teacher, columns_of
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -74,6 +75,8 @@ class LiveSession:
         Called with "frame", "contact", "touch" and "state", from other threads.
     episode : LiveEpisode
         The episode under way.
+    unlearnt : bool
+        Whether touches were taught, removed or moved since it learnt.
     learning : bool
         Whether it is learning now; `learn_error` says why it failed the last time.
     trouble : str
@@ -117,6 +120,7 @@ class LiveSession:
         self._quality: list[dict[str, Any]] = []
         self.episode = LiveEpisode(1, None, self.asked)
         self.learning, self.learn_error = False, ""
+        self.unlearnt = False
         self.message = self.trouble = self.alarm = ""
         self._met: list[Evidence] = []
         self._n_met = 0
@@ -127,6 +131,8 @@ class LiveSession:
         self.model_path = path = None if model is None else Path(model)
         if path is not None and (library is None or path.exists()):
             self._use(ObjectRecogniser.load(path))
+            journal = None if self.teacher is None else self.teacher.journal.path
+            self.unlearnt = bool(journal and is_newer(journal, path))
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -190,7 +196,7 @@ class LiveSession:
 
     def post_lesson(self, name: str, image: Array) -> str:
         """Store one touch of an object from outside; return its id."""
-        with self._changing():
+        with self._editing():
             return self._teacher().store(name, *self._checked(image), self.baseline)
 
     def begin_episode(self) -> None:
@@ -224,12 +230,33 @@ class LiveSession:
         with self._changing():
             self._teacher().end()
 
-    def undo(self) -> str:
-        """Leave out the touch stored last in this session; return its object."""
+    def resume_teaching(self) -> None:
+        """Go on with the lesson that a restart interrupted."""
+        teacher, watch = self._teacher(), self._watched()
+        start_learning()
         with self._changing():
-            name = self._teacher().undo()
-            self.message = f"The last touch of {name} is undone."
+            teacher.resume(self.baseline, watch.detector.noise)
+            watch.end_press()
+            self.message = self.trouble = ""
+            self._new_episode()
+
+    def undo(self) -> str:
+        """Take back what was done last with touches; return the object they are of."""
+        with self._editing():
+            name, self.message = self._teacher().undo()
             return name
+
+    def remove_touches(self, ids: Sequence[str]) -> str:
+        """Leave stored touches out, which `undo` takes back; return what to say."""
+        with self._editing():
+            self.message = self._teacher().remove(ids)
+            return self.message
+
+    def move_touches(self, ids: Sequence[str], name: str) -> str:
+        """Let stored touches be of another object; return what to say."""
+        with self._editing():
+            self.message = self._teacher().move(ids, name)
+            return self.message
 
     def rename(self, old: str, new: str, *, merge: bool = False) -> None:
         """Give an object of the library another name, and learn it by that name.
@@ -274,6 +301,7 @@ class LiveSession:
         if not self._learn_lock.acquire(blocking=False):
             raise LearningError("It is learning already; wait until it has finished.")
         self.learning, self.learn_error = True, ""
+        self.unlearnt = False
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(list(drop),), daemon=True)
         thread.start()
@@ -349,6 +377,7 @@ class LiveSession:
                 "quality": self._quality,
                 "advice": self.advice,
                 "learning": self.learning,
+                "unlearnt": self.unlearnt,
                 "learn_error": self.learn_error,
                 "message": self.message,
                 "health": self.health.to_dict(),
@@ -413,6 +442,7 @@ class LiveSession:
 
     def _take(self, image: Array, columns: Mapping[str, float] | None = None) -> str:
         """Take a touch into the lesson; return what to say."""
+        self.unlearnt = self.recogniser is not None
         noise = self._watched().detector.noise
         return self._teacher().take(image, self.baseline, noise, columns or {})
 
@@ -484,7 +514,7 @@ class LiveSession:
         try:
             self._learn_apart(drop)
         except (ValueError, OSError) as error:
-            self.learn_error = str(error)
+            self.learn_error, self.unlearnt = str(error), self.recogniser is not None
         finally:
             with self._lock:
                 self.learning = False
@@ -518,6 +548,12 @@ class LiveSession:
         )
 
     @contextmanager
+    def _editing(self) -> Iterator[None]:
+        with self._changing():
+            yield
+            self.unlearnt = self.recogniser is not None
+
+    @contextmanager
     def _changing(self) -> Iterator[None]:
         with self._lock:
             yield
@@ -527,3 +563,11 @@ class LiveSession:
         with self._lock:  # so that no state comes after a newer one
             if len(self.listeners):
                 self.listeners.notify(Event("state", self.to_dict()))
+
+
+def is_newer(path: Path, than: Path) -> bool:
+    """Return whether both files are there and the first was written later."""
+    try:
+        return path.stat().st_mtime > than.stat().st_mtime
+    except OSError:
+        return False

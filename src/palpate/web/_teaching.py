@@ -1,37 +1,35 @@
 """Teaching: touches of a named object, each on the disk before it is acknowledged.
 
-And whether they will do: how touches differ, and what was learnt is asked about every
-touch of it as if that, and its neighbours, had not been taught. Neither says anything
-of places that were never touched.
+What was done can be undone, also after a restart: see `Journal`.
 """
 
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from .._checks import check_count, did_you_mean
-from .._types import Array, Floats
+from .._types import Array
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
-from ..recognition import ObjectRecogniser, with_floor
 from ..sensors import DetectedTouch, LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
+from ._journal import Action, Journal
 from ._learning import LEAST_TOUCHES, of_size
+from ._lesson import Lesson
 
 LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
-# 1 less the cosine of two changes. Recorded touches moved by a hundredth of the picture
-# and made a fifth harder differ by 0.03 to 0.06 from themselves; two touches of a box,
-# a shoe or a bottle by 0.3 to 0.5 at the median, of a ball or a soft toy by 0.06.
-_ALIKE, _SIDE, _MAPPED = 0.03, 24, 60
-# Touches of a draw, draws, shares that are enough of draws and touches, objects named.
-_SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
+JOURNAL = "page.jsonl"
+
+UNDONE = {
+    "taught": "The last touch of {name} is undone.",
+    "removed": "What was removed of {name} is back.",
+    "moved": "What was moved to {to} is back with {name}.",
+}
 
 
 class MissingObjectError(LibraryError):
@@ -44,103 +42,14 @@ class MissingObjectError(LibraryError):
         )
 
 
-class Variety:
-    """Which touches of a lesson are alike.
+class MissingTouchError(LibraryError):
+    """There is no touch of that id."""
 
-    A touch is its change from the baseline on at most 24 cells a side, of length 1: a
-    harder press of one place is the same. `like` holds for each touch the number of the
-    first one that it is like, within the noise of the sensor, or None: it is new.
-    """
-
-    def __init__(self) -> None:
-        self.like: list[int | None] = []
-        self._touches: list[tuple[Floats, float]] = []
-
-    @property
-    def n_new(self) -> int:
-        """How many touches are like none before them."""
-        return self.like.count(None)
-
-    def add(self, image: Array, baseline: Array | None, noise: float) -> None:
-        """Take in a touch; `noise` (sensor's unit) is that of one taxel."""
-        change = np.nan_to_num(image.astype(np.float32))
-        if baseline is not None:
-            change = np.nan_to_num(change - baseline)
-        power = max(float(np.mean(change**2)), 1e-12)
-        n_rows, n_cols = image.shape[:2]
-        scale = min(1.0, _SIDE / max(n_rows, n_cols))
-        size = max(1, round(n_cols * scale)), max(1, round(n_rows * scale))
-        channels = np.moveaxis(np.atleast_3d(change), 2, 0)
-        cells = [cv2.resize(c, size, interpolation=cv2.INTER_AREA) for c in channels]
-        small = np.ravel(cells).astype(np.float64)
-        small /= max(float(np.linalg.norm(small)), 1e-12)
-        self._append(small, _ALIKE / 2 + noise**2 / power)
-
-    def drop(self, number: int) -> None:
-        """Leave a touch out; `number` counts from 0."""
-        kept = [*self._touches[:number], *self._touches[number + 1 :]]
-        self.like, self._touches = [], []
-        for touch in kept:
-            self._append(*touch)
-
-    def _append(self, change: Floats, limit: float) -> None:
-        like = (
-            number
-            for number, (other, its) in enumerate(self._touches, start=1)
-            if self.like[number - 1] is None and 1 - other @ change <= limit + its
+    def __init__(self, key: str) -> None:
+        super().__init__(
+            f"There is no touch {key!r} in the library, or it was removed. "
+            "Load the page again."
         )
-        self.like.append(next(like, None))
-        self._touches.append((change, limit))
-
-    def map(self) -> list[dict[str, Any]]:
-        """Return the newest touches as places, -1 to 1, in two main directions."""
-        if not self.like:
-            return []
-        start = max(0, len(self.like) - _MAPPED)
-        changes = np.stack([change for change, _ in self._touches[start:]])
-        left, spread, _ = np.linalg.svd(changes - changes.mean(0), full_matrices=False)
-        places = np.pad(left * spread, ((0, 0), (0, 2)))[:, :2]
-        places *= np.where(places[0] < 0, -1, 1)  # the same way round each time
-        return [
-            {"number": start + k + 1, "x": x, "y": y, "like": self.like[start + k]}
-            for k, (x, y) in enumerate(places.tolist())
-        ]
-
-
-@dataclass(eq=False)
-class Lesson:
-    """One object being taught: touches wanted, and the ids of those stored so far."""
-
-    name: str
-    wanted: int
-    ids: list[str] = field(default_factory=list)
-    variety: Variety = field(default_factory=Variety)
-
-    @property
-    def prompt(self) -> str:
-        """What to do where the last two touches showed nothing new, else empty."""
-        like = self.variety.like
-        same = len(like) > 2 and None not in like[-2:]
-        return "The last two touches are like earlier ones: touch it elsewhere." * same
-
-    @property
-    def verdict(self) -> str:
-        """What to do where most touches are alike, else empty."""
-        n_touches, n_like = len(self.ids), len(self.ids) - self.variety.n_new
-        return (n_touches > 3 and 2 * n_like > n_touches) * (
-            f"Of {n_touches} touches of {self.name} {n_like} are like others: ten more "
-            "touches of it, elsewhere, unless it is the same all over."
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "wanted": self.wanted,
-            "done": len(self.ids),
-            "n_new": self.variety.n_new,
-            "map": self.variety.map(),
-            "prompt": self.prompt,
-        }
 
 
 class Teacher:
@@ -160,7 +69,7 @@ class Teacher:
             )
         self.begin_session()
         self._lessons = 0
-        self._stored: list[str] = []
+        self.journal = Journal(self.folder / JOURNAL)
         self.lesson: Lesson | None = None
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
@@ -200,12 +109,31 @@ class Teacher:
         self.end()
         self._lessons += 1
         self.lesson = lesson
+        self.journal.begin_lesson(lesson.name, wanted)
+
+    def resume(self, baseline: Array | None, noise: float) -> None:
+        """Go on with the lesson that a restart interrupted."""
+        interrupted = self.journal.interrupted
+        if interrupted is None:
+            raise ValueError("There is no interrupted lesson. Start one with a name.")
+        name, keys = self._name_now(interrupted.name, interrupted.ids), interrupted.ids
+        wanted = max(interrupted.wanted, len(keys) + 1)
+        self.begin(name, wanted)
+        assert self.lesson is not None
+        self.journal.begin_lesson(name, wanted, keys)
+        size = self.image_shape()
+        for key in keys:
+            image = self.library.image(key)
+            if image.shape == size:
+                self.lesson.ids.append(key)
+                self.lesson.variety.add(image, baseline, noise)
 
     def end(self) -> None:
         """End the lesson under way, if any; what was stored stays."""
         if self.lesson is not None:
             self.verdicts[self.lesson.name] = self.lesson.verdict
         self.lesson = None
+        self.journal.end_lesson()
 
     def store(
         self,
@@ -216,9 +144,10 @@ class Teacher:
         columns: Mapping[str, float] | None = None,
     ) -> str:
         """Store one touch of an object; return its id once it is on the disk."""
+        tidy = checked_name(name)
         touch = Touches(
             image[np.newaxis],
-            object=[checked_name(name)],
+            object=[tidy],
             time_s=[time.time()],
             no_contact=baseline,
             channels=channels,
@@ -232,7 +161,7 @@ class Teacher:
             sensor=self._described,
             progress=False,
         )
-        self._stored.append(key)
+        self.journal.add(Action("taught", tidy, [key]))
         return key
 
     def take(
@@ -255,27 +184,109 @@ class Teacher:
         self.end()
         return f"{said} {lesson.verdict or 'Learn to recognise it.'}"
 
-    def undo(self) -> str:
-        """Leave the touch stored last by this teacher out; return its object.
+    def undo(self) -> tuple[str, str]:
+        """Take back what was done last on the page; return the object and what to say.
 
-        Touches that have been left out since are passed over; what others stored is
-        never touched.
+        What has been undone elsewhere since is passed over; what others added is never
+        touched.
         """
-        while self._stored:
-            key = self._stored[-1]
-            rows = self.library.list(f"id = '{key}'")
-            self.library.retract([key], reason="undone on the page")
-            self._stored.pop()
-            if self.lesson is not None and key in self.lesson.ids:
-                number = self.lesson.ids.index(key)
-                self.lesson.ids.pop(number)
-                self.lesson.variety.drop(number)
-            if rows:
-                return str(rows[0].object)
+        while (last := self.journal.last) is not None:
+            name = self._undo(last)
+            self.journal.pop()
+            if name is not None:
+                return name, UNDONE[last.kind].format(name=name, to=last.to)
         raise LibraryError(
-            "There is no touch to undo: none taught since the start is left. "
+            "There is no touch to undo: nothing done on this page is left. "
             "`palpate library retract` leaves older ones out."
         )
+
+    def _undo(self, last: Action) -> str | None:
+        """Take one action back; None where nothing of it is left."""
+        rows = [row for key in last.ids for row in self._row(key)]
+        if last.kind == "taught":
+            left = [row for row in rows if not row.retracted]
+            if left:
+                reason = "undone on the page"
+                self.library.retract([row.id for row in left], reason=reason)
+            self._drop_from_lesson(last.ids)
+            return str(left[0].object) if left else None
+        gone = [row.id for row in rows if row.retracted]
+        copies = [row.id for key in last.copies for row in self._row(key)]
+        if gone:
+            self.library.restore(gone)
+        if copies:
+            self.library.retract(copies, reason="the move was undone on the page")
+        return str(rows[0].object) if gone else None
+
+    def remove(self, ids: Sequence[str]) -> str:
+        """Leave touches out, which can be undone; return what to say."""
+        rows = self._present(ids)
+        keys = [row.id for row in rows]
+        self.library.retract(keys, reason="removed on the page")
+        self.journal.add(Action("removed", str(rows[0].object), keys))
+        self._drop_from_lesson(keys)
+        return f"{_counted(rows)} of {rows[0].object} removed."
+
+    def move(self, ids: Sequence[str], name: str) -> str:
+        """Let touches be of another object, which can be undone; return what to say."""
+        tidy, rows = checked_name(name), self._present(ids)
+        keys = [row.id for row in rows if row.object != tidy]
+        if not keys:
+            raise ValueError(f"The touch is of {tidy} already. Choose another object.")
+        copies = [self._copy(row, tidy) for row in rows if row.object != tidy]
+        self.library.retract(keys, reason=f"moved to {tidy} on the page")
+        action = Action("moved", str(rows[0].object), keys, copies, tidy)
+        self.journal.add(action)
+        self._drop_from_lesson(keys)
+        return f"{_counted(rows)} of {rows[0].object} moved to {tidy}."
+
+    def _copy(self, row: TouchRow, name: str) -> str:
+        """Add a touch once more under another name; return its id."""
+        touch = self.library.touches(f"id = {quoted(row.id)}")
+        if "category" in touch.columns:
+            category = next((one.category for one in self._newest(name)), None)
+            touch = touch.without("category")
+            if category is not None:
+                touch = touch.with_columns(category=[category])
+        known = {one.name: one for one in self.library.sensors()}
+        (key,) = self.library.add(
+            touch.with_columns(object=[name]),
+            sensor=known.get(row.sensor or ""),
+            progress=False,
+        )
+        if any(one.retracted for one in self._row(key)):  # it was there before
+            self.library.restore([key])
+        return key
+
+    def _newest(self, name: str) -> list[TouchRow]:
+        return self._rows(name, 1) if name in self._counts() else []
+
+    def _row(self, key: str) -> list[TouchRow]:
+        """Return the touch of an id, also one left out; none where it is not there."""
+        return self.library.list(f"id = {quoted(key)}", retracted=True)
+
+    def _present(self, ids: Sequence[str]) -> list[TouchRow]:
+        """Return touches by their ids, or say which is not there."""
+        rows = []
+        for key in dict.fromkeys(ids):
+            found = [row for row in self._row(key) if not row.retracted]
+            if not found:
+                raise MissingTouchError(key)
+            rows += found
+        return rows
+
+    def _name_now(self, name: str, ids: Sequence[str]) -> str:
+        """Return what the object of touches is called by now."""
+        rows = self._row(ids[-1]) if ids else []
+        return str(rows[0].object) if rows else name
+
+    def _drop_from_lesson(self, ids: Sequence[str]) -> None:
+        lesson = self.lesson
+        for key in ids:
+            if lesson is not None and key in lesson.ids:
+                number = lesson.ids.index(key)
+                lesson.ids.pop(number)
+                lesson.variety.drop(number)
 
     def rename(self, old: str, new: str, *, learnt: bool, merge: bool = False) -> str:
         """Give an object another name; return that as it is kept.
@@ -314,12 +325,24 @@ class Teacher:
                 {"name": name, "n_touches": count}
                 for name, count in self._counts().items()
             ],
-            "undoable": len(self._stored),
+            "undoable": len(self.journal.actions),
+            "undo": None if self.journal.last is None else self.journal.last.to_dict(),
+            "interrupted": self._interrupted(),
         }
 
-    def ids(self, name: str, limit: int) -> list[str]:
-        """Return the ids of the newest touches of an object, newest first."""
-        return [row.id for row in self._rows(name, limit)[::-1]]
+    def _interrupted(self) -> dict[str, Any] | None:
+        """Return the lesson that a restart cut off, where it can go on."""
+        interrupted = self.journal.interrupted
+        if interrupted is None or self._sensor is None or self.lesson is not None:
+            return None
+        name = self._name_now(interrupted.name, interrupted.ids)
+        done = len(interrupted.ids)
+        return {"name": name, "wanted": interrupted.wanted, "done": done}
+
+    def newest(self, name: str, limit: int, offset: int = 0) -> list[TouchRow]:
+        """Return the newest touches of an object but the first `offset`."""
+        rows = self._rows(name, limit + offset)[::-1]
+        return rows[offset:]
 
     def touches(self, name: str) -> Touches:
         """Return an object's touches of the sensor's size, or else of the newest's."""
@@ -369,6 +392,10 @@ class Teacher:
         return self.library.list(f"object = {quoted(name)}", limit, offset)
 
 
+def _counted(rows: Sequence[TouchRow]) -> str:
+    return "1 touch" if len(rows) == 1 else f"{len(rows)} touches"
+
+
 def columns_of(touch: DetectedTouch) -> dict[str, float]:
     """Return what a device told beside the image of a touch, as columns."""
     columns = dict(touch.columns)
@@ -391,57 +418,3 @@ def checked_name(name: str) -> str:
             "of objects it has not learnt."
         )
     return tidy
-
-
-def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
-    """Return how often left-out touches of each object are recognised.
-
-    By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of right
-    answers after one touch and after eight drawn ones, None where there are not so
-    many; `taken_for`, the most frequent wrong answer to one touch, or None.
-    """
-    memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
-    said = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
-    left_out = recogniser.left_out_rows
-    felt = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
-    labels = memory.labels[left_out]
-    rng, result = np.random.default_rng(0), []
-    for code, name in enumerate(names):
-        rows = np.flatnonzero((labels == recogniser.classes_[code]) & felt)
-        answers = np.bincount(said[rows].argmax(axis=1), minlength=len(names))
-        right, answers[code] = answers[code], 0
-        drawn = rng.permuted(np.tile(rows, (_DRAWN, 1)), axis=1)[:, :_SOME]
-        best = said[drawn].sum(axis=1).argmax(axis=1)
-        after_eight = float(np.mean(best == code)) if len(rows) >= _SOME else None
-        result.append(
-            {
-                "name": name,
-                "n_touches": len(rows),
-                "after_one": float(right / len(rows)) if len(rows) else None,
-                "after_eight": after_eight,
-                "taken_for": names[answers.argmax()] if answers.any() else None,
-            }
-        )
-    return result
-
-
-def advice(qualities: list[dict[str, Any]]) -> list[str]:
-    """Return what to teach next, in sentences, of what `object_quality` returned.
-
-    Of objects that too few touches, one or eight, are right of, the worst first.
-    """
-    few = [one["name"] for one in qualities if one["after_eight"] is None]
-    judged = (one for one in qualities if one["after_eight"] is not None)
-    low = [x for x in judged if x["after_one"] < _HALF or x["after_eight"] < _WELL]
-    low = sorted(low, key=lambda one: one["after_one"])[:_MOST_SAID]
-    weak, said = {one["name"]: one["taken_for"] for one in low}, []
-    for name, other in weak.items():
-        if other is None or weak.get(other) != name:
-            what = f"is taken for {other}" if other else "is not sure"
-            said.append(f"{name} {what}: ten more touches of {name}, elsewhere.")
-        elif name < other:
-            what = f"{name} and {other} are taken for each other"
-            said.append(f"{what}: ten more touches of each, elsewhere.")
-    if few:
-        said.append(f"Fewer than {_SOME} touches cannot be judged: {', '.join(few)}.")
-    return said

@@ -1,18 +1,23 @@
 // The page: what the server sends goes to the parts that show it.
 
 import { here, url } from "./api.js";
-import { addTouch, showEpisode, showNearest, startBelief } from "./belief.js";
+import { addTouch, currentEpisode, showEpisode, showNearest, startBelief } from "./belief.js";
 import { find, say, show } from "./dom.js";
-import { showObjects } from "./objects.js";
+import { startEditor } from "./editor.js";
+import { showObjects, startObjects } from "./objects.js";
 import { drawFrame, showHealth, showOffline, showSensor, startSensor } from "./sensor.js";
-import { drawTile, showSensors } from "./sensors.js";
+import { drawTile, showMixed, showSensors } from "./sensors.js";
 import { listen } from "./socket.js";
+import { showSteps } from "./steps.js";
 import { showTeach, startTeach } from "./teach.js";
 
 let message = null;
+let newest = null;
 
 const handlers = {
   state(state) {
+    newest = state;
+    showSteps(state);
     showSensor(state.sensor);
     showHealth(state.health);
     showEpisode(state.episode);
@@ -22,11 +27,13 @@ const handlers = {
     if (message !== null && state.message !== message && state.message) say(state.message);
     message = state.message;
   },
-  touch({ episode, nearest }) {
-    addTouch(episode);
+  async touch({ episode, nearest }) {
     showNearest(nearest);
+    await addTouch(episode);
+    if (newest) showSteps({ ...newest, episode: currentEpisode() });
   },
   contact({ sensor, health }) {
+    if (newest) showSteps(newest = { ...newest, sensor, episode: currentEpisode() });
     showSensor(sensor);
     showHealth(health);
   },
@@ -38,6 +45,15 @@ document.querySelectorAll(".menu a").forEach((link) => { link.href = url(link.ge
 startSensor();
 startBelief();
 startTeach();
+startObjects();
+startEditor();
+find("as-one").addEventListener("change", showMixed);
+document.addEventListener("keydown", (event) => {
+  const open = event.key === "Escape" && document.querySelector("details.menu[open]");
+  if (!open) return;
+  open.open = false;
+  open.querySelector("summary").focus();
+});
 listen({
   event(news) {
     if (news.sensor_number) showSensors(news);

@@ -1,18 +1,19 @@
 // The belief: a bar for each object and one for none, its history, the decision.
 
 import { get, post, url } from "./api.js";
-import { drawn, find, make, percent, pictures, say, show, step, text } from "./dom.js";
+import { drawn, find, make, percent, pictures, pressable, show, step, text } from "./dom.js";
+import { openPicture, openStored } from "./editor.js";
+import { marked } from "./marks.js";
 import { teachThese } from "./teach.js";
 
 const SHOWN = 6;
-const HUES = 7;
 const OTHERS = "var(--c7)";
 const WINDOW = 12;
 const RESTED_MS = 20000;
+const ROOM = 0.25; // share of a column that has room for letters
 
 let episode = null;
-let announced = "";
-let hues = new Map();
+let marks = new Map();
 let resting = 0;
 
 export function startBelief() {
@@ -22,6 +23,8 @@ export function startBelief() {
   });
   find("teach-this").addEventListener("click", () => teachThese(episode.touches.length));
 }
+
+export const currentEpisode = () => episode;
 
 export function showEpisode(whole) {
   episode = whole;
@@ -49,8 +52,8 @@ export function showNearest(nearest) {
   show(find("near"), nearest.length > 0);
   find("nearest").replaceChildren(...nearest.map(({ id, object, distance }) => {
     const words = `${object}, distance ${distance.toFixed(2)}`;
-    const picture = id === null ? [] : [make("img", {
-      class: "thumb", alt: words, loading: "lazy", src: url(`touches/${id}/picture`) })];
+    const picture = id === null ? [] : [pressable(make("img", {
+      class: "thumb", alt: words, loading: "lazy", src: url(`touches/${id}/picture`) }), () => openStored(id, object, find("belief")))];
     return make("li", { title: words }, ...picture, object);
   }));
 }
@@ -59,13 +62,14 @@ function draw() {
   const { touches } = episode;
   const last = touches.at(-1);
   const n = touches.length;
-  hues = coloured(Object.keys(last?.posterior ?? {}));
+  marks = marked(Object.keys(last?.posterior ?? {}));
   show(find("rested"), false);
   clearTimeout(resting);
   if (n && episode.open) resting = setTimeout(() => show(find("rested"), true), RESTED_MS);
   const unknown = episode.decision === "unknown";
   show(find("stranger"), unknown && !find("teaching").hidden && !find("lesson").hidden);
-  step(3, unknown ? "unknown" : episode.decision ?? (n ? `${n} touch${n === 1 ? "" : "es"}` : ""), episode.decision !== null);
+  const learnt = document.body.dataset.asks === "true";
+  step(3, !learnt ? "" : unknown ? "unknown" : episode.decision ?? (n ? `${n} touch${n === 1 ? "" : "es"}` : "ready"), episode.decision !== null);
   text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
   drawBars(last?.posterior ?? {});
@@ -80,33 +84,20 @@ function drawDecision(n) {
   const name = decision === "unknown" ? "Nothing I know" : decision ?? (category && `A ${category}`);
   const { posterior = {}, unknown = 0 } = episode.touches.at(-1) ?? {};
   const likely = unknown > Math.max(0, ...Object.values(posterior)) ? "Nothing I know" : best;
-  text(place, name ?? (likely ? `${likely}?` : n ? "Not learnt yet" : "Touch something"));
+  const learnt = document.body.dataset.asks === "true";
+  text(place, name ?? (likely ? `${likely}?` : learnt ? "Touch something" : "Nothing learnt yet"));
   place.className = decision === "unknown" ? "unknown" : decision ?? category ? "decided" : "undecided";
   const note = episode.touches.at(-1)?.note;
   text(find("reason"), [n ? sentence : "", note, withdrawn.at(-1)].filter(Boolean).join(". "));
   show(find("why"), n > 0 && why.length > 0);
   find("why").querySelector("ul").replaceChildren(...why.map((words) => make("li", {}, words)));
-  const now = `${episode.number} ${decision ?? category}`;
-  if ((decision ?? category) && now !== announced) say(`${sentence}.`);
-  announced = now;
 }
 
 function ranked(posterior) {
   return Object.entries(posterior).sort((a, b) => b[1] - a[1]);
 }
 
-// A colour belongs to a name; where two want the same, the later one takes the next.
-function coloured(names) {
-  const taken = new Map();
-  for (const name of names.sort()) {
-    let wish = [...name].reduce((sum, letter) => (31 * sum + letter.codePointAt(0)) % 9973, 7) % HUES;
-    for (let tries = 0; tries < HUES && [...taken.values()].includes(wish); tries += 1) wish = (wish + 1) % HUES;
-    taken.set(name, wish);
-  }
-  return taken;
-}
-
-const hue = (name) => `var(--c${hues.get(name)})`;
+const hue = (name) => `var(--c${marks.get(name).hue})`;
 
 function drawBars(posterior) {
   const list = find("bars");
@@ -114,8 +105,9 @@ function drawBars(posterior) {
   while (list.children.length > rows.length) list.lastChild.remove();
   while (list.children.length < rows.length) list.append(bar());
   rows.forEach(([name, share], at) => {
-    const [label, track, value] = list.children[at].children;
+    const [mark, label, track, value] = list.children[at].children;
     list.children[at].style.setProperty("--hue", hue(name));
+    text(mark, marks.get(name).letters);
     text(label, name);
     label.title = name;
     text(value, percent(share));
@@ -129,7 +121,7 @@ function drawBars(posterior) {
 function bar() {
   const track = make("div", { class: "track", role: "meter", "aria-valuemin": "0", "aria-valuemax": "1" },
     make("div", { class: "fill" }));
-  return make("li", {}, make("span", { class: "name" }), track, make("span", { class: "value" }));
+  return make("li", {}, make("span", { class: "mark", "aria-hidden": "true" }), make("span", { class: "name" }), track, make("span", { class: "value" }));
 }
 
 function drawUnknown(last) {
@@ -150,7 +142,7 @@ function drawHistory() {
   const from = touches.length < episode.touches.length ? `: the last ${WINDOW} of ${episode.touches.length}` : "";
   text(find("history-title"), `Belief after each touch${from}`);
   const chart = find("history").querySelector("svg");
-  show(chart, believed.length > 0);
+  show(find("columns"), believed.length > 0);
   drawColumns(chart, believed);
   drawStrip(touches);
 }
@@ -158,7 +150,9 @@ function drawHistory() {
 function drawColumns(chart, touches) {
   const top = ranked(touches.at(-1)?.posterior ?? {}).slice(0, SHOWN).map(([name]) => name);
   chart.setAttribute("viewBox", `0 0 ${WINDOW} 1`);
-  chart.replaceChildren(...touches.flatMap((touch, at) => column(touch, at, top)));
+  const letters = [];
+  chart.replaceChildren(...touches.flatMap((touch, at) => column(touch, at, top, letters)));
+  find("letters").replaceChildren(...letters);
   const described = touches.map((touch) => {
     const [[name, share]] = ranked({ ...touch.posterior, "nothing learnt": touch.unknown });
     return `touch ${touch.number}: ${name} ${percent(share)}`;
@@ -167,16 +161,24 @@ function drawColumns(chart, touches) {
 }
 
 // Objects in their colours, the others together, and nothing learnt on top in grey.
-function column(touch, at, top) {
+function column(touch, at, top, letters) {
   let above = 0;
-  const parts = top.map((name) => [hue(name), touch.posterior[name] ?? 0]);
+  const parts = top.map((name) => [hue(name), touch.posterior[name] ?? 0, marks.get(name).letters]);
   const others = 1 - touch.unknown - parts.reduce((sum, [, share]) => sum + share, 0);
-  parts.push([OTHERS, others], ["var(--soft)", touch.unknown]);
-  return parts.filter(([, share]) => share > 0.002).map(([fill, share]) => {
+  parts.push([OTHERS, others, "…"], ["var(--soft)", touch.unknown, "?"]);
+  return parts.filter(([, share]) => share > 0.002).map(([fill, share, words]) => {
     const block = band(at, above, share, fill);
+    if (share >= ROOM) letters.push(letter(words, at, above + share / 2));
     above += share;
     return block;
   });
+}
+
+function letter(words, at, middle) {
+  const shown = make("span", { class: "mark" }, words);
+  shown.style.left = `${100 * (at + 0.5) / WINDOW}%`;
+  shown.style.top = `${100 * middle}%`;
+  return shown;
 }
 
 function band(at, y, height, fill) {
@@ -186,7 +188,10 @@ function band(at, y, height, fill) {
 }
 
 function drawStrip(touches) {
-  pictures(find("strip"), touches.map(({ number }) => ({
-    key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number}`,
-    src: url(`episode/touches/${number}/picture?episode=${episode.number}`) })));
+  pictures(find("strip"), touches.map(({ number }) => {
+    const src = url(`episode/touches/${number}/picture?episode=${episode.number}`);
+    const large = url(`episode/touches/${number}/picture?episode=${episode.number}&side=480`);
+    return { key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number}`, src,
+      open: () => openPicture(large, `Touch ${number}`) };
+  }));
 }

@@ -30,11 +30,36 @@ export function show(element, whether) {
   if (element.hidden === whether) element.hidden = !whether;
 }
 
-// A row of pictures; those that stay are not loaded again.
+// A row of pictures; those that stay are not loaded again. With `open` each is a button.
 export function pictures(list, items) {
   const old = new Map([...list.children].map((item) => [item.dataset.key, item]));
-  list.replaceChildren(...items.map(({ key, label, alt, src }) => old.get(key) ?? make("li", { "data-key": key },
-    make("img", { class: "thumb", alt, src }), label)));
+  list.replaceChildren(...items.map(({ key, label, alt, src, open }) => {
+    const kept = old.get(key);
+    if (!kept) return make("li", { "data-key": key }, pressable(make("img", { class: "thumb", alt, src }), open), label);
+    text(kept.lastChild, label);
+    return kept;
+  }));
+}
+
+// A picture that can be pressed, to look at it.
+export function pressable(picture, open) {
+  return open ? make("button", { type: "button", class: "look", onclick: open }, picture) : picture;
+}
+
+// Ask before something is done; true for yes.
+export async function asked(dialog) {
+  dialog.returnValue = "";
+  dialog.showModal();
+  await new Promise((resolve) => dialog.addEventListener("close", resolve, { once: true }));
+  return dialog.returnValue === "ok";
+}
+
+export function confirmed(title, words, yes, no) {
+  text(find("confirm-title"), title);
+  text(find("confirm-text"), words);
+  text(find("confirm-ok"), yes);
+  text(find("confirm-no"), no);
+  return asked(find("confirm"));
 }
 
 // What one of the three steps is like, and whether it is done.

@@ -1,22 +1,33 @@
 // Objects of the library: their touches, renaming, forgetting, export.
 
 import { get, post, url } from "./api.js";
-import { find, make, percent, show, text } from "./dom.js";
+import { asked, confirmed, find, make, percent, pressable, show, text } from "./dom.js";
+import { openStored } from "./editor.js";
 
 const THUMBNAILS = 8;
+const PAGE = 100;
+const FEW = 6; // objects that need no filter
 const cards = new Map();
 let wanted = null;
+let newest = null;
 
-export function showObjects({ library, model, quality }) {
+export function startObjects() {
+  find("filter").addEventListener("input", () => showObjects(newest));
+  find("order").addEventListener("change", () => showObjects(newest));
+}
+
+export function showObjects(state) {
+  newest = state;
+  const { library, model, quality } = state;
   const objects = library ? library.objects : [];
   const learnt = new Set(model ? model.objects : []);
   const names = new Set(objects.map((one) => one.name));
   const alone = [...learnt].filter((name) => !names.has(name))
     .map((name) => ({ name, n_touches: 0 }));
-  const all = [...objects, ...alone];
+  const known = new Map(quality.map((one) => [one.name, one]));
+  const all = ordered([...objects, ...alone], known);
   show(find("none"), all.length === 0);
   show(find("left-out"), quality.length > 0);
-  const known = new Map(quality.map((one) => [one.name, one]));
   for (const [name, card] of cards) {
     if (all.some((one) => one.name === name)) continue;
     card.remove();
@@ -25,11 +36,29 @@ export function showObjects({ library, model, quality }) {
   all.forEach((one, at) => {
     if (!cards.has(one.name)) cards.set(one.name, makeCard(one.name, library !== null));
     const card = cards.get(one.name);
-    if (find("list").children[at] !== card) find("list").insertBefore(card, find("list").children[at] ?? null);
+    const still = card.contains(document.activeElement); // a card that is moved loses the focus
+    if (find("list").children[at] !== card && !still) find("list").insertBefore(card, find("list").children[at] ?? null);
     update(card, one, learnt.has(one.name), names.has(one.name));
     text(card.querySelector(".quality"), worded(known.get(one.name)));
   });
+  sift(all);
   if (cards.has(wanted)) focusOn(wanted);
+}
+
+// Those that are taken for others most often first, or by name.
+function ordered(all, known) {
+  const right = (one) => known.get(one.name)?.after_one ?? 2;
+  const confused = find("order").value === "confused" && known.size > 0;
+  return all.sort((a, b) => (confused && right(a) - right(b)) || a.name.localeCompare(b.name));
+}
+
+function sift(all) {
+  show(find("sift"), all.length > FEW);
+  const words = all.length > FEW ? find("filter").value.trim().toLowerCase() : "";
+  const shown = all.filter(({ name }) => name.toLowerCase().includes(words));
+  const names = new Set(shown.map(({ name }) => name));
+  for (const [name, card] of cards) show(card, names.has(name));
+  text(find("sifted"), `${shown.length} of ${all.length} objects`);
 }
 
 function makeCard(name, manage) {
@@ -38,7 +67,7 @@ function makeCard(name, manage) {
   const link = { class: "button", download: "", "aria-label": `Export ${name}`,
     href: url(`objects/archive?object=${encodeURIComponent(name)}`) };
   return make("li", { class: "object" },
-    make("h3", {}, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }),
+    make("h3", { tabIndex: -1 }, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }),
     ...(manage ? [make("div", { class: "row" }, make("button", about, "Rename"),
       make("button", leave, "Forget"), make("a", link, "Export"))] : []));
 }
@@ -56,7 +85,7 @@ function update(card, { name, n_touches: count }, learnt, stored) {
   if (exporting) show(exporting, stored);
   if (stored && card.dataset.count !== String(count)) {
     card.dataset.count = String(count);
-    showThumbs(thumbs, name);
+    showThumbs(card, thumbs, name, count);
   }
 }
 
@@ -67,18 +96,35 @@ function worded(quality) {
     (other ? `; else mostly taken for ${other}.` : ".");
 }
 
-async function showThumbs(place, name) {
-  const ids = await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${THUMBNAILS}`);
-  if (!ids) return;
-  place.replaceChildren(...ids.map(({ id }) => make("img", {
-    class: "thumb", alt: `A touch of ${name}`, loading: "lazy", src: url(`touches/${id}/picture`) })));
+// The newest touches; all of them, page by page, once they were asked for.
+async function showThumbs(card, place, name, count) {
+  const most = Math.max(THUMBNAILS, Number(card.dataset.most ?? 0));
+  const ids = [];
+  for (let from = 0; from < Math.min(most, count); from += PAGE) {
+    const limit = Math.min(PAGE, most - from);
+    const part = await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${limit}&offset=${from}`);
+    if (!part) return;
+    ids.push(...part);
+  }
+  const old = new Map([...place.children].map((item) => [item.dataset.key, item]));
+  const focused = place.contains(document.activeElement);
+  place.replaceChildren(...ids.map(({ id }) => old.get(id) ?? thumb(id, name, card)));
+  place.classList.toggle("all", most > THUMBNAILS);
+  if (focused && document.activeElement === document.body) card.querySelector("h3").focus();
+  const more = count - ids.length;
+  if (more > 0) place.append(make("button", { type: "button", class: "more", "aria-label": `Show ${Math.min(more, PAGE)} more touches of ${name}`,
+    onclick: async () => {
+      card.dataset.most = String(most > THUMBNAILS ? most + PAGE : PAGE);
+      await showThumbs(card, place, name, count);
+      (place.children[ids.length] ?? card.querySelector("h3")).focus();
+    } }, `+${more}`));
 }
 
-async function asked(dialog) {
-  dialog.returnValue = "";
-  dialog.showModal();
-  await new Promise((resolve) => dialog.addEventListener("close", resolve, { once: true }));
-  return dialog.returnValue === "ok";
+function thumb(id, name, card) {
+  const picture = make("img", { class: "thumb", alt: `A touch of ${name}`, loading: "lazy", src: url(`touches/${id}/picture`) });
+  const button = pressable(picture, () => openStored(id, name, card.querySelector("h3")));
+  button.dataset.key = id;
+  return button;
 }
 
 async function rename(name) {
@@ -98,13 +144,12 @@ async function rename(name) {
 }
 
 async function forget(name) {
-  text(find("forget-title"), `Forget ${name}?`);
-  text(find("forget-text"), `Its touches are left out from now on, and ${name} is no longer recognised.`);
-  if (await asked(find("forget")) && await post("objects/forget", { object: name })) focusOn(null);
+  const words = `Its touches are left out from now on, and ${name} is no longer recognised.`;
+  if (await confirmed(`Forget ${name}?`, words, "Forget", "Keep") && await post("objects/forget", { object: name })) focusOn(null);
 }
 
 // A card that is gone takes the focus with it: it goes to the one that came, or the list.
 function focusOn(name) {
   wanted = name === null || cards.has(name) ? null : name;
-  (cards.get(name)?.querySelector("button") ?? find("objects-title")).focus();
+  (cards.get(name)?.querySelector(".row button") ?? find("objects-title")).focus();
 }

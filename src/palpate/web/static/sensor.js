@@ -60,7 +60,6 @@ export function showSensor(sensor) {
   insist = sensor.offer !== "" && sensor.touching;
   text(find("baseline"), insist || refused ? "Take baseline anyway"
     : sensor.baseline ? "Take baseline" : "Nothing touches it: take baseline");
-  find("baseline").classList.toggle("primary", !sensor.baseline);
   showPress(sensor.press);
   step(1, sensor.press ? "try it" : sensor.baseline ? "taken" : "to be taken", sensor.baseline && !sensor.press);
   showWarnings(sensor.warnings);

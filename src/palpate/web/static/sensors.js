@@ -15,6 +15,8 @@ export function showSensors({ kind, sensor_number: number, sensor, episode }) {
     text(tile.contact, sensor.lost ? "no frames" : sensor.touching ? "touching" : sensor.baseline ? "no contact" : "no baseline");
     tile.contact.className = sensor.lost ? "pill off" : sensor.touching ? "pill on" : "pill";
     text(tile.lost, sensor.lost);
+    OF_ALL.desks.set(number, sensor.desk);
+    showMixed();
   }
   if (!episode) return;
   const last = episode.touches.at(-1)?.posterior ?? {};
@@ -36,6 +38,21 @@ function addTile(number) {
   find("tiles").append(link);
   show(find("sensors"), tiles.size > 1);
   OF_ALL.count = tiles.size;
+}
+
+// What lies before the sensors, where that differs and all of them are taught; else "".
+export function mixed() {
+  if (OF_ALL.count < 2 || !find("as-one").checked) return "";
+  const placed = [...OF_ALL.desks].filter(([, desk]) => desk?.placed).sort(([a], [b]) => a - b)
+    .map(([number, desk]) => [number, desk.placed]);
+  return new Set(placed.map(([, name]) => name)).size > 1 ? placed.map((one) => one.join(": ")).join(", ") : "";
+}
+
+export function showMixed() {
+  const words = mixed();
+  show(find("mixed"), words !== "");
+  text(find("mixed"), words && `Different things lie before the sensors (${words}): all would be stored under one name. `
+    + "Put the same before all of them, or untick “with all of them”.");
 }
 
 const worded = (posterior, count) => Object.entries(posterior).sort((a, b) => b[1] - a[1]).slice(0, count)

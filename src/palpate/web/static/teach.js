@@ -1,7 +1,10 @@
 // Teaching: a name, so many touches, undo, learn.
 
 import { get, post, url } from "./api.js";
-import { drawn, find, make, pictures, show, step, text } from "./dom.js";
+import { confirmed, drawn, find, make, pictures, show, step, text } from "./dom.js";
+import { openStored } from "./editor.js";
+import { mixed } from "./sensors.js";
+import { learnable } from "./steps.js";
 
 const SHOWN = 12;
 let keeping = 0;
@@ -9,6 +12,8 @@ let keeping = 0;
 export function startTeach() {
   find("lesson").addEventListener("submit", begin);
   find("stop").addEventListener("click", () => post("teach/stop"));
+  find("leave").addEventListener("click", () => post("teach/stop"));
+  find("resume").addEventListener("click", () => post("teach/resume"));
   find("undo").addEventListener("click", () => post("teach/undo"));
   find("learn").addEventListener("click", () => post("learn"));
 }
@@ -21,7 +26,10 @@ export function teachThese(count) {
   if (count) find("name").focus();
 }
 
-export function showTeach({ library, lesson, learning, learn_error: error, model, sensor, advice }) {
+export function showTeach({ library, lesson, learning, learn_error: error, model, sensor, advice, unlearnt }) {
+  const focused = document.activeElement;
+  const [began, stopped] = [lesson && find("lesson").contains(focused), !lesson && focused === find("stop")];
+  const answered = ["resume", "leave"].includes(focused.id);
   show(find("no-library"), library === null);
   show(find("teaching"), library !== null);
   text(find("learnt"), learning ? "learning…"
@@ -31,11 +39,11 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   show(find("stop"), lesson !== null);
   show(find("progress"), lesson !== null);
   show(find("why-not"), lesson === null);
-  show(find("belief"), lesson === null);
   document.body.dataset.lesson = String(lesson !== null);
   step(2, lesson ? `${lesson.name}: ${lesson.done} of ${lesson.wanted}` : learning ? "learning…"
-    : model ? `${model.objects.length} learnt` : "", model !== null && !lesson);
+    : unlearnt ? "learn again" : model ? `${model.objects.length} learnt` : "", model !== null && !lesson);
   if (library === null) return;
+  showInterrupted(library.interrupted);
   show(find("lesson"), sensor !== null && lesson === null);
   if (lesson) showLesson(lesson);
   showButtons(library, model, learning, sensor);
@@ -44,20 +52,36 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   show(find("advice"), advice.length > 0 && !lesson && !learning);
   find("advice").lastElementChild.replaceChildren(...advice.map((one) => make("li", {}, one)));
   showKnown(library.objects);
+  // A button that goes must not take the focus with it.
+  if (began || (answered && lesson)) find("stop").focus();
+  else if (stopped || answered) (find("learn").disabled ? find("teach-title") : find("learn")).focus();
 }
+
+function showInterrupted(lesson) {
+  show(find("interrupted"), lesson !== null);
+  if (lesson === null) return;
+  const { name, done, wanted } = lesson;
+  text(find("interrupted").querySelector("p"), `A lesson was interrupted, ${name}: ${done} of ${wanted}. What was stored is kept.`);
+}
+
+const WORDS = {
+  taught: ({ object }) => `Undo touch of ${object}`,
+  removed: ({ object }) => `Undo removal from ${object}`,
+  moved: ({ to }) => `Undo move to ${to}`,
+};
 
 // Each button that cannot be pressed has its reason beside it.
 function showButtons(library, model, learning, sensor) {
-  const enough = library.objects.filter((one) => one.n_touches > 1).length > 1;
+  const enough = learnable(library);
   const why = [];
   find("start").disabled = sensor !== null && !sensor.baseline;
   if (find("start").disabled) why.push("Start: take the baseline first.");
-  find("undo").disabled = library.undoable === 0;
-  if (find("undo").disabled) why.push("Undo: nothing was taught since the server started.");
+  find("undo").disabled = library.undo === null;
+  text(find("undo"), library.undo === null ? "Undo" : WORDS[library.undo.kind](library.undo));
+  if (find("undo").disabled) why.push("Undo: nothing was taught here.");
   find("learn").disabled = learning || (!enough && !model);
   if (learning) why.push("Learn: it is learning.");
   else if (find("learn").disabled) why.push("Learn: two objects need two touches each.");
-  find("learn").classList.toggle("primary", stale(library, model) && !learning);
   text(find("why-not"), why.join(" "));
 }
 
@@ -77,7 +101,7 @@ async function showLesson({ name, wanted, done, map, n_new: differ, prompt }) {
   if (!ids || list.dataset.shown !== now) return;
   const like = new Map(map.map((one) => [one.number, one.like ? `${one.number} ≈ ${one.like}` : String(one.number)]));
   pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${done - few + at + 1} of ${name}`,
-    label: like.get(done - few + at + 1), src: url(`touches/${id}/picture`) })));
+    label: like.get(done - few + at + 1), src: url(`touches/${id}/picture`), open: () => openStored(id, name, find("stop")) })));
 }
 
 // A dot for each touch that differs from those before it, with how many are like it.
@@ -91,12 +115,6 @@ function showVariety(map, done, differ) {
     ...dots.filter(([count]) => count > 1).map(([count, x, y]) => drawn("text", { x, y }, String(count))));
 }
 
-// Whether the library holds an object that the model does not know.
-function stale(library, model) {
-  const enough = library.objects.filter((one) => one.n_touches > 1);
-  return enough.length > 1 && enough.some((one) => !model || !model.objects.includes(one.name));
-}
-
 function showKnown(objects) {
   const names = objects.map((one) => one.name).join("\n");
   const list = find("known");
@@ -108,6 +126,9 @@ function showKnown(objects) {
 async function begin(event) {
   event.preventDefault();
   const order = { object: find("name").value, touches: Number(find("wanted").value), keep_episode: keeping > 0 };
+  const different = mixed();
+  if (different && !await confirmed("Different things?", `Before the sensors lie ${different}. All touches would be stored as ${order.object}.`,
+    "Teach all the same", "Cancel")) return;
   if (!await post("teach", order)) return;
   find("lesson").reset();
   teachThese(0);

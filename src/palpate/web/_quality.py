@@ -1,0 +1,68 @@
+"""Whether what was taught will do: left-out touches asked again, and advice.
+
+What was learnt is asked about every touch of it as if that, and its neighbours, had not
+been taught. That says nothing of places that were never touched.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ..recognition import ObjectRecogniser, with_floor
+
+# Touches of a draw, draws, shares that are enough of draws and touches, objects named.
+_SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
+
+
+def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
+    """Return how often left-out touches of each object are recognised.
+
+    By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of right
+    answers after one touch and after eight drawn ones, None where there are not so
+    many; `taken_for`, the most frequent wrong answer to one touch, or None.
+    """
+    memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
+    said = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
+    left_out = recogniser.left_out_rows
+    felt = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
+    labels = memory.labels[left_out]
+    rng, result = np.random.default_rng(0), []
+    for code, name in enumerate(names):
+        rows = np.flatnonzero((labels == recogniser.classes_[code]) & felt)
+        answers = np.bincount(said[rows].argmax(axis=1), minlength=len(names))
+        right, answers[code] = answers[code], 0
+        drawn = rng.permuted(np.tile(rows, (_DRAWN, 1)), axis=1)[:, :_SOME]
+        best = said[drawn].sum(axis=1).argmax(axis=1)
+        after_eight = float(np.mean(best == code)) if len(rows) >= _SOME else None
+        result.append(
+            {
+                "name": name,
+                "n_touches": len(rows),
+                "after_one": float(right / len(rows)) if len(rows) else None,
+                "after_eight": after_eight,
+                "taken_for": names[answers.argmax()] if answers.any() else None,
+            }
+        )
+    return result
+
+
+def advice(qualities: list[dict[str, Any]]) -> list[str]:
+    """Return what to teach next, in sentences, of what `object_quality` returned.
+
+    Of objects that too few touches, one or eight, are right of, the worst first.
+    """
+    few = [one["name"] for one in qualities if one["after_eight"] is None]
+    judged = (one for one in qualities if one["after_eight"] is not None)
+    low = [x for x in judged if x["after_one"] < _HALF or x["after_eight"] < _WELL]
+    low = sorted(low, key=lambda one: one["after_one"])[:_MOST_SAID]
+    weak, said = {one["name"]: one["taken_for"] for one in low}, []
+    for name, other in weak.items():
+        if other is None or weak.get(other) != name:
+            what = f"is taken for {other}" if other else "is not sure"
+            said.append(f"{name} {what}: ten more touches of {name}, elsewhere.")
+        elif name < other:
+            what = f"{name} and {other} are taken for each other"
+            said.append(f"{what}: ten more touches of each, elsewhere.")
+    if few:
+        said.append(f"Fewer than {_SOME} touches cannot be judged: {', '.join(few)}.")
+    return said

@@ -1,0 +1,56 @@
+// Where one is: the step that is marked, the part that comes first, the one next button.
+
+import { find, show } from "./dom.js";
+
+const BUTTONS = ["baseline", "press-keep", "resume", "start", "learn", "fresh", "teach-this"];
+
+export function showSteps(state) {
+  const next = buttonOf(state);
+  const now = stepOf(state, next);
+  for (let number = 1; number <= 3; number += 1) {
+    const item = find(`step-${number}`);
+    if (number === now) item.setAttribute("aria-current", "step");
+    else item.removeAttribute("aria-current");
+  }
+  const asks = state.model !== null;
+  show(find("belief"), state.lesson === null && (asks || state.library === null));
+  show(find("fresh"), asks || state.library === null);
+  show(find("count"), asks);
+  if (document.body.dataset.asks !== String(asks)) arrange(asks);
+  BUTTONS.forEach((id) => find(id).classList.toggle("primary", id === next));
+}
+
+function stepOf({ sensor, lesson, model, library, learning }, next) {
+  if (sensor && (!sensor.baseline || sensor.press)) return 1;
+  if (library && (lesson || learning || !model || ["resume", "learn"].includes(next))) return 2;
+  return 3;
+}
+
+// What is to be pressed next; nothing where a touch is next.
+function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode }) {
+  if (sensor?.press) return sensor.press.found && !sensor.press.lower ? "press-keep" : null;
+  if (sensor && !sensor.baseline) return "baseline";
+  if (lesson || learning) return null;
+  if (library?.interrupted) return "resume";
+  if (library && learnable(library) && (unlearnt || isBehind(library, model))) return "learn";
+  if (library && !model) return "start";
+  if (episode.decision === "unknown" && library) return "teach-this";
+  return episode.decision === null ? null : "fresh";
+}
+
+const taughtTwice = (library) => library.objects.filter((one) => one.n_touches > 1);
+
+export const learnable = (library) => taughtTwice(library).length > 1;
+
+// Whether the library holds an object that the model does not know.
+const isBehind = (library, model) =>
+  taughtTwice(library).some((one) => !model || !model.objects.includes(one.name));
+
+// Once something is learnt "What is it?" comes first, also for the Tab key.
+function arrange(asks) {
+  document.body.dataset.asks = String(asks);
+  const focused = document.activeElement;
+  const belief = find("belief");
+  belief.parentElement.insertBefore(belief, asks ? find("sensor") : find("objects"));
+  if (belief.contains(focused)) focused.focus();
+}

@@ -1,0 +1,110 @@
+"""What axe-core, a checker of accessibility, finds on the page: nothing, in any state.
+
+It is no part of this repository: `make check-page` fetches it from its package.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.library import TouchLibrary
+from palpate.sensors import ReplaySensor
+from palpate.web import LiveSession
+
+AXE = Path(os.environ.get("PALPATE_AXE", ".venv/axe/package/axe.min.js"))
+PLAYWRIGHT = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed"
+)
+expect = PLAYWRIGHT.expect
+if not AXE.is_file():
+    pytest.skip(
+        "axe-core is not there: `make check-page` fetches it", allow_module_level=True
+    )
+
+FAULTS = """async () => (await axe.run(document, {runOnly: ["wcag2a", "wcag2aa",
+    "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]})).violations.map(
+    (one) => [one.id, one.help, one.nodes.map((node) => node.target.join(" "))])"""
+
+
+def check(page, *, sizes=((1280, 900), (390, 844))):
+    """Ask axe at both widths, in the light and in the dark."""
+    for width, height in sizes:
+        page.set_viewport_size({"width": width, "height": height})
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+            page.wait_for_timeout(300)
+            page.evaluate("window.axe !== undefined") or page.evaluate(AXE.read_text())
+            faults = page.evaluate(FAULTS)
+            assert faults == [], (width, scheme)
+
+
+def test_before_anything_is_there(page, hand, serving, tmp_path):
+    with serving(LiveSession(hand, library=tmp_path / "library")) as (address, token):
+        page.goto(f"{address}/")  # the sign-in page
+        check(page)
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#contact")).to_have_text("no baseline")
+        check(page)
+
+
+def test_while_teaching_and_after_a_restart(page, make_session, serving, tmp_path):
+    folder = tmp_path / "library"
+    with serving(make_session(library=folder)) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        page.fill("#name", "disc")
+        page.press("#wanted", "Enter")
+        page.select_option("#placed", "disc")
+        expect(page.locator("#lesson-strip li")).not_to_have_count(0)
+        page.select_option("#placed", "")
+        if page.locator("#stop").is_visible():
+            check(page)
+    TouchLibrary.open(folder).close()
+    session = make_session(library=folder)
+    session.teach("bar", 8)
+    session.stop()
+    with serving(make_session(library=folder)) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#interrupted")).to_be_visible()
+        check(page)
+
+
+def test_recognising_and_editing(page, taught, serving, drawn):
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#learnt")).to_have_text("2 objects learnt")
+        check(page)
+        for image in drawn.images[:5]:
+            taught.post_touch(image)
+        expect(page.locator("#strip li")).to_have_count(5)
+        page.locator("#why summary").click()
+        page.get_by_text("Download").click()
+        check(page)
+        page.keyboard.press("Escape")
+        page.locator(".thumbs .look").first.click()
+        expect(page.locator("#editor")).to_be_visible()
+        check(page)
+        page.keyboard.press("Escape")
+        page.get_by_role("button", name="Forget disc").click()
+        check(page)
+        page.keyboard.press("Escape")
+        page.get_by_role("button", name="Rename disc").click()
+        check(page)
+
+
+def test_two_sensors_and_many_objects(page, serving, drawn, tmp_path):
+    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
+    sessions = [
+        LiveSession(sensor, library=tmp_path / str(number))
+        for number, sensor in enumerate(sensors)
+    ]
+    names = [f"thing {n}" for n in np.arange(90) % 20]
+    for sensor, session, placed in zip(sensors, sessions, ("disc", "bar"), strict=True):
+        session.teacher.library.add(drawn.with_columns(object=names))
+        sensor.place(placed)
+    with serving(sessions) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#sifted")).to_have_text("20 of 20 objects")
+        expect(page.locator("#mixed")).to_be_visible()
+        check(page)

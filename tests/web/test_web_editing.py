@@ -1,0 +1,166 @@
+"""Stored touches removed and moved, undone also after a restart; a lesson resumed."""
+
+import json
+
+import pytest
+
+from palpate.library import LibraryError, TouchLibrary
+from palpate.sensors import DetectedTouch
+from palpate.web import LiveSession
+
+
+def _detected(image):
+    return DetectedTouch(image, began_s=0.0, ended_s=0.1, change=9.0, n_frames=3)
+
+
+def counts(session):
+    """Return how many touches each object of the library has."""
+    objects = session.to_dict()["library"]["objects"]
+    return {one["name"]: one["n_touches"] for one in objects}
+
+
+@pytest.fixture
+def folder(tmp_path, drawn):
+    """A library of eight discs and eight bars, with a session and a category."""
+    touches = drawn[[*range(8), *range(30, 38)]]
+    kinds = ["round"] * 8 + ["long"] * 8
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(touches.with_columns(category=kinds), session="old")
+    return tmp_path / "library"
+
+
+def test_a_touch_removed_comes_back_by_undo_after_a_restart(folder):
+    with LiveSession(library=folder) as session:
+        row = session.teacher.newest("disc", 1)[0]
+        assert session.remove_touches([row.id]) == "1 touch of disc removed."
+        assert counts(session) == {"bar": 8, "disc": 7}
+    with LiveSession(library=folder) as session:
+        last = session.to_dict()["library"]["undo"]
+        assert last == {"kind": "removed", "object": "disc", "to": ""}
+        assert session.undo() == "disc"
+        assert counts(session) == {"bar": 8, "disc": 8}
+        with pytest.raises(LibraryError, match="no touch to undo"):
+            session.undo()
+
+
+def test_a_touch_moved_keeps_all_but_its_object_and_can_go_there_and_back(folder):
+    with LiveSession(library=folder) as session:
+        row = session.teacher.newest("disc", 1)[0]
+        image = session.teacher.library.image(row.id)
+        assert session.move_touches([row.id], "bar") == "1 touch of disc moved to bar."
+        assert counts(session) == {"bar": 9, "disc": 7}
+        copy = session.teacher.library.list("object = bar", limit=None)[-1]
+        assert (session.teacher.library.image(copy.id) == image).all()
+        assert (copy.session, copy.category) == ("old", "long")
+        assert session.undo() == "disc"
+        assert counts(session) == {"bar": 8, "disc": 8}
+        session.move_touches([row.id], "bar")  # its copy is there, left out
+        assert counts(session) == {"bar": 9, "disc": 7}
+        assert session.undo() == "disc"
+        with pytest.raises(ValueError, match="of disc already"):
+            session.move_touches([row.id], "disc")
+
+
+def test_a_touch_moved_to_a_new_object_makes_it(folder):
+    with LiveSession(library=folder) as session:
+        keys = [row.id for row in session.teacher.newest("disc", 3)]
+        session.move_touches(keys, "coin")
+        assert counts(session) == {"bar": 8, "coin": 3, "disc": 5}
+        session.undo()
+        assert counts(session) == {"bar": 8, "disc": 8}
+
+
+def test_undo_goes_back_through_everything_in_order(folder, drawn):
+    with LiveSession(library=folder) as session:
+        session.post_lesson("pen", drawn.images[60])
+        session.remove_touches([session.teacher.newest("bar", 1)[0].id])
+        session.move_touches([session.teacher.newest("disc", 1)[0].id], "pen")
+    with LiveSession(library=folder) as session:
+        assert counts(session) == {"bar": 7, "disc": 7, "pen": 2}
+        assert session.undo() == "disc"
+        assert counts(session) == {"bar": 7, "disc": 8, "pen": 1}
+        assert session.undo() == "bar"
+        assert session.undo() == "pen"
+        assert counts(session) == {"bar": 8, "disc": 8}
+
+
+def test_a_journal_that_is_torn_or_foreign_costs_nothing_but_the_undo(folder):
+    with LiveSession(library=folder) as session:
+        session.remove_touches([session.teacher.newest("bar", 1)[0].id])
+    journal = folder / "page.jsonl"
+    whole = journal.read_text("utf-8")
+    odd = '{"action": 3}\n[1]\n\xff\n{"lesson": {"odd": 1}}\n{"undone"'
+    journal.write_bytes((whole + odd).encode("latin-1"))
+    with LiveSession(library=folder) as session:
+        assert session.undo() == "bar"
+    journal.write_text(whole[:20], "utf-8")
+    with LiveSession(library=folder) as session:
+        assert session.to_dict()["library"]["undoable"] == 0
+
+
+def test_a_touch_that_is_not_there_is_named(folder, connected):
+    with connected(LiveSession(library=folder)) as client:
+        key = client.get("/api/objects/touches?object=disc").json()[0]["id"]
+        for order in ({"ids": [key]}, {"ids": [key], "object": "bar"}):
+            path = "move" if "object" in order else "remove"
+            answer = client.post(f"/api/touches/{path}", json=order)
+            assert answer.status_code == (200 if path == "remove" else 404)
+        assert "was removed" in answer.json()["detail"]
+        assert client.post("/api/touches/remove", json={"ids": []}).status_code == 422
+        assert client.post("/api/teach/undo").json()["message"].endswith("is back.")
+        page = client.get("/api/objects/touches?object=disc&limit=3&offset=6").json()
+        assert len(page) == 2
+        assert {*page[0]} == {"id", "session", "added_s"}
+        large = client.get(f"/api/touches/{key}/picture?side=480").content
+        assert len(large) > len(client.get(f"/api/touches/{key}/picture").content)
+
+
+def test_editing_says_that_the_model_is_behind_until_it_learns(folder):
+    with LiveSession(library=folder) as session:
+        assert not session.to_dict()["unlearnt"]
+        session.learn(wait=True)
+        assert not session.to_dict()["unlearnt"]
+        session.remove_touches([session.teacher.newest("disc", 1)[0].id])
+        assert session.to_dict()["unlearnt"]
+    with LiveSession(library=folder) as session:
+        assert session.to_dict()["unlearnt"]
+        session.learn(wait=True)
+        assert not session.to_dict()["unlearnt"]
+        assert len(session.recogniser.memory_) == 15
+
+
+def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
+    with make_session(library=folder) as session:
+        session.teach("shoe", 8)
+        for image in drawn.images[:3]:
+            session._taken(_detected(image), 0.0)
+        session.undo()
+    # The server was killed: nobody ended the lesson.
+    with make_session(library=folder) as session:
+        interrupted = session.to_dict()["library"]["interrupted"]
+        assert interrupted == {"name": "shoe", "wanted": 8, "done": 2}
+        session.resume_teaching()
+        lesson = session.to_dict()["lesson"]
+        assert (lesson["name"], lesson["done"], lesson["wanted"]) == ("shoe", 2, 8)
+        assert session.to_dict()["library"]["interrupted"] is None
+        session._taken(_detected(drawn.images[3]), 0.0)
+        assert session.to_dict()["lesson"]["done"] == 3
+    with make_session(library=folder) as session:
+        assert session.to_dict()["library"]["interrupted"]["done"] == 3
+        session.stop_teaching()
+        assert session.to_dict()["library"]["interrupted"] is None
+        with pytest.raises(ValueError, match="no interrupted lesson"):
+            session.resume_teaching()
+    with make_session(library=folder) as session:
+        assert session.to_dict()["library"]["interrupted"] is None
+
+
+def test_a_lesson_that_was_finished_is_not_offered(make_session, folder, drawn):
+    with make_session(library=folder) as session:
+        session.teach("shoe", 1)
+        session._taken(_detected(drawn.images[0]), 0.0)
+        assert session.teacher.lesson is None
+    lines = (folder / "page.jsonl").read_text("utf-8").splitlines()
+    assert json.loads(lines[-1]) == {"lesson": None}
+    with make_session(library=folder) as session:
+        assert session.to_dict()["library"]["interrupted"] is None

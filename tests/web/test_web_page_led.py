@@ -1,0 +1,271 @@
+"""The page leads: what comes first, one next button, touches edited, focus kept."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.evaluation import Plan, evaluate, write_report
+from palpate.library import TouchLibrary
+from palpate.sensors import ReplaySensor
+from palpate.web import LiveSession
+
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed"
+)
+expect = playwright.expect
+PATIENT = 40_000
+
+
+def opened(page, address, token):
+    page.goto(f"{address}/?token={token}")
+    expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+
+
+def primary(page):
+    """Return the ids of the next buttons that are in sight, but for dialogs."""
+    return page.evaluate(
+        """() => [...document.querySelectorAll('button.primary')]
+        .filter((one) => one.checkVisibility() && !one.closest('dialog'))
+        .map((one) => one.id)"""
+    )
+
+
+def step(page):
+    """Return which step is marked."""
+    (marked,) = page.locator("#steps [aria-current]").all()
+    return marked.get_attribute("id")
+
+
+def top(page, selector):
+    return page.locator(selector).bounding_box()["y"]
+
+
+def test_each_state_has_one_step_and_at_most_one_next_button(
+    page, hand, serving, tmp_path, drawn
+):
+    session = LiveSession(hand, library=tmp_path / "library")
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#contact")).to_have_text("no baseline")
+        assert (step(page), primary(page)) == ("step-1", ["baseline"])
+        page.click("#baseline")
+        expect(page.locator("#press-text")).to_contain_text("Now press")
+        assert (step(page), primary(page)) == ("step-1", [])
+        page.click("#press-undo")
+        session.take_baseline()
+        expect(page.locator("#step-1")).to_contain_text("taken")
+        assert (step(page), primary(page)) == ("step-2", ["start"])
+        # Nothing can be recognised yet, so nothing is counted.
+        session.post_touch(drawn.images[0])
+        for part in ("#belief", "#count", "#fresh"):
+            expect(page.locator(part)).to_be_hidden()
+        expect(page.locator("#step-3 span")).to_have_text("")
+        page.fill("#name", "disc")
+        page.press("#wanted", "Enter")
+        expect(page.locator("#stop")).to_be_focused()
+        assert (step(page), primary(page)) == ("step-2", [])
+        page.keyboard.press("Enter")  # Stop here
+        expect(page.locator("#progress")).to_be_hidden()
+        expect(page.locator("#teach-title")).to_be_focused()
+        for row in (0, 1, 2, 30, 31, 32):
+            session.post_lesson(str(drawn.object[row]), drawn.images[row])
+        expect(page.locator("#learn")).to_be_enabled()
+        assert (step(page), primary(page)) == ("step-2", ["learn"])
+
+
+def test_what_is_it_comes_first_once_something_is_learnt(page, taught, serving, drawn):
+    with serving(taught) as (address, token):
+        for width, height in ((1280, 900), (390, 844)):
+            page.set_viewport_size({"width": width, "height": height})
+            opened(page, address, token)
+            assert top(page, "#belief") < top(page, "#teach")
+            assert top(page, "#belief") < height / 3
+            assert step(page) == "step-3"
+        assert primary(page) == []  # a touch is next
+        for image in drawn.images[:4]:
+            taught.post_touch(image)
+        expect(page.locator("#decision")).to_have_text("disc")
+        assert primary(page) == ["fresh"]
+        # Also for the Tab key.
+        order = page.evaluate(
+            "() => [...document.querySelectorAll('main > section')].map((e) => e.id)"
+        )
+        assert order == ["belief", "sensor", "teach", "objects"]
+
+
+def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
+    page, make_session, taught_library, tmp_path, serving
+):
+    folder = shutil.copytree(taught_library, tmp_path / "edited")
+    with serving(make_session(library=folder)) as (address, token):
+        opened(page, address, token)
+        card = page.locator("li.object", has=page.get_by_role("heading", name="disc"))
+        card.locator(".more").click()
+        expect(card.locator(".thumb")).to_have_count(30)
+        card.locator(".look").nth(20).click()
+        editor = page.locator("#editor")
+        expect(editor.locator("h2")).to_have_text("A touch of disc")
+        expect(page.locator("#editor-about")).to_contain_text("21 of 30")
+        expect(page.locator("#editor-picture")).to_have_js_property("naturalWidth", 480)
+        page.click("#editor-remove")
+        expect(page.locator("#editor-about")).to_contain_text("21 of 29")
+        expect(page.locator("#editor-title")).to_be_focused()
+        page.fill("#editor-name", "bar")
+        page.keyboard.press("Enter")
+        expect(page.locator("#editor-about")).to_contain_text("21 of 28")
+        page.keyboard.press("Escape")
+        expect(editor).to_be_hidden()
+        expect(card.locator("h3")).to_be_focused()  # the picture pressed is gone
+        expect(card.locator(".meta")).to_contain_text("28 touches")
+        expect(page.locator("#step-2 span")).to_have_text("learn again")
+        assert primary(page) == ["learn"]
+    with serving(make_session(library=folder)) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#undo")).to_have_text("Undo move to bar")
+        page.click("#undo")
+        expect(page.locator("#undo")).to_have_text("Undo removal from disc")
+        page.click("#undo")
+        expect(page.locator("#undo")).to_be_disabled()
+        expect(card.locator(".meta")).to_contain_text("30 touches")
+
+
+def test_a_touch_of_the_episode_is_looked_at_alone(page, taught, serving, drawn):
+    with serving(taught) as (address, token):
+        opened(page, address, token)
+        taught.post_touch(drawn.images[0])
+        page.locator("#strip .look").click()
+        expect(page.locator("#editor-title")).to_have_text("Touch 1")
+        expect(page.locator("#editor-move")).to_be_hidden()
+        page.keyboard.press("Escape")
+        expect(page.locator("#editor")).to_be_hidden()
+        page.locator(".menu summary").click()
+        expect(page.locator(".menu ul")).to_be_visible()
+        page.keyboard.press("Escape")
+        expect(page.locator(".menu ul")).to_be_hidden()
+        expect(page.locator(".menu summary")).to_be_focused()
+
+
+def test_an_interrupted_lesson_is_offered(page, make_session, serving, tmp_path):
+    folder = tmp_path / "library"
+    session = make_session(library=folder)
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        page.fill("#name", "shoe")
+        page.fill("#wanted", "8")
+        page.press("#wanted", "Enter")
+        expect(page.locator("#stop")).to_be_visible()
+        session.watch.sensor.rate_hz = 20.0
+        page.select_option("#placed", "disc")
+        expect(page.locator("#lesson-strip li")).to_have_count(3, timeout=PATIENT)
+    done = len(session.teacher.lesson.ids)
+    session = make_session(library=folder)
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#interrupted")).to_contain_text(f"shoe: {done} of 8")
+        assert primary(page) == ["resume"]
+        page.click("#resume")
+        expect(page.locator("#step-2")).to_contain_text(f"shoe: {done} of 8")
+        expect(page.locator("#stop")).to_be_focused()
+        expect(page.locator("#lesson-strip li")).to_have_count(done)
+
+
+def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path):
+    """Letters differ where colours do not; the worst come first; names are whole."""
+    rng = np.random.default_rng(0)
+    names = [f"thing {n}" for n in range(18)] + ["a" * 60, "b" * 60]
+    labels = np.repeat(names, 4)
+    images = drawn.images[rng.integers(0, 60, len(labels))].copy()
+    images[:, 0, :4] = np.arange(len(labels))[:, None]  # no two touches are the same
+    touches = Touches(images, object=labels, no_contact=drawn.no_contact)
+    folder = tmp_path / "library"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(touches)
+    session = LiveSession(library=folder)
+    with serving(session) as (address, token):
+        session.learn(wait=True)
+        for row in (0, 20, 40):
+            session.post_touch(images[row])
+        page.goto(f"{address}/?token={token}")
+        cards = page.locator("li.object:visible")
+        expect(cards).to_have_count(20)
+        after = {one["name"]: one["after_one"] for one in session.to_dict()["quality"]}
+        shown = [after[name] for name in cards.locator("h3").all_inner_texts()]
+        assert shown == sorted(shown)
+        page.select_option("#order", "name")
+        assert cards.locator("h3").all_inner_texts()[0] == "a" * 60
+        page.fill("#filter", "THING 1")
+        expect(cards).to_have_count(9)  # 1 and 10 to 17
+        expect(page.locator("#sifted")).to_have_text("9 of 20 objects")
+        marks = page.evaluate(
+            """async (names) => {
+            const { marked } = await import('/static/marks.js');
+            return [...marked(names)].map(([name, one]) => one.letters);
+            }""",
+            names,
+        )
+        assert len({*marks}) == 20
+        assert all(1 <= len(one) <= 3 for one in marks)
+        for name in page.locator("#bars .name").all():
+            assert name.evaluate("(e) => e.scrollWidth <= e.clientWidth")
+        letters = page.locator("#bars .mark").all_inner_texts()
+        assert len({*letters}) == len(letters) == 6
+
+
+def test_all_sensors_are_not_taught_different_things_unasked(
+    page, serving, drawn, tmp_path
+):
+    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
+    for sensor, placed in zip(sensors, ("disc", "bar"), strict=True):
+        sensor.place(placed)
+    sessions = [
+        LiveSession(sensor, library=tmp_path / str(number))
+        for number, sensor in enumerate(sensors)
+    ]
+    with serving(sessions) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#mixed")).to_contain_text("1: disc, 2: bar")
+        page.fill("#name", "pen")
+        page.press("#name", "Enter")
+        expect(page.locator("#confirm")).to_contain_text("1: disc, 2: bar")
+        page.get_by_role("button", name="Cancel").click()
+        assert [session.teacher.lesson for session in sessions] == [None, None]
+        page.locator("#as-one").uncheck()
+        expect(page.locator("#mixed")).to_be_hidden()
+        page.locator("#as-one").check()
+        page.select_option("#placed", "bar")  # goes before both
+        expect(page.locator("#mixed")).to_be_hidden()
+        assert [sensor.placed for sensor in sensors] == ["bar", "bar"]
+        page.press("#name", "Enter")
+        expect(page.locator("#stop")).to_be_visible()
+        assert [session.teacher.lesson.name for session in sessions] == ["pen", "pen"]
+
+
+def test_the_answer_and_the_count_are_read_aloud(page, taught, serving, drawn):
+    with serving(taught) as (address, token):
+        opened(page, address, token)
+        live = page.evaluate(
+            """() => [...document.querySelectorAll('[aria-live]')].map((e) => e.id)"""
+        )
+        assert {"answer", "status", "progress-text", "learn-error", "lost"} <= {*live}
+        taught.post_touch(drawn.images[0])
+        words = re.compile("disc|bar")
+        expect(page.locator("#answer")).to_contain_text(words)
+
+
+def test_the_report_of_an_evaluation_fits_a_phone(page, drawn, tmp_path):
+    pytest.importorskip("matplotlib", reason='pip install "palpate[plot]"')
+    plan = Plan(touches=(1, 3, 5, 10), orders=3, preset="liu2014")
+    report = write_report(
+        tmp_path / "r.html", *evaluate(drawn, split="last", plan=plan)
+    )
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.set_content(report.read_text("utf-8"))
+    wide = page.evaluate(
+        """() => [document.documentElement,
+        ...document.querySelectorAll("table, .why")]
+        .filter((e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.outerHTML)"""
+    )
+    assert wide == []
