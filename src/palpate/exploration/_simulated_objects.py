@@ -28,7 +28,7 @@ from ..simulation import (
 from ..touches import Touches
 from ._episode import gather
 from ._guarded import Guard
-from ._record import TouchRecord, as_touches
+from ._record import TouchRecord, as_touches, tip_mm
 from ._robot import MissingFrames, SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
 from ._touching import Toucher, touch_from_hemisphere
@@ -41,18 +41,43 @@ VECTORS = ("position_mm", "direction")
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """A simulated object, the hemisphere about its middle, the arm and its dome."""
+    """A simulated object, the hemisphere about its middle, arm, dome and bench."""
 
     thing: SimObject
     hemisphere: Hemisphere
     robot: SimulatedRobot
     sensor: SimulatedSensor
+    bench: SimulatedBench
 
     def touch(self, start: SensorPose, guard: Guard | None = None) -> TouchRecord:
         """Go round the object to a pose on the hemisphere and touch from there."""
         arm = self.robot, self.sensor, guard or Guard(), self.robot.clock
         # The simulated force sensor is known not to lag.
         return touch_from_hemisphere(Toucher(*arm, lag=0), self.hemisphere, start)
+
+    def touch_at_once(
+        self, start: SensorPose, guard: Guard | None = None
+    ) -> TouchRecord:
+        """Touch from a pose on the hemisphere as `touch` does, in one step.
+
+        The same contact by a tenth of the work, to train on: nothing guards it, and of
+        the arm's faults there are none. Its force is exactly that of the guard.
+        """
+        how = guard or Guard()
+        way_mm = self.bench.approach(start, how.force_n, how.max_travel_mm)
+        travel_mm = how.max_travel_mm if way_mm is None else way_mm
+        position_mm = tip_mm(start.advanced(travel_mm))
+        if way_mm is None:
+            return TouchRecord("nothing", start, position_mm, travel_mm=travel_mm)
+        return TouchRecord(
+            "touched",
+            start,
+            position_mm,
+            force_n=how.force_n,
+            peak_force_n=how.force_n,
+            travel_mm=travel_mm,
+            image=self.sensor.read(),
+        )
 
 
 def put_down(
@@ -116,7 +141,7 @@ def put_down(
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
     sensor = SimulatedSensor(bench, random_state=seeds[2], missing=MissingFrames(robot))
-    return Stand(thing, hemisphere, robot, sensor)
+    return Stand(thing, hemisphere, robot, sensor, bench)
 
 
 def explore_to_learn(
