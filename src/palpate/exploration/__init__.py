@@ -8,6 +8,9 @@ from ._check_robot import check_robot
 from ._episode import Exploration, explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
+from ._place_belief import PlaceBelief
+from ._place_belief import StandingPose as StandingPose
+from ._place_filter import Looseness as Looseness
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog, TouchRecord, read_episode
@@ -27,6 +30,7 @@ from ._strategies import (
 )
 from ._strategies import Stations as Stations
 from ._strategies import most_promising as most_promising
+from ._surface_map import SurfaceMap
 from ._touch_map import PlacedBelief, TouchMap
 from ._touch_map import freshness as freshness
 
@@ -36,6 +40,7 @@ __all__ = [
     "Guard",
     "Hemisphere",
     "InformativeTouch",
+    "PlaceBelief",
     "PlacedBelief",
     "RandomHemisphere",
     "Raster",
@@ -43,6 +48,7 @@ __all__ = [
     "RobotError",
     "SimulatedRobot",
     "Strategy",
+    "SurfaceMap",
     "TouchMap",
     "TouchRecord",
     "check_robot",

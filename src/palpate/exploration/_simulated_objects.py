@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from .._checks import check_count, check_number
+from .._checks import check_count, check_number, check_option
 from .._parallel import in_parallel
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
@@ -151,6 +151,7 @@ def explore_to_learn(
     *,
     n_sessions: int = 3,
     turned: bool = False,
+    faces: str = "usual",
     drift: bool = False,
     placement_sd_mm: float = 5.0,
     folder: str | Path | None = None,
@@ -172,6 +173,10 @@ def explore_to_learn(
         How often each object is put down anew.
     turned : bool, default=False
         Whether it is turned anew about the vertical each time.
+    faces : {"usual", "all"}, default="usual"
+        "all" puts it down on each of its `resting_rotations` in turn, session after
+        session, and numbers them in the column `face`; at least as many sessions as
+        faces are needed for all to be met.
     drift : bool, default=False
         Whether exposure and place of the picture change between sessions, see
         `DomeCamera.drifted`.
@@ -206,7 +211,9 @@ def explore_to_learn(
     shares = [len(part) for part in np.array_split(range(count), sessions)]
     seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     home = None if folder is None else Path(folder)
-    how = (seen_by, turned, drift, placement_sd_mm, home, random_state)
+    check_option("faces", faces, ("usual", "all"))
+    turns = turned, faces == "all"
+    how = (seen_by, turns, drift, placement_sd_mm, home, random_state)
     parts = in_parallel(
         partial(_session, *how),
         [(*thing, *part) for thing in enumerate(objects) for part in enumerate(shares)],
@@ -220,7 +227,7 @@ def explore_to_learn(
 
 def _session(
     camera: DomeCamera,
-    turned: bool,
+    turns: tuple[bool, bool],
     drift: bool,
     placement_sd_mm: float,
     home: Path | None,
@@ -233,10 +240,13 @@ def _session(
     seeds = np.random.SeedSequence((random_state, number, session))
     seed = int(seeds.generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])
+    turned, every_face = turns
     yaw = float(rng.uniform(0, 2 * np.pi)) if turned else 0.0
+    face = session % len(thing.resting_rotations) if every_face else 0
     stand = put_down(
         thing,
         camera.drifted(rng) if drift else camera,
+        face=face,
         yaw_rad=yaw,
         placement_sd_mm=placement_sd_mm,
         random_state=seed,
@@ -256,4 +266,6 @@ def _session(
     cos, sin = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     vectors = {name: touches.columns[name] @ turn for name in VECTORS}
+    if every_face:
+        vectors["face"] = np.full(len(touches), face)
     return touches.with_columns(session=np.full(len(touches), session), **vectors)
