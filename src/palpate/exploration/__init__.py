@@ -4,6 +4,7 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
+from ._advice import advice
 from ._check_robot import check_robot
 from ._episode import Exploration, explore
 from ._episode import gather as gather
@@ -51,6 +52,7 @@ __all__ = [
     "SurfaceMap",
     "TouchMap",
     "TouchRecord",
+    "advice",
     "check_robot",
     "explore",
     "explore_to_learn",

@@ -22,7 +22,7 @@ from ._surface_map import SurfaceMap, contacts_of
 # Touches whose contact is known although no frame was taken.
 _CONTACTS = "touched", "no frame"
 # A thing that was never learnt may be anywhere near where known ones are.
-_STRANGER_MM, _SURPRISE, _OVER_MM = 12.0, 0.05, 150.0
+_STRANGER_MM, _SURPRISE, _OVER_MM = 12.0, 0.2, 150.0
 _FAR_AWAY = 3.0
 
 
@@ -50,8 +50,9 @@ class StandingPose:
             turn = f"turned by {degrees[0]:.0f} +- {degrees[1]:.0f} degrees"
         x, y, _ = self.offset_mm
         aside = np.hypot(*self.offset_sd_mm[:2])
+        face = f"face {self.face}" if self.face >= 0 else "a face never learnt"
         return (
-            f"{self.object} on face {self.face}, {turn}, ({x:.0f}, {y:.0f}) "
+            f"{self.object} on {face}, {turn}, ({x:.0f}, {y:.0f}) "
             f"+- {aside:.0f} mm aside"
         )
 

@@ -314,15 +314,14 @@ class InformativeTouch:
         """Return the pose of the candidate with the largest expected gain."""
         touched = -np.array([record.direction for record in history]).reshape(-1, 3)
         fresh = freshness(self._candidates, touched, self._width)
-        gain = self.expected_gain(belief, history)
+        gain, cost = self.expected_gain(belief, history), np.zeros(len(fresh))
         if isinstance(self.touch_map, SurfaceMap):
             last = touched[-1] if len(touched) else np.array([0.0, 0.0, 1.0])
             way_rad = np.arccos(np.clip(self._candidates @ last, -1, 1))
             seconds = way_rad * self.hemisphere.radius_mm / self.speed_mm_s
-            gain = gain - self.nats_per_second * seconds
-        return self.hemisphere.pose_towards(
-            self._candidates[most_promising(gain, fresh)]
-        )
+            cost = self.nats_per_second * seconds
+        best = most_promising(gain, fresh, cost)
+        return self.hemisphere.pose_towards(self._candidates[best])
 
     def expected_gain(self, belief: Belief | None, history: History) -> Floats:
         """Return the expected gain of each candidate (nats), (n_candidates,).
@@ -406,13 +405,13 @@ class SurfaceGain:
         return self._placed
 
 
-def most_promising(gain: Floats, fresh: Floats) -> int:
-    """Return the candidate with the largest gain that is still to be had."""
+def most_promising(gain: Floats, fresh: Floats, cost: Floats | float = 0.0) -> int:
+    """Return the candidate with the largest gain that is still to be had, less cost."""
     # Gains below zero are not made better by having been there.
     promise = np.where(gain > 0, gain * fresh, gain)
     if promise.max() < _LEAST_PROMISE:
-        return int(fresh.argmax())
-    return int(promise.argmax())
+        return int((fresh - cost).argmax())
+    return int((promise - cost).argmax())
 
 
 def outward(azimuth_rad: float, elevation_rad: float) -> Floats:

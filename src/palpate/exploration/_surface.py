@@ -8,20 +8,20 @@ object (z up). It is learnt from the object's own touches as a Gaussian process 
 directions, with the unknown place of each recording as a part of it,
 
     k(u, v) = m^2 + r^2 exp(-(u_z - v_z)^2 / 2 w^2) + s^2 exp(-|u - v|^2 / 2 w^2)
-              + [same recording] a^2 (u_x v_x + u_y v_y),
+              + [same recording] a^2 (u_x v_x + u_y v_y) + [same touch] n^2,
 
-whose third term forgets the turn about the vertical, as round things do; or it is
-found by pressing a simulated dome on a mesh. Either way it is kept as a table of means
-and variances, and looked up between its nodes.
+averaged over w, s and n as the touches say, whose second term forgets the turn about
+the vertical, as round things do; or it is found by pressing a simulated dome on a mesh.
+Either way it is kept as a table of means and variances, and looked up between nodes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from .._types import Floats, Indices
 from ..simulation import DomeCamera, PlacedObject, SensorPose, SimObject
@@ -97,24 +97,32 @@ def learnt_surface(
     together = recording[:, None] == recording
     shared = placement_mm**2 * together * (towards[:, :2] @ towards[:, :2].T)
     mean = float(np.median(radius))
-    best: tuple[float, Any] = (-np.inf, None)
+    nodes = directions().reshape(-1, 3)
+    evidence, parts = [], []
     for width, local, noise in product(_WIDTHS, _LOCAL_MM, _NOISES_MM):
         covariance = _kernel(towards, towards, width, local) + shared
         covariance += noise**2 * np.eye(len(radius))
         factor = np.linalg.cholesky(covariance)
-        whitened = np.linalg.solve(factor, radius - mean)
-        evidence = -0.5 * whitened @ whitened - np.log(np.diag(factor)).sum()
-        if evidence > best[0]:
-            best = float(evidence), (width, local, noise, factor, whitened)
-    width, local, noise, factor, whitened = best[1]
-    nodes = directions().reshape(-1, 3)
-    cross = np.linalg.solve(factor, _kernel(towards, nodes, width, local))
-    prior = _MEAN_SD_MM**2 + _ROUND_SD_MM**2 + local**2
+        cross = _kernel(towards, nodes, width, local)
+        both = np.concatenate([(radius - mean)[:, None], cross], axis=1)
+        solved = solve_triangular(factor, both, lower=True)
+        whitened, cross = solved[:, 0], solved[:, 1:]
+        evidence.append(-0.5 * whitened @ whitened - np.log(np.diag(factor)).sum())
+        prior = _MEAN_SD_MM**2 + _ROUND_SD_MM**2 + local**2
+        variance = np.maximum(prior - (cross**2).sum(axis=0), 0.01)
+        parts.append((mean + whitened @ cross, variance, noise**2))
+    # Few touches do not tell how smooth a thing is: all that may be is averaged.
+    weight = np.exp(np.array(evidence) - max(evidence))
+    weight /= weight.sum()
+    means = np.stack([part[0] for part in parts])
+    together = weight @ means
+    variances = np.stack([part[1] for part in parts]) + (means - together) ** 2
     shape = N_HEIGHTS, N_AROUND
+    noises = np.array([part[2] for part in parts])
     return RadialSurface(
-        (mean + whitened @ cross).reshape(shape),
-        np.maximum(prior - (cross**2).sum(axis=0), 0.01).reshape(shape),
-        float(noise),
+        together.reshape(shape),
+        (weight @ variances).reshape(shape),
+        float(np.sqrt(weight @ noises)),
     )
 
 

@@ -18,6 +18,8 @@ from ._robot import Robot
 from ._strategies import Hemisphere
 from ._ways import DeadForceError, LoadOnWayError, follow
 
+ON_THE_WAY = "On the way to the start"
+
 
 @dataclass
 class Toucher:
@@ -63,6 +65,6 @@ def touch_from_hemisphere(
     except DeadForceError as error:
         return TouchRecord("force sensor", pose, tip_mm(pose), message=str(error))
     except Exception as error:
-        message = f"On the way to the start: {type(error).__name__}: {error}"
+        message = f"{ON_THE_WAY}: {type(error).__name__}: {error}"
         return TouchRecord("robot error", pose, tip_mm(pose), message=message)
     return toucher.touch(pose)
