@@ -4,7 +4,7 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
-from ._advice import advice
+from ._advice import advice as advice
 from ._check_robot import check_robot
 from ._episode import Exploration, explore
 from ._episode import gather as gather
@@ -14,7 +14,8 @@ from ._place_belief import StandingPose as StandingPose
 from ._place_filter import Looseness as Looseness
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
-from ._record import EpisodeLog, TouchRecord, read_episode
+from ._record import EpisodeLog as EpisodeLog
+from ._record import TouchRecord, read_episode
 from ._record import as_touches as as_touches
 from ._robot import FAULTS as FAULTS
 from ._robot import MissingFrames as MissingFrames
@@ -32,17 +33,16 @@ from ._strategies import (
 from ._strategies import Stations as Stations
 from ._strategies import most_promising as most_promising
 from ._surface_map import SurfaceMap
-from ._touch_map import PlacedBelief, TouchMap
+from ._touch_map import PlacedBelief as PlacedBelief
+from ._touch_map import TouchMap
 from ._touch_map import freshness as freshness
 
 __all__ = [
-    "EpisodeLog",
     "Exploration",
     "Guard",
     "Hemisphere",
     "InformativeTouch",
     "PlaceBelief",
-    "PlacedBelief",
     "RandomHemisphere",
     "Raster",
     "Robot",
@@ -52,7 +52,6 @@ __all__ = [
     "SurfaceMap",
     "TouchMap",
     "TouchRecord",
-    "advice",
     "check_robot",
     "explore",
     "explore_to_learn",

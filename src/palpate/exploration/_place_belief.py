@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,11 +13,14 @@ from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
+from ._contacts import contacts_of
 from ._place_filter import out_of_frames
 from ._record import TouchRecord
 from ._record import as_touches as touches_of
 from ._surface import AZIMUTHS, HEIGHTS, directions
-from ._surface_map import SurfaceMap, contacts_of
+
+if TYPE_CHECKING:
+    from ._surface_map import SurfaceMap
 
 # Touches whose contact is known although no frame was taken.
 _CONTACTS = "touched", "no frame"

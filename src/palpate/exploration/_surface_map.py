@@ -24,17 +24,16 @@ from ..recognition import (
 )
 from ..simulation import DomeCamera, SimObject
 from ..touches import Touches
+from ._contacts import contacts_of, faces_of, middle_of
+from ._place_belief import PlaceBelief
 from ._place_filter import Looseness, PlaceFilter
 from ._surface import RadialSurface, SurfaceTable, learnt_surface, mesh_surface
-from ._touch_map import TouchMap, Weights, places_of
+from ._touch_map import TouchMap, Weights
 
 if TYPE_CHECKING:
-    from ._place_belief import PlaceBelief
     from ._strategies import Hemisphere
 
 _LEAST_TOUCHES = 6
-# Lines of approach that pass within this (mm) of one point aim at it.
-_AIM_MM = 10.0
 # Things that are touched are larger than the first and smaller than the second.
 _LEAST_MM, _MOST_MM = 3.0, 3000.0
 _PLACEMENT_MM = 5.0
@@ -216,8 +215,6 @@ class SurfaceMap:
         centre_mm : tuple of float, default=(0, 0, 0)
             Where the middle of the object is assumed, in the frame of the arm.
         """
-        from ._place_belief import PlaceBelief
-
         known = self.recogniser.classes_
         log_prior = None if prior is None else given_prior(prior, known)
         return PlaceBelief(self, centre_mm, log_prior, strangers)
@@ -312,53 +309,6 @@ def _any_face(surfaces: list[RadialSurface]) -> RadialSurface:
     mean, variance = float(radii.mean()), float(radii.var()) + _OTHER_FACE_MM**2
     flat = np.ones(surfaces[0].mean_mm.shape)
     return RadialSurface(mean * flat, variance * flat, surfaces[0].noise_mm)
-
-
-def faces_of(touches: Touches) -> Indices:
-    """Return the number of the face that the object stood on, 0 unless told."""
-    faces = touches.columns.get("face")
-    if faces is None:
-        return np.zeros(len(touches), int)
-    numbers = np.unique(np.asarray(faces), return_inverse=True)
-    if np.asarray(faces).dtype.kind in "iu":
-        return np.asarray(faces, int)
-    return np.asarray(numbers[1])
-
-
-def contacts_of(touches: Touches) -> tuple[Floats, Floats]:
-    """Return tips at the contacts and ways of approach, (n_touches, 3) each."""
-    ways = -places_of(touches, None, 4)
-    given = touches.columns.get("position_mm")
-    if given is None:
-        raise ValueError(
-            "touches must have a column 'position_mm' (the tip at the contact, in mm), "
-            f"got {', '.join(touches.columns) or 'none'}. Add it, or use TouchMap."
-        )
-    tips = np.asarray(given, dtype=np.float64)
-    if tips.shape != (len(touches), 3):
-        raise ValueError(
-            f"position_mm must have shape ({len(touches)}, 3), got {tips.shape}."
-        )
-    lost = np.flatnonzero(~np.isfinite(tips).all(axis=1))
-    if len(lost):
-        raise ValueError(
-            f"position_mm must be finite, got {tips[lost[0]].tolist()} in touch "
-            f"{lost[0]}, and no place in {len(lost)} of {len(touches)} touches. Leave "
-            "those touches out."
-        )
-    return tips, ways
-
-
-def middle_of(tips_mm: Floats, ways: Floats) -> Floats:
-    """Return the point that the approaches aim at, else the middle of the contacts."""
-    across = np.eye(3) - ways[:, :, None] * ways[:, None]
-    total = across.sum(axis=0)
-    if np.linalg.eigvalsh(total)[0] > 0.1 * len(tips_mm):
-        point = np.linalg.solve(total, np.einsum("nij,nj->i", across, tips_mm))
-        off = np.einsum("nij,nj->ni", across, tips_mm - point)
-        if np.linalg.norm(off, axis=1).max() < _AIM_MM:
-            return np.asarray(point)
-    return np.asarray((tips_mm.min(axis=0) + tips_mm.max(axis=0)) / 2)
 
 
 def _refuse_unit(name: str, reach_mm: float) -> None:
