@@ -16,7 +16,6 @@ object's symmetry) and offset (mm) are medians of their errors after 5 and 10 at
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Callable
 from functools import cache
@@ -219,13 +218,12 @@ def main() -> None:
                     row = one_episode(stand, learnt, name, where)
                     key = f"{condition}, {name}"
                     kept.setdefault(key, []).append({"seed": seed, **row})
-        print(f"seed {seed} done", file=sys.stderr, flush=True)
-    table = {key: summary(rows) for key, rows in kept.items()}
-    for key, row in table.items():
-        print(f"{key:22s} {json.dumps(row)}", flush=True)
-    if asked.out:
-        settings = {"belief": asked.belief, "faces": asked.faces, "rows": table}
-        write_text(asked.out, json.dumps(settings, indent=1) + "\n")
+        table = {key: summary(rows) for key, rows in kept.items()}
+        for key, row in table.items():
+            print(f"up to seed {seed}: {key:22s} {json.dumps(row)}", flush=True)
+        if asked.out:
+            settings = {"belief": asked.belief, "faces": asked.faces, "rows": table}
+            write_text(asked.out, json.dumps(settings, indent=1) + "\n")
 
 
 if __name__ == "__main__":
