@@ -200,10 +200,23 @@ def seed_of(*numbers: int) -> int:
     return int(np.random.SeedSequence(numbers).generate_state(1)[0])
 
 
+def map_of(belief: str, recogniser: Any, touches: Touches, seed: int) -> Any:
+    """Return what knows the objects; "mesh" by their meshes, without any picture."""
+    if belief == "turns":
+        return TouchMap(random_state=seed).fit(recogniser, touches)
+    if belief == "places":
+        return SurfaceMap(random_state=seed).fit(recogniser, touches)
+    meshes = {thing.name: thing for thing in HOUSEHOLD}
+    learnt = SurfaceMap(use_pictures=False, random_state=seed)
+    return learnt.fit(recogniser, touches, meshes)
+
+
 def main() -> None:
     """Run, print a table, and write JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--belief", choices=["turns", "places"], default="places")
+    parser.add_argument(
+        "--belief", choices=["turns", "places", "mesh"], default="places"
+    )
     parser.add_argument("--faces", choices=["usual", "all"], default="all")
     parser.add_argument("--conditions", nargs="+", default=["new yaw", "other face"])
     parser.add_argument("--strategies", nargs="+", default=list(STRATEGIES))
@@ -217,8 +230,7 @@ def main() -> None:
     for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
         touches = taught(seed, asked.faces, asked.cache)
         recogniser = ObjectRecogniser(random_state=seed).fit(touches)
-        kind = TouchMap if asked.belief == "turns" else SurfaceMap
-        learnt = kind(random_state=seed).fit(recogniser, touches)
+        learnt = map_of(asked.belief, recogniser, touches, seed)
         tasks = product(asked.conditions, asked.strategies, range(asked.rounds))
         for condition, name, number in tasks:
             things = STRANGERS if condition == "stranger" else HOUSEHOLD

@@ -228,6 +228,19 @@ def test_the_surface_is_where_the_tip_was_stopped(surface_map):
     assert np.median(nearest) < 20
 
 
+def test_the_surface_can_be_drawn_from_above(surface_map):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    belief, history, stand = _touched(surface_map, "box", 4)
+    pose = stand.hemisphere.pose(0.0, 0.5)
+    missed = TouchRecord("nothing", pose, (9.0, 8.0, 7.0), travel_mm=300.0)
+    axes = belief.plot_surface([*history, missed])
+    shown = {one.get_label(): one.get_offsets() for one in axes.collections}
+    assert_allclose(shown["met"], [record.position_mm[:2] for record in history])
+    assert_allclose(shown["nothing"], [[9, 8]])
+    assert len(axes.patches) == len(shown["expected"]) == len(belief.surface()[0])
+    pyplot.close("all")
+
+
 def test_a_mesh_stands_in_for_touches(recogniser, taught):
     thing = find_object("box")
     learnt = SurfaceMap(n_turns=12, use_pictures=False)

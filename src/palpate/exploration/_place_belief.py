@@ -9,17 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
+from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
 from ._contacts import contacts_of
 from ._place_filter import out_of_frames
-from ._record import TouchRecord
+from ._record import History, TouchRecord
 from ._record import as_touches as touches_of
 from ._surface import AZIMUTHS, HEIGHTS, directions
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from ._surface_map import SurfaceMap
 
 # Touches whose contact is known although no frame was taken.
@@ -295,3 +298,37 @@ class PlaceBelief(Belief):
         turned = pose.turn_sd_rad * turning
         covariances = covariances + turned[:, :, None] * turned[:, None]
         return points + self.centre_mm, covariances
+
+    def plot_surface(self, history: History = (), ax: Axes | None = None) -> Axes:
+        """Draw from above where the surface is expected, and what was touched.
+
+        Points with an ellipse of one standard deviation, in the frame of the arm;
+        attempts of `history`: dots where something was met, crosses where the tip went
+        without. Returns matplotlib's axes (extra `plot`), `ax` or new ones.
+        """
+        pyplot = needed("matplotlib.pyplot", "plot", "A picture of a surface")
+        patches = needed("matplotlib.patches", "plot", "A picture of a surface")
+        axes = pyplot.subplots(figsize=(5, 5))[1] if ax is None else ax
+        points, covariances = self.surface()
+        for point, covariance in zip(points, covariances, strict=True):
+            lengths, ways = np.linalg.eigh(covariance[:2, :2])
+            width, height = 2 * np.sqrt(np.maximum(lengths, 0))
+            angle = np.degrees(np.arctan2(ways[1, 0], ways[0, 0]))
+            shape = patches.Ellipse(point[:2], width, height, angle=angle)
+            shape.set(facecolor="#4c78a8", alpha=0.12)
+            axes.add_patch(shape)
+        x, y, _ = points.T
+        axes.scatter(x, y, s=4, color="#4c78a8", label="expected")
+        for label, marker in (("met", "o"), ("nothing", "x")):
+            tips = [
+                record.position_mm[:2]
+                for record in history
+                if (record.outcome in _CONTACTS) == (label == "met")
+                and (record.outcome in _CONTACTS or record.outcome == "nothing")
+            ]
+            if tips:
+                x, y = np.transpose(tips)
+                axes.scatter(x, y, marker=marker, color="#c43c39", label=label)
+        axes.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)", title=self.pose())
+        axes.legend(loc="upper right", fontsize="small")
+        return axes
