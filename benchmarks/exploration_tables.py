@@ -43,6 +43,7 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
 PLACES = {
     "turns, taught on all faces": "places_before_all.json",
     "places, taught on all faces": "places_all.json",
+    "places, arm off by 2 mm, 2 degrees": "places_wrong_pose.json",
     "turns, usual face": "places_before_usual.json",
     "places, usual face": "places_usual.json",
     "meshes alone, no picture": "places_mesh.json",

@@ -19,12 +19,14 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from palpate import Touches
 from palpate._durable import write_text
@@ -49,6 +51,7 @@ from palpate.simulation import (
     UNSEEN,
     DomeCamera,
     PlacedObject,
+    SensorPose,
     SimObject,
 )
 
@@ -97,7 +100,9 @@ def strategy_of(name: str, stand: Stand, learnt: Any, seed: int) -> Any:
     return makers[name]()
 
 
-def one_episode(stand: Stand, learnt: Any, name: str, seed: int) -> Row:
+def one_episode(
+    stand: Stand, learnt: Any, name: str, seed: int, wrong_pose: bool = False
+) -> Row:
     """Touch until decided; what is believed after each attempt."""
     strategy = strategy_of(name, stand, learnt, seed)
     by_place = isinstance(learnt, SurfaceMap)
@@ -110,6 +115,8 @@ def one_episode(stand: Stand, learnt: Any, name: str, seed: int) -> Row:
     while len(history) < (10 if row["decision"] and by_place else BUDGET):
         began = time.process_time()
         record = stand.touch_at_once(strategy.next_pose(belief, history))
+        if wrong_pose:
+            record = misread(record, seed)
         history.append(record)
         if by_place:
             belief.update_from_record(record)
@@ -127,6 +134,16 @@ def one_episode(stand: Stand, learnt: Any, name: str, seed: int) -> Row:
                 break
     row["cpu_ms"] = 1e3 * float(np.median(seconds))
     return row
+
+
+def misread(record: TouchRecord, seed: int) -> TouchRecord:
+    """Return a record as an arm tells it that is 2 mm and 2 degrees off all along."""
+    way, axis = np.random.default_rng([seed, 5]).standard_normal((2, 3))
+    turn = Rotation.from_rotvec(np.deg2rad(2) * axis / np.linalg.norm(axis))
+    shift = 2 * way / np.linalg.norm(way)
+    x, y, z = (np.asarray(record.position_mm) + shift).tolist()
+    start = SensorPose(record.start.position_mm, turn.apply(record.direction))
+    return replace(record, start=start, position_mm=(x, y, z))
 
 
 def pose_errors(stand: Stand, belief: PlaceBelief) -> tuple[float | None, float]:
@@ -220,6 +237,7 @@ def main() -> None:
     parser.add_argument("--faces", choices=["usual", "all"], default="all")
     parser.add_argument("--conditions", nargs="+", default=["new yaw", "other face"])
     parser.add_argument("--strategies", nargs="+", default=list(STRATEGIES))
+    parser.add_argument("--wrong-pose", action="store_true", help="by 2 mm, 2 deg")
     parser.add_argument("--seeds", type=int, default=3, help="one teaching each")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--rounds", type=int, default=4, help="of all objects")
@@ -238,7 +256,8 @@ def main() -> None:
                 where = seed_of(2, seed, number, code, CONDITIONS.index(condition))
                 stand = placed(thing, condition, where)
                 if stand is not None:
-                    row = one_episode(stand, learnt, name, where)
+                    wrong = asked.wrong_pose
+                    row = one_episode(stand, learnt, name, where, wrong)
                     key = f"{condition}, {name}"
                     kept.setdefault(key, []).append({"seed": seed, **row})
         table = {key: summary(rows) for key, rows in kept.items()}

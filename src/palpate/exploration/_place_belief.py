@@ -179,9 +179,10 @@ class PlaceBelief(Belief):
         """Take in a contact; how much better a stranger explains it is added up."""
         before = self.filter.log_evidence
         self.filter = self.filter.met(middle_mm)
-        gained = self.filter.log_evidence - before
-        known = logsumexp(self.log_joint + gained)
-        self._stranger_nats += self._stranger_density(middle_mm) - float(known)
+        known = logsumexp(self.log_joint + self.filter.log_evidence - before)
+        alike = logsumexp(self.log_joint + self.filter.log_alike)
+        other = np.logaddexp(alike, self._stranger_density(middle_mm)) - np.log(2)
+        self._stranger_nats += float(other - known)
         self._weigh()
 
     def _stranger_density(self, middle_mm: Floats) -> float:
@@ -197,8 +198,12 @@ class PlaceBelief(Belief):
 
     @property
     def unknown_evidence(self) -> float:
-        """What pictures and places say for a stranger (nats); see `Belief`."""
-        return super().unknown_evidence + self._stranger_nats
+        """What pictures and places say for a stranger (nats); see `Belief`.
+
+        Half of the strangers may have the shape of a known thing.
+        """
+        by_place = float(np.logaddexp(0.0, self._stranger_nats) - np.log(2))
+        return super().unknown_evidence + by_place
 
     @property
     def log_posterior(self) -> Floats:

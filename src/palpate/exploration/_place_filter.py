@@ -30,7 +30,8 @@ from ._surface import SurfaceTable
 N_POSE = 4
 _UNEXPLAINED, _OVER_MM = 0.03, 150.0
 _MISS_STEPS = 16
-_LEAST_CHANCE = 1e-3
+# How far the surface of a thing that is like a known one differs from it.
+_ALIKE_MM = 8.0
 _CUBATURE = np.sqrt(N_POSE) * np.concatenate([np.eye(N_POSE), -np.eye(N_POSE)])
 
 
@@ -70,6 +71,8 @@ class PlaceFilter:
     covariance : ndarray of shape (n_hypotheses, 4, 4)
     log_evidence : ndarray of shape (n_hypotheses,)
         Of all that was met so far (nats).
+    log_alike : ndarray of shape (n_hypotheses,)
+        Log density of the last contact, were it of a thing that is only like that.
     """
 
     table: SurfaceTable
@@ -78,6 +81,7 @@ class PlaceFilter:
     mean: Floats
     covariance: Floats
     log_evidence: Floats
+    log_alike: Floats
 
     @classmethod
     def before(cls, table: SurfaceTable, n_turns: int, looseness: Looseness) -> Self:
@@ -93,7 +97,7 @@ class PlaceFilter:
         spread = np.diag(np.square([turn_sd, aside, aside, height]))
         covariance = np.repeat(spread[None], len(states), axis=0)
         nothing = np.zeros(len(states))
-        return cls(table, looseness, states, mean, covariance, nothing)
+        return cls(table, looseness, states, mean, covariance, nothing, nothing)
 
     def met(self, middle_mm: Floats) -> PlaceFilter:
         """Return the filter after a contact with the ball's middle there, (3,)."""
@@ -106,9 +110,8 @@ class PlaceFilter:
         spread = outside - middle[:, None]
         own = variance.mean(axis=1) + self.looseness.sensor_mm**2
         total = (spread**2).mean(axis=1) + own
-        normal = np.exp(-(middle**2) / (2 * total)) / np.sqrt(2 * np.pi * total)
-        explained = (1 - _UNEXPLAINED) * normal
-        density = explained + _UNEXPLAINED / _OVER_MM
+        density = np.exp(_log_density(middle, total))
+        explained = density - _UNEXPLAINED / _OVER_MM
         gain = np.einsum("hki,hk->hi", off, spread) / len(_CUBATURE)
         step = gain / total[:, None] * (explained / density)[:, None]
         mean = self.mean - step * middle[:, None]
@@ -118,6 +121,7 @@ class PlaceFilter:
             mean=mean,
             covariance=covariance + self._shift(),
             log_evidence=self.log_evidence + np.log(density),
+            log_alike=_log_density(middle, total + _ALIKE_MM**2),
         )
 
     def met_nothing(self, from_mm: Floats, to_mm: Floats) -> PlaceFilter:
@@ -141,6 +145,13 @@ class PlaceFilter:
         added[:, 0, 0] = (share / 4) ** 2
         added[:, 1, 1] = added[:, 2, 2] = slide
         return added
+
+
+def _log_density(outside_mm: Floats, variance_mm2: Floats) -> Floats:
+    """Return log p(met | hypothesis), above, of points so far outside."""
+    scale = np.sqrt(2 * np.pi * variance_mm2)
+    normal = np.exp(-(outside_mm**2) / (2 * variance_mm2)) / scale
+    return np.asarray(np.log((1 - _UNEXPLAINED) * normal + _UNEXPLAINED / _OVER_MM))
 
 
 def in_frames(points_mm: Floats, poses: Floats) -> Floats:
