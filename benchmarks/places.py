@@ -112,7 +112,8 @@ def one_episode(
     seconds: list[float] = []
     row: Row = {"object": truth, "attempts": BUDGET + 1, "decision": None, "best": []}
     # Episodes with places go on after the decision, for the poses after 10 attempts.
-    while len(history) < (10 if row["decision"] and by_place else BUDGET):
+    goes_on = by_place and name != "raster" and stand.thing in HOUSEHOLD
+    while len(history) < (10 if row["decision"] and goes_on else BUDGET):
         began = time.process_time()
         record = stand.touch_at_once(strategy.next_pose(belief, history))
         if wrong_pose:
@@ -130,7 +131,7 @@ def one_episode(
         if decision is not None and row["decision"] is None:
             row["decision"] = decision
             row["attempts"] = len(history) if decision == truth else BUDGET + 1
-            if not by_place:
+            if not goes_on:
                 break
     row["cpu_ms"] = 1e3 * float(np.median(seconds))
     return row

@@ -55,9 +55,9 @@ class SurfaceMap:
         in deeper.
     looseness : Looseness, optional
         How far objects, arm and sensor may be from where they should be.
-    other_faces : float, default=0.1
+    other_faces : float, default=0.5
         How often an object stands on a face that was never learnt, of which pictures
-        alone say something.
+        alone say something. Lower it where all faces were taught.
     use_pictures : bool, default=True
         False leaves places and misses alone, whatever the pictures show.
     random_state : int, default=0
@@ -84,7 +84,7 @@ class SurfaceMap:
         tip_radius_mm: float = 20.0,
         stiffness_n_mm: float = 0.3,
         looseness: Looseness | None = None,
-        other_faces: float = 0.1,
+        other_faces: float = 0.5,
         use_pictures: bool = True,
         random_state: int = 0,
     ) -> None:
