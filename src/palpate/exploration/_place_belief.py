@@ -56,9 +56,8 @@ class StandingPose:
             turn = f"turned by {degrees[0]:.0f} +- {degrees[1]:.0f} degrees"
         x, y, _ = self.offset_mm
         aside = np.hypot(*self.offset_sd_mm[:2])
-        face = f"face {self.face}" if self.face >= 0 else "a face never learnt"
         return (
-            f"{self.object} on {face}, {turn}, ({x:.0f}, {y:.0f}) "
+            f"{self.object} on face {self.face}, {turn}, ({x:.0f}, {y:.0f}) "
             f"+- {aside:.0f} mm aside"
         )
 
@@ -237,10 +236,14 @@ class PlaceBelief(Belief):
         self.log_joint: Floats = joint - logsumexp(joint)
 
     def pose(self, name: str | None = None) -> StandingPose:
-        """Return how the most probable object stands, or the one of that name."""
+        """Return how the most probable object stands, or the one of that name.
+
+        On the most probable face that was learnt; `probability` is of that.
+        """
         shares = np.exp(self.log_joint).reshape(self._pictures.shape)
         names = self._judge.classes.tolist()
         rows = self._states_of_objects[names.index(self.best if name is None else name)]
+        rows = rows[[self.map.states_[row][1] >= 0 for row in rows]]
         state = int(rows[shares[rows].sum(axis=1).argmax()])
         share = shares[state]
         order = int(self.map.table_.symmetry[state])
