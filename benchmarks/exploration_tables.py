@@ -42,11 +42,12 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
 
 PLACES = {
     "turns, taught on all faces": "places_before_all.json",
-    "places, taught on all faces": "places_all.json",
-    "places, arm off by 2 mm, 2 degrees": "places_wrong_pose.json",
+    "places, taught on all faces (a)": "places_all.json",
+    "places, taught on all faces": "places_all_b.json",
     "turns, usual face": "places_before_usual.json",
+    "places, usual face (a)": "places_usual_a.json",
     "places, usual face": "places_usual.json",
-    "meshes alone, no picture": "places_mesh.json",
+    "meshes alone, no picture (a)": "places_mesh.json",
     "turns, strangers": "places_before_stranger.json",
     "places, strangers": "places_stranger.json",
 }
