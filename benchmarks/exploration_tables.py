@@ -47,6 +47,7 @@ PLACES = {
     "turns, usual face": "places_before_usual.json",
     "places, usual face (a)": "places_usual_a.json",
     "places, usual face": "places_usual.json",
+    "places, usual face, arm off by 2 mm, 2 degrees": "places_wrong_pose.json",
     "meshes alone, no picture (a)": "places_mesh.json",
     "turns, strangers": "places_before_stranger.json",
     "places, strangers": "places_stranger.json",
