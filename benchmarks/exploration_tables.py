@@ -31,12 +31,50 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
         ]
         made = [_with_preset(part, _chosen) for part in parts]
         tables[name] = "\n\n".join(made) or _NONE
+    tables["places"] = _places()
     text = document.read_text()
     for name, table in tables.items():
         block = f"<!-- begin {name} -->\n{table}\n<!-- end {name} -->"
         pattern = f"<!-- begin {name} -->.*?<!-- end {name} -->"
         text = re.sub(pattern, lambda _, block=block: block, text, flags=re.DOTALL)
     document.write_text(text)
+
+
+PLACES = {
+    "turns, taught on all faces": "places_before_all.json",
+    "places, taught on all faces (a)": "places_all.json",
+    "places, taught on all faces": "places_all_b.json",
+    "turns, usual face": "places_before_usual.json",
+    "places, usual face (a)": "places_usual_a.json",
+    "places, usual face": "places_usual.json",
+    "places, usual face, arm off by 2 mm, 2 degrees": "places_wrong_pose.json",
+    "meshes alone, no picture (a)": "places_mesh.json",
+    "turns, strangers": "places_before_stranger.json",
+    "places, strangers": "places_stranger.json",
+}
+
+
+def _places() -> str:
+    """Attempts until decided rightly, by belief, condition and strategy."""
+    cells = []
+    for belief, file in PLACES.items():
+        if not (HERE / file).exists():
+            continue
+        for key, row in json.loads((HERE / file).read_text())["rows"].items():
+            yaw, offset = (
+                " / ".join(str(row.get(f"{name}_{count}", "-")) for count in (5, 10))
+                for name in ("yaw_deg", "offset_mm")
+            )
+            shares = [row["right"], row["wrong"], row["best_by_10"]]
+            right, wrong, by_10 = (f"{100 * share:.0f}" for share in shares)
+            attempts = f"{row['attempts']:.1f} ({row['attempts_sd']:.1f})"
+            spread = f"{right} ({100 * row['right_sd']:.0f})"
+            episodes = str(row["episodes"])
+            cells.append([belief, key, episodes, attempts, spread, wrong, by_10])
+            cells[-1] += [yaw, offset]
+    heads = ["belief", "condition, strategy", "episodes", "attempts (sd)"]
+    heads += ["right % (sd)", "wrong %", "best is right by 10, %"]
+    return _table([*heads, "yaw, degrees, 5 / 10", "offset, mm, 5 / 10"], cells)
 
 
 def _with_preset(part: dict[str, Any], make: Callable[[Rows], str]) -> str:

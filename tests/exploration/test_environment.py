@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.exploration import Raster
+from palpate.exploration import Guard, Raster
 from palpate.simulation import DomeCamera
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -141,6 +141,50 @@ def test_strategies_can_play(env):
     for number, record in enumerate(inner.history):
         expected = strategy.next_pose(None, inner.history[:number]).direction
         assert_allclose(record.direction, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["vector_entry_point", "sync", None])
+@pytest.mark.parametrize("name", [NAME, "palpate/TouchFlat-v0"])
+def test_several_in_one_process_are_the_single_ones(env, name, mode):
+    options = {"objects": OBJECTS, "camera": CAMERA, "max_touches": 2}
+    several = gymnasium.make_vec(name, 3, vectorization_mode=mode, **options)
+    seen, _ = several.reset(seed=5)
+    several.action_space.seed(1)
+    actions = several.action_space.sample()
+    seen, rewards, *_ = several.step(actions)
+    for number in range(3):
+        one = _small(name, max_touches=2)
+        one.reset(seed=5 + number)
+        if isinstance(actions, dict):
+            action = {part: actions[part][number] for part in actions}
+            expected, reward, *_ = one.step(action)
+            assert_array_equal(seen["image"][number], expected["image"])
+        else:
+            expected, reward, *_ = one.step(actions[number])
+            assert_array_equal(seen[number], expected)
+        assert rewards[number] == pytest.approx(reward)
+    # The second step ends every episode; the one after it begins others.
+    *_, over, _ = several.step(actions)
+    assert over.all()
+    *_, over, _ = several.step(actions)
+    assert not over.any()
+
+
+def test_with_a_guard_touches_are_made_step_by_step():
+    camera = DomeCamera(image_shape=(32, 32), n_nodes=20, noise_sd=0)
+    quick = _small(camera=camera)
+    stepped = _small(camera=camera, guard=Guard(lag_readings=0))
+    for seed in range(3):
+        frames = []
+        for env in (quick, stepped):
+            env.reset(seed=seed)
+            frames.append(env.step(_act([1, seed - 1, 1.0], [0, 0, 0]))[0])
+        records = [env.unwrapped.history[0] for env in (quick, stepped)]
+        assert records[0].duration_s == 0 < records[1].duration_s
+        # The last step is of a quarter of a millimetre; readings are noisy by 0.005 N,
+        # and between solved forces the bench interpolates.
+        assert -0.1 <= records[1].travel_mm - records[0].travel_mm < 0.35
+        assert_allclose(frames[0]["image"], frames[1]["image"].astype(float), atol=8)
 
 
 def test_an_unknown_object_is_refused(env):

@@ -202,7 +202,7 @@ def test_before_any_touch_all_turns_are_alike(strategy):
 
 def test_gain_is_the_mutual_information_worked_out_slowly(touch_map, strategy):
     belief = touch_map.start().update(_one("marked", 1.6)).update(_one("marked", 0.5))
-    gain = strategy._stations.expected_gain(belief.log_joint, belief.touches_used)
+    gain = strategy.expected_gain(belief, [])
     places = strategy._candidates
     nearness, allowed = touch_map.left_out()
     closeness = touch_map.closeness(places)
@@ -315,7 +315,7 @@ def test_the_promise_of_a_place(gain, fresh, best):
 def test_being_sure_leaves_nothing_to_learn(touch_map, strategy):
     log_joint = np.full((2, N_TURNS), -60.0)
     log_joint[0, 3] = 0.0
-    gain = strategy._stations.expected_gain(log_joint - logsumexp(log_joint), 4)
+    gain = strategy._gain._stations.expected_gain(log_joint - logsumexp(log_joint), 4)
     assert_allclose(gain, 0, atol=1e-5)
 
 

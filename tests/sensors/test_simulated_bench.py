@@ -88,6 +88,41 @@ def test_contact_shifts_the_object_but_never_by_more_than_it_may(name):
     assert 0.3 * allowed < max(strayed) <= allowed * (0.5 + 0.5 * np.sqrt(2))
 
 
+# Round things: sliding along a flat side changes no force, and rounding decides.
+@pytest.mark.parametrize("name", ["mug", "ball", "pen", "shampoo bottle"])
+def test_an_approach_at_once_ends_where_steps_end_with_the_same_slip(name):
+    rng = np.random.default_rng(1)
+    stepped, at_once = (_bench(name, random_state=4) for _ in range(2))
+    for _ in range(6):
+        out = np.abs(rng.standard_normal(3)) * rng.choice([-1, 1], 3)
+        out[2] = abs(out[2])
+        way = out / np.linalg.norm(out)
+        start = SensorPose(stepped.centre_mm + 200 * way, -way)
+        stepped.move_to(start)
+        travel = 0.0
+        while stepped.force_n < 0.735:
+            travel += 0.1
+            stepped.move_to(start.advanced(travel))
+        found = at_once.approach(start, 0.735, 215.0)
+        # Steps pass the force by up to one of them, and the bench interpolates the
+        # force between those that it solves.
+        assert_allclose(travel, found, atol=0.25)
+        moved = stepped.target.vertices_mm - at_once.target.vertices_mm
+        assert_allclose(moved, 0, atol=1e-9)
+        pictures = [bench.frame().astype(float) for bench in (stepped, at_once)]
+        assert_allclose(*pictures, atol=12)
+
+
+def test_an_approach_at_once_that_meets_nothing_says_so():
+    bench = _bench("ball")
+    beside = SensorPose(bench.centre_mm + np.array([200, 100, 0]), (-1, 0, 0))
+    assert bench.approach(beside, 0.735, 215.0) is None
+    assert bench.force_n == 0
+    assert_array_equal(bench.frame(), CAMERA.no_contact())
+    # Too short a way is nothing too.
+    assert bench.approach(_start(bench), 0.735, 50.0) is None
+
+
 def test_a_fixed_object_stays():
     bench = _bench(shift_share=0.0)
     target, start = bench.target, _start(bench)

@@ -93,7 +93,7 @@ def print_figures(figures: dict[str, Any]) -> None:
         f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
         f"touches, chance {percent(figures['chance'])} %"
     )
-    print(printable(figures["verdict"]))
+    say(figures["verdict"])
     table(
         title, ["after touches", *figures["accuracy"]], evaluation.figure_lines(figures)
     )

@@ -1,6 +1,7 @@
 """`palpate explore`: a simulated arm touches objects, to learn or to recognise them."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -12,7 +13,14 @@ from ._output import answer, belief_line, say, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
-    from ..exploration import Exploration, Strategy, TouchMap, TouchRecord
+    from ..exploration import (
+        Exploration,
+        Hemisphere,
+        Strategy,
+        SurfaceMap,
+        TouchMap,
+        TouchRecord,
+    )
     from ..recognition import ObjectRecogniser
     from ..simulation import SimObject
 
@@ -38,6 +46,7 @@ def learn(
     objects: Objects = None,
     touches: Annotated[int, option("Touches of each object.")] = 60,
     sessions: Annotated[int, option("How often each object is put down anew.")] = 3,
+    faces: Annotated[str, option("usual, or all on which objects rest.")] = "usual",
     preset: _options.Preset = "default",
     rows: Rows = 120,
     folder: Folder = None,
@@ -64,6 +73,7 @@ def learn(
         touches,
         DomeCamera(image_shape=(rows, rows)),
         n_sessions=sessions,
+        faces=faces,
         folder=folder,
         random_state=seed,
         n_jobs=workers,
@@ -166,9 +176,19 @@ def recognise(
     about = {"object": found.name, "strategy": strategy}
     answer(
         as_json,
-        {**about, **exploration_to_dict(knower, end, strangers)},
+        {**about, **exploration_to_dict(knower, end, strangers, stand.hemisphere)},
         f"  {end.reason}",
+        *_standing(end),
     )
+
+
+def _standing(end: "Exploration") -> list[str]:
+    """Return how the object stands, where places were believed too."""
+    from ..exploration import PlaceBelief
+
+    if end.decision in (None, "unknown") or not isinstance(end.belief, PlaceBelief):
+        return []
+    return [f"  {end.belief.pose()}"]
 
 
 def _one_object(name: str, unit: str) -> "SimObject":
@@ -194,17 +214,26 @@ def print_attempt(record: "TouchRecord", belief: Any) -> None:
 
 
 def exploration_to_dict(
-    knower: "ObjectRecogniser | TouchMap", end: "Exploration", strangers: float
+    knower: "ObjectRecogniser | TouchMap | SurfaceMap",
+    end: "Exploration",
+    strangers: float,
+    hemisphere: "Hemisphere | None" = None,
 ) -> dict[str, Any]:
     """Return an exploration as plain values, with the belief after every attempt."""
-    from ..exploration import as_touches
+    from ..exploration import Hemisphere, PlaceBelief, SurfaceMap, as_touches
 
-    belief = knower.start(strangers=strangers)
+    if isinstance(knower, SurfaceMap):
+        belief: Any = knower.start_before(hemisphere or Hemisphere(), strangers)
+    else:
+        belief = knower.start(strangers=strangers)
     attempts: list[dict[str, Any]] = []
     touched = []  # the number of the attempt of each touch
     for number, record in enumerate(end.history):
-        if record.touched:
+        if isinstance(belief, PlaceBelief):
+            belief.update_from_record(record)
+        elif record.touched:
             belief.update(as_touches([record]))
+        if record.touched:
             touched.append(number)
         plain = record.to_dict()
         attempts.append(
@@ -225,6 +254,7 @@ def exploration_to_dict(
         ],
         "touches_used": end.n_touches,
         "n_attempts": len(end.history),
+        "pose": asdict(belief.pose()) if isinstance(belief, PlaceBelief) else None,
         "attempts": attempts,
     }
 
@@ -235,10 +265,10 @@ def _touch_map(
     taught: Path | None,
     strategy: str,
     seed: int,
-) -> "TouchMap | None":
+) -> "TouchMap | SurfaceMap | None":
     """Learn where touches were made; None where that is neither known nor needed."""
     from .._checks import check_option
-    from ..exploration import TouchMap
+    from ..exploration import SurfaceMap, TouchMap
     from ..touches import Touches
 
     check_option("strategy", strategy, STRATEGIES)
@@ -253,7 +283,10 @@ def _touch_map(
         )
     with stages() as stage:
         stage("learning where touches were made")
-        return TouchMap(random_state=seed).fit(recogniser, Touches.load(archive))
+        touches = Touches.load(archive)
+        if "position_mm" in touches.columns:
+            return SurfaceMap(random_state=seed).fit(recogniser, touches)
+        return TouchMap(random_state=seed).fit(recogniser, touches)
 
 
 def _camera(recogniser: "ObjectRecogniser") -> Any:

@@ -4,13 +4,18 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
+from ._advice import advice as advice
 from ._check_robot import check_robot
 from ._episode import Exploration, explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
+from ._place_belief import PlaceBelief
+from ._place_belief import StandingPose as StandingPose
+from ._place_filter import Looseness as Looseness
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
-from ._record import EpisodeLog, TouchRecord, read_episode
+from ._record import EpisodeLog as EpisodeLog
+from ._record import TouchRecord, read_episode
 from ._record import as_touches as as_touches
 from ._robot import FAULTS as FAULTS
 from ._robot import MissingFrames as MissingFrames
@@ -27,22 +32,24 @@ from ._strategies import (
 )
 from ._strategies import Stations as Stations
 from ._strategies import most_promising as most_promising
-from ._touch_map import PlacedBelief, TouchMap
+from ._surface_map import SurfaceMap
+from ._touch_map import PlacedBelief as PlacedBelief
+from ._touch_map import TouchMap
 from ._touch_map import freshness as freshness
 
 __all__ = [
-    "EpisodeLog",
     "Exploration",
     "Guard",
     "Hemisphere",
     "InformativeTouch",
-    "PlacedBelief",
+    "PlaceBelief",
     "RandomHemisphere",
     "Raster",
     "Robot",
     "RobotError",
     "SimulatedRobot",
     "Strategy",
+    "SurfaceMap",
     "TouchMap",
     "TouchRecord",
     "check_robot",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +16,13 @@ from ..sensors import TouchSensor
 from ._guarded import Clock, Guard
 from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches
 from ._robot import Robot, RobotError
-from ._strategies import Strategy
-from ._touching import Toucher, touch_from_hemisphere
+from ._strategies import Hemisphere, Strategy
+from ._touching import ON_THE_WAY, Toucher, touch_from_hemisphere
 from ._ways import come_out
 
 if TYPE_CHECKING:  # scikit-learn is not needed to touch.
     from ..recognition import Belief, ObjectRecogniser
+    from ._surface_map import SurfaceMap
     from ._touch_map import TouchMap
 
 
@@ -60,7 +62,7 @@ class Exploration:
 def explore(
     robot: Robot,
     sensor: TouchSensor,
-    recogniser: ObjectRecogniser | TouchMap,
+    recogniser: ObjectRecogniser | TouchMap | SurfaceMap,
     strategy: Strategy,
     folder: str | Path | None = None,
     *,
@@ -79,9 +81,9 @@ def explore(
     ----------
     robot, sensor : Robot, TouchSensor
         The arm, and the tactile sensor that it carries.
-    recogniser : ObjectRecogniser or TouchMap
+    recogniser : ObjectRecogniser, TouchMap or SurfaceMap
         Knows the objects; made for this sensor. A `TouchMap` also uses from where
-        each touch was made.
+        each touch was made, a `SurfaceMap` also where it met something, or nothing.
     strategy : Strategy
         Where to touch.
     folder : path, optional
@@ -122,11 +124,13 @@ def explore(
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
+    hemisphere = strategy.hemisphere
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
-        n_before, belief = len(log.history), recogniser.start()
-        if strangers is not None:
-            belief = recogniser.start(strangers=strangers)
+        n_before = len(log.history)
+        start = getattr(recogniser, "start_before", None)
+        start = recogniser.start if start is None else partial(start, hemisphere)
+        belief = start() if strangers is None else start(strangers=strangers)
         log.history = [_taken_in(belief, record) for record in log.history]
 
         def ended(gave_up: str) -> tuple[str | None, str, str] | None:
@@ -144,7 +148,7 @@ def explore(
 
         end = ended("")
         if end is None:
-            come_out(robot, strategy.hemisphere, toucher.guard)
+            come_out(robot, hemisphere, toucher.guard)
         while end is None:
             touch = _attempt(strategy, belief, log.history, toucher)
             record = touch
@@ -154,7 +158,8 @@ def explore(
                 log.append(record)
             if on_attempt is not None:
                 on_attempt(record, belief)
-            end = ended(_gave_up(log.history[n_before:], max_faults))
+            made = log.history[n_before:]
+            end = ended(_gave_up(made, max_faults, hemisphere))
         return Exploration(*end, belief, list(log.history))
 
 
@@ -187,7 +192,8 @@ def gather(
         while _n_touched(log.history) < n_touches:
             log.append(_attempt(strategy, None, log.history, toucher))
             made = log.history[n_before:]
-            n_made, gave_up = _n_touched(made), _gave_up(made, max_faults)
+            n_made = _n_touched(made)
+            gave_up = _gave_up(made, max_faults, strategy.hemisphere)
             if gave_up or (len(made) >= 5 * wanted and n_made < wanted):
                 why = "Is the object where the hemisphere has its centre?"
                 raise RobotError(
@@ -211,10 +217,14 @@ def _attempt(
 
 def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
     """Update the belief; a touch that it cannot take comes back as a fault."""
-    if not record.touched:
+    take_in = getattr(belief, "update_from_record", None)
+    if take_in is None and not record.touched:
         return record
     try:
-        belief.update(as_touches([record]))
+        if take_in is None:
+            belief.update(as_touches([record]))
+        else:
+            take_in(record)
     except Exception as error:
         why = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
         message = f"{record.message} {why}".strip()
@@ -222,7 +232,7 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
     return record
 
 
-def _gave_up(attempts: History, max_faults: int) -> str:
+def _gave_up(attempts: History, max_faults: int, hemisphere: Hemisphere) -> str:
     """Return why to touch no more, or nothing while it is safe to go on."""
     if not attempts:
         return ""
@@ -230,9 +240,17 @@ def _gave_up(attempts: History, max_faults: int) -> str:
     if not last.retracted:
         return f"The arm would not retract and was stopped: {last.message}"
     recent = attempts[-max_faults:]
-    if len(recent) == max_faults and all(record.faulty for record in recent):
-        return f"{max_faults} faults in a row, the last: {last.outcome}. {last.message}"
-    return ""
+    if len(recent) < max_faults or not all(record.faulty for record in recent):
+        return ""
+    if all(record.message.startswith(ON_THE_WAY) for record in recent):
+        centre = ", ".join(f"{v:.0f}" for v in hemisphere.centre_mm)
+        return (
+            f"The arm reached none of the last {max_faults} places of the hemisphere "
+            f"of {hemisphere.radius_mm:g} mm about ({centre}) mm: take a smaller "
+            f"radius_mm, a higher lowest_rad, or move the object. {last.message}"
+        )
+    faults = f"{max_faults} faults in a row, the last: {last.outcome}."
+    return f"{faults} {last.message}"
 
 
 def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import check_count, check_number
+from .._checks import check_count, check_number, check_option
 from .._parallel import in_parallel
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
@@ -42,12 +42,13 @@ VECTORS = ("position_mm", "direction")
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """A simulated object, the hemisphere about its middle, the arm and its dome."""
+    """A simulated object, the hemisphere about its middle, arm, dome and bench."""
 
     thing: SimObject
     hemisphere: Hemisphere
     robot: SimulatedRobot
     sensor: SimulatedSensor
+    bench: SimulatedBench
 
     def touch(self, start: SensorPose, guard: Guard | None = None) -> TouchRecord:
         """Go round the object to a pose on the hemisphere and touch from there.
@@ -61,6 +62,30 @@ class Stand:
         arm = self.robot, self.sensor, guard or Guard(), self.robot.clock
         # The simulated force sensor is known not to lag.
         return touch_from_hemisphere(Toucher(*arm, lag=0), self.hemisphere, start)
+
+    def touch_at_once(
+        self, start: SensorPose, guard: Guard | None = None
+    ) -> TouchRecord:
+        """Touch from a pose on the hemisphere as `touch` does, in one step.
+
+        The same contact by a tenth of the work, to train on: nothing guards it, and of
+        the arm's faults there are none. Its force is exactly that of the guard.
+        """
+        how = guard or Guard()
+        way_mm = self.bench.approach(start, how.force_n, how.max_travel_mm)
+        travel_mm = how.max_travel_mm if way_mm is None else way_mm
+        position_mm = tip_mm(start.advanced(travel_mm))
+        if way_mm is None:
+            return TouchRecord("nothing", start, position_mm, travel_mm=travel_mm)
+        return TouchRecord(
+            "touched",
+            start,
+            position_mm,
+            force_n=how.force_n,
+            peak_force_n=how.force_n,
+            travel_mm=travel_mm,
+            image=self.sensor.read(),
+        )
 
 
 def put_down(
@@ -124,7 +149,7 @@ def put_down(
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
     sensor = SimulatedSensor(bench, random_state=seeds[2], missing=MissingFrames(robot))
-    return Stand(thing, hemisphere, robot, sensor)
+    return Stand(thing, hemisphere, robot, sensor, bench)
 
 
 def explore_to_learn(
@@ -134,6 +159,7 @@ def explore_to_learn(
     *,
     n_sessions: int = 3,
     turned: bool = False,
+    faces: str = "usual",
     drift: bool = False,
     placement_sd_mm: float = 5.0,
     folder: str | Path | None = None,
@@ -155,6 +181,10 @@ def explore_to_learn(
         How often each object is put down anew.
     turned : bool, default=False
         Whether it is turned anew about the vertical each time.
+    faces : {"usual", "all"}, default="usual"
+        "all" puts it down on each of its `resting_rotations` in turn, session after
+        session, and numbers them in the column `face`; at least as many sessions as
+        faces are needed for all to be met.
     drift : bool, default=False
         Whether exposure and place of the picture change between sessions, see
         `DomeCamera.drifted`.
@@ -189,7 +219,9 @@ def explore_to_learn(
     shares = [len(part) for part in np.array_split(range(count), sessions)]
     seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     home = None if folder is None else Path(folder)
-    how = (seen_by, turned, drift, placement_sd_mm, home, random_state)
+    check_option("faces", faces, ("usual", "all"))
+    turns = turned, faces == "all"
+    how = (seen_by, turns, drift, placement_sd_mm, home, random_state)
     parts = in_parallel(
         partial(_session, *how),
         [(*thing, *part) for thing in enumerate(objects) for part in enumerate(shares)],
@@ -203,7 +235,7 @@ def explore_to_learn(
 
 def _session(
     camera: DomeCamera,
-    turned: bool,
+    turns: tuple[bool, bool],
     drift: bool,
     placement_sd_mm: float,
     home: Path | None,
@@ -216,10 +248,13 @@ def _session(
     seeds = np.random.SeedSequence((random_state, number, session))
     seed = int(seeds.generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])
+    turned, every_face = turns
     yaw = float(rng.uniform(0, 2 * np.pi)) if turned else 0.0
+    face = session % len(thing.resting_rotations) if every_face else 0
     stand = put_down(
         thing,
         camera.drifted(rng) if drift else camera,
+        face=face,
         yaw_rad=yaw,
         placement_sd_mm=placement_sd_mm,
         random_state=seed,
@@ -239,4 +274,6 @@ def _session(
     cos, sin = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     vectors = {name: touches.columns[name] @ turn for name in VECTORS}
+    if every_face:
+        vectors["face"] = np.full(len(touches), face)
     return touches.with_columns(session=np.full(len(touches), session), **vectors)

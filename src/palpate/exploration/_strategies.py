@@ -39,7 +39,10 @@ from .._checks import check_count, check_number, check_positive
 from .._numbers import exp
 from .._types import Floats
 from ..simulation import SensorPose
+from ._place_belief import PlaceBelief
+from ._place_gain import PlaceGain
 from ._record import History, TouchRecord, as_touches
+from ._surface_map import SurfaceMap
 from ._touch_map import PlacedBelief, TouchMap, freshness
 
 if TYPE_CHECKING:
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
 
 Floats32 = NDArray[np.floating[Any]]
 _CLEAR_MM = 1.0
+_N_AROUND = 16
 _LEAST_PROMISE = 1e-3
 _LEAST = np.float32(1e-30)
 
@@ -257,12 +261,18 @@ class InformativeTouch:
 
     Parameters
     ----------
-    touch_map : TouchMap
-        What touches of every object are like from every side.
+    touch_map : TouchMap or SurfaceMap
+        What touches of every object are like from every side, and perhaps where its
+        surface is.
     hemisphere : Hemisphere, optional
         Where the poses lie.
     n_rings : int, default=6
-        Rings of candidates, of equal height; `touch_map.n_turns` on each.
+        Rings of candidates, of equal height; `touch_map.n_turns` on each, 16 with a
+        `SurfaceMap`.
+    nats_per_second : float, default=0.005
+        What a second of the way along the hemisphere must bring, with a `SurfaceMap`.
+    speed_mm_s : float, default=100.0
+        How fast the arm goes there.
 
     Notes
     -----
@@ -273,30 +283,44 @@ class InformativeTouch:
 
     def __init__(
         self,
-        touch_map: TouchMap,
+        touch_map: TouchMap | SurfaceMap,
         hemisphere: Hemisphere | None = None,
         *,
         n_rings: int = 6,
+        nats_per_second: float = 0.005,
+        speed_mm_s: float = 100.0,
     ) -> None:
         self.touch_map = touch_map
         self.hemisphere = Hemisphere() if hemisphere is None else hemisphere
         self.n_rings = check_count("n_rings", n_rings)
+        self.nats_per_second = check_number("nats_per_second", nats_per_second, low=0)
+        self.speed_mm_s = check_positive("speed_mm_s", speed_mm_s)
         # Directions of the candidates, (n_rings, n_turns, 3), outward.
         lowest = np.sin(self.hemisphere.lowest_rad)
         heights = lowest + (1 - lowest) * (np.arange(n_rings) + 0.5) / n_rings
-        turns = np.arange(touch_map.n_turns) * (2 * np.pi / touch_map.n_turns)
+        by_surface = isinstance(touch_map, SurfaceMap)
+        n_around = _N_AROUND if by_surface else touch_map.n_turns
+        turns = np.arange(n_around) * (2 * np.pi / n_around)
         rings = [[outward(a, np.arcsin(h)) for a in turns] for h in heights]
         grid = np.array(rings)
         self._candidates = grid.reshape(-1, 3)
-        self._stations = Stations(touch_map, grid)
-        self._seen: list[TouchRecord] = []
-        self._placed = touch_map.start()
+        if isinstance(touch_map, SurfaceMap):
+            self._gain: Gain = SurfaceGain(touch_map, grid, self.hemisphere)
+            self._width = touch_map.pictures_.width_
+        else:
+            self._gain, self._width = TurnGain(touch_map, grid), touch_map.width_
 
     def next_pose(self, belief: Belief | None, history: History) -> SensorPose:
         """Return the pose of the candidate with the largest expected gain."""
         touched = -np.array([record.direction for record in history]).reshape(-1, 3)
-        fresh = freshness(self._candidates, touched, self.touch_map.width_)
-        best = most_promising(self.expected_gain(belief, history), fresh)
+        fresh = freshness(self._candidates, touched, self._width)
+        gain, cost = self.expected_gain(belief, history), np.zeros(len(fresh))
+        if isinstance(self.touch_map, SurfaceMap):
+            last = touched[-1] if len(touched) else np.array([0.0, 0.0, 1.0])
+            way_rad = np.arccos(np.clip(self._candidates @ last, -1, 1))
+            seconds = way_rad * self.hemisphere.radius_mm / self.speed_mm_s
+            cost = self.nats_per_second * seconds
+        best = most_promising(gain, fresh, cost)
         return self.hemisphere.pose_towards(self._candidates[best])
 
     def expected_gain(self, belief: Belief | None, history: History) -> Floats:
@@ -304,6 +328,32 @@ class InformativeTouch:
 
         As if nothing near it had been touched; what was is `next_pose`'s business.
         """
+        return self._gain.expected(belief, history)
+
+    def __repr__(self) -> str:
+        return (
+            f"InformativeTouch(hemisphere={self.hemisphere!r}, n_rings={self.n_rings}, "
+            f"n_turns={self.touch_map.n_turns})"
+        )
+
+
+class Gain(Protocol):
+    """What a touch at each candidate is expected to tell."""
+
+    def expected(self, belief: Belief | None, history: History) -> Floats: ...
+
+
+class TurnGain:
+    """Expected gains by a `TouchMap`: objects, and turns about the vertical."""
+
+    def __init__(self, touch_map: TouchMap, candidates: Floats) -> None:
+        self._map = touch_map
+        self._stations = Stations(touch_map, candidates)
+        self._seen: list[TouchRecord] = []
+        self._placed = touch_map.start()
+
+    def expected(self, belief: Belief | None, history: History) -> Floats:
+        """Return the gain of each candidate (nats), (n_candidates,)."""
         gain = self._stations.expected_gain
         if isinstance(belief, PlacedBelief):
             return gain(belief.log_joint, belief.touches_used)
@@ -315,31 +365,53 @@ class InformativeTouch:
         objects = np.log(np.maximum(shares, np.finfo(float).tiny))
         return gain(turns + objects[:, None], belief.touches_used)
 
-    def __repr__(self) -> str:
-        return (
-            f"InformativeTouch(hemisphere={self.hemisphere!r}, n_rings={self.n_rings}, "
-            f"n_turns={self.touch_map.n_turns})"
-        )
-
     def _follow(self, history: History) -> PlacedBelief:
         """Return the placed belief after `history`; what was encoded stays so."""
         touched = [record for record in history if record.touched]
         n_seen = len(self._seen)
         if n_seen > len(touched) or any(map(is_not, self._seen, touched)):
-            self._seen, self._placed, n_seen = [], self.touch_map.start(), 0
+            self._seen, self._placed, n_seen = [], self._map.start(), 0
         if len(touched) > n_seen:
             self._placed.update(as_touches(touched[n_seen:]))
             self._seen = touched
         return self._placed
 
 
-def most_promising(gain: Floats, fresh: Floats) -> int:
-    """Return the candidate with the largest gain that is still to be had."""
+class SurfaceGain:
+    """Expected gains by a `SurfaceMap`: objects, faces, turns and places."""
+
+    def __init__(
+        self, surface_map: SurfaceMap, candidates: Floats, hemisphere: Hemisphere
+    ) -> None:
+        self._map, self._hemisphere = surface_map, hemisphere
+        self._gain = PlaceGain(surface_map, candidates)
+        self._seen: list[TouchRecord] = []
+        self._placed = surface_map.start_before(hemisphere)
+
+    def expected(self, belief: Belief | None, history: History) -> Floats:
+        """Return the gain of each candidate (nats), (n_candidates,)."""
+        if not isinstance(belief, PlaceBelief):
+            belief = self._follow(history)
+        return self._gain.expected_gain(belief)
+
+    def _follow(self, history: History) -> PlaceBelief:
+        """Return the belief after `history`; what was taken in stays so."""
+        n_seen = len(self._seen)
+        if n_seen > len(history) or any(map(is_not, self._seen, history)):
+            self._placed, n_seen = self._map.start_before(self._hemisphere), 0
+        for record in history[n_seen:]:
+            self._placed.update_from_record(record)
+        self._seen = list(history)
+        return self._placed
+
+
+def most_promising(gain: Floats, fresh: Floats, cost: Floats | float = 0.0) -> int:
+    """Return the candidate with the largest gain that is still to be had, less cost."""
     # Gains below zero are not made better by having been there.
     promise = np.where(gain > 0, gain * fresh, gain)
     if promise.max() < _LEAST_PROMISE:
-        return int(fresh.argmax())
-    return int(promise.argmax())
+        return int((fresh - cost).argmax())
+    return int((promise - cost).argmax())
 
 
 def outward(azimuth_rad: float, elevation_rad: float) -> Floats:

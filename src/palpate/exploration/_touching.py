@@ -19,6 +19,8 @@ from ._robot import Robot
 from ._strategies import Hemisphere
 from ._ways import DeadForceError, LoadOnWayError, follow, is_out
 
+ON_THE_WAY = "On the way to the start"
+
 
 @dataclass
 class Toucher:
@@ -66,7 +68,7 @@ def touch_from_hemisphere(
         how = {"message": str(error), "retracted": error.retracted}
         return TouchRecord("force sensor", pose, tip_mm(pose), **how)
     except Exception as error:
-        message = f"On the way to the start: {type(error).__name__}: {error}"
+        message = f"{ON_THE_WAY}: {type(error).__name__}: {error}"
         how = {"message": message, "retracted": is_out(toucher.robot, hemisphere)}
         return TouchRecord("robot error", pose, tip_mm(pose), **how)
     return toucher.touch(pose)

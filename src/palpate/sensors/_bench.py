@@ -19,6 +19,7 @@ _SAME_LINE_MM = 1e-6
 # Forces at which contact is solved; between them it is interpolated in logarithms.
 _FORCES_N = 0.03 * 2.5 ** np.arange(7)
 _LEAST_MM = 1e-3
+_TINY_N = 1e-6
 _CLEAR_MM = 5.0
 
 
@@ -102,6 +103,35 @@ class SimulatedBench:
             self._slip()
         self.peak_force_n = max(self.peak_force_n, self.force_n)
 
+    def approach(
+        self, start: SensorPose, force_n: float, reach_mm: float
+    ) -> float | None:
+        """Move in along a line until a force, in one go; return the way (mm), or None.
+
+        The contact, and the slip, that moving in by short steps comes to, solved at
+        the force where steps pass it: the way is shorter by up to one of them. None,
+        and the tip at `reach_mm`, where the force is not met on the way.
+        """
+        self._line = _Line(self.camera, self.target, start)
+        can_slip = self._slide_mm > 0 or self._turn_rad > 0
+        slip_at_n = float(self._rng.uniform(0, 1)) * self.camera.force_n
+        if can_slip and slip_at_n < force_n:
+            way_mm, _ = self._line.pressed(slip_at_n, self._housing)
+            if way_mm <= reach_mm:
+                slid, turned, target, line = self._offered_slip()
+                # Where the same force comes later there is less of it here.
+                if line.pressed(slip_at_n, self._housing)[0] >= way_mm:
+                    self._slid, self._turned = slid, turned
+                    self.target, self._line = target, line
+        way_mm, press = self._line.pressed(force_n, self._housing)
+        if not way_mm <= reach_mm:
+            self.pose, self.force_n = start.advanced(reach_mm), 0.0
+            return None
+        self.pose, self.force_n = start.advanced(way_mm), force_n
+        self._line.keep(press)
+        self.peak_force_n = max(self.peak_force_n, force_n)
+        return way_mm
+
     def _is_clear(self, pose: SensorPose) -> bool:
         """Whether nothing of the dome can meet the object, wherever it has slid."""
         low, high = np.asarray(self._first.bounds_mm)
@@ -126,8 +156,16 @@ class SimulatedBench:
 
     def _slip(self) -> None:
         """Let the object give way once in this press, within its allowance."""
-        assert self._line is not None
         self._slip_at_n = np.inf
+        slid, turned, target, line = self._offered_slip()
+        force = self._force(line)
+        if force <= self.force_n:
+            self._slid, self._turned = slid, turned
+            self.target, self._line, self.force_n = target, line, force
+
+    def _offered_slip(self) -> tuple[Floats, float, PlacedObject, "_Line"]:
+        """Draw where the object might slip to, and the line towards it there."""
+        assert self._line is not None
         pushed = np.asarray(self._line.base.direction)[:2]
         way = pushed + 0.5 * self._rng.standard_normal(2)
         way *= self._rng.uniform(0, 0.5) * self._slide_mm / max(np.hypot(*way), 1e-9)
@@ -136,11 +174,7 @@ class SimulatedBench:
         turned = self._turned + self._rng.uniform(-0.5, 0.5) * self._turn_rad
         turned = float(np.clip(turned, -self._turn_rad, self._turn_rad))
         target = self._shifted(slid, turned)
-        line = _Line(self.camera, target, self._line.base)
-        force = self._force(line)
-        if force <= self.force_n:
-            self._slid, self._turned = slid, turned
-            self.target, self._line, self.force_n = target, line, force
+        return slid, turned, target, _Line(self.camera, target, self._line.base)
 
     def _shifted(self, slid_mm: Floats, turned_rad: float) -> PlacedObject:
         """Turn the object about the vertical through its middle, then slide it."""
@@ -247,28 +281,57 @@ class _Line:
             return float(np.exp(self._log_force[0] + slope))
         return float(np.exp(np.interp(log_depth, self._log_depth, self._log_force)))
 
+    def pressed(
+        self, force_n: float, housing_n_mm: float
+    ) -> tuple[float, simulation.DomePress | None]:
+        """Return the way to a force, rigid body included, and the press there."""
+        most_mm = max(self.hard_mm - self.first_mm, 0.0)
+        if not np.isfinite(self.first_mm):
+            return np.inf, None
+        contact = simulation.solve_contact(
+            self._membrane,
+            self._way_mm,
+            force_n=max(force_n, _TINY_N),
+            depth_mm=most_mm,
+        )
+        way_mm = self.first_mm + contact.depth_mm
+        left_n = force_n - contact.force_n
+        if contact.depth_mm >= most_mm and left_n > 0:
+            way_mm += left_n / housing_n_mm if housing_n_mm else np.inf
+        return way_mm, self._described(way_mm, force_n, contact)
+
+    def keep(self, press: simulation.DomePress | None) -> None:
+        """Keep the press that was solved, for its picture."""
+        if press is not None:
+            self._pressed = press.travel_mm, press
+
+    def _described(
+        self, travel_mm: float, force_n: float, contact: simulation.Contact
+    ) -> simulation.DomePress:
+        return simulation.DomePress(
+            stopped_by="force",
+            travel_mm=travel_mm,
+            depth_mm=travel_mm - self.first_mm,
+            force_n=force_n,
+            area_mm2=contact.area_mm2,
+            contact=contact,
+            gap_mm=self._way_mm,
+        )
+
     def _reaches(self, log_depth: float) -> bool:
         return bool(self._log_depth) and self._log_depth[-1] >= log_depth
 
     def press(self, pose: SensorPose) -> simulation.DomePress | None:
         """The state of the dome at a pose, or None where it touches nothing."""
         travel = self.travel_mm(pose)
+        if self._pressed is not None and abs(self._pressed[0] - travel) < _SAME_LINE_MM:
+            return self._pressed[1]
         force = self.force_n(travel)
         if force == 0:
             return None
-        if self._pressed is None or self._pressed[0] != travel:
-            contact = self._contact(force)
-            press = simulation.DomePress(
-                stopped_by="force",
-                travel_mm=travel,
-                depth_mm=travel - self.first_mm,
-                force_n=force,
-                area_mm2=contact.area_mm2,
-                contact=contact,
-                gap_mm=self._way_mm,
-            )
-            self._pressed = travel, press
-        return self._pressed[1]
+        press = self._described(travel, force, self._contact(force))
+        self._pressed = travel, press
+        return press
 
     def _contact(self, force_n: float) -> simulation.Contact:
         return simulation.solve_contact(self._membrane, self._way_mm, force_n=force_n)

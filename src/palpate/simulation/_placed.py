@@ -78,6 +78,44 @@ class SimObject(_Rebuilt):
             return np.zeros(3)
         return np.asarray(self.mesh.extents, dtype=np.float64)
 
+    def distance_mm(self, origins_mm: ArrayLike, direction: ArrayLike) -> Singles:
+        """Distance from each origin, (n_rays, 3), to the surface as it was built.
+
+        Along `direction`; infinity where the ray misses.
+        """
+        origins = np.ascontiguousarray(origins_mm, dtype=np.float32)
+        if self._scene is None:
+            return np.full(len(origins), np.inf, np.float32)
+        ways = np.repeat(np.asarray(direction, np.float32)[None], len(origins), axis=0)
+        if isinstance(self._scene, np.ndarray):
+            # What a scene of embreex does, many times slower.
+            nearest = np.full(len(origins), np.inf, np.float32)
+            for a, b, c in self._scene.astype(float):
+                sides = np.stack([b - a, c - a, -ways[0]])
+                if np.linalg.det(sides):
+                    u, v, t = ((origins - a) @ np.linalg.inv(sides)).T
+                    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0)
+                    nearest[hit] = np.minimum(nearest[hit], t[hit])
+            return nearest
+        distance = self._scene.run(origins, ways, query="DISTANCE")
+        return np.where(distance > _MISSED_MM, np.float32(np.inf), distance)
+
+    @cached_property
+    def _scene(self) -> Any:
+        faces = np.asarray(self.mesh.faces)
+        if not len(faces):
+            return None
+        corners = np.asarray(self.mesh.vertices, float).reshape(-1, 3)
+        triangles = corners[faces].astype(np.float32)
+        try:
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore_scene import EmbreeScene
+        except ImportError:
+            return triangles
+        scene = EmbreeScene()
+        TriangleMesh(scene, triangles)
+        return scene
+
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject(_Rebuilt):
@@ -127,11 +165,16 @@ class PlacedObject(_Rebuilt):
     @cached_property
     def vertices_mm(self) -> Floats:
         """Corners of the surface where they are now, (n_vertices, 3)."""
-        turn = turned((0, 0, 1), np.degrees(self.yaw_rad))
-        if self.rotation is not None:
-            turn = turn @ np.asarray(self.rotation, float)
         corners = np.asarray(self.thing.mesh.vertices, float).reshape(-1, 3)
-        return np.asarray(corners @ turn.T + np.asarray(self.position_mm))
+        return np.asarray(corners @ self._turn.T + np.asarray(self.position_mm))
+
+    @cached_property
+    def _turn(self) -> Floats:
+        """The rotation and the yaw together, (3, 3)."""
+        turn = turned((0, 0, 1), np.degrees(self.yaw_rad))
+        if self.rotation is None:
+            return turn
+        return np.asarray(turn @ np.asarray(self.rotation, float))
 
     @property
     def bounds_mm(self) -> Floats:
@@ -149,37 +192,10 @@ class PlacedObject(_Rebuilt):
 
         Infinity where the ray misses.
         """
-        origins = np.ascontiguousarray(origins_mm, dtype=np.float32)
-        if self._scene is None:
-            return np.full(len(origins), np.inf, np.float32)
-        ways = np.repeat(np.asarray(direction, np.float32)[None], len(origins), axis=0)
-        if isinstance(self._scene, np.ndarray):
-            # What a scene of embreex does, many times slower.
-            nearest = np.full(len(origins), np.inf, np.float32)
-            for a, b, c in self._scene.astype(float):
-                sides = np.stack([b - a, c - a, -ways[0]])
-                if np.linalg.det(sides):
-                    u, v, t = ((origins - a) @ np.linalg.inv(sides)).T
-                    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0)
-                    nearest[hit] = np.minimum(nearest[hit], t[hit])
-            return nearest
-        distance = self._scene.run(origins, ways, query="DISTANCE")
-        return np.where(distance > _MISSED_MM, np.float32(np.inf), distance)
-
-    @cached_property
-    def _scene(self) -> Any:
-        faces = np.asarray(self.thing.mesh.faces)
-        if not len(faces):
-            return None
-        triangles = self.vertices_mm[faces].astype(np.float32)
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError:
-            return triangles
-        scene = EmbreeScene()
-        TriangleMesh(scene, triangles)
-        return scene
+        # In the object's own frame: the scene is built once, wherever it stands.
+        turn = self._turn
+        from_it = np.asarray(origins_mm, float) - np.asarray(self.position_mm)
+        return self.thing.distance_mm(from_it @ turn, np.asarray(direction) @ turn)
 
 
 @dataclass(frozen=True, eq=False)

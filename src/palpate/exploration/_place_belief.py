@@ -1,0 +1,342 @@
+"""The belief over objects by pictures, places and misses, and how the object stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from .._extras import needed
+from .._numbers import log_softmax
+from .._types import Array, Floats
+from ..recognition import Belief, Evidence, as_touches
+from ..touches import Touches
+from ._contacts import contacts_of
+from ._place_filter import out_of_frames
+from ._record import History, TouchRecord
+from ._record import as_touches as touches_of
+from ._surface import AZIMUTHS, HEIGHTS, directions
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from ._surface_map import SurfaceMap
+
+# Touches whose contact is known although no frame was taken.
+_CONTACTS = "touched", "no frame"
+# A thing that was never learnt may be anywhere near where known ones are.
+_STRANGER_MM, _SURPRISE, _OVER_MM = 12.0, 0.2, 150.0
+_FAR_AWAY = 3.0
+
+
+@dataclass(frozen=True)
+class StandingPose:
+    """How the most probable object stands, each with a standard deviation.
+
+    `turn_rad` is about the vertical, modulo 2 pi over `symmetry` (72: round, so that
+    no turn can be told); `offset_mm` from the assumed middle, (x, y, z).
+    """
+
+    object: str
+    face: int
+    probability: float
+    turn_rad: float
+    turn_sd_rad: float
+    symmetry: int
+    offset_mm: tuple[float, float, float]
+    offset_sd_mm: tuple[float, float, float]
+
+    def __str__(self) -> str:
+        turn = "a turn that cannot be told"
+        if self.symmetry < len(AZIMUTHS):
+            degrees = np.degrees([self.turn_rad, self.turn_sd_rad])
+            turn = f"turned by {degrees[0]:.0f} +- {degrees[1]:.0f} degrees"
+        x, y, _ = self.offset_mm
+        aside = np.hypot(*self.offset_sd_mm[:2])
+        return (
+            f"{self.object} on face {self.face}, {turn}, ({x:.0f}, {y:.0f}) "
+            f"+- {aside:.0f} mm aside"
+        )
+
+
+class PlaceBelief(Belief):
+    """A posterior over objects by pictures, contacts and misses.
+
+    Made by `SurfaceMap.start`, and used as a `Belief` is. On which face the object
+    stands, how it is turned and how far it is aside are believed along with what it is.
+
+    Attributes
+    ----------
+    filter : PlaceFilter
+        The hypotheses, `n_turns` a state in order.
+    log_joint : ndarray of shape (n_hypotheses,)
+        Their log probabilities, were it a known object.
+    """
+
+    def __init__(
+        self,
+        surface_map: SurfaceMap,
+        centre_mm: ArrayLike,
+        log_prior: Floats | None,
+        strangers: float,
+    ) -> None:
+        recogniser = surface_map.recogniser
+        super().__init__(recogniser.judge(), recogniser.evidence, log_prior, strangers)
+        self.map = surface_map
+        self.centre_mm = np.asarray(centre_mm, dtype=np.float64)
+        self.filter = surface_map.filter_before()
+        shape = len(surface_map.states_), surface_map.n_turns
+        self._pictures = np.zeros(shape)
+        self._stranger_nats = 0.0
+        self._weigh()
+
+    def update(self, touch: Touches | Array | Evidence) -> Self:
+        """Take in touches, in order, and return this belief.
+
+        Parameters
+        ----------
+        touch : Touches
+            With the columns `direction` and `position_mm`, in the frame of the arm; a
+            row of NaN in the latter is a touch whose place is not known, which counts
+            by its picture from that direction alone.
+
+        Raises
+        ------
+        ValueError
+            The touches have no places, these are far from the object, or the
+            recogniser cannot take the images; the belief is then unchanged.
+        TypeError
+            They are no `Touches`.
+        """
+        middles, places = self._contacts(touch)
+        evidence = self._evidence_of(as_touches(touch))
+        if self.map.use_pictures:
+            said = log_softmax(evidence.log_likelihood, axis=1)
+            pictures = self.map.picture_evidence(said, evidence.features, places)
+            pictures[~evidence.log_likelihood.any(axis=1)] = 0.0
+            self._pictures = self._pictures + pictures.sum(axis=0)
+        for middle in middles[np.isfinite(middles).all(axis=1)]:
+            self._met(middle)
+        return super().update(evidence)
+
+    def update_from_record(self, record: TouchRecord) -> Self:
+        """Take in an attempt of the arm: a touch, a contact without frame, a miss."""
+        if record.touched:
+            return self.update(touches_of([record]))
+        tip, way = np.asarray(record.position_mm), record.direction
+        if record.outcome in _CONTACTS:
+            forces = np.array([record.force_n])
+            self._met(
+                self.map.middles(tip[None], way[None], forces)[0] - self.centre_mm
+            )
+        elif record.outcome == "nothing":
+            back = self.map.tip_radius_mm * way + self.centre_mm
+            reach = min(record.travel_mm, 2 * float(self.map.table_.mean_mm.max()))
+            end = tip - back
+            self.filter = self.filter.met_nothing(end - reach * way, end)
+        self._weigh()
+        return self
+
+    def _contacts(self, touch: object) -> tuple[Floats, Floats]:
+        """Return the middles of the ball about the centre, and the ways back."""
+        if not isinstance(touch, Touches):
+            raise TypeError(
+                f"touch must be Touches, got {type(touch).__name__}. Write "
+                "Touches(images, direction=..., position_mm=...)."
+            )
+        given = touch.columns.get("position_mm")
+        lost = np.zeros(len(touch), bool)
+        if given is not None:
+            lost = ~np.isfinite(np.asarray(given, float)).all(axis=-1)
+        filled = touch
+        if lost.any():
+            tips = np.where(lost[:, None], self.centre_mm, np.asarray(given, float))
+            filled = touch.with_columns(position_mm=tips)
+        tips, ways = contacts_of(filled)
+        forces = np.full(len(touch), np.nan)
+        if "force_n" in touch.columns:
+            forces = np.asarray(touch.columns["force_n"], dtype=np.float64)
+        middles = self.map.middles(tips, ways, forces) - self.centre_mm
+        self._refuse_far(np.linalg.norm(middles[~lost], axis=1))
+        middles[lost] = np.nan
+        return middles, -ways
+
+    def _refuse_far(self, reach_mm: Floats) -> None:
+        most = float(self.map.table_.mean_mm.max())
+        far = np.flatnonzero(reach_mm > _FAR_AWAY * most)
+        if len(far):
+            raise ValueError(
+                f"position_mm must be within {_FAR_AWAY * most:.0f} mm of the assumed "
+                f"middle {self.centre_mm.tolist()}, got {reach_mm[far[0]]:.4g} mm. Is "
+                "it another unit or frame, or another centre_mm?"
+            )
+
+    def _met(self, middle_mm: Floats) -> None:
+        """Take in a contact; how much better a stranger explains it is added up."""
+        before = self.filter.log_evidence
+        self.filter = self.filter.met(middle_mm)
+        known = logsumexp(self.log_joint + self.filter.log_evidence - before)
+        alike = logsumexp(self.log_joint + self.filter.log_alike)
+        other = np.logaddexp(alike, self._stranger_density(middle_mm)) - np.log(2)
+        self._stranger_nats += float(other - known)
+        self._weigh()
+
+    def _stranger_density(self, middle_mm: Floats) -> float:
+        """Return the log density of a contact with something never learnt."""
+        radius = float(np.linalg.norm(middle_mm))
+        height = np.arcsin(np.clip(middle_mm[2] / max(radius, 1e-6), -1, 1))
+        row = int(np.abs(HEIGHTS - height).argmin())
+        known = self.map.table_.mean_mm[:, row]
+        variance = float(known.var()) + _STRANGER_MM**2
+        off = (radius - float(known.mean())) ** 2
+        normal = np.exp(-off / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+        return float(np.log((1 - _SURPRISE) * normal + _SURPRISE / _OVER_MM))
+
+    @property
+    def unknown_evidence(self) -> float:
+        """What pictures and places say for a stranger (nats); see `Belief`.
+
+        Half of the strangers may have the shape of a known thing.
+        """
+        by_place = float(np.logaddexp(0.0, self._stranger_nats) - np.log(2))
+        return super().unknown_evidence + by_place
+
+    @property
+    def log_posterior(self) -> Floats:
+        """Log probability of each object, were it one of them (nats), (n_objects,)."""
+        by_state = logsumexp(self.log_joint.reshape(self._pictures.shape), axis=1)
+        return np.asarray(
+            [logsumexp(by_state[rows]) for rows in self._states_of_objects]
+        )
+
+    @property
+    def best_without_places(self) -> str:
+        """The object that is most probable by the pictures alone."""
+        return str(self._judge.classes[self._touch_log_posterior.argmax()])
+
+    @property
+    def _states_of_objects(self) -> list[Array]:
+        of_state = self.map.object_of_state_
+        return [np.flatnonzero(of_state == k) for k in range(len(self._judge.classes))]
+
+    def _by_encoding(self) -> Floats:
+        by_place = self.log_posterior - self._touch_log_posterior
+        return log_softmax(super()._by_encoding() + by_place, axis=-1)
+
+    def _weigh(self) -> None:
+        super()._weigh()
+        prior = log_softmax(self._prior_and_senses())[self.map.object_of_state_]
+        prior = prior + self.map.log_share_of_state
+        calibration = self.map.pictures_.sequence_calibration
+        pictures = self._pictures * calibration.weight(self._n_informative)
+        joint = (pictures + prior[:, None]).ravel() + self.filter.log_evidence
+        self.log_joint: Floats = joint - logsumexp(joint)
+
+    def pose(self, name: str | None = None) -> StandingPose:
+        """Return how the most probable object stands, or the one of that name.
+
+        On the most probable face that was learnt; `probability` is of that.
+        """
+        shares = np.exp(self.log_joint).reshape(self._pictures.shape)
+        names = self._judge.classes.tolist()
+        rows = self._states_of_objects[names.index(self.best if name is None else name)]
+        rows = rows[[self.map.states_[row][1] >= 0 for row in rows]]
+        state = int(rows[shares[rows].sum(axis=1).argmax()])
+        share = shares[state]
+        order = int(self.map.table_.symmetry[state])
+        mean = self.filter.mean.reshape(*shares.shape, -1)[state]
+        covariance = self.filter.covariance.reshape(*shares.shape, 4, 4)[state]
+        # The best turn with what is near it, modulo the symmetry.
+        waves = np.exp(1j * order * mean[:, 0])
+        smooth = share + 0.5 * (np.roll(share, 1) + np.roll(share, -1))
+        near = (waves * waves[smooth.argmax()].conj()).real > np.cos(np.pi / 3)
+        weight = share * near
+        if not weight.sum():
+            weight = np.ones(len(share))
+        weight = weight / weight.sum()
+        centre = np.angle(weight @ waves)
+        length = min(abs((share / max(share.sum(), 1e-300)) @ waves), 1 - 1e-9)
+        within = float(weight @ covariance[:, 0, 0])
+        turn_sd = np.sqrt(-2 * np.log(max(length, 1e-9)) / order**2 + within)
+        offset = weight @ mean[:, 1:]
+        spread = weight @ (mean[:, 1:] - offset) ** 2
+        inside = np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
+        offset_sd = np.sqrt(spread + weight @ inside)
+        found, face = self.map.states_[state]
+        x, y, z = map(float, offset)
+        sx, sy, sz = map(float, offset_sd)
+        turn = float(centre / order % (2 * np.pi / order))
+        most = np.pi / order / np.sqrt(3)
+        return StandingPose(
+            found,
+            face,
+            float(shares[state].sum()),
+            turn,
+            float(min(turn_sd, most)),
+            order,
+            (x, y, z),
+            (sx, sy, sz),
+        )
+
+    def surface(self, n_around: int = 24) -> tuple[Floats, Floats]:
+        """Return where the tip would meet the most probable object.
+
+        Returns points (n, 3) in the frame of the arm (mm) and their covariances
+        (n, 3, 3): of the surface, of the turn and of the offset.
+        """
+        pose = self.pose()
+        state = self.map.states_.index((pose.object, pose.face))
+        every = max(len(AZIMUTHS) // n_around, 1)
+        upper = HEIGHTS >= 0
+        outs = directions()[upper][:, ::every].reshape(-1, 3)
+        radius = self.map.table_.mean_mm[state][upper][:, ::every].ravel()
+        local = outs * np.maximum(radius - self.map.tip_radius_mm, 0)[:, None]
+        standing = np.array([pose.turn_rad, *pose.offset_mm])
+        points = out_of_frames(local, standing)
+        level = points - standing[1:]
+        turning = np.stack([-level[:, 1], level[:, 0], 0 * level[:, 0]], axis=1)
+        outward = out_of_frames(outs, np.array([pose.turn_rad, 0, 0, 0]))
+        states = np.full(len(outs), state)
+        _, variance = self.map.table_.look_up(states, outs * radius[:, None])
+        covariances = variance[:, None, None] * outward[:, :, None] * outward[:, None]
+        covariances = covariances + np.diag(np.square(pose.offset_sd_mm))
+        turned = pose.turn_sd_rad * turning
+        covariances = covariances + turned[:, :, None] * turned[:, None]
+        return points + self.centre_mm, covariances
+
+    def plot_surface(self, history: History = (), ax: Axes | None = None) -> Axes:
+        """Draw from above where the surface is expected, and what was touched.
+
+        Points with an ellipse of one standard deviation, in the frame of the arm;
+        attempts of `history`: dots where something was met, crosses where the tip went
+        without. Returns matplotlib's axes (extra `plot`), `ax` or new ones.
+        """
+        pyplot = needed("matplotlib.pyplot", "plot", "A picture of a surface")
+        patches = needed("matplotlib.patches", "plot", "A picture of a surface")
+        axes = pyplot.subplots(figsize=(5, 5))[1] if ax is None else ax
+        points, covariances = self.surface()
+        for point, covariance in zip(points, covariances, strict=True):
+            lengths, ways = np.linalg.eigh(covariance[:2, :2])
+            width, height = 2 * np.sqrt(np.maximum(lengths, 0))
+            angle = np.degrees(np.arctan2(ways[1, 0], ways[0, 0]))
+            shape = patches.Ellipse(point[:2], width, height, angle=angle)
+            shape.set(facecolor="#4c78a8", alpha=0.12)
+            axes.add_patch(shape)
+        x, y, _ = points.T
+        axes.scatter(x, y, s=4, color="#4c78a8", label="expected")
+        for label, marker in (("met", "o"), ("nothing", "x")):
+            tips = [
+                record.position_mm[:2]
+                for record in history
+                if (record.outcome in _CONTACTS) == (label == "met")
+                and (record.outcome in _CONTACTS or record.outcome == "nothing")
+            ]
+            if tips:
+                x, y = np.transpose(tips)
+                axes.scatter(x, y, marker=marker, color="#c43c39", label=label)
+        axes.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)", title=self.pose())
+        axes.legend(loc="upper right", fontsize="small")
+        return axes

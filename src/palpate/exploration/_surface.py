@@ -1,0 +1,234 @@
+"""Where a round tip meets an object from every side: a radius for every direction.
+
+A dome of radius R whose tip stops at p, pushed along d, has the middle of its ball at
+p - R d. Where the ball touches something, that middle lies on the object's surface
+pushed out by R, whichever way it came. So an object on one of its faces is a function
+of directions: the radius at which the middle of the ball is met, in the frame of the
+object (z up). It is learnt from the object's own touches as a Gaussian process over
+directions, with the unknown place of each recording as a part of it,
+
+    k(u, v) = m^2 + r^2 exp(-(u_z - v_z)^2 / 2 w^2) + s^2 exp(-|u - v|^2 / 2 w^2)
+              + [same recording] a^2 (u_x v_x + u_y v_y) + [same touch] n^2,
+
+averaged over w, s and n as the touches say, whose second term forgets the turn about
+the vertical, as round things do; or it is found by pressing a simulated dome on a mesh.
+Either way it is kept as a table of means and variances, and looked up between nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from .._types import Floats, Indices
+from ..simulation import DomeCamera, PlacedObject, SensorPose, SimObject
+
+N_AROUND = 72
+_STEP = 2 * np.pi / N_AROUND
+# Heights of the table: from 30 degrees below the horizontal, where an object that lies
+# aside is met, to the top.
+_LOWEST = -6
+N_HEIGHTS = 1 - _LOWEST + N_AROUND // 4 - 1
+HEIGHTS = _STEP * (np.arange(N_HEIGHTS) + _LOWEST)
+AZIMUTHS = _STEP * np.arange(N_AROUND)
+_MEAN_SD_MM, _ROUND_SD_MM = 60.0, 30.0
+_WIDTHS, _LOCAL_MM, _NOISES_MM = (0.2, 0.35, 0.6), (4.0, 10.0, 25.0), (1.0, 2.0, 4.0)
+_MESH_SD_MM, _PRESSES_AROUND = 1.5, 36
+_START_MM = 300.0
+# Radii that differ by less look alike.
+_ALIKE_MM = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class RadialSurface:
+    """Radii at which the middle of the tip's ball is met, (n_heights, n_around).
+
+    `mean_mm` and `variance_mm2` hold what is known of the surface; a touch differs
+    from it by `noise_mm` (standard deviation). `size_mm` is twice the middling radius.
+    """
+
+    mean_mm: Floats
+    variance_mm2: Floats
+    noise_mm: float
+
+    @property
+    def size_mm(self) -> float:
+        """Twice the mean radius."""
+        return 2 * float(self.mean_mm.mean())
+
+    def symmetry(self) -> int:
+        """Return how many turns look alike: 1 for none, 72 for something round.
+
+        The most turns that change the radii by less than what is known of them, over
+        the part that can be reached.
+        """
+        reached = self.mean_mm[-_LOWEST:]
+        weight = np.cos(HEIGHTS[-_LOWEST:])[:, None]
+        variance = self.variance_mm2[-_LOWEST:].mean() + self.noise_mm**2
+        limit = np.sqrt(variance + _ALIKE_MM**2)
+        for order in (N_AROUND, 12, 8, 6, 4, 3, 2):
+            steps = range(N_AROUND // order, N_AROUND // 2 + 1, N_AROUND // order)
+            turned = np.stack([np.roll(reached, k, axis=1) for k in steps])
+            squares = ((turned - reached) ** 2 * weight).mean(axis=(1, 2))
+            if np.sqrt(squares.max()) < limit:
+                return order
+        return 1
+
+
+def learnt_surface(
+    middles_mm: Floats, recording: Indices, placement_mm: float
+) -> RadialSurface:
+    """Return the surface that touches have met, from the middles of the tip's ball.
+
+    Parameters
+    ----------
+    middles_mm : ndarray of shape (n_touches, 3)
+        In the frame of the object.
+    recording : ndarray of shape (n_touches,)
+        Touches of one recording share the error of its place.
+    placement_mm : float
+        Standard deviation of that error, along x and y each.
+    """
+    radius = np.linalg.norm(middles_mm, axis=1)
+    towards = middles_mm / np.maximum(radius, 1e-9)[:, None]
+    together = recording[:, None] == recording
+    shared = placement_mm**2 * together * (towards[:, :2] @ towards[:, :2].T)
+    mean = float(np.median(radius))
+    nodes = directions().reshape(-1, 3)
+    evidence, parts = [], []
+    for width, local, noise in product(_WIDTHS, _LOCAL_MM, _NOISES_MM):
+        covariance = _kernel(towards, towards, width, local) + shared
+        covariance += noise**2 * np.eye(len(radius))
+        factor = np.linalg.cholesky(covariance)
+        cross = _kernel(towards, nodes, width, local)
+        both = np.concatenate([(radius - mean)[:, None], cross], axis=1)
+        solved = solve_triangular(factor, both, lower=True)
+        whitened, cross = solved[:, 0], solved[:, 1:]
+        evidence.append(-0.5 * whitened @ whitened - np.log(np.diag(factor)).sum())
+        prior = _MEAN_SD_MM**2 + _ROUND_SD_MM**2 + local**2
+        variance = np.maximum(prior - (cross**2).sum(axis=0), 0.01)
+        parts.append((mean + whitened @ cross, variance, noise**2))
+    # Few touches do not tell how smooth a thing is: all that may be is averaged.
+    weight = np.exp(np.array(evidence) - max(evidence))
+    weight /= weight.sum()
+    means = np.stack([part[0] for part in parts])
+    together = weight @ means
+    variances = np.stack([part[1] for part in parts]) + (means - together) ** 2
+    shape = N_HEIGHTS, N_AROUND
+    noises = np.array([part[2] for part in parts])
+    return RadialSurface(
+        together.reshape(shape),
+        (weight @ variances).reshape(shape),
+        float(np.sqrt(weight @ noises)),
+    )
+
+
+def mesh_surface(thing: SimObject, face: int, camera: DomeCamera) -> RadialSurface:
+    """Return the surface of a mesh on one of its faces, by pressing a simulated dome.
+
+    Where a line through the middle of its bounding box meets nothing the radius is 0.
+    """
+    placed = PlacedObject.resting(thing, face)
+    every = N_AROUND // _PRESSES_AROUND
+    nodes = directions()[-_LOWEST::every, ::every]
+    radii = np.array([[_met_mm(placed, out, camera) for out in row] for row in nodes])
+    heights = HEIGHTS[-_LOWEST::every]
+    around = np.append(AZIMUTHS[::every], 2 * np.pi)
+    closed = np.concatenate([radii, radii[:, :1]], axis=1)
+    wide = np.array([np.interp(AZIMUTHS, around, row) for row in closed])
+    mean = np.array([np.interp(HEIGHTS, heights, column) for column in wide.T]).T
+    # Between presses an edge may lie: half of the step to the neighbours is possible.
+    slope = np.abs(mean - np.roll(mean, 1, axis=1)) + np.abs(
+        np.diff(mean, axis=0, append=mean[-1:])
+    )
+    return RadialSurface(mean, (slope / 2) ** 2 + 0.25, _MESH_SD_MM)
+
+
+def directions() -> Floats:
+    """Return the unit vectors of the table's nodes, (n_heights, n_around, 3)."""
+    flat, height = np.cos(HEIGHTS)[:, None], np.sin(HEIGHTS)[:, None]
+    parts = flat * np.cos(AZIMUTHS), flat * np.sin(AZIMUTHS), height + 0 * AZIMUTHS
+    return np.stack(parts, axis=-1)
+
+
+class SurfaceTable:
+    """Several surfaces in one table, looked up all together.
+
+    Parameters
+    ----------
+    surfaces : list of RadialSurface
+        One for each state: an object on one of its faces.
+    """
+
+    def __init__(self, surfaces: list[RadialSurface]) -> None:
+        self.mean_mm = np.stack([one.mean_mm for one in surfaces])
+        self.noise_mm = np.array([one.noise_mm for one in surfaces])
+        self.size_mm = np.array([one.size_mm for one in surfaces])
+        self.symmetry = np.array([one.symmetry() for one in surfaces])
+        variances = [one.variance_mm2 + one.noise_mm**2 for one in surfaces]
+        both = np.stack([self.mean_mm, np.stack(variances)], axis=-1)
+        self._both = both.reshape(-1, 2)
+
+    def look_up(self, states: Indices, middles_mm: Floats) -> tuple[Floats, Floats]:
+        """Return how far outside surfaces points lie (mm), and its variance (mm2).
+
+        Points (..., 3) in the frames of the `states`, which broadcast with them.
+        The variance is that of the surface and of a touch of it.
+        """
+        x, y, z = np.moveaxis(middles_mm, -1, 0)
+        radius = np.sqrt(x * x + y * y + z * z)
+        height = np.arcsin(np.clip(z / np.maximum(radius, 1e-6), -1, 1)) / _STEP
+        row = np.clip(height - _LOWEST, 0, N_HEIGHTS - 1.001)
+        column = np.arctan2(y, x) / _STEP % N_AROUND
+        low, left = row.astype(np.intp), column.astype(np.intp) % N_AROUND
+        up, right = row - low, column - np.floor(column)
+        first = (states * N_HEIGHTS + low) * N_AROUND
+        beside = (left + 1) % N_AROUND
+        lower = _between(self._both, first + left, first + beside, right)
+        above = first + N_AROUND
+        upper = _between(self._both, above + left, above + beside, right)
+        found = lower + (upper - lower) * up[..., None]
+        return radius - found[..., 0], found[..., 1]
+
+
+def met_along(
+    table: SurfaceTable, states: Indices, far_mm: Floats, way: Floats
+) -> tuple[Floats, Floats]:
+    """Return the radius at which lines meet surfaces (mm), and its variance (mm2).
+
+    The lines (..., 3) come in from `far_mm`, in the frames of the states, along the
+    unit vectors `way`. Counted from the point of the line that is nearest the origin,
+    outward; found by walking in by what is still left.
+    """
+    along = np.einsum("...i,...i->...", far_mm, -way)
+    foot = far_mm + along[..., None] * way
+    radius = np.full(along.shape, 80.0)
+    for _ in range(4):
+        left, variance = table.look_up(states, foot - radius[..., None] * way)
+        radius = np.clip(radius - left, 0.0, None)
+    return radius, variance
+
+
+def _met_mm(placed: PlacedObject, out: Floats, camera: DomeCamera) -> float:
+    start = SensorPose(placed.centre_mm + _START_MM * out, -out)
+    reach = _START_MM + camera.membrane_radius_mm
+    press = camera.press(placed, start, reach_mm=reach)
+    if not press.touched:
+        return 0.0
+    return max(_START_MM - press.travel_mm + camera.membrane_radius_mm, 0.0)
+
+
+def _kernel(one: Floats, other: Floats, width: float, local: float) -> Floats:
+    heights = (one[:, 2][:, None] - other[:, 2]) ** 2
+    squared = 2 - 2 * one @ other.T
+    round_part = _ROUND_SD_MM**2 * np.exp(-heights / (2 * width**2))
+    local_part = local**2 * np.exp(-squared / (2 * width**2))
+    return np.asarray(_MEAN_SD_MM**2 + round_part + local_part)
+
+
+def _between(table: Floats, one: Indices, other: Indices, share: Floats) -> Floats:
+    first = table[one]
+    return np.asarray(first + (table[other] - first) * share[..., None])

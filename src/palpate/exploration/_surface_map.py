@@ -1,0 +1,321 @@
+"""Where the surface of every known object is, and which touches are met where on it.
+
+An object may stand on one of several faces (the column `face` of its touches, or the
+resting poses of a mesh); each is a state with a surface (`_surface`) and pictures of
+its own. The surface is learnt from the places of the object's own training touches:
+no drawing of it is needed. A mesh may be given instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from .._checks import check_count, check_number, check_positive
+from .._numbers import log_softmax
+from .._types import Array, Floats, Indices
+from ..recognition import (
+    STRANGERS,
+    ObjectRecogniser,
+    SequenceCalibration,
+    given_prior,
+)
+from ..simulation import DomeCamera, SimObject
+from ..touches import Touches
+from ._contacts import contacts_of, faces_of, middle_of
+from ._place_belief import PlaceBelief
+from ._place_filter import Looseness, PlaceFilter
+from ._surface import RadialSurface, SurfaceTable, learnt_surface, mesh_surface
+from ._touch_map import TouchMap, Weights
+
+if TYPE_CHECKING:
+    from ._strategies import Hemisphere
+
+_LEAST_TOUCHES = 6
+# Things that are touched are larger than the first and smaller than the second.
+_LEAST_MM, _MOST_MM = 3.0, 3000.0
+_PLACEMENT_MM = 5.0
+_OTHER_FACE_MM = 10.0
+OTHER_FACE = -1
+
+
+class SurfaceMap:
+    """Where every known object has its surface, and what is felt there.
+
+    Parameters
+    ----------
+    n_turns : int, default=36
+        Turns about the vertical with a filter of their own.
+    tip_radius_mm : float, default=20.0
+        Radius of the sensor's round tip.
+    stiffness_n_mm : float, default=0.3
+        Of the sensor's soft end: by how much more force than in training it is pressed
+        in deeper.
+    looseness : Looseness, optional
+        How far objects, arm and sensor may be from where they should be.
+    other_faces : float, default=0.5
+        How often an object stands on a face that was never learnt, of which pictures
+        alone say something. Lower it where all faces were taught.
+    use_pictures : bool, default=True
+        False leaves places and misses alone, whatever the pictures show.
+    random_state : int, default=0
+        Seed of the drawn episodes that weigh the pictures.
+
+    Attributes
+    ----------
+    states_ : list of (str, int)
+        Objects on their faces; -1 stands for a face that was never learnt.
+    object_of_state_ : ndarray of shape (n_states,)
+        Number of the object of each.
+    table_ : SurfaceTable
+        Their surfaces.
+    pictures_ : TouchMap
+        What their touches are like from every side, its "objects" being the states.
+    force_n_ : float
+        Middling force of the training touches.
+    """
+
+    def __init__(
+        self,
+        *,
+        n_turns: int = 36,
+        tip_radius_mm: float = 20.0,
+        stiffness_n_mm: float = 0.3,
+        looseness: Looseness | None = None,
+        other_faces: float = 0.5,
+        use_pictures: bool = True,
+        random_state: int = 0,
+    ) -> None:
+        self.n_turns = n_turns
+        self.tip_radius_mm = tip_radius_mm
+        self.stiffness_n_mm = stiffness_n_mm
+        self.looseness = looseness
+        self.other_faces = other_faces
+        self.use_pictures = use_pictures
+        self.random_state = random_state
+
+    def fit(
+        self,
+        recogniser: ObjectRecogniser,
+        touches: Touches,
+        meshes: Mapping[str, SimObject] | None = None,
+        camera: DomeCamera | None = None,
+    ) -> Self:
+        """Learn where the touches that `recogniser` learnt met something.
+
+        Parameters
+        ----------
+        recogniser : ObjectRecogniser
+            Fitted on these touches.
+        touches : Touches
+            The same, in the same order, with the columns `position_mm` (of the tip at
+            the contact) and `direction` (unit vectors of the approach) in the frame of
+            the object as it stands, z up; perhaps with `face` and `force_n`.
+        meshes : mapping of str to SimObject, optional
+            Objects whose surface is taken from a mesh, on all its resting faces.
+        camera : DomeCamera, optional
+            The dome that is pressed on meshes.
+
+        Raises
+        ------
+        ValueError
+            A touch has no place, an object no map, or places are in another unit.
+        """
+        check_count("n_turns", self.n_turns, at_least=4)
+        check_positive("tip_radius_mm", self.tip_radius_mm)
+        check_positive("stiffness_n_mm", self.stiffness_n_mm)
+        check_number("other_faces", self.other_faces, low=0.0, high=0.9)
+        self.recogniser = recogniser
+        faces = faces_of(touches)
+        pictures = FacedMap(n_turns=self.n_turns, random_state=self.random_state)
+        self.pictures_ = pictures.fit_faces(recogniser, touches, faces)
+        given = dict(meshes or {})
+        surfaces = self._learnt(touches, faces, set(given))
+        dome = DomeCamera((64, 64), n_nodes=16) if camera is None else camera
+        for name, thing in given.items():
+            for face in range(len(thing.resting_rotations)):
+                surfaces[name, face] = mesh_surface(thing, face, dome)
+        self._refuse_unmapped(surfaces)
+        if self.other_faces:
+            for name in recogniser.classes_.tolist():
+                own = [one for (known, _), one in surfaces.items() if known == name]
+                surfaces[name, OTHER_FACE] = _any_face(own)
+        self.states_ = sorted(surfaces)
+        self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
+        names = [name for name, _ in self.states_]
+        self.object_of_state_ = np.searchsorted(recogniser.classes_, names)
+        known = {state: number for number, state in enumerate(pictures.states)}
+        # Faces of a mesh that were never touched have no pictures of their own.
+        self.picture_of_state_ = np.array([known.get(s, -1) for s in self.states_])
+        forces = touches.columns.get("force_n")
+        self.force_n_ = (
+            np.nan if forces is None else float(np.nanmedian(np.asarray(forces, float)))
+        )
+        return self
+
+    def _learnt(
+        self, touches: Touches, faces: Indices, given: set[str]
+    ) -> dict[tuple[str, int], RadialSurface]:
+        """Return the surfaces of all objects but those that a mesh is given for."""
+        tips, ways = contacts_of(touches)
+        recording = touches.session
+        names = np.asarray(self._labels(touches))
+        number = np.zeros(len(touches), int)
+        if recording is not None:
+            number = np.unique(recording, return_inverse=True)[1]
+        surfaces = {}
+        for name, face in sorted(set(zip(names.tolist(), faces.tolist(), strict=True))):
+            if name in given:
+                continue
+            rows = np.flatnonzero((names == name) & (faces == face))
+            if len(rows) < _LEAST_TOUCHES:
+                continue
+            middles = tips[rows] - self.tip_radius_mm * ways[rows]
+            middles = middles - middle_of(tips[rows], ways[rows])
+            reach = float(np.linalg.norm(middles, axis=1).max()) - self.tip_radius_mm
+            _refuse_unit(name, reach)
+            surfaces[name, face] = learnt_surface(middles, number[rows], _PLACEMENT_MM)
+        return surfaces
+
+    def _labels(self, touches: Touches) -> Array:
+        by_object = self.recogniser.label == "object"
+        return np.asarray(touches.object if by_object else touches.category)
+
+    def _refuse_unmapped(self, surfaces: Mapping[tuple[str, int], object]) -> None:
+        mapped = {name for name, _ in surfaces}
+        known = self.recogniser.classes_.tolist()
+        for name in known:
+            if name not in mapped:
+                raise ValueError(
+                    f"Every object must have a map, got none for {name!r}: fewer than "
+                    f"{_LEAST_TOUCHES} touches on any face, and no mesh. Touch it, or "
+                    "give meshes={name: SimObject}."
+                )
+        for name in sorted(mapped - set(known)):
+            raise ValueError(
+                f"meshes must be of learnt objects, got {name!r}. Learn touches of it "
+                "first, simulated ones if need be (explore_to_learn)."
+            )
+
+    def start(
+        self,
+        prior: Mapping[str, float] | None = None,
+        strangers: float = STRANGERS,
+        *,
+        centre_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> PlaceBelief:
+        """Return the belief before the first touch of an episode.
+
+        Parameters
+        ----------
+        prior, strangers : optional
+            As in `ObjectRecogniser.start`.
+        centre_mm : tuple of float, default=(0, 0, 0)
+            Where the middle of the object is assumed, in the frame of the arm.
+        """
+        known = self.recogniser.classes_
+        log_prior = None if prior is None else given_prior(prior, known)
+        return PlaceBelief(self, centre_mm, log_prior, strangers)
+
+    def start_before(
+        self, hemisphere: Hemisphere, strangers: float = STRANGERS
+    ) -> PlaceBelief:
+        """Return `start` with the middle of a hemisphere."""
+        return self.start(None, strangers, centre_mm=hemisphere.centre_mm)
+
+    def filter_before(self) -> PlaceFilter:
+        """Return the filter before the first touch."""
+        looseness = self.looseness or Looseness()
+        return PlaceFilter.before(self.table_, self.n_turns, looseness)
+
+    @property
+    def log_share_of_state(self) -> Floats:
+        """Log share of a turn of each state in its object, (n_states,)."""
+        # Faces that were learnt are equally likely, and so are turns.
+        never = np.array([face == OTHER_FACE for _, face in self.states_])
+        counts = np.bincount(self.object_of_state_[~never])[self.object_of_state_]
+        share = np.where(never, self.other_faces, (1 - self.other_faces) / counts)
+        return np.asarray(np.log(share / self.n_turns))
+
+    def middles(self, tips_mm: Floats, ways: Floats, forces_n: Floats) -> Floats:
+        """Return the middles of the tip's ball as of touches at the force of training.
+
+        Of tips (n, 3) pushed along `ways` with forces (n,), NaN where unknown.
+        """
+        deeper = (forces_n - self.force_n_) / self.stiffness_n_mm
+        deeper = np.clip(np.nan_to_num(deeper), -3.0, 3.0)
+        return tips_mm - (self.tip_radius_mm + deeper)[:, None] * ways
+
+    def picture_evidence(
+        self, touch: Floats, features: Floats, places: Floats
+    ) -> Floats:
+        """Return what pictures say, (n_touches, n_states, n_turns), in nats.
+
+        By `touch`, log p(f | o) (n_touches, n_objects), and by features and places.
+        """
+        ratio = self.pictures_.placed_ratio(features, places)
+        missing = np.zeros((len(ratio), 1, self.n_turns))
+        ratio = np.concatenate([ratio, missing], axis=1)[:, self.picture_of_state_]
+        return self.pictures_.weighed(touch[:, self.object_of_state_], ratio)
+
+
+class FacedMap(TouchMap):
+    """A `TouchMap` whose "objects" are objects on one of their faces."""
+
+    def fit_faces(
+        self, recogniser: ObjectRecogniser, touches: Touches, faces: Indices
+    ) -> Self:
+        """Learn as `fit` does; `faces` (n_touches,) numbers the face of each touch."""
+        self._faces = faces
+        return self.fit(recogniser, touches)
+
+    def _choose(self) -> None:
+        names = self.recogniser.classes_[self.codes_].tolist()
+        every = list(zip(names, self._faces.tolist(), strict=True))
+        self.states = sorted(set(every))
+        self.object_of_state = np.searchsorted(
+            self.recogniser.classes_, [name for name, _ in self.states]
+        )
+        number = {state: k for k, state in enumerate(self.states)}
+        of_touch = np.array([number[state] for state in every])
+        n_states = range(len(self.states))
+        self.rows_of_object = [np.flatnonzero(of_touch == k) for k in n_states]
+        self.left_out_by_object = self.left_out_
+        self.left_out_ = self.left_out_[:, self.object_of_state]
+        super()._choose()
+
+    def _loss(self, ratio: Floats, episodes: list[Indices], weights: Weights) -> float:
+        flat = self.weighed(self.left_out_, ratio, weights[:2]).reshape(len(ratio), -1)
+        faces = np.bincount(self.object_of_state)[self.object_of_state]
+        prior = self.recogniser.log_prior()[self.object_of_state] - np.log(faces)
+        losses = []
+        belongs = np.eye(len(self.recogniser.classes_))[self.object_of_state]
+        for rows in episodes:
+            discount = SequenceCalibration(1.0, weights[2]).weight(rows.shape[1])
+            joint = flat[rows].sum(axis=1) * discount + np.repeat(prior, self.n_turns)
+            shares = np.exp(log_softmax(joint)).reshape(len(rows), -1, self.n_turns)
+            of_objects = shares.sum(axis=2) @ belongs
+            true = self.codes_[rows[:, 0]]
+            own = of_objects[np.arange(len(rows)), true]
+            losses.append(-np.log(np.maximum(own, 1e-300)).mean())
+        return float(np.mean(losses))
+
+
+def _any_face(surfaces: list[RadialSurface]) -> RadialSurface:
+    """Return what an object's surfaces tell of a face that was never learnt."""
+    radii = np.stack([one.mean_mm for one in surfaces])
+    mean, variance = float(radii.mean()), float(radii.var()) + _OTHER_FACE_MM**2
+    flat = np.ones(surfaces[0].mean_mm.shape)
+    return RadialSurface(mean * flat, variance * flat, surfaces[0].noise_mm)
+
+
+def _refuse_unit(name: str, reach_mm: float) -> None:
+    if _LEAST_MM <= reach_mm <= _MOST_MM:
+        return
+    raise ValueError(
+        f"position_mm must be millimetres in the frame of the object, got touches of "
+        f"{name!r} that reach {reach_mm:.3g} mm from its middle. Is it metres, or "
+        "another frame?"
+    )

@@ -1,0 +1,397 @@
+"""The belief with places: what is met moves it as geometry says, and it says so."""
+
+import copy
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate import Touches
+from palpate.exploration import (
+    QUICK_GUARD,
+    Hemisphere,
+    InformativeTouch,
+    PlaceBelief,
+    RandomHemisphere,
+    SurfaceMap,
+    TouchRecord,
+    advice,
+    as_touches,
+    explore,
+    explore_to_learn,
+    put_down,
+)
+from palpate.exploration._place_filter import Looseness, PlaceFilter, out_of_frames
+from palpate.exploration._surface import AZIMUTHS, HEIGHTS, RadialSurface, SurfaceTable
+from palpate.recognition import ObjectRecogniser
+from palpate.simulation import DomeCamera, find_object
+
+CAMERA = DomeCamera(image_shape=(48, 48), n_nodes=24)
+NAMES = ("box", "mug", "pen")
+
+
+@pytest.fixture(scope="module")
+def taught():
+    things = [find_object(name) for name in NAMES]
+    return explore_to_learn(things, 36, CAMERA, n_sessions=6, faces="all")
+
+
+@pytest.fixture(scope="module")
+def recogniser(taught):
+    return ObjectRecogniser().fit(taught)
+
+
+@pytest.fixture(scope="module")
+def surface_map(recogniser, taught):
+    return SurfaceMap(n_turns=12).fit(recogniser, taught)
+
+
+def _touched(surface_map, name, n_touches, seed=3, face=0, yaw=0.7):
+    stand = put_down(
+        find_object(name), CAMERA, face=face, yaw_rad=yaw, random_state=seed
+    )
+    belief = surface_map.start_before(stand.hemisphere)
+    strategy, history = RandomHemisphere(stand.hemisphere, seed), []
+    for _ in range(n_touches):
+        record = stand.touch_at_once(strategy.next_pose(belief, history))
+        belief.update_from_record(record)
+        history.append(record)
+    return belief, history, stand
+
+
+# --- the filter, on surfaces that are known
+
+
+def _oval(a, b, noise_mm=1.0):
+    flat = 1 / np.hypot(np.cos(AZIMUTHS) / a, np.sin(AZIMUTHS) / b)
+    radii = np.repeat(flat[None], len(HEIGHTS), axis=0)
+    return RadialSurface(radii, np.full(radii.shape, 0.25), noise_mm)
+
+
+def _contacts(surface, pose, azimuths):
+    """Points on a surface that stands in a pose."""
+    radii = np.interp(azimuths, AZIMUTHS, surface.mean_mm[8], period=2 * np.pi)
+    local = np.stack(
+        [radii * np.cos(azimuths), radii * np.sin(azimuths), 0 * radii], axis=1
+    )
+    return out_of_frames(local, np.asarray(pose))
+
+
+def _weighed(found):
+    shares = np.exp(found.log_evidence - found.log_evidence.max())
+    return shares / shares.sum()
+
+
+def test_the_filter_finds_the_turn_and_the_place_of_an_oval():
+    oval, pose = _oval(90, 50), (0.6, 5.0, -4.0, 0.0)
+    found = PlaceFilter.before(SurfaceTable([oval]), 36, Looseness())
+    for point in _contacts(oval, pose, np.arange(12) * 2.4):
+        found = found.met(point)
+    best = found.mean[_weighed(found).argmax()]
+    # An oval looks alike every half turn. Tables are straight lines of 5 degrees, and
+    # each contact is believed to 1.8 mm.
+    assert abs((best[0] - 0.6 + np.pi / 2) % np.pi - np.pi / 2) < np.deg2rad(4)
+    assert_allclose(best[1:3], [5, -4], atol=1.5)
+
+
+def test_contacts_tell_two_sizes_apart_as_their_densities_say():
+    small, large = _oval(50, 50), _oval(60, 60)
+    loose = Looseness(placement_mm=1e-3, height_mm=1e-3, sensor_mm=1e-3, shift_share=0)
+    found = PlaceFilter.before(SurfaceTable([small, large]), 4, loose)
+    found = found.met(np.array([50.0, 0, 0]))
+    # 10 mm off at a variance of 1.25 mm2, and what nothing explains: 0.03 over 150 mm.
+    normal = 0.97 / np.sqrt(2 * np.pi * 1.25)
+    expected = np.log(normal + 2e-4) - np.log(normal * np.exp(-100 / 2.5) + 2e-4)
+    assert_allclose(found.log_evidence[0] - found.log_evidence[4], expected, atol=0.02)
+
+
+def test_free_space_speaks_against_what_reaches_into_it():
+    small, large = _oval(30, 30), _oval(80, 80)
+    found = PlaceFilter.before(SurfaceTable([small, large]), 4, Looseness())
+    # Past the small one at 50 mm, through the large one.
+    found = found.met_nothing(np.array([200.0, 50, 0]), np.array([-200.0, 50, 0]))
+    assert found.log_evidence[0] > -0.1
+    assert found.log_evidence[4] < -2
+
+
+def test_an_object_that_shifts_is_followed():
+    oval, azimuths = _oval(90, 50), np.arange(40) * 2.4
+    found = PlaceFilter.before(SurfaceTable([oval]), 36, Looseness())
+    for number, azimuth in enumerate(azimuths):
+        slid = 0.2 * number  # 8 mm in the end, a twentieth of its size
+        point = _contacts(oval, (0.6, slid, 0, 0), np.array([azimuth]))[0]
+        found = found.met(point)
+    best = found.mean[_weighed(found).argmax()]
+    assert_allclose(best[1:3], [8, 0], atol=2.5)
+
+
+# --- the belief
+
+
+def test_object_face_and_pose_are_found(surface_map):
+    for name, face in (("box", 2), ("pen", 0), ("mug", 1)):
+        belief, _, stand = _touched(surface_map, name, 10, face=face)
+        assert belief.best == name
+        pose = belief.pose()
+        assert (pose.object, pose.face) == (name, face)
+        if name == "pen":
+            off = (pose.turn_rad - stand.bench.target.yaw_rad + np.pi / 2) % np.pi
+            assert abs(off - np.pi / 2) < np.deg2rad(15)
+            assert f"turned by {np.degrees(pose.turn_rad):.0f}" in str(pose)
+        off_mm = stand.bench.target.centre_mm - np.asarray(stand.hemisphere.centre_mm)
+        # Recordings it was learnt from were themselves 5 mm aside; six contacts a side.
+        assert np.hypot(*(off_mm - pose.offset_mm)[:2]) < 12
+
+
+def test_probabilities_sum_to_one_and_a_copy_goes_on_by_itself(surface_map):
+    belief, history, _ = _touched(surface_map, "mug", 3)
+    total = sum(belief.posterior.values()) + belief.unknown
+    assert total == pytest.approx(1)
+    assert np.exp(belief.log_joint).sum() == pytest.approx(1)
+    other, before = copy.copy(belief), belief.posterior
+    other.update_from_record(history[0])
+    assert belief.posterior == before != other.posterior
+    assert isinstance(belief, PlaceBelief)
+
+
+def test_before_any_touch_it_is_the_prior(surface_map):
+    prior = {"box": 0.2, "mug": 0.5, "pen": 0.3}
+    assert surface_map.start(prior, 0).posterior == pytest.approx(prior)
+
+
+def test_a_surface_where_no_known_object_has_one_is_of_a_stranger(surface_map):
+    belief, history, _ = _touched(surface_map, "pen", 4)
+    fits = belief.unknown_evidence
+    stranger = surface_map.start_before(Hemisphere(belief.centre_mm))
+    for record in history:
+        tip = np.asarray(record.position_mm) - 200 * record.direction
+        stranger.update_from_record(
+            TouchRecord("no frame", record.start, tuple(tip), force_n=record.force_n)
+        )
+    assert stranger.unknown_evidence > 3 > fits
+    assert stranger.unknown > surface_map.start().unknown
+
+
+def test_misses_are_evidence_and_faults_are_none(surface_map):
+    belief = surface_map.start()
+    before = belief.posterior
+    pose = Hemisphere().pose(0.3, 0.1)
+    failed = TouchRecord("robot error", pose, (0.0, 0.0, 0.0))
+    assert belief.update_from_record(failed).posterior == before
+    end = tuple(pose.advanced(315).position_mm)
+    missed = TouchRecord("nothing", pose, end, travel_mm=315.0)
+    after = belief.update_from_record(missed).posterior
+    # Through the middle there is always the box; the pen may lie beside.
+    assert after["box"] < before["box"]
+    assert after["pen"] > before["pen"]
+
+
+def test_a_stronger_press_is_a_deeper_contact(surface_map):
+    tip, way = np.array([[60.0, 0, 0]]), np.array([[-1.0, 0, 0]])
+    usual = surface_map.middles(tip, way, np.array([surface_map.force_n_]))
+    harder = surface_map.middles(tip, way, np.array([surface_map.force_n_ + 0.3]))
+    unknown = surface_map.middles(tip, way, np.array([np.nan]))
+    assert_allclose(usual, [[80, 0, 0]])
+    # 0.3 N at 0.3 N/mm: the same surface is met 1 mm earlier with the usual force.
+    assert_allclose(harder, [[81, 0, 0]])
+    assert_allclose(unknown, usual)
+
+
+def test_a_sensor_pose_that_is_wrong_is_borne(surface_map):
+    belief, history, stand = _touched(surface_map, "box", 8)
+    wrong = surface_map.start_before(stand.hemisphere)
+    turn, shift = np.deg2rad(2), np.array([1.2, -1.2, 1.0])
+    rotation = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
+    for record in history:
+        touch = as_touches([record])
+        wrong.update(
+            touch.with_columns(
+                position_mm=touch.columns["position_mm"] + shift,
+                direction=touch.columns["direction"] @ rotation.T,
+            )
+        )
+    assert wrong.best == belief.best == "box"
+    assert wrong.posterior["box"] > 0.9
+
+
+def test_the_surface_is_where_the_tip_was_stopped(surface_map):
+    belief, history, _ = _touched(surface_map, "box", 10)
+    points, covariances = belief.surface()
+    assert points.shape[1:] == (3,)
+    assert (np.linalg.eigvalsh(covariances) > 0).all()
+    nearest = [
+        np.linalg.norm(points - record.position_mm, axis=1).min() for record in history
+    ]
+    # Points are 15 degrees apart, up to 25 mm on the far ends.
+    assert np.median(nearest) < 20
+
+
+def test_the_surface_can_be_drawn_from_above(surface_map):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    belief, history, stand = _touched(surface_map, "box", 4)
+    pose = stand.hemisphere.pose(0.0, 0.5)
+    missed = TouchRecord("nothing", pose, (9.0, 8.0, 7.0), travel_mm=300.0)
+    axes = belief.plot_surface([*history, missed])
+    shown = {one.get_label(): one.get_offsets() for one in axes.collections}
+    assert_allclose(shown["met"], [record.position_mm[:2] for record in history])
+    assert_allclose(shown["nothing"], [[9, 8]])
+    assert len(axes.patches) == len(shown["expected"]) == len(belief.surface()[0])
+    pyplot.close("all")
+
+
+def test_a_mesh_stands_in_for_touches(recogniser, taught):
+    thing = find_object("box")
+    learnt = SurfaceMap(n_turns=12, use_pictures=False)
+    learnt.fit(recogniser, taught, meshes={"box": thing})
+    assert [s for s in learnt.states_ if s[0] == "box"] == [
+        ("box", -1),
+        ("box", 0),
+        ("box", 1),
+        ("box", 2),
+    ]
+    belief, _, _ = _touched(learnt, "box", 8)
+    assert belief.best == "box"
+
+
+# --- where next
+
+
+def test_choosing_is_the_same_after_the_same_history(surface_map):
+    belief, history, stand = _touched(surface_map, "mug", 3)
+    one = InformativeTouch(surface_map, stand.hemisphere)
+    pose = one.next_pose(belief, history)
+    again = InformativeTouch(surface_map, stand.hemisphere)
+    # Without the belief it follows the history itself.
+    followed = again.next_pose(None, history)
+    assert_allclose(pose.position_mm, followed.position_mm)
+    gains = one.expected_gain(belief, history)
+    assert np.isfinite(gains).all()
+    assert gains.shape == (6 * 16,)
+
+
+def test_the_next_touch_is_where_what_may_stand_there_differs(recogniser, taught):
+    learnt = SurfaceMap(n_turns=12, use_pictures=False, other_faces=0.0)
+    learnt.fit(recogniser, taught)
+    round_one = _oval(60, 60)
+    # Two things that differ in height alone, one that differs from both everywhere.
+    taller = RadialSurface(round_one.mean_mm.copy(), round_one.variance_mm2, 1.0)
+    taller.mean_mm[np.deg2rad(60) < HEIGHTS] = 90
+    learnt.table_ = SurfaceTable([round_one, taller, _oval(150, 150)])
+    learnt.states_ = [("box", 0), ("mug", 0), ("pen", 0)]
+    learnt.object_of_state_ = np.arange(3)
+    learnt.picture_of_state_ = np.full(3, -1)
+    belief = learnt.start({"box": 0.5, "mug": 0.5 - 1e-6, "pen": 1e-6}, 0)
+    strategy = InformativeTouch(learnt)
+    gains = strategy.expected_gain(belief, []).reshape(6, 16)
+    # A fair question of two is worth log 2; the sides are the same on both.
+    assert_allclose(gains[-1], np.log(2), atol=0.1)
+    assert_allclose(gains[0], 0, atol=0.05)
+    pose = strategy.next_pose(belief, [])
+    assert pose.direction[2] < -0.8
+    assert "above" in advice(belief, pose)
+
+
+def test_seconds_are_a_cost(surface_map):
+    belief, history, stand = _touched(surface_map, "mug", 1)
+    dear = InformativeTouch(surface_map, stand.hemisphere, nats_per_second=100)
+    cheap = InformativeTouch(surface_map, stand.hemisphere, nats_per_second=0)
+    last = history[-1].direction
+    far, near = (
+        np.arccos(np.clip(one.next_pose(belief, history).direction @ last, -1, 1))
+        for one in (cheap, dear)
+    )
+    assert near <= far
+
+
+def test_advice_is_a_sentence(surface_map):
+    belief, _, stand = _touched(surface_map, "box", 4)
+    said = advice(belief, stand.hemisphere.pose(0.0, 0.1))
+    assert "from 3 o'clock, to tell the box from the " in said
+    above = advice(belief, stand.hemisphere.pose(0.0, np.pi / 2))
+    assert above.startswith("Touch the top, from straight above")
+
+
+def test_an_episode_with_the_arm_ends_with_a_pose(surface_map, tmp_path):
+    stand = put_down(find_object("pen"), CAMERA, yaw_rad=1.0, random_state=2)
+    strategy = InformativeTouch(surface_map, stand.hemisphere)
+    arm = stand.robot, stand.sensor, surface_map, strategy, tmp_path / "pen"
+    options = {"guard": QUICK_GUARD, "clock": stand.robot.clock, "error": 0.05}
+    end = explore(*arm, max_attempts=2, **options)
+    again = explore(*arm, max_attempts=10, **options)
+    assert again.history[: len(end.history)] != []
+    assert again.decision == "pen"
+    assert again.belief.pose().object == "pen"
+
+
+# --- bad input
+
+
+def test_places_that_are_missing(surface_map, recogniser, taught):
+    belief, history, _ = _touched(surface_map, "mug", 1)
+    touch = as_touches(history)
+    lost = touch.with_columns(position_mm=[[np.nan] * 3])
+    before = belief.filter.log_evidence
+    belief.update(lost)
+    # It counts by its picture alone.
+    assert_allclose(belief.filter.log_evidence, before)
+    assert belief.touches_used == 2
+    places = np.array(taught.columns["position_mm"])
+    places[7] = np.nan
+    with pytest.raises(ValueError, match=r"in touch 7, and no place in 1 of 108 "):
+        SurfaceMap().fit(recogniser, taught.with_columns(position_mm=places))
+
+
+def test_another_unit_or_frame_is_told_by_its_extent(surface_map, recogniser, taught):
+    metres = np.array(taught.columns["position_mm"]) / 1000
+    with pytest.raises(ValueError, match=r"must be millimetres.*Is it metres"):
+        SurfaceMap().fit(recogniser, taught.with_columns(position_mm=metres))
+    belief, history, _ = _touched(surface_map, "mug", 1)
+    touch = as_touches(history)
+    elsewhere = touch.with_columns(
+        position_mm=np.asarray(touch.columns["position_mm"]) + 2000
+    )
+    with pytest.raises(ValueError, match=r"position_mm must be within \d+ mm .*frame"):
+        belief.update(elsewhere)
+    assert belief.touches_used == 1
+
+
+def test_an_object_without_a_map_is_named(taught):
+    few = np.flatnonzero(taught.object == "mug")[:4]
+    rows = np.sort(np.concatenate([few, np.flatnonzero(taught.object != "mug")]))
+    part = taught[rows]
+    with pytest.raises(ValueError, match=r"got none for 'mug'.*fewer than 6 touches"):
+        SurfaceMap().fit(ObjectRecogniser().fit(part), part)
+
+
+def test_without_places_it_is_said(recogniser, taught):
+    kept = {"object": taught.object, "direction": taught.columns["direction"]}
+    bare = Touches(taught.images, geometry="dome", **kept)
+    learnt = ObjectRecogniser().fit(bare)
+    with pytest.raises(ValueError, match="must have a column 'position_mm'"):
+        SurfaceMap().fit(learnt, bare)
+    with pytest.raises(ValueError, match="must be of learnt objects, got 'ball'"):
+        SurfaceMap().fit(recogniser, taught, meshes={"ball": find_object("ball")})
+
+
+def test_a_hemisphere_that_the_arm_cannot_reach_is_said_in_one_sentence(arm, sensor):
+    class Undecided:
+        def start(self):
+            return self
+
+        def decide(self, error, refusal):
+            return None
+
+    class Short:
+        def __getattr__(self, name):
+            return getattr(arm, name)
+
+        def move_to(self, pose):
+            raise RuntimeError("joint 3 at its limit")
+
+    strategy = RandomHemisphere(Hemisphere(radius_mm=150), 1)
+    end = explore(Short(), sensor, Undecided(), strategy, max_attempts=9)
+    assert end.ended_by == "faults"
+    assert "reached none of the last 3 places of the hemisphere of 150 mm" in end.reason
+    assert "joint 3 at its limit" in end.reason
