@@ -207,7 +207,7 @@ def put_before(arm):
     """Let whatever is put down be put before this arm."""
 
     def put_down(thing, *_, **__):
-        return Stand(thing, NEAR, arm, arm)
+        return Stand(thing, NEAR, arm, arm, arm)
 
     names = "_simulated_objects", "environment"
     rooms = [import_module(f"palpate.exploration.{name}") for name in names]

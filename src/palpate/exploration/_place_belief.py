@@ -222,18 +222,16 @@ class PlaceBelief(Belief):
         of_state = self.map.object_of_state_
         return [np.flatnonzero(of_state == k) for k in range(len(self._judge.classes))]
 
-    def _by_encoding(self) -> Floats:
-        by_place = self.log_posterior - self._touch_log_posterior
-        return log_softmax(super()._by_encoding() + by_place, axis=-1)
-
-    def _weigh(self) -> None:
-        super()._weigh()
+    def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
         prior = log_softmax(self._prior_and_senses())[self.map.object_of_state_]
         prior = prior + self.map.log_share_of_state
         calibration = self.map.pictures_.sequence_calibration
         pictures = self._pictures * calibration.weight(self._n_informative)
         joint = (pictures + prior[:, None]).ravel() + self.filter.log_evidence
         self.log_joint: Floats = joint - logsumexp(joint)
+        placed = self.log_posterior
+        by_place = placed - log_posterior
+        super()._hear(placed, log_softmax(by_encoding + by_place, axis=-1))
 
     def pose(self, name: str | None = None) -> StandingPose:
         """Return how the most probable object stands, or the one of that name.
