@@ -247,8 +247,8 @@ def test_what_was_never_taught_is_named_with_what_is_near(folder):
         with pytest.raises(LibraryError, match="no object 'mug' in the library"):
             session.teacher.touches("mug")
         with pytest.raises(LibraryError, match="Did you mean 'disc'"):
-            session.teacher.ids("disk", 3)
-        assert len(session.teacher.ids("disc", 3)) == 3
+            session.teacher.newest("disk", 3)
+        assert len(session.teacher.newest("disc", 3)) == 3
 
 
 def test_a_new_name_is_kept_without_the_blanks_around_it(folder):

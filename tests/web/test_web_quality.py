@@ -243,8 +243,8 @@ def test_a_lesson_of_a_camera_keeps_its_channels(tmp_path):
     image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     said = teacher.take(image, None, 1.0, {"force_n": 0.5})
     assert said == "Touch 1 of 2 of mug is stored."
-    (key,) = teacher.ids("mug", 5)
-    assert teacher.channels(key) == ["r", "g", "b"]
+    [row] = teacher.newest("mug", 5)
+    assert teacher.channels(row.id) == ["r", "g", "b"]
     assert teacher.touches("mug").columns["force_n"].tolist() == [0.5]
     assert teacher.lesson.to_dict()["done"] == 1
     assert teacher.take(image[::-1], None, 1.0).startswith("Touch 2 of 2 of mug is")
