@@ -177,11 +177,11 @@ def test_a_file_goes_into_a_library_as_it_is(kind, palpate, tmp_path):
         compare(touches.images)
 
 
-def test_a_running_topic_is_recorded_not_added(palpate, tmp_path):
+def test_what_a_running_topic_shows_must_be_said(palpate, tmp_path):
     done = palpate("library", "add", tmp_path / "lab", "ros:/pad?domain=3")
     assert done.returncode == 1
-    command = f"palpate record NAME --sensor ros:/pad?domain=3 --library {tmp_path}"
-    assert command in done.stderr.replace("\n", "")
+    assert "--object NAME must be given with a running sensor" in done.stderr
+    assert not (tmp_path / "lab").exists()
 
 
 def cut(folder, write):

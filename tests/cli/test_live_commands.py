@@ -75,6 +75,17 @@ def test_an_address_may_say_what_options_say(palpate, recording, tmp_path):
     assert json.loads(done.stdout)["touches"] == 3
 
 
+def test_touches_of_a_running_sensor_are_added(palpate, recording, tmp_path):
+    address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
+    words = ["--object", "bar", "-n", "3", "--session", "monday", "--json"]
+    done = palpate("library", "add", tmp_path / "lab", address, *words)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["added"] == 3
+    with TouchLibrary.open(tmp_path / "lab") as library:
+        rows = library.list()
+    assert [(row.object, row.session) for row in rows] == [("bar", "monday")] * 3
+
+
 def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
     done = palpate(
         *["record", "bar", "--sensor", "sim:bar10", "--rate", "50", "--gap", "10000"],

@@ -19,6 +19,7 @@ library = typer.Typer(
 
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
 Object = Annotated[str, argument("An object.")]
+_SENSORS = ("ros:", "camera:", "serial:", "sim:", "replay:")
 Filter = Annotated[str | None, argument("FILTER", "A filter, as --where.")]
 
 
@@ -41,6 +42,9 @@ def add(
     object_name: Annotated[
         str | None, option("--object", "What is touched in all of it.")
     ] = None,
+    n_touches: Annotated[
+        int, option("-n", "--touches", "Of a running sensor: how many.")
+    ] = 12,
     detect: Annotated[
         bool,
         option(
@@ -57,11 +61,23 @@ def add(
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    if str(touches).startswith(("ros:", "camera:", "serial:")) and not touches.exists():
-        raise ValueError(
-            f"TOUCHES must be a file or a folder, got the sensor {touches}. Record: "
-            f"palpate record NAME --sensor {touches} --library {folder}."
+    if str(touches).startswith(_SENSORS) and not touches.exists():
+        from .record import record_some
+
+        if object_name is None:
+            raise ValueError(
+                f"--object NAME must be given with a running sensor, got {touches} "
+                "without. Say what is touched."
+            )
+        n_taken = record_some(str(touches), folder, object_name, n_touches, session)
+        answer(
+            as_json,
+            {"library": str(folder), "given": n_taken, "added": n_taken},
+            f"{counted(n_taken)} of {object_name} in {folder}.",
         )
+        if n_taken < n_touches:
+            raise typer.Exit(1)
+        return
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
     n_given = 0
     parts = reading.parts(touches, topic)  # before a library is made

@@ -85,6 +85,24 @@ def record(
         raise typer.Exit(1)
 
 
+def record_some(
+    address: str,
+    library: Path,
+    name: str,
+    touches: int,
+    session_name: str | None = None,
+    timeout_s: float = 120.0,
+) -> int:
+    """Record touches of one object from a sensor; return how many there were."""
+    from ..web import LiveSession
+
+    with LiveSession(SensorOptions().open(address), library=library) as session:
+        need_baseline(session)
+        assert session.teacher is not None
+        session.teacher.begin_session("", session_name)
+        return _lesson(session, " ".join(name.split()), touches, timeout_s)
+
+
 def _place_again(session: "LiveSession") -> None:
     from ..sensors import ContactError, SensorError
 
