@@ -25,8 +25,8 @@ from ._memory import Memory
 N_TOUCHES, N_SESSIONS = 120, 5
 # No feature moves by more than this, in standard deviations of the training touches.
 FARTHEST = 10.0
-# A share that counts less is not worth the time.
-LEAST_SHARE = 0.02
+# A smaller share changes next to nothing, and would double the work of each touch.
+LEAST_SHARE = 0.1
 # Pads and pictures whose zero wanders do so smoothly, over this share of their side.
 SMOOTH = 0.25
 
