@@ -80,10 +80,13 @@ class RehearsedMachine(BayesRule):
         return self._both(plain, self.rehearsed.log_likelihood(touches @ self.weighing))
 
     def log_likelihood_checked(self, touches: Floats) -> Floats:
-        """Do what `log_likelihood` does, for a caller that has checked the touches."""
+        """Do what `log_likelihood` does, but for a constant of each touch."""
+        share, weighed = self.share, touches @ self.weighing
+        if share == 1:
+            return self.rehearsed.log_likelihood_checked(weighed)
         plain = self.plain.log_likelihood_checked(touches)
-        weighed = touches @ self.weighing
-        return self._both(plain, self.rehearsed.log_likelihood_checked(weighed))
+        rehearsed = self.rehearsed.log_likelihood_checked(weighed)
+        return np.asarray((1 - share) * plain + share * rehearsed)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches, their groups left out."""
