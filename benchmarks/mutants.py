@@ -46,6 +46,7 @@ CORE = {
     "library_histories",
     "library/_checking.py": "library_changes library_store library_flips",
     "library/_content.py": "touch_library library_channels library_store",
+    "library/_exchange.py": "lerobot_contents library_export library_parquet",
     "library/_migrating.py": "library_migrating",
     "library/_names.py": "library_changes library_names library_histories",
     "library/_reading.py": "library_reading touch_library library_channels "
@@ -70,7 +71,7 @@ CORE = {
     "exploration/_robot.py": "simulated_robot",
     "exploration/_record.py": "episode_log explore",
     "exploration/_strategies.py": "hemisphere next_touch",
-    "exploration/_touch_map.py": "placed_belief next_touch",
+    "exploration/_touch_map.py": "touch_map placed_belief next_touch",
     "sensors/_framing.py": "framing serial_array",
     "sensors/_serial.py": "serial_array",
     "sensors/_detector.py": "touch_detector sensor_drift films",
