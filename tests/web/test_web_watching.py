@@ -180,3 +180,15 @@ def test_health_is_of_the_last_hundred_and_the_sensors_drops():
     for _ in range(2):
         same.count_frame(now_s)
     assert same.to_dict()["rate_hz"] == 0
+
+
+@pytest.mark.parametrize(("ago_s", "rate_hz"), [(1.5, 10), (2.5, 0)])
+def test_a_sensor_silent_for_two_seconds_has_no_rate(ago_s, rate_hz):
+    health, now_s = Health(None), time.monotonic()
+    for number in range(5):
+        health.count_frame(now_s - ago_s - (4 - number) / 10)
+    assert health.to_dict()["rate_hz"] == pytest.approx(rate_hz)
+
+
+def test_two_events_alike_are_two_events():
+    assert Event("state") != Event("state")
