@@ -1,12 +1,20 @@
 """What a terminal would obey is shown, not printed raw."""
 
+import io
+import re
 import sys
 import warnings
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
-from palpate import Touches
+from palpate import Touches, cli
+from palpate.cli import serve
+from palpate.cli._sensor import need_baseline
 from palpate.library import TouchLibrary
+from palpate.sensors import ContactError
 from palpate.touches import png_bytes
 
 
@@ -71,3 +79,73 @@ def test_warnings_show_what_a_terminal_would_obey(palpate, monkeypatch):
     assert r"\x1b[2J" in said
     assert "\x1b" not in said
     assert warnings.formatwarning is usual
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [CLEAR],
+        ["learn", f"--{CLEAR}"],
+        ["learn", CLEAR, "-o", CLEAR],
+        ["learn", "x", "-o", "m.palpate", CLEAR],
+        ["library", CLEAR],
+        ["serve", "--sensor", f"camera:a?{CLEAR}=1"],
+        ["serve", "--sensor", f"nothing:{CLEAR}"],
+        ["serve", "--sensor", "sim:mug", "--publish", CLEAR],
+        ["serve", "--sensor", "sim:mug", "--port", "0", "--log", f"x.{CLEAR}"],
+        ["serve", "--host", CLEAR, "--port", "0"],
+        ["live", f"m{CLEAR}.palpate", "--sensor", f"replay:{CLEAR}"],
+        ["bench", CLEAR],
+        ["data", "fetch", CLEAR],
+        ["explore", "recognise", CLEAR, CLEAR],
+        ["simulate", CLEAR, "-o", "x.npz"],
+    ],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_wrong_usage_shows_what_was_typed(palpate, tmp_path, arguments, as_json):
+    done = palpate(*arguments, *["--json"] * as_json, cwd=tmp_path)
+    assert done.returncode in (1, 2)
+    said = done.stdout + done.stderr
+    assert not {"\x1b", "\x07", "\x9b"} & {*said}, repr(said)
+    assert "owned" in said
+
+
+def test_where_a_server_is_is_shown(monkeypatch, capsys):
+    """A host's name and a token that were given come back on both outputs."""
+    serve._say_where(CLEAR, 80, CLEAR, as_json=False)
+    printed = capsys.readouterr()
+    for one in (printed.out, printed.err):
+        assert not {"\x1b", "\x07", "\x9b"} & {*one}, repr(one)
+        assert r"\x1b[2J" in one
+
+
+def test_what_a_sensor_says_of_itself_is_shown(monkeypatch, capsys):
+    """Names of cameras come from the device, those of recordings from a file."""
+    refused = ContactError(f"{CLEAR} is pressed.")
+    sensor = SimpleNamespace(unfixed=f"{CLEAR} does not hold still.")
+
+    def refuse(*, force=False):
+        if not force:
+            raise refused
+
+    session = SimpleNamespace(
+        watch=SimpleNamespace(sensor=sensor), baseline=None, take_baseline=refuse
+    )
+    monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    need_baseline(session)
+    said = capsys.readouterr().err
+    assert not {"\x1b", "\x07", "\x9b"} & {*said}, repr(said)
+    assert said.count(r"\x1b[2J") == 2
+
+
+def test_nothing_is_printed_past_the_one_function():
+    """What prints is `say`, or draws with rich and what `printable` returned."""
+    folder = Path(cli.__file__).parent
+    raw = re.compile(r"(?<![\w.])print\(|typer\.s?echo|\.write\(|Console\(|\.secho")
+    found = {
+        path.name
+        for path in folder.glob("*.py")
+        if path.name != "_output.py" and raw.search(path.read_text())
+    }
+    assert not found

@@ -182,3 +182,72 @@ def test_the_sentence_stands_in_the_figures():
     figures, _ = evaluate(touches(), split="last", plan=plan)
     assert figures["verdict"] == verdict(figures)
     assert "3 touches" in figures["verdict"]
+
+
+def test_of_three_objects_a_pair_is_told():
+    confusion = [[0.7, 0.3, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    trial = trial_of(confusion=confusion, names="abc")
+    found = recommendations(figures_of((0.5, 0.5)), [trial])
+    assert [one.split(":")[0] for one in found] == [
+        "100% of the mistakes are a taken for b"
+    ]
+
+
+def test_mistakes_are_shares_over_objects_and_trials():
+    """Less than a fortieth of all answers is not worth a sentence."""
+    confusion = np.eye(4)
+    confusion[0, :2] = 0.84, 0.16  # of four objects a twenty-fifth
+    one = trial_of(confusion=confusion)
+    assert recommendations(figures_of((0.5, 0.5)), [one])
+    none = trial_of()
+    assert recommendations(figures_of((0.5, 0.5)), [one, none]) == []
+
+
+def test_one_number_of_touches_has_no_gain():
+    figures = figures_of() | {"accuracy": {"1": 0.99}}
+    assert recommendations(figures, [trial_of()]) == []
+    several = figures_of() | {"accuracy": {"1": 0.2, "3": 0.8, "5": 0.82}}
+    assert recommendations(several, [trial_of()]) == []
+    several["accuracy"]["5"] = 0.9
+    (gain,) = recommendations(several, [trial_of()])
+    assert gain.startswith("More touches help: 80% right after 3, 90% after 5.")
+
+
+@pytest.mark.parametrize(
+    ("right", "chance", "begin"),
+    [
+        (0.95, 0.25, "Good: 95% right after 5 touches"),
+        (0.949, 0.25, "Fair"),
+        (0.8, 0.25, "Fair"),
+        (0.79, 0.25, "Not good yet"),
+        (0.375, 0.25, "Not better than guessing"),
+        (0.38, 0.25, "Not good yet"),
+    ],
+)
+def test_where_good_and_fair_begin(right, chance, begin):
+    assert verdict(figured(right, 0.1, chance)).startswith(begin)
+
+
+def test_as_good_as_touch_is_equal_or_better_where_both_are_above_chance():
+    assert verdict(figured(0.9, 0.9)).startswith("This does not show")
+    assert verdict(figured(0.9, 0.89)).startswith("Fair")
+    assert verdict(figured(0.375, 0.5)).startswith("Not better than guessing")
+
+
+def test_after_one_touch_the_sentences_are_in_the_singular():
+    figures = figured(0.9, 0.1) | {"accuracy": {"1": 0.9}}
+    assert verdict(figures).startswith("Fair: 90% right after 1 touch, where")
+    said = recommendations(figures_of((0.5, 0.5)), [trial_of(1)])
+    assert any("was taught with 1 touch: give every object 60" in one for one in said)
+    said = recommendations(figures_of((0.5, 0.5)), [trial_of(2)])
+    assert any("was taught with 2 touches: give" in one for one in said)
+
+
+@pytest.mark.parametrize("split", ["session", "subject"])
+def test_what_was_asked_elsewhere_is_told_of_mountings(split):
+    figures = figures_of((0.5, 0.5), split=split, sessions={"asked": 0})
+    said = recommendations(figures, [trial_of()])
+    assert len(said) == 1
+    assert said[0].startswith("Another mounting costs accuracy")
+    here = figures_of((0.5, 0.5), sessions={"asked": 0})
+    assert "one session" in recommendations(here, [trial_of()])[0]

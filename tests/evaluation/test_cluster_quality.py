@@ -83,3 +83,18 @@ def test_clusters_far_from_the_origin_keep_their_distances(rng):
     touches, labels = rng.integers(0, 50, (30, 3)).astype(float), np.arange(30) % 3
     index = davies_bouldin(touches, labels)
     assert davies_bouldin(touches + 1e15, labels) == pytest.approx(index, rel=1e-12)
+
+
+def test_clusters_of_one_touch_have_no_radius():
+    assert davies_bouldin([[0.0], [10.0]], ["a", "b"]) == 0
+    # Radii 1 and 0, 9 apart: both clusters count the pair.
+    assert davies_bouldin([[0.0], [2.0], [10.0]], ["a", "a", "b"]) == pytest.approx(
+        1 / 9
+    )
+
+
+@pytest.mark.parametrize(("share", "is_one"), [(1e-15, True), (1e-13, False)])
+def test_centroids_that_rounding_cannot_tell_apart_are_one(share, is_one):
+    points = [[-1.0], [1.0], [-1.0 + share], [1.0 + share]]
+    index = davies_bouldin(points, [0, 0, 1, 1])
+    assert np.isinf(index) == is_one

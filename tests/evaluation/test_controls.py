@@ -13,6 +13,7 @@ from palpate.evaluation import (
     sorted_pixels,
     without_contact,
 )
+from palpate.evaluation._controls import control_log_likelihood
 
 
 @pytest.fixture
@@ -128,3 +129,50 @@ def test_rims_are_found_beside_a_frame_of_no_contact():
     beside = {"geometry": "dome", "no_contact": disc}
     centres = disc_centres(Touches(np.stack([disc] * 3), **beside))
     assert_allclose(centres, [[52, 61]] * 3, atol=1)
+
+
+def test_only_what_is_above_098_is_like_no_contact():
+    """Images of known correlation with the frame: c times it, the rest beside it."""
+    frame, beside = np.array([1.0, -1, 0, 0]), np.array([0.0, 0, 1, -1])
+    shares = np.array([1.0, 0.99, 0.981, 0.979, 0.97, -1.0])
+    images = shares[:, None] * frame + np.sqrt(1 - shares**2)[:, None] * beside
+    touches = Touches(
+        images.reshape(-1, 2, 2), no_contact=frame.reshape(2, 2), geometry="none"
+    )
+    assert without_contact(touches).tolist() == [True] * 3 + [False] * 3
+    assert without_contact(Touches(images.reshape(-1, 2, 2))) is None
+
+
+def test_sorted_pixels_end_with_the_least_and_the_most(rng):
+    """At most 64 levels, of every second row and column above 64 a side."""
+    images = rng.uniform(1, 9, (2, 9, 9))
+    values = sorted_pixels(Touches(images))
+    assert values.shape == (2, 64)
+    flat = images.reshape(2, -1)
+    assert_allclose(values[:, 0], flat.min(axis=1) / flat.mean(axis=1))
+    assert_allclose(values[:, -1], flat.max(axis=1) / flat.mean(axis=1))
+    signed = Touches(np.array([[[-1.0, 3.0]]]))
+    assert_allclose(sorted_pixels(signed), [[-1 / 4 * 2, 3 / 4 * 2]])
+
+
+def test_a_control_is_learnt_without_regard_to_units(rng):
+    """Values are standardised; two clouds far apart are told apart."""
+    labels = np.repeat(["a", "b"], 20)
+    train = rng.normal(size=(40, 2)) + 9 * (labels == "b")[:, None]
+    test = np.array([[0.0, 0.0], [9.0, 9.0]])
+    plain = control_log_likelihood(train, labels, None, test)
+    assert plain.argmax(axis=1).tolist() == [0, 1]
+    units = np.array([1e-3, 1e3])
+    assert_allclose(
+        control_log_likelihood(train * units, labels, None, test * units), plain
+    )
+
+
+@pytest.mark.parametrize(("n_touches", "counts"), [(3, False), (4, True)])
+def test_four_touches_of_two_objects_are_split(n_touches, counts, rng):
+    names = ["a"] * n_touches + ["b"] * 12
+    images = rng.normal(size=(len(names), 4, 4))
+    images[:n_touches] += 50
+    found = named_alone(Touches(images, object=names))
+    assert bool(found) is counts
+    assert "disc centre" not in found

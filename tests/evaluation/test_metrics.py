@@ -50,3 +50,23 @@ def test_spread_is_that_of_a_sample_and_nothing_for_one():
     assert spread([1.0, 3.0]) == pytest.approx(np.sqrt(2))
     assert spread([[1.0, 5.0], [3.0, 5.0], [5.0, 5.0]]).tolist() == [2.0, 0.0]
     assert spread([7.0]) == 0
+
+
+def test_there_are_ten_bins_unless_another_number_is_asked_for():
+    belief = np.linspace(0.1, 1, 40)
+    means, shares, counts = calibration_bins(belief, belief > 0)
+    assert len(means) == len(shares) == 10
+    assert counts.tolist() == [4] * 10
+    np.testing.assert_allclose(means, belief.reshape(10, 4).mean(axis=1))
+    assert len(calibration_bins(belief[:3], [1, 0, 1])[0]) == 3
+    rng = np.random.default_rng(0)
+    hit = rng.random(40) < belief
+    ten = calibration_error(belief, hit, n_bins=10)
+    assert calibration_error(belief, hit) == ten != calibration_error(belief, hit, 11)
+
+
+def test_areas_of_few_scores_are_counted_by_hand():
+    assert roc_area([1.0], [2.0]) == 1
+    assert roc_area([2.0], [1.0]) == 0
+    assert roc_area([1.0, 1.0], [1.0]) == 0.5
+    assert roc_area([1.0, 3.0], [2.0, 4.0, 0.0]) == pytest.approx(3 / 6)

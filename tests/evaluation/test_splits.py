@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.evaluation import draw_touches, split_by_count, split_touches
-from palpate.evaluation._splits import PROTOCOLS
+from palpate.evaluation._splits import PROTOCOLS, protocol_folds
 
 
 @pytest.fixture
@@ -145,3 +145,107 @@ def test_touches_are_split_in_the_order_in_which_they_were_made(name):
     touches = Touches(images, object=["mug"] * 8, **{name: places})
     (fold,) = split_touches(touches, "last")
     assert sorted(fold.test.columns[name]) == [6, 7]
+
+
+def row_of(n_touches, **columns):
+    """Touches that hold nothing but their columns."""
+    return Touches(np.zeros((n_touches, 1, 1)), **columns)
+
+
+def test_folds_have_names_that_are_read(recordings):
+    folds = split_touches(recordings, "unseen-objects")
+    assert [fold.name for fold in folds] == ["fold 1 of 2", "fold 2 of 2"]
+    assert [name for name, _ in PROTOCOLS["blocks"](recordings, 1, 0)] == [
+        f"run {number} of 5" for number in (1, 2, 3, 4, 5)
+    ]
+    drawn = [name for name, _ in PROTOCOLS["random"](recordings, 2, 0)]
+    assert drawn == ["draw 1 of 2", "draw 2 of 2"]
+    assert [name for name, _ in PROTOCOLS["halves"](recordings, 1, 0)] == [
+        "second half"
+    ]
+    visits = recordings.with_columns(session=np.tile(["mon", "tue"], 16))
+    names = [fold.name for fold in split_touches(visits, "session")]
+    assert names == ["session mon", "session tue"]
+    assert [fold.name for fold in split_touches(recordings, "last")] == ["last"]
+
+
+def test_blocks_and_halves_are_neighbours_in_each_recording():
+    """Of ten touches in two recordings each: two in a run, five in a half."""
+    touches = row_of(20, object=["a"] * 10 + ["b"] * 10, order=np.tile(range(10), 2))
+    asked = [
+        rows.nonzero()[0].tolist() for _, rows in PROTOCOLS["blocks"](touches, 1, 0)
+    ]
+    assert asked == [[2 * k, 2 * k + 1, 2 * k + 10, 2 * k + 11] for k in range(5)]
+    ((_, half),) = PROTOCOLS["halves"](touches, 1, 0)
+    assert half.tolist() == ([False] * 5 + [True] * 5) * 2
+    odd = row_of(3, object=["a"] * 3)
+    ((_, half),) = PROTOCOLS["halves"](odd, 1, 0)
+    assert half.tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("n_touches", "n_asked"), [(1, 0), (2, 1), (4, 1), (7, 1), (8, 2), (12, 2), (13, 3)]
+)
+def test_a_fifth_is_drawn_one_at_least(n_touches, n_asked):
+    touches = row_of(n_touches, object=["a"] * n_touches)
+    for _, asked in PROTOCOLS["random"](touches, 3, 0):
+        assert asked.sum() == n_asked
+
+
+@pytest.mark.parametrize("name", ["press", "episode", "squeeze", "idle_of"])
+def test_touches_of_one_press_stay_on_one_side(name):
+    presses = np.repeat(np.arange(10), 3)
+    touches = row_of(30, object=["a"] * 30, **{name: presses})
+    for protocol in ("blocks", "halves", "random"):
+        for _, asked in PROTOCOLS[protocol](touches, 3, 1):
+            sides = [set(asked[presses == press].tolist()) for press in range(10)]
+            assert all(len(side) == 1 for side in sides)
+            assert asked.any()
+
+
+def test_two_touches_of_a_label_teach_it_and_one_does_not():
+    touches = row_of(
+        9,
+        object=["a", "a", "b", "b", "c", "a", "b", "c", "c"],
+        session=["mon"] * 5 + ["tue"] * 4,
+    )
+    folds, left_out = protocol_folds(touches, "sessions", "object", 1, 0)
+    # On Tuesday only c was taught twice: nothing to tell it from.
+    assert [fold.name for fold in folds] == ["tue"]
+    assert folds[0].train.tolist() == [0, 1, 2, 3]
+    assert folds[0].test.tolist() == [5, 6]
+    assert left_out == ["c"]
+
+
+def test_what_cannot_make_two_labels_is_refused():
+    touches = row_of(
+        4, object=["a", "a", "b", "b"], session=["mon", "mon", "tue", "tue"]
+    )
+    with pytest.raises(ValueError, match="must find two object labels"):
+        protocol_folds(touches, "sessions", "object", 1, 0)
+    with pytest.raises(ValueError, match="at least two values of 'session', got 1"):
+        protocol_folds(
+            touches.with_columns(session=["mon"] * 4), "sessions", "object", 1, 0
+        )
+
+
+@pytest.mark.parametrize(("n_touches", "n_asked"), [(4, 1), (7, 1), (8, 2)])
+def test_a_quarter_is_asked_rounded_down(n_touches, n_asked):
+    touches = row_of(n_touches, object=["a"] * n_touches)
+    for split in ("last", "between"):
+        (fold,) = split_touches(touches, split)
+        assert len(fold.test) == n_asked
+
+
+def test_times_that_are_not_all_known_are_no_order():
+    times = np.array([7.0, 6, 5, 4, 3, 2, 1, np.nan])
+    images = np.arange(8.0).reshape(8, 1, 1)
+    touches = Touches(images, object=["a"] * 8, time_s=times)
+    (fold,) = split_touches(touches, "last")
+    assert fold.test.images.ravel().tolist() == [6, 7]
+
+
+def test_what_was_drawn_depends_on_the_seed_and_keeps_its_order(recordings):
+    one, other = (draw_touches(recordings, 4, seed).images[:, 0, 0] for seed in (0, 1))
+    assert (np.diff(one) > 0).all()
+    assert one.tolist() != other.tolist()

@@ -261,3 +261,18 @@ def test_colours_are_compared_one_by_one(rng):
     for one in (red, blue, red):
         variety.add(one, None, 0.1)
     assert variety.like == [None, None, 1]
+
+
+def test_what_was_removed_or_moved_comes_back(tmp_path):
+    teacher = Teacher(tmp_path / "library", ColourSensor())
+    images = np.arange(96, dtype=np.uint8).reshape(2, 4, 4, 3)
+    keys = [teacher.store("mug", image, ("r", "g", "b"), None) for image in images]
+    assert teacher.remove(keys[:1]) == "1 touch of mug removed."
+    assert [row.id for row in teacher.newest("mug", 5)] == keys[1:]
+    assert teacher.undo() == ("mug", "What was removed of mug is back.")
+    assert {row.id for row in teacher.newest("mug", 5)} == {*keys}
+    assert teacher.move(keys, "cup") == "2 touches of mug moved to cup."
+    assert [one["name"] for one in teacher.to_dict()["objects"]] == ["cup"]
+    assert teacher.undo() == ("mug", "What was moved to cup is back with mug.")
+    assert {row.id for row in teacher.newest("mug", 5)} == {*keys}
+    teacher.close()

@@ -5,6 +5,7 @@ that `palpate --help` answers at once.
 """
 
 import errno
+import io
 import os
 import sys
 import warnings
@@ -52,7 +53,7 @@ FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryErr
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"palpate {__version__}")
+        say(f"palpate {__version__}")
         raise typer.Exit
 
 
@@ -75,16 +76,28 @@ def main() -> None:
     as_json = "--json" in sys.argv
     try:
         with _plain_warnings():
-            sys.exit(app(standalone_mode=not as_json))
+            sys.exit(app(prog_name="palpate", standalone_mode=False))
+    except typer.Abort:
+        said, code = "Ended without an answer.", 1
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
         said, code = _sentence(error), 1
-    except _Usage as error:  # with --json; otherwise typer shows it
+    except _Usage as error:
+        if not as_json:
+            say(_shown(error), file=sys.stderr)
+            sys.exit(error.exit_code)
         said, code = error.format_message(), error.exit_code
     answer(as_json, {"error": said})
     say(f"palpate: {said}", file=sys.stderr)
     sys.exit(code)
+
+
+def _shown(error: Any) -> str:
+    """Return what typer shows of a wrong use: how to use it, and what was wrong."""
+    text = io.StringIO()
+    error.show(file=text)
+    return text.getvalue().rstrip("\n")
 
 
 @contextmanager

@@ -6,6 +6,7 @@ a verb takes one parameter of it, and `grouped` puts its fields on the command l
 
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
@@ -18,7 +19,7 @@ from warnings import catch_warnings, simplefilter
 import typer
 
 from .._extras import install, needed
-from ._output import printable
+from ._output import say
 
 if TYPE_CHECKING:
     from ..library import Selection, TouchLibrary
@@ -297,7 +298,7 @@ class Reading:
             detector = TouchDetector(still, begin=self.begin)
             touches = detector.touches_in(path, colour=in_colour)
             if detector.note:
-                typer.echo(f"{path}: {detector.note} See --begin.", err=True)
+                say(f"{path}: {detector.note} See --begin.", file=sys.stderr)
             return touches
         if self.where is not None:
             raise ValueError(
@@ -317,7 +318,7 @@ class Reading:
                     f"{error} `palpate check {path}` lists all that is wrong."
                 ) from error
         for warning in () if quiet else left_out:
-            typer.echo(printable(str(warning.message)), err=True)
+            say(warning.message, file=sys.stderr)
         return read
 
     def _how(self) -> dict[str, Any]:

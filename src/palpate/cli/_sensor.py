@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._options import Calibration, NamePattern, NoContact, option
+from ._output import printable, say
 
 if TYPE_CHECKING:
     from ..sensors import LiveSensor
@@ -105,13 +106,13 @@ def need_baseline(session: "LiveSession") -> None:
     from ..sensors import ContactError
 
     if session.watch is not None and session.watch.sensor.unfixed:
-        print(session.watch.sensor.unfixed, file=sys.stderr)
+        say(session.watch.sensor.unfixed, file=sys.stderr)
     if session.baseline is None:
-        print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
+        say("Leave the sensor alone: taking its baseline.", file=sys.stderr)
         try:
             session.take_baseline()
         except ContactError as error:
-            question = f"{error} Does nothing touch it?"
+            question = printable(f"{error} Does nothing touch it?")
             if not sys.stdin.isatty() or not typer.confirm(question, err=True):
                 raise
             session.take_baseline(force=True)

@@ -3,7 +3,7 @@
 from typing import Annotated, Any
 
 from ._options import AsJson, ListNames, argument
-from ._output import print_json, stages, table
+from ._output import print_json, say, stages, table
 
 
 def bench(
@@ -16,7 +16,7 @@ def bench(
 
     if list_names or not name:
         for known, (_, what) in BENCHES.items():
-            print(f"{known:12s} {what}")
+            say(f"{known:12s} {what}")
         return
     with stages() as stage:
         stage(f"measuring {name}")

@@ -12,7 +12,7 @@ import typer
 
 from .._extras import install
 from ._options import AsJson
-from ._output import print_json, table
+from ._output import print_json, say, table
 
 # Extras of those who change palpate, not of those who use it.
 FOR_AUTHORS = ("test", "dev", "docs")
@@ -32,7 +32,7 @@ def doctor(as_json: AsJson = False) -> None:
             "palpate doctor", ["what", "found", "to do"], rows, whole="to do", text=True
         )
         missing = "Something palpate needs is missing; see above."
-        print("Healthy." if healthy else missing)
+        say("Healthy." if healthy else missing)
     if not healthy:
         raise typer.Exit(1)
 

@@ -15,7 +15,7 @@ from ._options import (
     grouped,
     option,
 )
-from ._output import print_json
+from ._output import print_json, say
 from ._sensor import (
     ADDRESS,
     LogFile,
@@ -151,7 +151,7 @@ def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
     address = address_of(host, port)
     far = host not in (HERE, "localhost", "::1")
     if far:
-        print(
+        say(
             f"palpate: listening on {host}: everybody on that network who knows the "
             "token may see the sensor, teach and forget; nothing is encrypted.",
             file=sys.stderr,
@@ -160,7 +160,7 @@ def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
         print_json({"address": address, "token": token})
         sys.stdout.flush()
     else:
-        print(f"Open {address}?token={token}", flush=True)
+        say(f"Open {address}?token={token}", flush=True)
         if far and "utf" in (sys.stdout.encoding or "").lower():
-            print(qr_code(f"{address}?token={token}"))
-        print("End with Ctrl-C. What is taught is kept at once.", flush=True)
+            say(qr_code(f"{address}?token={token}"))
+        say("End with Ctrl-C. What is taught is kept at once.", flush=True)

@@ -135,11 +135,12 @@ def open_socket(host: str, port: int) -> socket.socket:
     try:
         opened.bind((host, port))
         opened.listen(128)
-    except OSError as error:
+    except (OSError, TypeError, UnicodeError) as error:  # the last two: no host's name
         opened.close()
+        why = getattr(error, "strerror", None) or error
         raise OSError(
-            f"Cannot listen on {host} port {port}: {error.strerror}. "
-            "Choose another with --port, or 0 for a free one."
+            f"Cannot listen on {host} port {port}: {why}. Choose an address of this "
+            "machine with --host, another port with --port, or 0 for a free one."
         ) from error
     return opened
 

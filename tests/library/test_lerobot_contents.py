@@ -1,0 +1,257 @@
+"""What a LeRobotDataset stores of every feature, against the touches it was made of.
+
+Expected values are computed here from the touches that went in, episode by episode.
+"""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+
+from palpate import Touches
+from palpate.library import TouchLibrary
+
+pq = pytest.importorskip("pyarrow.parquet")
+
+NAMES = ["cup"] * 3 + ["pen"] * 4
+SESSIONS = ["a", "a", "b", "a", "a", "a", "b"]
+STARTS, LENGTHS = [0, 2, 3, 6], [2, 1, 3, 1]
+DTYPES = {
+    "observation.tactile": ("float32", [3, 4]),
+    "observation.state": ("float32", [4]),
+    "action": ("float32", [3]),
+    "observation.position_mm": ("float32", [3]),
+    "observation.force_n": ("float32", [1]),
+    "object": ("string", [1]),
+    "session": ("string", [1]),
+    "time_s": ("float64", [1]),
+    "order": ("float64", [1]),
+    "timestamp": ("float32", [1]),
+    "frame_index": ("int64", [1]),
+    "episode_index": ("int64", [1]),
+    "index": ("int64", [1]),
+    "task_index": ("int64", [1]),
+}
+
+WAYS = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
+
+
+@pytest.fixture
+def exported(tmp_path):
+    """Add touches to a library, export them; return the folder."""
+
+    def export(touches):
+        with TouchLibrary.open(tmp_path / "library", create=True) as library:
+            library.add(touches)
+            library.export(tmp_path / "robot")
+        return tmp_path / "robot"
+
+    return export
+
+
+@pytest.fixture
+def arrays(rng):
+    images = rng.normal(size=(7, 3, 4)).astype(np.float32)
+    images[:, 0, 0] = np.nan  # a dead taxel
+    images[2, 1, 1] = np.nan  # a reading that one touch lacks
+    return Touches(
+        images,
+        object=NAMES,
+        session=SESSIONS,
+        time_s=100 + np.arange(7) * 0.5,
+        order=np.arange(7)[::-1],
+        force_n=np.linspace(0.1, 1, 7),
+        position_mm=rng.normal(size=(7, 3)),
+    )
+
+
+def frames_of(folder):
+    return pq.read_table(folder / "data/chunk-000/file-000.parquet")
+
+
+def about(folder, name):
+    return json.loads((folder / f"meta/{name}.json").read_text())
+
+
+def test_every_feature_has_its_kind_and_shape(exported, arrays):
+    folder = exported(arrays)
+    features = about(folder, "info")["features"]
+    found = {name: (one["dtype"], one["shape"]) for name, one in features.items()}
+    assert found == DTYPES
+    assert {one["names"] for one in features.values()} == {None}
+    schema = frames_of(folder).schema
+    for name, (kind, shape) in DTYPES.items():
+        stored = schema.field(name).type
+        for _ in shape if shape != [1] else []:
+            stored = stored.value_type
+        names = {"float": "float32", "double": "float64"}
+        assert names.get(str(stored), str(stored)) == kind, name
+
+
+def test_every_value_is_the_touches(exported, arrays):
+    """Arrays are stored in float32, the rest as it is; the last action stays."""
+    frames = frames_of(exported(arrays)).to_pydict()
+    known, place = arrays.columns, arrays.columns["position_mm"].astype(np.float32)
+    force = known["force_n"].astype(np.float32)
+    assert_array_equal(frames["observation.tactile"], arrays.images)
+    assert_array_equal(frames["observation.position_mm"], place)
+    assert_array_equal(frames["observation.force_n"], force)
+    assert_array_equal(frames["observation.state"], np.c_[place, force])
+    assert_array_equal(frames["action"], place[[1, 1, 2, 4, 5, 5, 6]])
+    assert frames["object"] == NAMES
+    assert frames["session"] == SESSIONS
+    assert frames["time_s"] == known["time_s"].tolist()
+    assert frames["order"] == known["order"].tolist()
+    assert frames["index"] == [0, 1, 2, 3, 4, 5, 6]
+    assert frames["episode_index"] == np.repeat(range(4), LENGTHS).tolist()
+    assert frames["frame_index"] == [0, 1, 0, 0, 1, 2, 0]
+    assert frames["timestamp"] == [0, 0.5, 0, 0, 0.5, 1.0, 0]
+    assert frames["task_index"] == [0, 0, 0, 1, 1, 1, 1]
+
+
+def test_episodes_tell_where_they_begin_and_end(exported, arrays):
+    folder = exported(arrays)
+    rows = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet")
+    for number, row in enumerate(rows.to_pylist()):
+        assert row == {
+            "episode_index": number,
+            "tasks": [["touch cup", "touch pen"][number // 2]],
+            "length": LENGTHS[number],
+            "dataset_from_index": STARTS[number],
+            "dataset_to_index": STARTS[number] + LENGTHS[number],
+            "data/chunk_index": 0,
+            "data/file_index": 0,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+        }
+    assert rows.num_rows == 4
+    tasks = pq.read_table(folder / "meta/tasks.parquet")
+    assert tasks.to_pydict() == {
+        "task_index": [0, 1],
+        "task": ["touch cup", "touch pen"],
+    }
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+
+
+def test_info_says_how_much_there_is_and_where(exported, arrays):
+    folder = exported(arrays.with_columns(no_contact=np.ones((3, 4), np.float32)))
+    info = about(folder, "info")
+    info.pop("features")
+    whole = info.pop("palpate")
+    assert info == {
+        "codebase_version": "v3.0",
+        "robot_type": None,
+        "total_episodes": 4,
+        "total_frames": 7,
+        "total_tasks": 2,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": 1,
+        "splits": {"train": "0:4"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+    }
+    assert whole["dtype"] == "<f4"
+    assert whole["grey"] is True
+    assert whole["whole"]["no_contact"] == np.ones((3, 4)).tolist()
+
+
+def test_spread_is_over_what_was_read(exported, arrays):
+    """Of every feature of numbers; what is NaN counts nowhere, all of it as 0."""
+    folder = exported(arrays)
+    stats = about(folder, "stats")
+    assert set(stats) == set(DTYPES) - {"object", "session"}
+    frames = frames_of(folder).to_pydict()
+    for name, spread in stats.items():
+        values = np.asarray(frames[name], float).reshape(7, *DTYPES[name][1])
+        dead = np.isnan(values).all(axis=0)
+        values[:, dead] = 0
+        ways = {
+            "min": np.nanmin,
+            "max": np.nanmax,
+            "mean": np.nanmean,
+            "std": np.nanstd,
+        }
+        assert set(spread) == {*ways, "count"}
+        assert spread["count"] == [7]
+        for way, function in WAYS.items():
+            expected = function(values, axis=0)
+            # The deviation comes of sums of squares: exact to the root of rounding,
+            # times the level (times are near 100 s).
+            assert_allclose(spread[way], expected, rtol=1e-9, atol=2e-6, err_msg=name)
+    assert np.array(stats["observation.tactile"]["mean"])[0, 0] == 0
+
+
+@pytest.mark.parametrize("channels", [None, ("r", "g", "b")])
+def test_pictures_of_a_camera_are_stored_as_png(exported, rng, channels):
+    """Of three channels, grey three times; the spread is of shares by channel."""
+    sides = (3, 60, 50) if channels is None else (3, 60, 50, 3)
+    images = rng.integers(0, 200, sides, dtype=np.uint8)
+    more = {} if channels is None else {"channels": list(channels)}
+    folder = exported(Touches(images, object=["cup"] * 3, geometry="plane", **more))
+    info, stats = about(folder, "info"), about(folder, "stats")
+    assert info["features"]["observation.tactile"] == {
+        "dtype": "image",
+        "shape": [60, 50, 3],
+        "names": ["height", "width", "channels"],
+    }
+    assert info["palpate"]["grey"] is (channels is None)
+    assert info["palpate"]["dtype"] == "|u1"
+    wide = images if channels else np.repeat(images[..., np.newaxis], 3, axis=3)
+    stored = frames_of(folder).to_pydict()["observation.tactile"]
+    for one, image in zip(stored, wide, strict=True):
+        assert one["path"] is None
+        assert_array_equal(np.asarray(Image.open(io.BytesIO(one["bytes"]))), image)
+    flat = wide.reshape(-1, 3) / 255
+    spread = stats["observation.tactile"]
+    assert np.shape(spread["mean"]) == (3, 1, 1)
+    for way, expected in {
+        "min": flat.min(axis=0),
+        "max": flat.max(axis=0),
+        "mean": flat.mean(axis=0),
+        "std": flat.std(axis=0),
+    }.items():
+        # Sums over 9000 pixels in another order.
+        assert_allclose(np.ravel(spread[way]), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("side", "geometry", "kind"),
+    [
+        (48, "plane", "float32"),
+        (49, "plane", "image"),
+        (49, "array", "float32"),
+        (49, "none", "float32"),
+    ],
+)
+def test_what_may_be_an_array_is_stored_as_one(exported, rng, side, geometry, kind):
+    images = rng.integers(0, 255, (4, side, 60), dtype=np.uint8)
+    folder = exported(Touches(images, object=["cup"] * 4, geometry=geometry))
+    feature = about(folder, "info")["features"]["observation.tactile"]
+    assert feature["dtype"] == kind
+    if kind == "float32":
+        found = np.array(frames_of(folder).to_pydict()["observation.tactile"])
+        assert_array_equal(found, images)
+
+
+def test_without_labels_the_task_is_to_touch(exported, rng):
+    folder = exported(Touches(rng.normal(size=(3, 3, 4))))
+    tasks = pq.read_table(folder / "meta/tasks.parquet").to_pydict()
+    assert tasks == {"task_index": [0], "task": ["touch"]}
+    frames = frames_of(folder).to_pydict()
+    assert not {"object", "observation.state", "action"} & set(frames)
+    assert frames["timestamp"] == [0, 1, 2]
+
+
+def test_without_a_force_the_state_is_the_place(exported, rng):
+    places = rng.normal(size=(3, 3))
+    images = rng.normal(size=(3, 3, 4))
+    folder = exported(Touches(images, object=["cup"] * 3, position_mm=places))
+    frames = frames_of(folder).to_pydict()
+    assert_array_equal(frames["observation.state"], places.astype(np.float32))
+    assert_array_equal(frames["action"], places[[1, 2, 2]].astype(np.float32))
+    assert "observation.force_n" not in frames

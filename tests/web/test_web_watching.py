@@ -1,0 +1,194 @@
+"""What is said of a sensor that is followed, without threads and without a server."""
+
+import json
+import queue
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palpate.sensors import Frame, LiveSensor, SensorError
+from palpate.web._sensor_watch import Event, Health, Listeners, SensorWatch, _kind
+
+
+class Still(LiveSensor):
+    """A sensor that gives nothing by itself."""
+
+    def __init__(self, shape=(4, 4), geometry="array"):
+        super().__init__("still", "count", shape, np.uint8, geometry)
+
+    def _open(self):
+        pass
+
+    def _grab(self):
+        return []
+
+    def _close(self):
+        pass
+
+
+@pytest.fixture
+def watch():
+    sensor, listeners = Still(), Listeners()
+    return SensorWatch(sensor, lambda *_: None, listeners, Health(sensor), "peak")
+
+
+def learnt(shape):
+    """A model of images of a shape, which remembers no sensor."""
+    return SimpleNamespace(
+        memory_=SimpleNamespace(sensor=None),
+        encoder_=SimpleNamespace(image_shape_=shape),
+    )
+
+
+def frame(image, number=0):
+    return Frame(np.asarray(image), time.monotonic(), number)
+
+
+def test_sizes_are_told_in_colour_where_that_differs():
+    assert _kind((4, 5), (6, 7)) == "4 x 5 taxels"
+    assert _kind((4, 5, 3), (6, 7, 3)) == "4 x 5 taxels"
+    assert _kind((4, 5), (4, 5, 3)) == "4 x 5 taxels in grey"
+    assert _kind((4, 5, 3), (4, 5)) == "4 x 5 taxels in colour"
+
+
+def test_a_model_of_other_images_is_a_misfit(watch):
+    watch.compare_with(learnt((4, 4)))
+    assert watch.misfit == ""
+    assert watch.to_dict()["warnings"] == []
+    watch.compare_with(learnt((5, 4)))
+    sizes = "of 4 x 4 taxels, which still gives, got one of 5 x 4 taxels."
+    assert sizes in watch.misfit
+    assert watch.misfit.endswith("that the model learnt from.")
+    assert watch.to_dict()["warnings"] == [watch.misfit]
+    watch.compare_with(learnt((4, 4, 3)))
+    assert "taxels in grey, which still gives, got one of 4 x 4 taxels in colour" in (
+        watch.misfit
+    )
+    assert watch.misfit.endswith("with colour=1.")
+    watch.compare_with(None)
+    assert watch.to_dict()["warnings"] == []
+
+
+@pytest.mark.parametrize(("level", "lower"), [(30, False), (10, True), (20, False)])
+def test_a_press_of_an_array_that_reads_lower_is_told(watch, level, lower):
+    image = np.full((4, 4), 20, np.uint8)
+    watch.detector.take_baseline([image] * 3)
+    with pytest.raises(SensorError, match="There was no test press"):
+        watch.press_difference()
+    watch._asking, watch.press = True, np.full((4, 4), level, np.uint8)
+    assert watch.to_dict()["press"] == {"found": True, "lower": lower, "number": 0}
+    assert (watch.press_difference() == abs(level - 20)).all()
+    watch.end_press()
+    assert watch.press is None
+    assert watch.to_dict()["press"] is None
+
+
+def test_what_a_sensor_is_like(watch):
+    said = watch.to_dict()
+    assert said["name"] == "still"
+    assert said["shape"] == [4, 4]
+    assert (said["baseline"], said["zero"], said["desk"]) == (False, False, None)
+    watch.address, watch.failed = "serial:x", "It is left out."
+    assert watch.to_dict()["name"] == "still (serial:x)"
+    assert watch.to_dict()["lost"] == "It is left out."
+    watch.detector.take_baseline([np.zeros((4, 4), np.uint8)] * 3)
+    assert watch.to_dict()["baseline"]
+    assert watch.to_dict()["zero"]
+
+
+def test_frames_go_to_those_who_take_frames(watch):
+    all_events, others = [], []
+    listeners = watch._listeners
+    watch._show(frame(np.zeros((4, 4), np.uint8)))  # nobody looks: nothing is painted
+    assert watch._health.to_dict()["frame_ms"] is None
+    listeners.add(all_events.append)
+    listeners.add(others.append, frames=False)
+    assert (len(listeners), listeners.n_of_frames) == (2, 1)
+    image = np.zeros((4, 4), np.uint8)
+    watch._show(frame(image, 7))
+    assert others == []
+    (shown,) = all_events
+    assert shown.kind == "frame"
+    assert shown.values["number"] == 7
+    assert shown.values["sensor_number"] == 1
+    assert shown.values["touching"] is False
+    assert shown.values["type"] == "image/png"
+    assert shown.picture.startswith(b"\x89PNG")
+    assert shown.image is image
+    assert json.loads(shown.text)["kind"] == "frame"
+    listeners.notify(Event("state"))
+    assert [event.kind for event in others] == ["state"]
+    listeners.discard(all_events.append)
+    assert (len(listeners), listeners.n_of_frames) == (1, 0)
+
+
+def test_a_baseline_is_of_ten_frames_that_come(watch):
+    with pytest.raises(SensorError, match="still gave too few frames for a baseline"):
+        watch.take_baseline(timeout_s=0.05)
+    assert watch.detector.baseline is None
+    frames = []
+    watch._resting = frames
+    for _ in range(3):
+        watch._step(frame(np.full((4, 4), 9, np.uint8)))
+    assert len(frames) == 3
+    assert watch._health.to_dict()["n_frames"] == 3
+    assert watch._found.empty()
+
+
+def test_touches_are_tried_while_a_press_is_asked_for(watch, monkeypatch):
+    touch = SimpleNamespace(image=np.ones((4, 4), np.uint8))
+    monkeypatch.setattr(watch.detector, "update", lambda _: touch)
+    watch._asking = True
+    for number in (1, 2):
+        watch._step(frame(touch.image))
+        assert watch.to_dict()["press"]["number"] == number
+    assert watch._found.empty()
+    watch.end_press()
+    given = frame(touch.image)
+    watch._step(given)
+    assert watch._found.get_nowait() == (touch, given.time_s)
+    with pytest.raises(queue.Empty):
+        watch._found.get_nowait()
+
+
+def test_the_last_forty_touches_are_compared(watch):
+    taken = []
+    watch._take = lambda touch, ended_s: taken.append((touch, ended_s))
+    for number in range(50):
+        image = np.full((4, 4), number, np.uint8)
+        watch._found.put((SimpleNamespace(image=image), float(number)))
+    watch._found.put(None)
+    watch._hand_on()
+    assert [ended_s for _, ended_s in taken] == list(range(50))
+    assert [int(image[0, 0]) for image in watch._recent] == list(range(10, 50))
+
+
+def test_health_is_of_the_last_hundred_and_the_sensors_drops():
+    health = Health(SimpleNamespace(n_dropped=3))
+    assert health.to_dict()["n_dropped"] == 3
+    for latency_ms in range(150):
+        health.count_touch(float(latency_ms))
+    assert health.to_dict()["belief_ms"] == np.median(range(50, 150))
+    now_s = time.monotonic()
+    health.count_frame(now_s)
+    assert health.to_dict()["rate_hz"] == 0
+    health.count_frame(now_s + 0.25)
+    assert health.to_dict()["rate_hz"] == pytest.approx(4)
+    same = Health(None)
+    for _ in range(2):
+        same.count_frame(now_s)
+    assert same.to_dict()["rate_hz"] == 0
+
+
+@pytest.mark.parametrize(("ago_s", "rate_hz"), [(1.5, 10), (2.5, 0)])
+def test_a_sensor_silent_for_two_seconds_has_no_rate(ago_s, rate_hz):
+    health, now_s = Health(None), time.monotonic()
+    for number in range(5):
+        health.count_frame(now_s - ago_s - (4 - number) / 10)
+    assert health.to_dict()["rate_hz"] == pytest.approx(rate_hz)
+
+
+def test_two_events_alike_are_two_events():
+    assert Event("state") != Event("state")
