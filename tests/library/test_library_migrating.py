@@ -67,7 +67,7 @@ def _assert_same(folder, state):
 def test_everything_is_as_it_was_and_the_old_folder_untouched(old, state, tmp_path):
     before = _files(old)
     report = migrate_library(old, tmp_path / "new")
-    assert report == (N_TOUCHES, N_CHANGES, [], 0)
+    assert report == (N_TOUCHES, N_CHANGES, [], 0, [])
     assert _files(old) == before
     _assert_same(tmp_path / "new", state)
     assert check_library(tmp_path / "new").ok
@@ -142,6 +142,16 @@ def test_an_altered_image_costs_its_touch_alone(old, tmp_path):
     report = migrate_library(old, tmp_path / "new")
     assert len(report.lost) == 1
     assert report.n_touches == N_TOUCHES - 1
+
+
+def test_a_lost_baseline_is_told(old, tmp_path):
+    for path in (old / "arrays").rglob("*.npy"):
+        if np.load(path).shape == (6, 7):
+            path.write_bytes(b"x" + path.read_bytes())
+    report = migrate_library(old, tmp_path / "new")
+    assert report.lost_arrays == ["no_contact"]
+    assert (report.n_touches, report.lost) == (N_TOUCHES, [])
+    assert check_library(tmp_path / "new").ok
 
 
 def test_files_that_the_database_does_not_know_are_counted(old, tmp_path):

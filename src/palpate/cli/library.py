@@ -260,6 +260,11 @@ def migrate(
             f"Not there, since their images in {old} are missing or altered: "
             f"{', '.join(report.lost)}."
         )
+    if report.lost_arrays:
+        lines.append(
+            f"Lost in {old}: {', '.join(report.lost_arrays)} of some recordings; their "
+            "touches are there without it."
+        )
     if report.n_unknown_files:
         lines.append(
             f"{report.n_unknown_files} files in {old} are not known to its database: "
@@ -267,7 +272,7 @@ def migrate(
             "in; migrate again then, to another folder."
         )
     answer(as_json, {"library": str(new), **report._asdict()}, *lines)
-    if report.lost or report.n_unknown_files:
+    if report.lost or report.n_unknown_files or report.lost_arrays:
         raise typer.Exit(1)
 
 

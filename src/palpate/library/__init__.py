@@ -12,10 +12,10 @@ from ._checking import CheckReport as CheckReport
 from ._checking import check_library
 from ._library import TouchLibrary
 from ._migrating import MigrationReport as MigrationReport
-from ._migrating import migrate_library
+from ._migrating import migrate_library as migrate_library
 from ._reading import Selection
 from ._repairing import RepairReport as RepairReport
-from ._repairing import repair_library
+from ._repairing import repair_library as repair_library
 from ._store import LibraryError
 from ._where import quoted as quoted
 
@@ -26,7 +26,5 @@ __all__ = [
     "TouchLibrary",
     "TouchRow",
     "check_library",
-    "migrate_library",
     "read_bag",
-    "repair_library",
 ]

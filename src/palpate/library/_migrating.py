@@ -62,7 +62,8 @@ _STATE = (
 class MigrationReport(NamedTuple):
     """What became of an old library: how much is in the new one, and what is not.
 
-    `lost` are ids of touches whose image is missing or altered in the old library;
+    `lost` are ids of touches whose image is missing or altered in the old library,
+    `lost_arrays` names what whole recordings have lost likewise, such as "no_contact";
     `n_unknown_files` counts files of images that its database does not know.
     """
 
@@ -70,6 +71,7 @@ class MigrationReport(NamedTuple):
     n_changes: int
     lost: list[str]
     n_unknown_files: int
+    lost_arrays: list[str]
 
 
 def migrate_library(
@@ -124,7 +126,8 @@ def migrate_library(
             left.unlink()
         flush_folder(new)
         counts = tally.n_touches, tally.n_changes
-        return MigrationReport(*counts, source.lost, source.n_unknown_files())
+        n_unknown, arrays = source.n_unknown_files(), sorted(source.lost_arrays)
+        return MigrationReport(*counts, source.lost, n_unknown, arrays)
 
 
 class _Old:
@@ -132,6 +135,7 @@ class _Old:
 
     def __init__(self, folder: Path, scratch: str) -> None:
         self.folder, self.lost = folder, list[str]()
+        self.lost_arrays: set[str] = set()
         self._last: tuple[str, list[Array]] = "", []
         copy = Path(scratch) / FILE_NAME
         for ending in ("", "-wal"):  # opening it in its place would change it
@@ -292,10 +296,13 @@ class _Old:
         arrays: dict[bytes, Array | None] = {}
         keys = {}
         for entry, name in described["whole"].items():
-            with suppress(OSError, ValueError):  # told of by the old library already
+            try:
                 [array] = self._arrays("arrays", name)[:1]
-                keys[entry] = image_digest(array).hex()
-                arrays[image_digest(array)] = array
+            except (OSError, ValueError):
+                self.lost_arrays.add(entry)
+                continue
+            keys[entry] = image_digest(array).hex()
+            arrays[image_digest(array)] = array
         wide = [self._wide(row) for row in rows]
         packs = packs_well(self._image(rows[0]))
         return Batch(
