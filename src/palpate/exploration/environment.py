@@ -1,9 +1,10 @@
 """The episode as a Gymnasium environment, `palpate/Touch-v0`, to compare policies.
 
-    import palpate.exploration.environment  # registers both
+    import palpate.exploration.environment  # registers all
 
     gymnasium.make("palpate/Touch-v0")
     gymnasium.make("palpate/TouchFlat-v0")  # one vector in, one vector out
+    gymnasium.make("palpate/TouchBelief-v0", surface_map=surface_map)  # where alone
     gymnasium.make_vec("palpate/Touch-v0", num_envs=8)  # several in one process
 
 Since its version 1.0 Gymnasium looks into no installed package by itself; where only
@@ -21,7 +22,7 @@ References
    https://github.com/TimSchneider42/active-perception-gym
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, cast
 
@@ -36,6 +37,7 @@ from ._guarded import Guard
 from ._record import TouchRecord
 from ._simulated_objects import Stand, put_down
 from ._strategies import Hemisphere
+from ._surface_map import SurfaceMap
 
 try:
     import gymnasium
@@ -45,6 +47,10 @@ except ImportError as error:
 
 MOST_LOGIT = 20.0
 """Bound of the logits in `action_space`: a probability of 1 - 2e-9."""
+_LEAST = float(np.exp(-5))
+_OFFSET_MM = 50.0
+UNKNOWN = "unknown"  # as beliefs call what was never learnt
+_ATTEMPT = 4  # numbers that tell of one
 Observation = dict[str, Array]
 _MOST = float(np.finfo(np.float32).max)
 
@@ -88,8 +94,12 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         Of this episode; a `Strategy` made with it can play.
     history : list of TouchRecord
         Attempts of this episode.
+    object_names : list of str
+        What may be put down.
     target : int
         Number of the object of this episode.
+    share_left : float
+        Share of the budget that is left.
 
     Notes
     -----
@@ -116,6 +126,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         names = [thing.name for thing in HOUSEHOLD] if objects is None else objects
         self._things = [find_object(name) for name in names]
         refuse_same_names(self._things)
+        self.object_names = [thing.name for thing in self._things]
         self.camera = DomeCamera((64, 64), n_nodes=24) if camera is None else camera
         self.max_touches = check_count("max_touches", max_touches)
         self._placement_mm = check_number("placement_sd_mm", placement_sd_mm, low=0.0)
@@ -150,8 +161,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Put another object down and return what is known before the first touch."""
         super().reset(seed=seed)
-        names = [thing.name for thing in self._things]
-        wanted = options or {}
+        names, wanted = self.object_names, options or {}
         drawn = int(self.np_random.integers(len(names)))
         turned = self.np_random.uniform(0, 2 * np.pi) if self._random_yaw else 0.0
         name = check_option("object", wanted.get("object", names[drawn]), names)
@@ -205,6 +215,11 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         over = len(self.history) >= self.max_touches
         return self._observation(record), -loss, False, over, info
 
+    @property
+    def share_left(self) -> float:
+        """Share of the budget that is left."""
+        return 1 - len(self.history) / self.max_touches
+
     def render(self) -> Array | None:
         """Return the last frame in grey as three channels, or None without a mode."""
         if self.render_mode is None:
@@ -225,12 +240,11 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         image, place = self._last_image(), np.zeros(3)
         if record is not None and record.image is not None:
             place = np.asarray(record.position_mm) - self.hemisphere.centre_mm
-        left = 1 - len(self.history) / self.max_touches
         return {
             "image": image[..., np.newaxis],
             "place": np.asarray(place / self.hemisphere.radius_mm, np.float32),
             "touched": np.array([touched], np.float32),
-            "touches_left": np.array([left], np.float32),
+            "touches_left": np.array([self.share_left], np.float32),
         }
 
 
@@ -296,6 +310,133 @@ def flat_touch_env(**options: Any) -> gymnasium.Env[Any, Any]:
     return gymnasium.wrappers.FlattenObservation(scaled)
 
 
+class BeliefObservations(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Let a `SurfaceMap` believe and decide, so that a policy chooses places alone.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        Made of a `TouchEnv`.
+    surface_map : SurfaceMap
+        Of its objects. One that was never learnt is "unknown".
+    error : float, default=0.05
+        The episode ends where the belief decides at this error, see `Belief.decide`.
+    attempt_nats : float, default=0.1
+        What an attempt costs.
+
+    Attributes
+    ----------
+    action_space : Box
+        (3,), from -1 to 1: "action" of `TouchEnv`.
+    observation_space : Dict
+        "belief": the posterior of each learnt object, in their order, then of
+        "unknown"; "pose": how the most probable one stands: cosine and sine of its
+        turn, each times how well it is known, and its offset over 50 mm, (5,);
+        "attempts": for each so far the direction of its place and 1 where something
+        was met, 0 where not, then zeros, (4 * max_touches,); "touches_left".
+    belief : PlaceBelief
+        Of this episode.
+
+    Notes
+    -----
+    The reward is by how much the logarithm of the truth's probability has grown
+    (nats), less `attempt_nats`. Probabilities below exp(-5) count as that. `info` has
+    "decision", a name, "unknown" or None, and "right".
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        surface_map: SurfaceMap,
+        *,
+        error: float = 0.05,
+        attempt_nats: float = 0.1,
+    ) -> None:
+        super().__init__(env)
+        self.surface_map = surface_map
+        self.error = check_number("error", error, low=0.0, high=1.0)
+        self.attempt_nats = check_number("attempt_nats", attempt_nats, low=0.0)
+        self._touch = cast(TouchEnv, env.unwrapped)
+        self._names = [*surface_map.recogniser.classes_.tolist(), UNKNOWN]
+        n_numbers = _ATTEMPT * self._touch.max_touches
+        self.action_space = self._touch.inner_action_space
+        self.observation_space = spaces.Dict(
+            {
+                "belief": spaces.Box(0, 1, (len(self._names),), np.float32),
+                "pose": spaces.Box(-1, 1, (5,), np.float32),
+                "attempts": spaces.Box(-1, 1, (n_numbers,), np.float32),
+                "touches_left": spaces.Box(0, 1, (1,), np.float32),
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Put another object down; see `TouchEnv.reset`."""
+        _, info = self.env.reset(seed=seed, options=options)
+        self.belief = self.surface_map.start_before(self._touch.hemisphere)
+        name = self._touch.object_names[self._touch.target]
+        self._truth = name if name in self._names else UNKNOWN
+        self._shares = self._believed()
+        return self._observation(), info
+
+    def step(
+        self, action: Array
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Touch where the action says, and take in what came of it."""
+        no_prediction = np.zeros(self._touch.prediction_space.shape or ())
+        parts = {"action": action, "prediction": no_prediction}
+        *_, truncated, info = self.env.step(parts)
+        self.belief.update_from_record(self._touch.history[-1])
+        before, self._shares = self._shares, self._believed()
+        truth = self._names.index(self._truth)
+        ratio = max(self._shares[truth], _LEAST) / max(before[truth], _LEAST)
+        gain = float(np.log(ratio))
+        decision = self.belief.decide(self.error)
+        info |= {"decision": decision, "right": decision == self._truth}
+        over = decision is not None
+        return self._observation(), gain - self.attempt_nats, over, truncated, info
+
+    def _believed(self) -> list[float]:
+        """Return the probability of each learnt object, then of "unknown"."""
+        return [*self.belief.posterior.values(), self.belief.unknown]
+
+    def _observation(self) -> Observation:
+        pose = self.belief.pose()
+        length = np.exp(-(pose.turn_sd_rad**2) / 2)
+        turn = length * np.array([np.cos(pose.turn_rad), np.sin(pose.turn_rad)])
+        offset = np.clip(np.array(pose.offset_mm) / _OFFSET_MM, -1, 1)
+        attempts = np.zeros((self._touch.max_touches, _ATTEMPT))
+        for row, record in zip(attempts, self._touch.history, strict=False):
+            row[:] = [*-record.direction, record.touched]
+        values = {
+            "belief": np.clip(self._shares, 0, 1),
+            "pose": np.concatenate([turn, offset]),
+            "attempts": attempts.ravel(),
+            "touches_left": np.array([self._touch.share_left]),
+        }
+        return {name: np.asarray(v, np.float32) for name, v in values.items()}
+
+
+def belief_touch_env(
+    surface_map: SurfaceMap,
+    objects: Sequence[str] | None = None,
+    *,
+    error: float = 0.05,
+    attempt_nats: float = 0.1,
+    **options: Any,
+) -> gymnasium.Env[Any, Any]:
+    """Return a `TouchEnv` in which a policy chooses places, with `BeliefObservations`.
+
+    `objects` are by default those that `surface_map` knows, built-in names all;
+    `options` are those of `TouchEnv`. Its camera has to be that of the learnt touches.
+    """
+    learnt = surface_map.recogniser.classes_.tolist()
+    env = TouchEnv(learnt if objects is None else objects, **options)
+    how = {"error": error, "attempt_nats": attempt_nats}
+    return BeliefObservations(env, surface_map, **how)
+
+
 def touch_vector_env(
     num_envs: int = 1, *, flat: bool = False, **options: Any
 ) -> gymnasium.vector.SyncVectorEnv:
@@ -305,9 +446,14 @@ def touch_vector_env(
     An episode that is over is begun anew by the next step, as Gymnasium does by
     default.
     """
-    make = flat_touch_env if flat else TouchEnv
-    one = partial(make, **options)
-    return gymnasium.vector.SyncVectorEnv([one] * check_count("num_envs", num_envs))
+    return _several(flat_touch_env if flat else TouchEnv, num_envs, **options)
+
+
+def _several(
+    make: Callable[..., gymnasium.Env[Any, Any]], num_envs: int = 1, **options: Any
+) -> gymnasium.vector.SyncVectorEnv:
+    making = [partial(make, **options)] * check_count("num_envs", num_envs)
+    return gymnasium.vector.SyncVectorEnv(making)
 
 
 def active_perception_env(**options: Any) -> Any:
@@ -370,4 +516,9 @@ gymnasium.register(
     "palpate/TouchFlat-v0",
     f"{__name__}:flat_touch_env",
     vector_entry_point=partial(touch_vector_env, flat=True),
+)
+gymnasium.register(
+    "palpate/TouchBelief-v0",
+    f"{__name__}:belief_touch_env",
+    vector_entry_point=partial(_several, belief_touch_env),
 )
