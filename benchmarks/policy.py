@@ -24,7 +24,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import palpate.exploration.environment
 from palpate._durable import write_text
 from palpate.exploration import (
     Hemisphere,
@@ -179,7 +178,9 @@ def main() -> None:
             print(f"up to seed {seed}: {name:14s} {json.dumps(row)}", flush=True)
         if options.out:
             about = {"steps": options.steps, "trainings": trainings}
-            write_text(options.out, json.dumps({**about, "rows": table}, indent=1) + "\n")
+            write_text(
+                options.out, json.dumps({**about, "rows": table}, indent=1) + "\n"
+            )
 
 
 if __name__ == "__main__":

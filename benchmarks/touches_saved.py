@@ -1,6 +1,6 @@
-"""How many recorded touches do simulated ones save?
+"""How many recorded touches simulated ones save.
 
-    PALPATE_DATA=... python benchmarks/touches_saved.py --out benchmarks/touches_saved.json
+    PALPATE_DATA=... python benchmarks/touches_saved.py
 
 Six kinds of object. Per draw one real object (BathTip) of each kind is drawn; 2, 5 or
 10 of its touches are learnt, alone or together with 60 simulated touches of each of
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
-from explore import KINDS, LENGTHS, _accuracy, _bathtip
+from explore import KINDS, _accuracy, _bathtip
 from palpate import Touches
 from palpate._durable import write_text
 from palpate.recognition import ObjectRecogniser, adapt

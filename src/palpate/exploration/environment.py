@@ -161,15 +161,15 @@ class TouchEnv(gymnasium.Env[Any, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Put another object down and return what is known before the first touch."""
         super().reset(seed=seed)
-        names, wanted = self.object_names, options or {}
+        names, chosen = self.object_names, options or {}
         drawn = int(self.np_random.integers(len(names)))
         turned = self.np_random.uniform(0, 2 * np.pi) if self._random_yaw else 0.0
-        name = check_option("object", wanted.get("object", names[drawn]), names)
+        name = check_option("object", chosen.get("object", names[drawn]), names)
         self.target = names.index(name)
         self._stand = put_down(
             self._things[self.target],
             self.camera,
-            yaw_rad=check_number("yaw_rad", float(wanted.get("yaw_rad", turned))),
+            yaw_rad=check_number("yaw_rad", float(chosen.get("yaw_rad", turned))),
             placement_sd_mm=self._placement_mm,
             random_state=int(self.np_random.integers(2**31)),
         )
@@ -250,9 +250,9 @@ class TouchEnv(gymnasium.Env[Any, Any]):
 
 def _numbers(action: Any, name: str, count: int) -> Floats:
     if not isinstance(action, Mapping) or name not in action:
-        found = sorted(action) if isinstance(action, Mapping) else action
+        keys = sorted(action) if isinstance(action, Mapping) else action
         raise ValueError(
-            f"An action must hold 'action' and 'prediction', got {found!r}. Give both, "
+            f"An action must hold 'action' and 'prediction', got {keys!r}. Give both, "
             "as in action_space."
         )
     values = np.asarray(action[name], dtype=np.float64)

@@ -112,8 +112,8 @@ class DomeSensor(ABC):
         if sleeve - first < most:
             most, reason = max(sleeve - first, 0.0), "sleeve"
         gap -= first
-        wanted = force if depth_mm is None else None
-        contact = solve_contact(dome.membrane, gap, force_n=wanted, depth_mm=most)
+        stop_n = force if depth_mm is None else None
+        contact = solve_contact(dome.membrane, gap, force_n=stop_n, depth_mm=most)
         depth, total, area = contact.depth_mm, contact.force_n, contact.area_mm2
         if depth < most:
             reason = "force"

@@ -137,19 +137,19 @@ def find_parts(parts: Iterable[Part | str | int] | Part | str | int) -> list[Par
     ValueError
         For a name or number that is not among `PARTS`, or for none at all.
     """
-    wanted = [parts] if isinstance(parts, Part | str | int) else list(parts)
-    if not wanted:
+    requested = [parts] if isinstance(parts, Part | str | int) else list(parts)
+    if not requested:
         raise ValueError("parts must name at least one part, got none.")
-    found = []
-    for one in wanted:
-        mine = [p for p in PARTS if one in (p, p.name, p.number)]
-        if not mine and not isinstance(one, Part):
+    resolved = []
+    for item in requested:
+        matches = [p for p in PARTS if item in (p, p.name, p.number)]
+        if not matches and not isinstance(item, Part):
             raise ValueError(
                 f"parts must be Part objects, numbers from 1 to {len(PARTS)}, or names "
-                f"among {', '.join(part.name for part in PARTS)}, got {one!r}."
+                f"among {', '.join(part.name for part in PARTS)}, got {item!r}."
             )
-        found += [one] if isinstance(one, Part) else mine[:1]
-    return found
+        resolved += [item] if isinstance(item, Part) else matches[:1]
+    return resolved
 
 
 def _loop(name: str, corners: ArrayLike) -> Floats:
