@@ -11,6 +11,7 @@ LEROBOT_VENV ?= .venv-lerobot
 DOCS_VENV ?= .venv-docs
 CLIENTS_VENV ?= .venv-clients
 LOOK_VENV ?= .venv-look
+POLICY_VENV ?= .venv-policy
 # The oldest Python that pyproject.toml promises, and the newest that is there.
 OLDEST_PYTHON ?= python3.11
 NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell command -v python3.$(minor))) python3)
@@ -27,7 +28,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look check-clients check-page format fuzz mutants bench docs linkcheck dist clean
+.PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look check-clients check-page format fuzz mutants bench policy docs linkcheck dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -127,6 +128,12 @@ format: $(VENV)/.test-installed
 bench: $(BENCH_VENV)/.installed
 	$(ONE_THREAD) $(BENCH_VENV)/bin/python benchmarks/run.py
 
+# PPO of stable-baselines3 learns where to touch, beside random and chosen places; a
+# quarter of an hour of one core, `POLICY="--seeds 1 --rounds 1"` a part of it.
+POLICY ?= --out benchmarks/policy.json
+policy: $(POLICY_VENV)/.installed
+	$(ONE_THREAD) $(POLICY_VENV)/bin/python benchmarks/policy.py $(POLICY)
+
 # The site, without network: every example runs, warnings are errors.
 SPHINX := nice $(DOCS_VENV)/bin/python -m sphinx -W --keep-going -j 1
 docs: $(DOCS_VENV)/.installed
@@ -147,7 +154,7 @@ dist: $(VENV)/.dev-installed
 	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
 
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(NEWEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(CLIENTS_VENV) $(DOCS_VENV)
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(NEWEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(CLIENTS_VENV) $(DOCS_VENV) $(POLICY_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
 	rm -rf docs/_build docs/gallery docs/reference/generated
 
@@ -188,6 +195,11 @@ $(BARE_VENV)/.installed: pyproject.toml constraints.txt
 $(DOCS_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(DOCS_VENV)
 	$(DOCS_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[docs]"
+	@touch $@
+
+$(POLICY_VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(POLICY_VENV)
+	$(POLICY_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[sim]" torch==2.13.0 stable-baselines3==2.9.2
 	@touch $@
 
 $(LEROBOT_VENV)/.installed: pyproject.toml

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.exploration import Guard, Raster
-from palpate.simulation import DomeCamera
+from palpate.exploration import Guard, Raster, SurfaceMap, explore_to_learn
+from palpate.recognition import ObjectRecogniser
+from palpate.simulation import DomeCamera, find_object
 
 gymnasium = pytest.importorskip("gymnasium")
 NAME = "palpate.exploration.environment:palpate/Touch-v0"
@@ -185,6 +186,87 @@ def test_with_a_guard_touches_are_made_step_by_step():
         # and between solved forces the bench interpolates.
         assert -0.1 <= records[1].travel_mm - records[0].travel_mm < 0.35
         assert_allclose(frames[0]["image"], frames[1]["image"].astype(float), atol=8)
+
+
+@pytest.fixture(scope="module")
+def surface_map():
+    things = [find_object(name) for name in OBJECTS]
+    touches = explore_to_learn(things, 12, CAMERA, n_sessions=2)
+    return SurfaceMap(n_turns=8).fit(ObjectRecogniser().fit(touches), touches)
+
+
+BELIEF = "palpate/TouchBelief-v0"
+
+
+def _places_alone(surface_map, **options):
+    options = {"camera": CAMERA, "max_touches": 4, **options}
+    return gymnasium.make(BELIEF, surface_map=surface_map, **options)
+
+
+def test_the_gains_add_up_to_what_is_believed_of_the_truth(surface_map):
+    env = _places_alone(surface_map, attempt_nats=0.25, error=0.001)
+    seen, _ = env.reset(seed=1, options={"object": "mug"})
+    names = [*surface_map.recogniser.classes_, "unknown"]
+    assert names == ["ball", "box", "mug", "unknown"]
+    # A stranger comes in one of twenty, and none of three objects is likelier.
+    assert_allclose(seen["belief"], [0.95 / 3] * 3 + [0.05], rtol=1e-6)
+    assert not seen["attempts"].any()
+    total = 0.0
+    for number, out in enumerate(([1, 0, 1], [0, 1, 1]), start=1):
+        seen, reward, *_, info = env.step(np.float32(out))
+        total += reward
+        assert seen in env.observation_space
+        assert seen["touches_left"] == 1 - number / 4
+    after = max(float(seen["belief"][2]), np.exp(-5))
+    assert total == pytest.approx(np.log(after / (0.95 / 3)) - 2 * 0.25, abs=1e-5)
+    rows = seen["attempts"].reshape(4, 4)
+    assert_allclose(rows[:2, :3], np.array([[1, 0, 1], [0, 1, 1]]) / np.sqrt(2), 1e-6)
+    assert not rows[2:].any()
+    assert info["outcome"] == "touched"
+
+
+def test_an_episode_ends_where_the_belief_decides(surface_map):
+    env = _places_alone(surface_map, error=0.2, max_touches=12)
+    env.reset(seed=3, options={"object": "ball"})
+    ended = False
+    for number in range(12):
+        angle = 2.4 * number
+        action = np.float32([np.cos(angle), np.sin(angle), 0.8])
+        seen, _, ended, truncated, info = env.step(action)
+        likely = float(seen["belief"].max()) >= 0.8
+        # The ball is like no other: it is decided before the budget ends.
+        assert (info["decision"] is not None) == ended == likely
+        if ended:
+            break
+    assert ended
+    assert not truncated
+    assert info["decision"] == "ball"
+    assert info["right"]
+
+
+def test_an_object_that_was_never_learnt_is_unknown(surface_map):
+    env = _places_alone(surface_map, objects=["pen"], attempt_nats=0.0)
+    before, _ = env.reset(seed=0)
+    after, reward, *_, info = env.step(np.float32([0, 0, 1]))
+    ratio = max(after["belief"][3], np.exp(-5)) / before["belief"][3]
+    assert reward == pytest.approx(float(np.log(ratio)), abs=1e-5)
+    assert info["right"] == (info["decision"] == "unknown")
+
+
+@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
+def test_several_places_alone_are_the_single_ones(surface_map, mode):
+    how = {"surface_map": surface_map, "camera": CAMERA, "vectorization_mode": mode}
+    several = gymnasium.make_vec(BELIEF, 2, max_touches=4, **how)
+    several.reset(seed=5)
+    actions = np.float32([[1, 0, 1], [0, 1, 1]])
+    seen, rewards, *_ = several.step(actions)
+    for number in range(2):
+        env = _places_alone(surface_map)
+        env.reset(seed=5 + number)
+        expected, reward, *_ = env.step(actions[number])
+        assert rewards[number] == pytest.approx(reward)
+        for part, values in expected.items():
+            assert_array_equal(seen[part][number], values)
 
 
 def test_an_unknown_object_is_refused(env):

@@ -4,7 +4,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-from palpate.simulation import DomeCamera
+import palpate.exploration.environment  # noqa: F401  registers the environments
+from palpate.exploration import SurfaceMap, explore_to_learn
+from palpate.recognition import ObjectRecogniser
+from palpate.simulation import DomeCamera, find_object
 
 pytest.importorskip("stable_baselines3")
 pytestmark = pytest.mark.filterwarnings("default")
@@ -43,6 +46,27 @@ def test_an_agent_learns_for_some_steps(package, agent, policy, n_steps):
     after = list(model.policy.parameters())
     assert model.num_timesteps == n_steps
     assert all(np.isfinite(part.detach().numpy()).all() for part in after)
+    assert any((a != b).any() for a, b in zip(before, after, strict=True))
+
+
+@pytest.fixture(scope="module")
+def surface_map():
+    things = [find_object(name) for name in OPTIONS["objects"]]
+    touches = explore_to_learn(things, 12, OPTIONS["camera"], n_sessions=2)
+    return SurfaceMap(n_turns=8).fit(ObjectRecogniser().fit(touches), touches)
+
+
+def test_an_agent_learns_where_to_touch_from_a_belief(surface_map, recwarn):
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_checker import check_env
+
+    env = gymnasium.make("palpate/TouchBelief-v0", surface_map=surface_map, **OPTIONS)
+    check_env(env)
+    assert [str(warning.message) for warning in recwarn] == []
+    model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=32, seed=0)
+    before = [part.detach().clone() for part in model.policy.parameters()]
+    model.learn(64)
+    after = list(model.policy.parameters())
     assert any((a != b).any() for a, b in zip(before, after, strict=True))
 
 

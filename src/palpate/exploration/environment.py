@@ -402,7 +402,8 @@ class BeliefObservations(gymnasium.Wrapper[Any, Any, Any, Any]):
         return [*self.belief.posterior.values(), self.belief.unknown]
 
     def _observation(self) -> Observation:
-        pose = self.belief.pose()
+        best = self._names[int(np.argmax(self._shares[:-1]))]
+        pose = self.belief.pose(best)
         length = np.exp(-(pose.turn_sd_rad**2) / 2)
         turn = length * np.array([np.cos(pose.turn_rad), np.sin(pose.turn_rad)])
         offset = np.clip(np.array(pose.offset_mm) / _OFFSET_MM, -1, 1)
