@@ -102,7 +102,9 @@ def strategies(surface_map: SurfaceMap) -> dict[str, Player]:
 def episode(env: Any, player: Player, thing: str, seed: int) -> Row:
     """Play one episode; what came of it."""
     seen, _ = env.reset(seed=seed, options={"object": thing})
-    inner: BeliefObservations = env.env.env
+    inner = env
+    while not isinstance(inner, BeliefObservations):
+        inner = inner.env
     over, total, began = False, 0.0, time.process_time()
     while not over:
         seen, reward, ended, truncated, info = env.step(player(inner, seen, seed))

@@ -19,8 +19,6 @@ OPTIONS = {
 
 
 def flat():
-    import palpate.exploration.environment  # noqa: F401  registers it
-
     return gymnasium.make("palpate/TouchFlat-v0", **OPTIONS)
 
 
