@@ -47,12 +47,11 @@ def maps(explored: Touches, drawn: Touches, seed: int) -> dict[str, SurfaceMap]:
     """Return what knows the objects, by what is known of them."""
     meshes = {name: find_object(name) for name in NAMES}
     from_mesh = NAMES[1::2]
-    mixed = Touches.concatenate(
-        [
-            explored[~np.isin(explored.object, from_mesh)],
-            drawn[np.isin(drawn.object, from_mesh)],
-        ]
+    parts = (
+        explored[~np.isin(explored.object, from_mesh)],
+        drawn[np.isin(drawn.object, from_mesh)],
     )
+    mixed = Touches.concatenate([part.without("no_contact") for part in parts])
     half_meshes = {name: meshes[name] for name in from_mesh}
     kinds: dict[str, tuple[Touches, dict[str, Any], bool]] = {
         "explored": (explored, {}, True),

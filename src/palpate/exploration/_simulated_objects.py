@@ -17,6 +17,7 @@ import numpy as np
 
 from .._checks import check_count, check_number, check_option
 from .._parallel import in_parallel
+from .._types import Floats
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
     HOUSEHOLD,
@@ -270,10 +271,14 @@ def _session(
     )
     named = {"object": thing.name, "category": thing.category}
     touches = as_touches(history, **named, geometry="dome")
-    # About the vertical, by minus the yaw of the object.
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-    vectors = {name: touches.columns[name] @ turn for name in VECTORS}
+    vectors = _in_frame_of_object(touches, yaw)
     if every_face:
         vectors["face"] = np.full(len(touches), face)
     return touches.with_columns(session=np.full(len(touches), session), **vectors)
+
+
+def _in_frame_of_object(touches: Touches, yaw_rad: float) -> dict[str, Floats]:
+    """Return places and directions, turned back about the vertical by its yaw."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    return {name: touches.columns[name] @ turn for name in VECTORS}

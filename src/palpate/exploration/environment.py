@@ -195,16 +195,9 @@ class TouchEnv(gymnasium.Env[Any, Any]):
                 f"got step {len(self.history) + 1}. Call reset first."
             )
         logits = _numbers(action, "prediction", len(self._things))
-        x, y, z = _numbers(action, "action", 3)
+        way = _numbers(action, "action", 3)
         loss = float(-log_softmax(logits)[self.target])
-        out = np.array([x, y, abs(z)])
-        if np.linalg.norm(out) < 1e-6:
-            out = np.array([0.0, 0.0, 1.0])
-        pose = self.hemisphere.pose_towards(out)
-        if self._guard is None:
-            record = self._stand.touch_at_once(pose)
-        else:
-            record = self._stand.touch(pose, self._guard)
+        record = self._touched(self._stand, way)
         self.history.append(record)
         info = {
             "prediction": {"target": self.target, "loss": loss},
@@ -214,6 +207,16 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         }
         over = len(self.history) >= self.max_touches
         return self._observation(record), -loss, False, over, info
+
+    def _touched(self, stand: Stand, way: Floats) -> TouchRecord:
+        """Touch from the direction of an action, mirrored up."""
+        out = np.array([*way[:2], abs(way[2])])
+        if np.linalg.norm(out) < 1e-6:
+            out = np.array([0.0, 0.0, 1.0])
+        pose = self.hemisphere.pose_towards(out)
+        if self._guard is None:
+            return stand.touch_at_once(pose)
+        return stand.touch(pose, self._guard)
 
     @property
     def share_left(self) -> float:
