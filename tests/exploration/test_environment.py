@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.exploration import Guard, Raster, SurfaceMap, explore_to_learn
+from palpate import Touches
+from palpate.exploration import (
+    Guard,
+    RandomHemisphere,
+    Raster,
+    SurfaceMap,
+    as_touches,
+    put_down,
+)
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 
@@ -188,14 +196,21 @@ def test_with_a_guard_touches_are_made_step_by_step():
         assert_allclose(frames[0]["image"], frames[1]["image"].astype(float), atol=8)
 
 
+def _taught(name):
+    stand = put_down(find_object(name), CAMERA, placement_sd_mm=0)
+    strategy, history = RandomHemisphere(stand.hemisphere), []
+    for _ in range(12):
+        history.append(stand.touch_at_once(strategy.next_pose(None, history)))
+    return as_touches(history, object=name, category=name, geometry="dome")
+
+
 @pytest.fixture(scope="module")
 def surface_map():
-    things = [find_object(name) for name in OBJECTS]
-    touches = explore_to_learn(things, 12, CAMERA, n_sessions=2)
+    touches = Touches.concatenate([_taught(name) for name in OBJECTS])
     return SurfaceMap(n_turns=8).fit(ObjectRecogniser().fit(touches), touches)
 
 
-BELIEF = "palpate/TouchBelief-v0"
+BELIEF = "palpate.exploration.environment:palpate/TouchBelief-v0"
 
 
 def _places_alone(surface_map, **options):
