@@ -243,6 +243,11 @@ def test_the_surface_can_be_drawn_from_above(surface_map):
     assert_allclose(shown["met"], [record.position_mm[:2] for record in history])
     assert_allclose(shown["nothing"], [[9, 8]])
     assert len(axes.patches) == len(shown["expected"]) == len(belief.surface()[0])
+    again = belief.plot_surface(history, start=pose)
+    assert " ".join(again.get_title().split("\n")[1:]) == advice(belief, pose)
+    arrow = again.texts[0]
+    # From outside along the approach, which comes from the right.
+    assert arrow.xyann[0] > arrow.xy[0] > belief.surface()[0][:, 0].max()
     pyplot.close("all")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -14,6 +15,7 @@ from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
+from ._advice import advice
 from ._contacts import contacts_of
 from ._place_filter import out_of_frames
 from ._record import History, TouchRecord
@@ -23,6 +25,7 @@ from ._surface import AZIMUTHS, HEIGHTS, directions
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from ..simulation import SensorPose
     from ._surface_map import SurfaceMap
 
 # Touches whose contact is known although no frame was taken.
@@ -315,12 +318,18 @@ class PlaceBelief(Belief):
         covariances = covariances + turned[:, :, None] * turned[:, None]
         return points + self.centre_mm, covariances
 
-    def plot_surface(self, history: History = (), ax: Axes | None = None) -> Axes:
+    def plot_surface(
+        self,
+        history: History = (),
+        ax: Axes | None = None,
+        start: SensorPose | None = None,
+    ) -> Axes:
         """Draw from above where the surface is expected, and what was touched.
 
         Points with an ellipse of one standard deviation, in the frame of the arm;
         attempts of `history`: dots where something was met, crosses where the tip went
-        without. Returns matplotlib's axes (extra `plot`), `ax` or new ones.
+        without. `start`, where the next touch begins, is an arrow with the sentence of
+        `advice`. Returns matplotlib's axes (extra `plot`), `ax` or new ones.
         """
         pyplot = needed("matplotlib.pyplot", "plot", "A picture of a surface")
         patches = needed("matplotlib.patches", "plot", "A picture of a surface")
@@ -345,6 +354,17 @@ class PlaceBelief(Belief):
             if tips:
                 x, y = np.transpose(tips)
                 axes.scatter(x, y, marker=marker, color="#c43c39", label=label)
-        axes.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)", title=self.pose())
+        title = str(self.pose())
+        if start is not None:
+            title = "\n".join([title, *wrap(advice(self, start), len(title))])
+            middle, out = self.centre_mm[:2], -np.asarray(start.direction)[:2]
+            reach = np.linalg.norm(points[:, :2] - middle, axis=1).max()
+            ends = middle + 1.1 * reach * out, middle + 1.6 * reach * out
+            style = {"arrowstyle": "->", "color": "#c43c39"}
+            axes.annotate("", *ends, arrowprops=style, annotation_clip=False)
+            axes.update_datalim(ends)
+            axes.autoscale_view()
+        axes.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
+        axes.set_title(title, fontsize="small")
         axes.legend(loc="upper right", fontsize="small")
         return axes
