@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..exploration import (
         Exploration,
         Hemisphere,
+        PlaceBelief,
         Strategy,
         SurfaceMap,
         TouchMap,
@@ -204,11 +205,11 @@ def _standing(end: "Exploration") -> list[str]:
 
 def _draw(end: "Exploration", way: "Strategy", path: Path) -> None:
     """Draw what is believed at the end; the next touch too, if one is needed."""
-    start = None
+    belief, start = cast("PlaceBelief", end.belief), None
     if end.decision is None:
-        start = way.next_pose(end.belief, end.history)
-    axes = end.belief.plot_surface(end.history, start=start)
-    axes.figure.savefig(path, dpi=100, bbox_inches="tight")
+        start = way.next_pose(belief, end.history)
+    axes = belief.plot_surface(end.history, start=start)
+    cast(Any, axes.figure).savefig(path, dpi=100, bbox_inches="tight")
 
 
 def _one_object(name: str, unit: str) -> "SimObject":
