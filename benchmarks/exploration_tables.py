@@ -41,26 +41,24 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
 
 
 PLACES = {
-    "turns, taught on all faces": "places_before_all.json",
-    "places, taught on all faces (a)": "places_all.json",
-    "places, taught on all faces": "places_all_b.json",
-    "turns, usual face": "places_before_usual.json",
-    "places, usual face (a)": "places_usual_a.json",
-    "places, usual face": "places_usual.json",
-    "places, usual face, arm off by 2 mm, 2 degrees": "places_wrong_pose.json",
-    "meshes alone, no picture (a)": "places_mesh.json",
-    "turns, strangers": "places_before_stranger.json",
-    "places, strangers": "places_stranger.json",
+    "turns, all": "turns, taught on all faces",
+    "places before, all": "before, taught on all faces",
+    "places, all": "places, taught on all faces",
+    "turns, usual": "turns, usual face",
+    "places before, usual": "before, usual face",
+    "places, usual": "places, usual face",
+    "places, usual, wrong pose": "places, usual face, arm off by 2 mm, 2 degrees",
+    "mesh before, all": "before, meshes alone, no picture",
 }
 
 
 def _places() -> str:
     """Attempts until decided rightly, by belief, condition and strategy."""
     cells = []
-    for belief, file in PLACES.items():
-        if not (HERE / file).exists():
-            continue
-        for key, row in json.loads((HERE / file).read_text())["rows"].items():
+    file = HERE / "places.json"
+    measured = json.loads(file.read_text()) if file.exists() else {}
+    for name, belief in PLACES.items():
+        for key, row in measured.get(name, {}).items():
             yaw, offset = (
                 " / ".join(str(row.get(f"{name}_{count}", "-")) for count in (5, 10))
                 for name in ("yaw_deg", "offset_mm")
@@ -118,10 +116,10 @@ def _real(rows: Rows) -> str:
 
 
 def _chosen(rows: Rows) -> str:
-    heads = ["condition", "strategy", "belief", "seeds", "after 1 / 3 / 5 / 10"]
+    heads = ["condition", "strategy", "seeds", "after 1 / 3 / 5 / 10"]
     heads += ["95 % first reached (5-95 %)", "right for good after (sd)"]
     cells = []
-    for row in rows:
+    for row in [row for row in rows if row["belief"] == "by place"]:
         at = [k - 1 for k in (1, 3, 5, 10)]
         mean = [row["accuracy"][k] for k in at]
         spread = [row["accuracy_sd"][k] for k in at]
@@ -131,7 +129,6 @@ def _chosen(rows: Rows) -> str:
             [
                 row["condition"],
                 row["strategy"],
-                row["belief"],
                 str(row["n_seeds"]),
                 _several(mean, spread),
                 f"{_count(row['touches_for_95'])} ({low}-{high})",

@@ -2,9 +2,9 @@
 
     python benchmarks/guarded_force.py [--touches 12]
 
-Prints the tables of docs/explanation/exploration.md under "What a touch may press": the
-greatest true force of touches from random places of the hemisphere, with a force sensor
-that works and with ones that do not.
+Prints the first tables of docs/explanation/guarded-touch.md: the greatest true force of
+touches from random places of the hemisphere, with a force sensor that works and with
+ones that do not.
 """
 
 import argparse

@@ -1,7 +1,9 @@
 """Attempts until an object is named rightly, and how well its pose is known.
 
-    python benchmarks/places.py --belief turns --out benchmarks/places_before.json
+    python benchmarks/places.py --belief turns --out benchmarks/places.json
     python benchmarks/places.py --belief places --out benchmarks/places.json
+
+The file keeps the rows of every belief and teaching; a run replaces its own.
 
 Ten simulated objects are taught, 60 touches each, on the usual face or on all. Then
 each is put down at an unknown yaw, 5 mm (sd) aside along x and y, on the usual face
@@ -229,6 +231,13 @@ def map_of(belief: str, recogniser: Any, touches: Touches, seed: int) -> Any:
     return learnt.fit(recogniser, touches, meshes)
 
 
+def keep_rows(path: Path, name: str, table: dict[str, Row]) -> None:
+    """Put the rows of a table into the file of all tables."""
+    tables = json.loads(path.read_text()) if path.exists() else {}
+    tables[name] = {**tables.get(name, {}), **table}
+    write_text(path, json.dumps(tables, indent=1, sort_keys=True) + "\n")
+
+
 def main() -> None:
     """Run, print a table, and write JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -265,8 +274,8 @@ def main() -> None:
         for key, row in table.items():
             print(f"up to seed {seed}: {key:22s} {json.dumps(row)}", flush=True)
         if asked.out:
-            settings = {"belief": asked.belief, "faces": asked.faces, "rows": table}
-            write_text(asked.out, json.dumps(settings, indent=1) + "\n")
+            name = f"{asked.belief}, {asked.faces}"
+            keep_rows(asked.out, name + ", wrong pose" * asked.wrong_pose, table)
 
 
 if __name__ == "__main__":

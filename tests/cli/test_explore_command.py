@@ -238,6 +238,19 @@ def test_refusals(palpate, model, tmp_path, arguments, message):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.npz", "m.palpate"]
 
 
+def test_what_is_believed_is_drawn_from_above(palpate, model, tmp_path):
+    pytest.importorskip("matplotlib")
+    wish = ("explore", "recognise", model, "box", "--max-touches", 1)
+    done = palpate(*wish, "--picture", "above.png", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "above.png").read_bytes().startswith(b"\x89PNG")
+    (tmp_path / "m.npz").unlink()
+    bare = palpate(*wish, "--strategy", "random", "--picture", "no.png", cwd=tmp_path)
+    assert bare.returncode == 1
+    assert "--picture needs to know where touches were made" in bare.stderr
+    assert not (tmp_path / "no.png").exists()
+
+
 def test_choosing_needs_the_touches_that_were_learnt(palpate, model, tmp_path):
     (tmp_path / "m.npz").unlink()
     done = palpate("explore", "recognise", model, "ball")

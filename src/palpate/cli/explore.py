@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..exploration import (
         Exploration,
         Hemisphere,
+        PlaceBelief,
         Strategy,
         SurfaceMap,
         TouchMap,
@@ -124,6 +125,10 @@ def recognise(
             "driver error, slow, retract error, arm stuck, no frame, out of reach."
         ),
     ] = None,
+    picture: Annotated[
+        Path | None,
+        option("Draw what is believed, from above, and the next touch, as this PNG."),
+    ] = None,
     unit: Unit = "mm",
     seed: _options.Seed = 0,
     max_model_mb: _options.MaxModelMb = 2000,
@@ -148,6 +153,11 @@ def recognise(
         faults=_faults(fault),
     )
     touch_map = _touch_map(recogniser, model, taught, strategy, seed)
+    if picture is not None and not isinstance(touch_map, exploration.SurfaceMap):
+        raise ValueError(
+            "--picture needs to know where touches were made, got a model without "
+            "places. Learn it with palpate explore learn, or give --taught."
+        )
     way: Strategy
     if strategy == "random":
         way = exploration.RandomHemisphere(stand.hemisphere, seed)
@@ -174,6 +184,8 @@ def recognise(
         on_attempt=None if as_json else print_attempt,
     )
     about = {"object": found.name, "strategy": strategy}
+    if picture is not None:
+        _draw(end, way, picture)
     answer(
         as_json,
         {**about, **exploration_to_dict(knower, end, strangers, stand.hemisphere)},
@@ -189,6 +201,15 @@ def _standing(end: "Exploration") -> list[str]:
     if end.decision in (None, "unknown") or not isinstance(end.belief, PlaceBelief):
         return []
     return [f"  {end.belief.pose()}"]
+
+
+def _draw(end: "Exploration", way: "Strategy", path: Path) -> None:
+    """Draw what is believed at the end; the next touch too, if one is needed."""
+    belief, start = cast("PlaceBelief", end.belief), None
+    if end.decision is None:
+        start = way.next_pose(belief, end.history)
+    axes = belief.plot_surface(end.history, start=start)
+    cast(Any, axes.figure).savefig(path, dpi=100, bbox_inches="tight")
 
 
 def _one_object(name: str, unit: str) -> "SimObject":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -14,6 +15,7 @@ from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
+from ._advice import advice
 from ._contacts import contacts_of
 from ._place_filter import out_of_frames
 from ._record import History, TouchRecord
@@ -23,13 +25,15 @@ from ._surface import AZIMUTHS, HEIGHTS, directions
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from ..simulation import SensorPose
     from ._surface_map import SurfaceMap
 
 # Touches whose contact is known although no frame was taken.
 _CONTACTS = "touched", "no frame"
-# A thing that was never learnt may be anywhere near where known ones are.
-_STRANGER_MM, _SURPRISE, _OVER_MM = 12.0, 0.2, 150.0
 _FAR_AWAY = 3.0
+# Half of the things, and of the faces, that were never learnt may have the shape of
+# one that was: a mug that lies may well be met where a pot is.
+_LOG_HALF = -np.log(2)
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,8 @@ class PlaceBelief(Belief):
     ----------
     filter : PlaceFilter
         The hypotheses, `n_turns` a state in order.
+    log_place : ndarray of shape (n_hypotheses,)
+        Their log evidence by places (nats).
     log_joint : ndarray of shape (n_hypotheses,)
         Their log probabilities, were it a known object.
     """
@@ -88,9 +94,11 @@ class PlaceBelief(Belief):
         self.map = surface_map
         self.centre_mm = np.asarray(centre_mm, dtype=np.float64)
         self.filter = surface_map.filter_before()
+        self._faces, self._stranger = surface_map.unlearnt_before()
         shape = len(surface_map.states_), surface_map.n_turns
         self._pictures = np.zeros(shape)
-        self._stranger_nats = 0.0
+        self.log_place: Floats = np.zeros(self._pictures.size)
+        self._known_nats = 0.0
         self._weigh()
 
     def update(self, touch: Touches | Array | Evidence) -> Self:
@@ -136,7 +144,7 @@ class PlaceBelief(Belief):
             back = self.map.tip_radius_mm * way + self.centre_mm
             reach = min(record.travel_mm, 2 * float(self.map.table_.mean_mm.max()))
             end = tip - back
-            self.filter = self.filter.met_nothing(end - reach * way, end)
+            self._missed(end - reach * way, end)
         self._weigh()
         return self
 
@@ -175,34 +183,39 @@ class PlaceBelief(Belief):
             )
 
     def _met(self, middle_mm: Floats) -> None:
-        """Take in a contact; how much better a stranger explains it is added up."""
-        before = self.filter.log_evidence
+        """Take in a contact; how probable it is for known objects is added up."""
+        before = self.log_place
         self.filter = self.filter.met(middle_mm)
-        known = logsumexp(self.log_joint + self.filter.log_evidence - before)
-        alike = logsumexp(self.log_joint + self.filter.log_alike)
-        other = np.logaddexp(alike, self._stranger_density(middle_mm)) - np.log(2)
-        self._stranger_nats += float(other - known)
+        self._faces = self._faces.met(middle_mm)
+        self._stranger = self._stranger.met(middle_mm)
+        self.log_place = self._by_place()
+        self._known_nats += float(logsumexp(self.log_joint + self.log_place - before))
         self._weigh()
 
-    def _stranger_density(self, middle_mm: Floats) -> float:
-        """Return the log density of a contact with something never learnt."""
-        radius = float(np.linalg.norm(middle_mm))
-        height = np.arcsin(np.clip(middle_mm[2] / max(radius, 1e-6), -1, 1))
-        row = int(np.abs(HEIGHTS - height).argmin())
-        known = self.map.table_.mean_mm[:, row]
-        variance = float(known.var()) + _STRANGER_MM**2
-        off = (radius - float(known.mean())) ** 2
-        normal = np.exp(-off / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-        return float(np.log((1 - _SURPRISE) * normal + _SURPRISE / _OVER_MM))
+    def _missed(self, from_mm: Floats, to_mm: Floats) -> None:
+        """Take in that nothing was met between two points."""
+        before = self.filter.log_evidence
+        self.filter = self.filter.met_nothing(from_mm, to_mm)
+        change = (self.filter.log_evidence - before).reshape(self._pictures.shape)
+        self._faces = self._faces.weighed(change[self.map.is_other_].mean(axis=1))
+        self.log_place = self._by_place()
+
+    def _by_place(self) -> Floats:
+        """Return the log evidence of hypotheses, with faces that were never learnt."""
+        evidence = self.filter.log_evidence.reshape(self._pictures.shape).copy()
+        other = self.map.is_other_
+        if other.any():
+            by_state = logsumexp(evidence[~other], axis=1) - np.log(self.map.n_turns)
+            alike = logsumexp(self.map.log_alike_ + by_state, axis=1)
+            both = np.logaddexp(alike, self._faces.log_evidence)
+            evidence[other] = (both + _LOG_HALF)[:, None]
+        return evidence.ravel()
 
     @property
     def unknown_evidence(self) -> float:
-        """What pictures and places say for a stranger (nats); see `Belief`.
-
-        Half of the strangers may have the shape of a known thing.
-        """
-        by_place = float(np.logaddexp(0.0, self._stranger_nats) - np.log(2))
-        return super().unknown_evidence + by_place
+        """What pictures and places say for a stranger (nats); see `Belief`."""
+        unlike = float(self._stranger.log_evidence[0]) - self._known_nats
+        return super().unknown_evidence + float(np.logaddexp(0.0, unlike) + _LOG_HALF)
 
     @property
     def log_posterior(self) -> Floats:
@@ -227,7 +240,7 @@ class PlaceBelief(Belief):
         prior = prior + self.map.log_share_of_state
         calibration = self.map.pictures_.sequence_calibration
         pictures = self._pictures * calibration.weight(self._n_informative)
-        joint = (pictures + prior[:, None]).ravel() + self.filter.log_evidence
+        joint = (pictures + prior[:, None]).ravel() + self.log_place
         self.log_joint: Floats = joint - logsumexp(joint)
         placed = self.log_posterior
         by_place = placed - log_posterior
@@ -305,12 +318,18 @@ class PlaceBelief(Belief):
         covariances = covariances + turned[:, :, None] * turned[:, None]
         return points + self.centre_mm, covariances
 
-    def plot_surface(self, history: History = (), ax: Axes | None = None) -> Axes:
+    def plot_surface(
+        self,
+        history: History = (),
+        ax: Axes | None = None,
+        start: SensorPose | None = None,
+    ) -> Axes:
         """Draw from above where the surface is expected, and what was touched.
 
         Points with an ellipse of one standard deviation, in the frame of the arm;
         attempts of `history`: dots where something was met, crosses where the tip went
-        without. Returns matplotlib's axes (extra `plot`), `ax` or new ones.
+        without. `start`, where the next touch begins, is an arrow with the sentence of
+        `advice`. Returns matplotlib's axes (extra `plot`), `ax` or new ones.
         """
         pyplot = needed("matplotlib.pyplot", "plot", "A picture of a surface")
         patches = needed("matplotlib.patches", "plot", "A picture of a surface")
@@ -335,6 +354,17 @@ class PlaceBelief(Belief):
             if tips:
                 x, y = np.transpose(tips)
                 axes.scatter(x, y, marker=marker, color="#c43c39", label=label)
-        axes.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)", title=self.pose())
+        title = str(self.pose())
+        if start is not None:
+            title = "\n".join([title, *wrap(advice(self, start), len(title))])
+            middle, out = self.centre_mm[:2], -np.asarray(start.direction)[:2]
+            reach = np.linalg.norm(points[:, :2] - middle, axis=1).max()
+            ends = middle + 1.1 * reach * out, middle + 1.6 * reach * out
+            style = {"arrowstyle": "->", "color": "#c43c39"}
+            axes.annotate("", *ends, arrowprops=style, annotation_clip=False)
+            axes.update_datalim(ends)
+            axes.autoscale_view()
+        axes.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
+        axes.set_title(title, fontsize="small")
         axes.legend(loc="upper right", fontsize="small")
         return axes

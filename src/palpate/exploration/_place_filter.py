@@ -25,13 +25,11 @@ import numpy as np
 from scipy.special import ndtr
 
 from .._types import Floats, Indices
-from ._surface import SurfaceTable
+from ._surface import SurfaceTable, last_log_density
 
 N_POSE = 4
 _UNEXPLAINED, _OVER_MM = 0.03, 150.0
 _MISS_STEPS = 16
-# How far the surface of a thing that is like a known one differs from it.
-_ALIKE_MM = 8.0
 _CUBATURE = np.sqrt(N_POSE) * np.concatenate([np.eye(N_POSE), -np.eye(N_POSE)])
 
 
@@ -71,8 +69,6 @@ class PlaceFilter:
     covariance : ndarray of shape (n_hypotheses, 4, 4)
     log_evidence : ndarray of shape (n_hypotheses,)
         Of all that was met so far (nats).
-    log_alike : ndarray of shape (n_hypotheses,)
-        Log density of the last contact, were it of a thing that is only like that.
     """
 
     table: SurfaceTable
@@ -81,7 +77,6 @@ class PlaceFilter:
     mean: Floats
     covariance: Floats
     log_evidence: Floats
-    log_alike: Floats
 
     @classmethod
     def before(cls, table: SurfaceTable, n_turns: int, looseness: Looseness) -> Self:
@@ -97,7 +92,7 @@ class PlaceFilter:
         spread = np.diag(np.square([turn_sd, aside, aside, height]))
         covariance = np.repeat(spread[None], len(states), axis=0)
         nothing = np.zeros(len(states))
-        return cls(table, looseness, states, mean, covariance, nothing, nothing)
+        return cls(table, looseness, states, mean, covariance, nothing)
 
     def met(self, middle_mm: Floats) -> PlaceFilter:
         """Return the filter after a contact with the ball's middle there, (3,)."""
@@ -121,7 +116,6 @@ class PlaceFilter:
             mean=mean,
             covariance=covariance + self._shift(),
             log_evidence=self.log_evidence + np.log(density),
-            log_alike=_log_density(middle, total + _ALIKE_MM**2),
         )
 
     def met_nothing(self, from_mm: Floats, to_mm: Floats) -> PlaceFilter:
@@ -147,11 +141,57 @@ class PlaceFilter:
         return added
 
 
+def with_unexplained(log_density: Floats) -> Floats:
+    """Return log densities of contacts, of which a share e is over L mm; see above."""
+    log_rest = np.log(_UNEXPLAINED / _OVER_MM)
+    return np.asarray(np.logaddexp(np.log1p(-_UNEXPLAINED) + log_density, log_rest))
+
+
 def _log_density(outside_mm: Floats, variance_mm2: Floats) -> Floats:
     """Return log p(met | hypothesis), above, of points so far outside."""
-    scale = np.sqrt(2 * np.pi * variance_mm2)
-    normal = np.exp(-(outside_mm**2) / (2 * variance_mm2)) / scale
-    return np.asarray(np.log((1 - _UNEXPLAINED) * normal + _UNEXPLAINED / _OVER_MM))
+    normal = -(outside_mm**2 / variance_mm2 + np.log(2 * np.pi * variance_mm2)) / 2
+    return with_unexplained(normal)
+
+
+@dataclass(frozen=True, eq=False)
+class UnlearntSurfaces:
+    """What was met, were it of surfaces that were never learnt (immutable).
+
+    Attributes
+    ----------
+    means_mm : ndarray of shape (n_surfaces,)
+        Mean radius of each, known to `mean_sd_mm`.
+    middles_mm : ndarray of shape (n_contacts, 3)
+        Where the ball's middle was stopped.
+    log_evidence : ndarray of shape (n_surfaces,)
+        Of all that was met so far (nats).
+    """
+
+    looseness: Looseness
+    means_mm: Floats
+    mean_sd_mm: float
+    middles_mm: Floats
+    log_evidence: Floats
+
+    @classmethod
+    def before(cls, means_mm: Floats, mean_sd_mm: float, looseness: Looseness) -> Self:
+        """Return them before the first touch."""
+        nothing = np.zeros((0, 3)), np.zeros(len(means_mm))
+        return cls(looseness, means_mm, mean_sd_mm, *nothing)
+
+    def met(self, middle_mm: Floats) -> UnlearntSurfaces:
+        """Return them after a contact with the ball's middle there, (3,)."""
+        middles = np.concatenate([self.middles_mm, middle_mm[None]])
+        loose = self.looseness
+        sds = [loose.placement_mm, loose.placement_mm, loose.height_mm]
+        density = last_log_density(
+            middles, self.means_mm, self.mean_sd_mm, np.square(sds), loose.sensor_mm
+        )
+        return replace(self, middles_mm=middles).weighed(with_unexplained(density))
+
+    def weighed(self, log_likelihood: Floats) -> UnlearntSurfaces:
+        """Return them with what something else says, (n_surfaces,), in nats."""
+        return replace(self, log_evidence=self.log_evidence + log_likelihood)
 
 
 def in_frames(points_mm: Floats, poses: Floats) -> Floats:

@@ -67,13 +67,15 @@ class PlaceGain:
         stations = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=-1)
         closeness = pictures.closeness(stations.reshape(-1, 3))
         ratio = pictures.station_ratio(*pictures.left_out(), closeness)
-        missing = np.zeros((len(ratio), 1, ratio.shape[2]))
-        of_state = self._map.picture_of_state_
-        ratio = np.concatenate([ratio, missing], axis=1)[:, of_state]
-        known = self._map.object_of_state_
-        by_state = pictures.left_out_by_object[:, known].T
+        # As if each station of a ring were a turn.
+        n_rings, n_touches = len(first), ratio.shape[-1]
+        turns = ratio.reshape(n_rings, n_turns, -1, n_touches).transpose(0, 3, 2, 1)
+        of_states = self._map.of_states(turns.reshape(-1, *turns.shape[2:]))
+        by_ring = of_states.reshape(n_rings, n_touches, -1, n_turns)
+        ratio = by_ring.transpose(0, 3, 2, 1).reshape(len(ratio), -1, n_touches)
+        by_state = self._map.by_state(pictures.left_out_by_object).T
         evidence = pictures.touch_weight_ * by_state + pictures.placed_weight_ * ratio
-        shape = len(first), n_turns, len(of_state), -1
+        shape = n_rings, n_turns, len(by_state), -1
         return (
             evidence.astype(np.float32).reshape(shape),
             closeness.reshape(len(first), n_turns, -1),

@@ -22,6 +22,7 @@ from itertools import product
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
 
 from .._types import Floats, Indices
 from ..simulation import DomeCamera, PlacedObject, SensorPose, SimObject
@@ -34,8 +35,9 @@ _LOWEST = -6
 N_HEIGHTS = 1 - _LOWEST + N_AROUND // 4 - 1
 HEIGHTS = _STEP * (np.arange(N_HEIGHTS) + _LOWEST)
 AZIMUTHS = _STEP * np.arange(N_AROUND)
-_MEAN_SD_MM, _ROUND_SD_MM = 60.0, 30.0
+MEAN_SD_MM, _ROUND_SD_MM = 60.0, 30.0
 _WIDTHS, _LOCAL_MM, _NOISES_MM = (0.2, 0.35, 0.6), (4.0, 10.0, 25.0), (1.0, 2.0, 4.0)
+_ROUGHNESSES = tuple(product(_WIDTHS, _LOCAL_MM, _NOISES_MM))
 _MESH_SD_MM, _PRESSES_AROUND = 1.5, 36
 _START_MM = 300.0
 # Radii that differ by less look alike.
@@ -99,7 +101,7 @@ def learnt_surface(
     mean = float(np.median(radius))
     nodes = directions().reshape(-1, 3)
     evidence, parts = [], []
-    for width, local, noise in product(_WIDTHS, _LOCAL_MM, _NOISES_MM):
+    for width, local, noise in _ROUGHNESSES:
         covariance = _kernel(towards, towards, width, local) + shared
         covariance += noise**2 * np.eye(len(radius))
         factor = np.linalg.cholesky(covariance)
@@ -108,7 +110,7 @@ def learnt_surface(
         solved = solve_triangular(factor, both, lower=True)
         whitened, cross = solved[:, 0], solved[:, 1:]
         evidence.append(-0.5 * whitened @ whitened - np.log(np.diag(factor)).sum())
-        prior = _MEAN_SD_MM**2 + _ROUND_SD_MM**2 + local**2
+        prior = MEAN_SD_MM**2 + _ROUND_SD_MM**2 + local**2
         variance = np.maximum(prior - (cross**2).sum(axis=0), 0.01)
         parts.append((mean + whitened @ cross, variance, noise**2))
     # Few touches do not tell how smooth a thing is: all that may be is averaged.
@@ -124,6 +126,50 @@ def learnt_surface(
         (weight @ variances).reshape(shape),
         float(np.sqrt(weight @ noises)),
     )
+
+
+def last_log_density(
+    middles_mm: Floats,
+    means_mm: Floats,
+    mean_sd_mm: float,
+    placement_mm2: Floats,
+    sensor_mm: float,
+) -> Floats:
+    """Return how probable the last contact is after those before it.
+
+    With surfaces that were never learnt: by the process of `learnt_surface` before any
+    training touch, so that what was met on one side says what is met beside it.
+
+    Parameters
+    ----------
+    middles_mm : ndarray of shape (n_contacts, 3)
+        Middles of the tip's ball about where the object is assumed.
+    means_mm : ndarray of shape (n_surfaces,)
+        Mean radius of each, with the standard deviation `mean_sd_mm`.
+    placement_mm2 : ndarray of shape (3,)
+        Variance of where the object is.
+    sensor_mm : float
+        Standard deviation of where the arm says that the tip is.
+
+    Returns
+    -------
+    ndarray of shape (n_surfaces,)
+        Log densities (nats, per mm).
+    """
+    radius = np.linalg.norm(middles_mm, axis=1)
+    towards = middles_mm / np.maximum(radius, 1e-9)[:, None]
+    shared = (towards * placement_mm2) @ towards.T + sensor_mm**2 * np.eye(len(radius))
+    kernels = [
+        _kernel(towards, towards, width, local, mean_sd_mm)
+        + noise**2 * np.eye(len(radius))
+        for width, local, noise in _ROUGHNESSES
+    ]
+    factors = np.linalg.cholesky(np.stack(kernels) + shared)
+    whitened = np.linalg.solve(factors, radius[:, None] - means_mm)
+    scale = np.log(np.diagonal(factors, axis1=1, axis2=2))[..., None]
+    each = -0.5 * (whitened**2 + np.log(2 * np.pi)) - scale
+    before = logsumexp(each[:, :-1].sum(axis=1), axis=0)
+    return np.asarray(logsumexp(each.sum(axis=1), axis=0) - before)
 
 
 def mesh_surface(thing: SimObject, face: int, camera: DomeCamera) -> RadialSurface:
@@ -221,12 +267,18 @@ def _met_mm(placed: PlacedObject, out: Floats, camera: DomeCamera) -> float:
     return max(_START_MM - press.travel_mm + camera.membrane_radius_mm, 0.0)
 
 
-def _kernel(one: Floats, other: Floats, width: float, local: float) -> Floats:
+def _kernel(
+    one: Floats,
+    other: Floats,
+    width: float,
+    local: float,
+    mean_sd_mm: float = MEAN_SD_MM,
+) -> Floats:
     heights = (one[:, 2][:, None] - other[:, 2]) ** 2
     squared = 2 - 2 * one @ other.T
     round_part = _ROUND_SD_MM**2 * np.exp(-heights / (2 * width**2))
     local_part = local**2 * np.exp(-squared / (2 * width**2))
-    return np.asarray(_MEAN_SD_MM**2 + round_part + local_part)
+    return np.asarray(mean_sd_mm**2 + round_part + local_part)
 
 
 def _between(table: Floats, one: Indices, other: Indices, share: Floats) -> Floats:

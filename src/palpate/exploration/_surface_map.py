@@ -12,10 +12,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from scipy.special import logsumexp
 
 from .._checks import check_count, check_number, check_positive
 from .._numbers import log_softmax
-from .._types import Array, Floats, Indices
+from .._types import Array, Bools, Floats, Indices
 from ..recognition import (
     STRANGERS,
     ObjectRecogniser,
@@ -26,8 +27,14 @@ from ..simulation import DomeCamera, SimObject
 from ..touches import Touches
 from ._contacts import contacts_of, faces_of, middle_of
 from ._place_belief import PlaceBelief
-from ._place_filter import Looseness, PlaceFilter
-from ._surface import RadialSurface, SurfaceTable, learnt_surface, mesh_surface
+from ._place_filter import Looseness, PlaceFilter, UnlearntSurfaces
+from ._surface import (
+    MEAN_SD_MM,
+    RadialSurface,
+    SurfaceTable,
+    learnt_surface,
+    mesh_surface,
+)
 from ._touch_map import TouchMap, Weights
 
 if TYPE_CHECKING:
@@ -38,6 +45,7 @@ _LEAST_TOUCHES = 6
 _LEAST_MM, _MOST_MM = 3.0, 3000.0
 _PLACEMENT_MM = 5.0
 _OTHER_FACE_MM = 10.0
+_LEAST_WEIGHT = 1e-3
 OTHER_FACE = -1
 
 
@@ -55,9 +63,11 @@ class SurfaceMap:
         in deeper.
     looseness : Looseness, optional
         How far objects, arm and sensor may be from where they should be.
-    other_faces : float, default=0.5
-        How often an object stands on a face that was never learnt, of which pictures
-        alone say something. Lower it where all faces were taught.
+    other_faces : float, optional
+        How often an object stands on a face that was never learnt. By default half of
+        the time where one face was taught, else (k + 1) / (n + 1), at most a half, for
+        an object with k faces that were met in one of its n recordings alone. Lower it
+        where things stand as they were taught: decisions then come sooner.
     use_pictures : bool, default=True
         False leaves places and misses alone, whatever the pictures show.
     random_state : int, default=0
@@ -73,6 +83,8 @@ class SurfaceMap:
         Their surfaces.
     pictures_ : TouchMap
         What their touches are like from every side, its "objects" being the states.
+    other_share_ : ndarray of shape (n_objects,)
+        How often each stands on a face that was never learnt.
     force_n_ : float
         Middling force of the training touches.
     """
@@ -84,7 +96,7 @@ class SurfaceMap:
         tip_radius_mm: float = 20.0,
         stiffness_n_mm: float = 0.3,
         looseness: Looseness | None = None,
-        other_faces: float = 0.5,
+        other_faces: float | None = None,
         use_pictures: bool = True,
         random_state: int = 0,
     ) -> None:
@@ -126,7 +138,8 @@ class SurfaceMap:
         check_count("n_turns", self.n_turns, at_least=4)
         check_positive("tip_radius_mm", self.tip_radius_mm)
         check_positive("stiffness_n_mm", self.stiffness_n_mm)
-        check_number("other_faces", self.other_faces, low=0.0, high=0.9)
+        if self.other_faces is not None:
+            check_number("other_faces", self.other_faces, low=0.0, high=0.9)
         self.recogniser = recogniser
         faces = faces_of(touches)
         pictures = FacedMap(n_turns=self.n_turns, random_state=self.random_state)
@@ -138,7 +151,7 @@ class SurfaceMap:
             for face in range(len(thing.resting_rotations)):
                 surfaces[name, face] = mesh_surface(thing, face, dome)
         self._refuse_unmapped(surfaces)
-        if self.other_faces:
+        if self.other_faces != 0:
             for name in recogniser.classes_.tolist():
                 own = [one for (known, _), one in surfaces.items() if known == name]
                 surfaces[name, OTHER_FACE] = _any_face(own)
@@ -149,6 +162,7 @@ class SurfaceMap:
         known = {state: number for number, state in enumerate(pictures.states)}
         # Faces of a mesh that were never touched have no pictures of their own.
         self.picture_of_state_ = np.array([known.get(s, -1) for s in self.states_])
+        self.other_share_ = self._other_share(touches, faces)
         forces = touches.columns.get("force_n")
         self.force_n_ = (
             np.nan if forces is None else float(np.nanmedian(np.asarray(forces, float)))
@@ -178,6 +192,25 @@ class SurfaceMap:
             _refuse_unit(name, reach)
             surfaces[name, face] = learnt_surface(middles, number[rows], _PLACEMENT_MM)
         return surfaces
+
+    def _other_share(self, touches: Touches, faces: Indices) -> Floats:
+        """Return how often each object stands on a face that was never learnt."""
+        n_objects = len(self.recogniser.classes_)
+        if self.other_faces is not None or len(np.unique(faces)) == 1:
+            rare = 0.5 if self.other_faces is None else self.other_faces
+            return np.full(n_objects, rare)
+        # The rule of Good and Turing, of one recording more.
+        labels = np.asarray(self._labels(touches))
+        recording = np.zeros(len(touches), int)
+        if touches.session is not None:
+            recording = np.unique(touches.session, return_inverse=True)[1]
+        shares = []
+        for name in self.recogniser.classes_:
+            rows = labels == name
+            visits = np.unique(np.stack([faces[rows], recording[rows]]), axis=1)
+            n_once = (np.unique(visits[0], return_counts=True)[1] == 1).sum()
+            shares.append(min((n_once + 1) / (visits.shape[1] + 1), 0.5))
+        return np.array(shares)
 
     def _labels(self, touches: Touches) -> Array:
         by_object = self.recogniser.label == "object"
@@ -230,13 +263,40 @@ class SurfaceMap:
         looseness = self.looseness or Looseness()
         return PlaceFilter.before(self.table_, self.n_turns, looseness)
 
+    def unlearnt_before(self) -> tuple[UnlearntSurfaces, UnlearntSurfaces]:
+        """Return the faces that were never learnt, and a stranger, likewise."""
+        radii, looseness = self.table_.mean_mm, self.looseness or Looseness()
+        means = radii.mean(axis=(1, 2))
+        learnt = means[~self.is_other_]
+        before, other = UnlearntSurfaces.before, means[self.is_other_]
+        return (
+            before(other, _OTHER_FACE_MM, looseness),
+            before(np.array([learnt.mean()]), MEAN_SD_MM, looseness),
+        )
+
+    @property
+    def is_other_(self) -> Bools:
+        """Whether each state is a face that was never learnt, (n_states,)."""
+        return np.array([face == OTHER_FACE for _, face in self.states_])
+
+    @property
+    def log_alike_(self) -> Floats:
+        """Log share of learnt states in the shape of a face that was never learnt.
+
+        (n_other, n_learnt), were it the shape of one of them: one of its size.
+        """
+        size, other = self.table_.mean_mm.mean(axis=(1, 2)), self.is_other_
+        off = (size[other][:, None] - size[~other]) / _OTHER_FACE_MM
+        return log_softmax(-(off**2) / 2, axis=1)
+
     @property
     def log_share_of_state(self) -> Floats:
         """Log share of a turn of each state in its object, (n_states,)."""
         # Faces that were learnt are equally likely, and so are turns.
-        never = np.array([face == OTHER_FACE for _, face in self.states_])
+        never = self.is_other_
         counts = np.bincount(self.object_of_state_[~never])[self.object_of_state_]
-        share = np.where(never, self.other_faces, (1 - self.other_faces) / counts)
+        other = self.other_share_[self.object_of_state_]
+        share = np.where(never, other, (1 - other) / counts)
         return np.asarray(np.log(share / self.n_turns))
 
     def middles(self, tips_mm: Floats, ways: Floats, forces_n: Floats) -> Floats:
@@ -255,10 +315,36 @@ class SurfaceMap:
 
         By `touch`, log p(f | o) (n_touches, n_objects), and by features and places.
         """
-        ratio = self.pictures_.placed_ratio(features, places)
-        missing = np.zeros((len(ratio), 1, self.n_turns))
-        ratio = np.concatenate([ratio, missing], axis=1)[:, self.picture_of_state_]
-        return self.pictures_.weighed(touch[:, self.object_of_state_], ratio)
+        ratio = self.of_states(self.pictures_.placed_ratio(features, places))
+        return self.pictures_.weighed(self.by_state(touch), ratio)
+
+    def by_state(self, touch: Floats) -> Floats:
+        """Return log p(f | state), (n_touches, n_states), by that of objects.
+
+        Half of what is met on a face that was never learnt is like anything.
+        """
+        learnt = touch[:, self.object_of_state_]
+        anything = logsumexp(touch, axis=1, keepdims=True) - np.log(touch.shape[1])
+        broad = np.logaddexp(learnt, anything) - np.log(2)
+        return np.where(self.is_other_, broad, learnt)
+
+    def of_states(self, ratio: Floats) -> Floats:
+        """Return log r of states, (n, n_states, n_turns), by that of learnt faces.
+
+        A picture of a face that was never learnt may be of any side of the object: r^p
+        is its mean over turns, and faces, where p is the weight of r.
+        """
+        weight = max(self.pictures_.placed_weight_, _LEAST_WEIGHT)
+        powers = logsumexp(weight * ratio, axis=2) - np.log(ratio.shape[2])
+        of_object = self.pictures_.object_of_state
+        anywhere = [
+            logsumexp(powers[:, rows], axis=1) - np.log(len(rows))
+            for rows in map(np.flatnonzero, of_object == np.unique(of_object)[:, None])
+        ]
+        every = np.stack(anywhere, axis=1)[:, self.object_of_state_] / weight
+        learnt = (self.picture_of_state_ >= 0)[:, None]
+        placed = ratio[:, self.picture_of_state_]
+        return np.where(learnt, placed, every[..., None])
 
 
 class FacedMap(TouchMap):
