@@ -289,16 +289,16 @@ class PressureArray:
         self, part: Part | str | int, press: Press, random_state: Any
     ) -> tuple[Floats, int, int]:
         """Return pressure about the part, and the row and column it starts at."""
-        (found,) = find_parts(part)
+        (flat,) = find_parts(part)
         cells, (width_mm, height_mm) = self.cells_per_pitch, self.size_mm
         step, middle = self.pitch_mm / cells, np.array(self.size_mm) / 2
-        placed = found.placed(press.x_mm, press.y_mm, press.angle_deg)
+        placed = flat.placed(press.x_mm, press.y_mm, press.angle_deg)
         loops = [(loop + middle) * (cells / self.pitch_mm) for loop in placed]
         inside, row, col = footprint(loops, self.rows * cells, self.cols * cells)
         if not inside.any():
             raise ValueError(
                 f"The part must lie on the array, {width_mm:g} x {height_mm:g} mm, "
-                f"and be wider than grid_mm ({self.grid_mm:g}), got {found.name!r} at "
+                f"and be wider than grid_mm ({self.grid_mm:g}), got {flat.name!r} at "
                 f"({press.x_mm:g}, {press.y_mm:g}) mm. Move it nearer to (0, 0)."
             )
         x = step * (np.arange(inside.shape[1]) + col + 0.5) - width_mm / 2
@@ -315,7 +315,7 @@ class PressureArray:
         if depth_mm >= self.cover_mm:
             raise ValueError(
                 f"The cover must be thicker than the press is deep, got {depth_mm:.2f} "
-                f"mm in {self.cover_mm:g} mm ({found.name!r}, {press.load_kgf:g} kgf, "
+                f"mm in {self.cover_mm:g} mm ({flat.name!r}, {press.load_kgf:g} kgf, "
                 f"tilt {press.tilt_deg} degrees). Lower the load or the tilt."
             )
         return pressure, row, col

@@ -154,5 +154,5 @@ def _rest(gel: GelCamera) -> Singles:
     x, y = gel.places_mm
     half = np.float32(gel.width_mm / 2)
     near = [(cos * x + sin * y) / half for cos, sin in _TOWARDS]
-    light = np.stack([0.45 + 0.18 * one for one in near], axis=2)
+    light = np.stack([0.45 + 0.18 * direction for direction in near], axis=2)
     return np.asarray(light * np.array(gel.colours), dtype=np.float32)

@@ -114,8 +114,8 @@ def _closed_surface(
     _demand(file, solid, "must have triangles, got none: it is empty.")
     few = f"must have at most {MAX_MESH_FACES} triangles, got {len(faces)}."
     _demand(file, len(faces) <= MAX_MESH_FACES, f"{few} Simplify the mesh.")
-    known = faces.min() >= 0 and faces.max() < len(vertices)
-    _demand(file, known, "has triangles with corners it does not define.")
+    defined = faces.min() >= 0 and faces.max() < len(vertices)
+    _demand(file, defined, "has triangles with corners it does not define.")
     finite = bool(np.isfinite(vertices).all())
     _demand(file, finite, "must be finite, got NaN or infinite corners.")
     used = vertices[np.unique(faces)]
@@ -173,18 +173,18 @@ def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
     grouped = np.concatenate(facets) if facets else np.zeros(0, int)
     single = np.setdiff1d(np.arange(len(hull.faces)), grouped)
     facets += [np.array([face]) for face in single]
-    found: list[Floats] = []
+    downs: list[Floats] = []
     for facet in sorted(facets, key=lambda facet: -hull.area_faces[facet].sum()):
         down = hull.face_normals[facet[0]]
-        if any(down @ other > np.cos(np.deg2rad(10)) for other in found):
+        if any(down @ other > np.cos(np.deg2rad(10)) for other in downs):
             continue
         if _rests_on(hull, facet, down):
-            found.append(down)
-        if len(found) == _MOST_POSES:
+            downs.append(down)
+        if len(downs) == _MOST_POSES:
             break
     # Each base's rotation turns the direction `down` into -z.
     rotations = []
-    for down in found:
+    for down in downs:
         axis = np.cross(down, (0.0, 0.0, -1.0))
         if np.linalg.norm(axis) < 1e-9:
             rotations.append(np.eye(3) if down[2] < 0 else turned((1, 0, 0), 180))

@@ -111,7 +111,7 @@ class Optics:
         self._limits = np.append(np.linspace(0, deepest_mm, _MARCH_STEPS), np.inf)
         least = np.minimum.accumulate(ahead)[:-1]
         first = [np.maximum((least > mm).sum(axis=0), 1) for mm in self._limits]
-        self._starts = [one * one.size + np.arange(one.size) for one in first]
+        self._starts = [index * index.size + np.arange(index.size) for index in first]
 
     def light(self, displacement_mm: Plane) -> Plane:
         """Return the light each pixel gets, (n_rows, n_cols), of a dented dome."""

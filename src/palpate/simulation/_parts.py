@@ -140,16 +140,16 @@ def find_parts(parts: Iterable[Part | str | int] | Part | str | int) -> list[Par
     wanted = [parts] if isinstance(parts, Part | str | int) else list(parts)
     if not wanted:
         raise ValueError("parts must name at least one part, got none.")
-    found = []
-    for one in wanted:
-        mine = [p for p in PARTS if one in (p, p.name, p.number)]
-        if not mine and not isinstance(one, Part):
+    chosen = []
+    for part in wanted:
+        matches = [p for p in PARTS if part in (p, p.name, p.number)]
+        if not matches and not isinstance(part, Part):
             raise ValueError(
                 f"parts must be Part objects, numbers from 1 to {len(PARTS)}, or names "
-                f"among {', '.join(part.name for part in PARTS)}, got {one!r}."
+                f"among {', '.join(part.name for part in PARTS)}, got {part!r}."
             )
-        found += [one] if isinstance(one, Part) else mine[:1]
-    return found
+        chosen += [part] if isinstance(part, Part) else matches[:1]
+    return chosen
 
 
 def _loop(name: str, corners: ArrayLike) -> Floats:

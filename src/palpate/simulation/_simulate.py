@@ -129,7 +129,7 @@ def simulate_touches(
     >>> simulate_touches(["mug", "pen"], 2, random_state=0).images.shape
     (4, 120, 120)
     """
-    things = _found(HOUSEHOLD if objects is None else objects)
+    things = _chosen(HOUSEHOLD if objects is None else objects)
     sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     usual = 10.0 if strategy == "above" else 80.0
     tilt = usual if max_tilt_deg is None else max_tilt_deg
@@ -155,8 +155,8 @@ def simulate_touches(
         sensors = [sensor.remounted(rng) for rng in rngs]
     tasks = [
         (sensors[number], way, *task)
-        for one in seeds
-        for number, *task in _sessions_of(*one, parts)
+        for of_thing in seeds
+        for number, *task in _sessions_of(*of_thing, parts)
     ]
     done = _all_of(_touch_some, tasks, "Touching", n_jobs, progress)
     images, presses, ends = zip(*done, strict=True)
@@ -254,7 +254,7 @@ def simulate_presses(
     >>> simulate_presses(["bar10", "disc13"], 3, random_state=0).images.shape
     (6, 10, 10)
     """
-    found = find_parts(PARTS if parts is None else parts)
+    chosen = find_parts(PARTS if parts is None else parts)
     device: Any = PressureArray() if array is None else array
     if not isinstance(device, PressureArray):
         kind = type(array).__name__
@@ -267,15 +267,15 @@ def simulate_presses(
         check_number("roughness_um", roughness_um, low=0, high=1000),
     )
     count = check_count("n_presses", n_presses)
-    repeated = [part for part in found for _ in range(count)]
+    repeated = [part for part in chosen for _ in range(count)]
     root = _root(random_state)
     seeds = root.spawn(len(repeated))
     batches = [slice(i, i + _PER_TASK[1]) for i in range(0, len(seeds), _PER_TASK[1])]
-    tasks = [(device, draw, repeated[some], seeds[some]) for some in batches]
+    tasks = [(device, draw, repeated[rows], seeds[rows]) for rows in batches]
     pressed = _all_of(_press_all, tasks, "Pressing", n_jobs, progress)
     images, presses = zip(*pressed, strict=True)
     n_parts = min(check_count("n_sessions", n_sessions), count)
-    session = np.tile(np.sort(np.arange(count) % n_parts), len(found))
+    session = np.tile(np.sort(np.arange(count) % n_parts), len(chosen))
     levels = np.stack(images)
     if n_parts > 1:
         levels = _in_sessions(levels, session, root.spawn(n_parts))
@@ -286,7 +286,7 @@ def simulate_presses(
         category=np.array([part.category for part in repeated]),
         geometry="array",
         part=np.array([part.number for part in repeated]),
-        press=np.tile(np.arange(count), len(found)),
+        press=np.tile(np.arange(count), len(chosen)),
         position_mm=np.array([(press.x_mm, press.y_mm) for press in presses]),
         angle_deg=np.array([press.angle_deg for press in presses]),
         symmetry=np.array([part.symmetry for part in repeated]),
@@ -300,12 +300,12 @@ def _in_sessions(levels: Frame, session: Indices, seeds: list[SeedSequence]) -> 
     """Return what an array would read in each session, mounted and zeroed anew."""
     result = np.empty_like(levels)
     for number, seed in enumerate(seeds):
-        rng, mine = np.random.default_rng(seed), np.flatnonzero(session == number)
+        rng, rows = np.random.default_rng(seed), np.flatnonzero(session == number)
         gains = np.exp(rng.normal(0, 0.14, levels.shape[1:]) + rng.normal(0, 0.04))
-        pressed = gains * levels[mine].astype(np.float64)
+        pressed = gains * levels[rows].astype(np.float64)
         pressed[1:] += 0.01 * pressed[:-1]
         zeroed = pressed + rng.normal(0, 1, levels.shape[1:])
-        result[mine] = np.clip(np.rint(zeroed), 0, 255).astype(levels.dtype)
+        result[rows] = np.clip(np.rint(zeroed), 0, 255).astype(levels.dtype)
     return result
 
 
@@ -324,8 +324,8 @@ def _all_of(
 ) -> list[Any]:
     """Return what all tasks make, which end in the seeds of what they make."""
     sizes = [len(task[-1]) for task in tasks]
-    made = in_parallel(function, tasks, what, n_jobs=n_jobs, show=show, sizes=sizes)
-    return list(chain.from_iterable(made))
+    results = in_parallel(function, tasks, what, n_jobs=n_jobs, show=show, sizes=sizes)
+    return list(chain.from_iterable(results))
 
 
 @dataclass(frozen=True)
@@ -403,22 +403,22 @@ def _sessions_of(
     seeds = iter(of_touches.spawn(sum(map(len, parts))))
     sessions = zip(of_sessions.spawn(len(parts)), parts, strict=True)
     for number, (session, part) in enumerate(sessions):
-        mine = list(islice(seeds, len(part)))
-        for start in range(0, len(mine), _PER_TASK[0]):
-            yield number, thing, session, mine[start : start + _PER_TASK[0]]
+        seeds_of_part = list(islice(seeds, len(part)))
+        for start in range(0, len(seeds_of_part), _PER_TASK[0]):
+            yield number, thing, session, seeds_of_part[start : start + _PER_TASK[0]]
 
 
-def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
-    given = [objects] if isinstance(objects, SimObject | str) else list(objects)
-    if not given:
+def _chosen(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
+    listed = [objects] if isinstance(objects, SimObject | str) else list(objects)
+    if not listed:
         raise ValueError("objects must name at least one object, got none.")
-    for one in given:
-        if not isinstance(one, SimObject | str):
+    for item in listed:
+        if not isinstance(item, SimObject | str):
             raise TypeError(
-                f"objects must be SimObject or names, got {type(one).__name__}. "
+                f"objects must be SimObject or names, got {type(item).__name__}. "
                 "Read a mesh file with load_mesh(path)."
             )
-    things = [find_object(one) if isinstance(one, str) else one for one in given]
+    things = [find_object(item) if isinstance(item, str) else item for item in listed]
     refuse_same_names(things)
     return things
 
