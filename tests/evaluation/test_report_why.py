@@ -65,7 +65,7 @@ def test_wrong_decisions_come_first_and_right_ones_follow(result):
     assert end.right.any()
     assert set(rights) == {False, True}
     for one in shown:
-        assert (one.said == one.truth) == one.right
+        assert (one.label == one.truth) == one.right
 
 
 def test_an_explained_episode_has_the_touches_of_the_figures(result):
@@ -80,7 +80,7 @@ def test_an_explained_episode_has_the_touches_of_the_figures(result):
         # One of the six orders led to this belief, up to rounding of sums.
         gap = np.abs(same - list(belief.posterior.values())).max(axis=1).min()
         assert_allclose(gap, 0, atol=1e-9)
-        assert one.said in (belief.best, "unknown")
+        assert one.label in (belief.best, "unknown")
 
 
 def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):

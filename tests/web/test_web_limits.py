@@ -236,7 +236,7 @@ class Waiting(PatientProtocol):
     """A connection that was made at a time, and says when it is aborted."""
 
     def __init__(self, made_s, known, closing=False, busy=False):
-        self.known, self._made_s, self.aborted = known, made_s, False
+        self.signed_in, self._made_s, self.aborted = known, made_s, False
         self.cycle = SimpleNamespace(response_complete=not busy)
         self.transport = SimpleNamespace(is_closing=lambda: closing, abort=self._abort)
 

@@ -134,7 +134,7 @@ def test_a_baseline_is_of_ten_frames_that_come(watch):
         watch._step(frame(np.full((4, 4), 9, np.uint8)))
     assert len(frames) == 3
     assert watch._health.to_dict()["n_frames"] == 3
-    assert watch._found.empty()
+    assert watch._detected.empty()
 
 
 def test_touches_are_tried_while_a_press_is_asked_for(watch, monkeypatch):
@@ -144,13 +144,13 @@ def test_touches_are_tried_while_a_press_is_asked_for(watch, monkeypatch):
     for number in (1, 2):
         watch._step(frame(touch.image))
         assert watch.to_dict()["press"]["number"] == number
-    assert watch._found.empty()
+    assert watch._detected.empty()
     watch.end_press()
     given = frame(touch.image)
     watch._step(given)
-    assert watch._found.get_nowait() == (touch, given.time_s)
+    assert watch._detected.get_nowait() == (touch, given.time_s)
     with pytest.raises(queue.Empty):
-        watch._found.get_nowait()
+        watch._detected.get_nowait()
 
 
 def test_the_last_forty_touches_are_compared(watch):
@@ -158,8 +158,8 @@ def test_the_last_forty_touches_are_compared(watch):
     watch._take = lambda touch, ended_s: taken.append((touch, ended_s))
     for number in range(50):
         image = np.full((4, 4), number, np.uint8)
-        watch._found.put((SimpleNamespace(image=image), float(number)))
-    watch._found.put(None)
+        watch._detected.put((SimpleNamespace(image=image), float(number)))
+    watch._detected.put(None)
     watch._hand_on()
     assert [ended_s for _, ended_s in taken] == list(range(50))
     assert [int(image[0, 0]) for image in watch._recent] == list(range(10, 50))

@@ -172,8 +172,8 @@ class KernelDensityBayes(BayesRule):
         self._learn(touches, labels, groups)
         if self.precision == "auto":
             n_precise = sum(
-                is_precise(self.points_[some], self.reaches_, self.dtype_).sum()
-                for some in gen_batches(len(self.points_), _AT_ONCE)
+                is_precise(self.points_[rows], self.reaches_, self.dtype_).sum()
+                for rows in gen_batches(len(self.points_), _AT_ONCE)
             )
             n_pairs = len(self.points_) * len(self.counts_)
             if len(self.points_) <= SMALL or n_precise < MOSTLY * n_pairs:

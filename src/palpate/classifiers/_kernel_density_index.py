@@ -147,8 +147,8 @@ class KernelDensityIndex:
         result = np.empty((len(touches), len(self.classes_)))
         for rows in blocks_of(len(touches)):
             x = model._whiten(touches[rows])
-            one = np.ones((len(x), 1))
-            cells = np.hstack([x**2, x, one]).astype(np.float32) @ self.weights_
+            ones = np.ones((len(x), 1))
+            cells = np.hstack([x**2, x, ones]).astype(np.float32) @ self.weights_
             # The log of the sum over the cells of each object.
             top = np.maximum.reduceat(cells, self.starts_, axis=1)
             counts = np.diff(np.append(self.starts_, cells.shape[1]))
@@ -160,17 +160,19 @@ class KernelDensityIndex:
                 _kernel_sums.squared_distances(x, model.means_, model.precisions_) / 2
             )
             precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
-            extended = np.hstack([x, one]).astype(np.float32)
+            extended = np.hstack([x, ones]).astype(np.float32)
             for row, place in (
-                (r, p) for r, some in enumerate(kept.tolist()) for p in some
+                (r, p) for r, places in enumerate(kept.tolist()) for p in places
             ):
                 if precise[row, place]:
-                    found = self._refined(extended[row], place, cells[row], shared[row])
+                    log_sum = self._refined(
+                        extended[row], place, cells[row], shared[row]
+                    )
                 else:
                     points = model.points_[model._rows()[place]]
                     precision = model._precision(place)
-                    found = exact_log_sums(x[row : row + 1], points, precision)[0]
-                sums[row, place] = found + model.log_norms_[place]
+                    log_sum = exact_log_sums(x[row : row + 1], points, precision)[0]
+                sums[row, place] = log_sum + model.log_norms_[place]
             result[rows] = sums
         return result
 
@@ -192,9 +194,9 @@ class KernelDensityIndex:
     def _refined(self, x: Singles, place: int, cells: Array, shared: Floats) -> float:
         """Return the log sum of one object: near cells by touch, far ones rough."""
         first = self.starts_[place]
-        own = cells[first : np.append(self.starts_, len(cells))[place + 1]]
-        n_near = min(self.n_near, len(own))
-        order = np.argpartition(-own, n_near - 1)
+        of_object = cells[first : np.append(self.starts_, len(cells))[place + 1]]
+        n_near = min(self.n_near, len(of_object))
+        order = np.argpartition(-of_object, n_near - 1)
         nearest = first + order[:n_near]
         ends = self.ends_[nearest]
         begins = np.where(nearest > 0, self.ends_[nearest - 1], 0)
@@ -202,8 +204,8 @@ class KernelDensityIndex:
             [self.packed_[b:e] @ x for b, e in zip(begins, ends, strict=True)]
         )
         total = np.logaddexp.reduce(near) - shared[place]
-        if n_near < len(own):
-            total = np.logaddexp(total, np.logaddexp.reduce(own[order[n_near:]]))
+        if n_near < len(of_object):
+            total = np.logaddexp(total, np.logaddexp.reduce(of_object[order[n_near:]]))
         return float(total)
 
 
@@ -230,9 +232,9 @@ def _weights(points: Floats, cell: Indices, precision: Floats | None) -> Singles
     starts = np.cumsum(counts) - counts
     means = np.add.reduceat(points[order], starts) / counts[:, np.newaxis]
     squares = np.add.reduceat((points - means[cell])[order] ** 2, starts)
-    own = np.ones(points.shape[1]) if precision is None else precision
-    spread = 1 + own * squares / counts[:, np.newaxis]
-    sharp = own / spread
+    sharpness = np.ones(points.shape[1]) if precision is None else precision
+    spread = 1 + sharpness * squares / counts[:, np.newaxis]
+    sharp = sharpness / spread
     level = np.log(counts) - np.log(spread).sum(axis=1) / 2
     level -= (means**2 * sharp).sum(axis=1) / 2
     weights = np.vstack([-sharp.T / 2, (means * sharp).T, level])

@@ -78,18 +78,18 @@ def main() -> None:
         with _plain_warnings():
             sys.exit(app(prog_name="palpate", standalone_mode=False))
     except typer.Abort:
-        said, code = "Ended without an answer.", 1
+        message, code = "Ended without an answer.", 1
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
-        said, code = _sentence(error), 1
+        message, code = _sentence(error), 1
     except _Usage as error:
         if not as_json:
             say(_shown(error), file=sys.stderr)
             sys.exit(error.exit_code)
-        said, code = error.format_message(), error.exit_code
-    answer(as_json, {"error": said})
-    say(f"palpate: {said}", file=sys.stderr)
+        message, code = error.format_message(), error.exit_code
+    answer(as_json, {"error": message})
+    say(f"palpate: {message}", file=sys.stderr)
     sys.exit(code)
 
 

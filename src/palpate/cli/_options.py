@@ -336,21 +336,21 @@ class Reading:
 
     def read_as(self, path: Path, touches: "Touches | Selection") -> str:
         """Return how the folders above pictures were understood, if nobody said it."""
-        given = self.levels is not None or self.name_pattern is not None
-        if given or not path.is_dir() or (path / "labels.csv").is_file():
+        named = self.levels is not None or self.name_pattern is not None
+        if named or not path.is_dir() or (path / "labels.csv").is_file():
             return ""
-        known = ("category", "object", "session")
-        levels = [name for name in known if getattr(touches, name) is not None]
+        names = ("category", "object", "session")
+        levels = [name for name in names if getattr(touches, name) is not None]
         if len(levels) < 2:
             return ""
         return f"folders were read as {'/'.join(levels)}; --levels says otherwise"
 
 
 def _sides(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,5})[xX×](\d{1,5})", text.strip())
-    if found is None:
+    match = re.fullmatch(r"(\d{1,5})[xX×](\d{1,5})", text.strip())
+    if match is None:
         raise ValueError(f"--shape must be rows x columns such as 16x16, got {text!r}.")
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 @dataclass(frozen=True)
@@ -422,11 +422,11 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
         flat += [p.replace(kind=Parameter.KEYWORD_ONLY) for p in of or [parameter]]
 
     @wraps(verb)
-    def run(**given: Any) -> None:
+    def run(**values: Any) -> None:
         for name, group in groups.items():
-            parts = {field.name: given.pop(field.name) for field in fields(group)}
-            given[name] = group(**parts)
-        verb(**given)
+            parts = {field.name: values.pop(field.name) for field in fields(group)}
+            values[name] = group(**parts)
+        verb(**values)
 
     run.__annotations__ = {p.name: p.annotation for p in flat}
     vars(run)["__signature__"] = Signature(flat)  # what Typer reads
@@ -440,8 +440,8 @@ def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":
     from ..images import TaxelCalibration
     from ..touches import Touches
 
-    known = TaxelCalibration.load(calibration)
+    of_taxels = TaxelCalibration.load(calibration)
     whole = dict(touches.whole)
     if touches.no_contact is not None:
-        whole["no_contact"] = known.transform(touches.no_contact[None])[0]
-    return Touches(known.transform(touches.images), **touches.columns, **whole)
+        whole["no_contact"] = of_taxels.transform(touches.no_contact[None])[0]
+    return Touches(of_taxels.transform(touches.images), **touches.columns, **whole)

@@ -85,10 +85,10 @@ class SensorOptions:
             open_sensor,
         )
 
-        asked = {**vars(self)}
-        path = asked.pop("calibration")
+        settings = {**vars(self)}
+        path = settings.pop("calibration")
         try:
-            sensor = open_sensor(address, **asked)
+            sensor = open_sensor(address, **settings)
         except AddressError as error:
             raise typer.BadParameter(str(error)) from error
         except SensorError as error:

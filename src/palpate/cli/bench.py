@@ -15,8 +15,8 @@ def bench(
     from ..bench import BENCHES, run_bench
 
     if list_names or not name:
-        for known, (_, what) in BENCHES.items():
-            say(f"{known:12s} {what}")
+        for bench, (_, what) in BENCHES.items():
+            say(f"{bench:12s} {what}")
         return
     with stages() as stage:
         stage(f"measuring {name}")

@@ -61,13 +61,13 @@ def benchmark(
     if as_json:
         print_json(result)
         return
-    for one in evaluation.benchmark_tables(result):
-        table(*one, whole="recogniser")
+    for archive_table in evaluation.benchmark_tables(result):
+        table(*archive_table, whole="recogniser")
     for line in evaluation.verdicts(result):
         say(line)
     if report is not None:
         say(report)
 
 
-def _names(text: str | None, every: Iterable[str]) -> list[str]:
-    return list(every) if text is None else [name.strip() for name in text.split(",")]
+def _names(text: str | None, usual: Iterable[str]) -> list[str]:
+    return list(usual) if text is None else [name.strip() for name in text.split(",")]

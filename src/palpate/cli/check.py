@@ -51,27 +51,27 @@ def check(
             read, problem = None, str(error)
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
-    found: dict[str, Any] = {
+    checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,
         "n_touches": 0 if read is None else len(read),
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
         "read_as": "" if read is None else reading.read_as(touches, read),
-        "bad": [] if pictures is None else [one._asdict() for one in pictures.bad],
+        "bad": [] if pictures is None else [bad._asdict() for bad in pictures.bad],
         "notes": _notes(pictures, others),
         "objects": [] if read is None else _objects(read),
         "alone": alone,
     }
-    found["advice"] = _advice(found, read)
+    checked["advice"] = _advice(checked, read)
     if report is not None:
-        write_text(report, _page(found, read))
+        write_text(report, _page(checked, read))
     if as_json:
-        answer(True, found)
+        answer(True, checked)
     else:
-        _print(found)
+        _print(checked)
         if report is not None:
             say(report)
-    if found["bad"]:
+    if checked["bad"]:
         raise typer.Exit(1)
 
 
@@ -133,26 +133,26 @@ def _objects(touches: "Touches") -> list[dict[str, Any]]:
     return rows
 
 
-def _advice(found: dict[str, Any], touches: "Touches | None") -> list[str]:
+def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
-    objects, advice = found["objects"], []
+    objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
         return [f"nothing is labelled: {fix}, or see --name-pattern"]
-    if found["bad"]:
+    if checked["bad"]:
         advice.append("mend the pictures above, or learn with --skip-bad")
     if len(objects) == 1:
         advice.append("there is one object: add others, or nothing can be told apart")
-    few = [one for one in objects if one["touches"] < A_START]
+    few = [row for row in objects if row["touches"] < A_START]
     if few:
-        names = ", ".join(f"{one['object']} ({one['touches']})" for one in few[:5])
+        names = ", ".join(f"{row['object']} ({row['touches']})" for row in few[:5])
         more = f" and {len(few) - 5} more" if len(few) > 5 else ""
         advice.append(
             f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
         )
-    most_sessions = max(one["sessions"] or 1 for one in objects)
+    most_sessions = max(row["sessions"] or 1 for row in objects)
     if most_sessions < 2:
         advice.append(
             "all is of one session, as far as is written: mount the sensor anew for "
@@ -161,11 +161,11 @@ def _advice(found: dict[str, Any], touches: "Touches | None") -> list[str]:
         )
     if touches.no_contact is None:
         advice.append("a picture of touching nothing helps: --no-contact FILE")
-    for name, one in found["alone"].items():
-        if one["right"] > one["chance"] + (1 - one["chance"]) / 3:
+    for name, control in checked["alone"].items():
+        if control["right"] > control["chance"] + (1 - control["chance"]) / 3:
             split = "session" if most_sessions > 1 else "last"
             advice.append(
-                f"{name} alone, which is no touch, names {percent(one['right'])} % "
+                f"{name} alone, which is no touch, names {percent(control['right'])} % "
                 "right: record objects in turns, not one after the other, and look at "
                 f"the controls of `palpate evaluate --split {split}`"
             )
@@ -173,66 +173,66 @@ def _advice(found: dict[str, Any], touches: "Touches | None") -> list[str]:
     return advice
 
 
-def _print(found: dict[str, Any]) -> None:
-    many = counted(found["n_touches"])
-    size = f" of {found['size']}" if found["size"] else ""
-    say(f"{found['touches']}: {many}{size} can be used.")
-    if found["problem"]:
-        say(found["problem"])
-    if found["read_as"]:
-        say(f"{found['read_as'].capitalize()}.")
-    if bad := found["bad"]:
-        rows = [list(one.values()) for one in bad]
+def _print(checked: dict[str, Any]) -> None:
+    many = counted(checked["n_touches"])
+    size = f" of {checked['size']}" if checked["size"] else ""
+    say(f"{checked['touches']}: {many}{size} can be used.")
+    if checked["problem"]:
+        say(checked["problem"])
+    if checked["read_as"]:
+        say(f"{checked['read_as'].capitalize()}.")
+    if bad := checked["bad"]:
+        rows = [list(picture.values()) for picture in bad]
         table(
             f"{counted(len(bad), 'picture')} cannot be used",
             ["picture", "what is wrong", "to do"],
             rows,
             text=True,
         )
-    for note in found["notes"]:
+    for note in checked["notes"]:
         say(f"Note: {note}.")
-    if objects := found["objects"]:
+    if objects := checked["objects"]:
         columns = [name for name in objects[0] if objects[0][name] is not None]
-        rows = [[str(one[name]) for name in columns] for one in objects[:_SHOWN]]
+        rows = [[str(row[name]) for name in columns] for row in objects[:_SHOWN]]
         table(counted(len(objects), "object"), columns, rows)
         if len(objects) > _SHOWN:
             say(f"and {len(objects) - _SHOWN} more")
-    for line in _alone_lines(found["alone"]):
+    for line in _alone_lines(checked["alone"]):
         say(line)
-    for advice in found["advice"]:
+    for advice in checked["advice"]:
         say(f"- {advice[0].upper()}{advice[1:]}.")
 
 
 def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:
     return [
-        f"{name} alone would name {percent(one['right'])} % of each object's last "
-        f"touches right (chance {percent(one['chance'])} %)."
-        for name, one in alone.items()
+        f"{name} alone would name {percent(control['right'])} % of each object's last "
+        f"touches right (chance {percent(control['chance'])} %)."
+        for name, control in alone.items()
     ]
 
 
-def _page(found: dict[str, Any], touches: "Touches | None") -> str:
+def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
     from ..evaluation import html_table, report_page
 
-    title = f"{found['touches']}: {counted(found['n_touches'], 'touch', 'touches')}"
+    title = f"{checked['touches']}: {counted(checked['n_touches'], 'touch', 'touches')}"
     parts = [f"<h1>{escape(title)}</h1>"]
     lines = [
-        found["problem"],
-        found["read_as"],
-        *found["notes"],
-        *_alone_lines(found["alone"]),
+        checked["problem"],
+        checked["read_as"],
+        *checked["notes"],
+        *_alone_lines(checked["alone"]),
     ]
     parts += [f"<p>{escape(line)}</p>" for line in lines if line]
-    advice = "".join(f"<li>{escape(line)}</li>" for line in found["advice"])
+    advice = "".join(f"<li>{escape(line)}</li>" for line in checked["advice"])
     parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
-    if found["bad"]:
-        rows = [list(one.values()) for one in found["bad"]]
+    if checked["bad"]:
+        rows = [list(picture.values()) for picture in checked["bad"]]
         columns = ["picture", "what is wrong", "to do"]
         text = "<style>.text :is(td, th) {text-align: left}</style>"
         bad = html_table("Cannot be used", columns, rows)
         parts.append(f"{text}<div class=text>{bad}</div>")
     if touches is not None and touches.object is not None:
-        parts.append(_sheet(touches, found["objects"]))
+        parts.append(_sheet(touches, checked["objects"]))
     return report_page(title, parts)
 
 
@@ -243,8 +243,8 @@ def _sheet(touches: "Touches", objects: list[dict[str, Any]]) -> str:
     from ..touches import as_shown, png_address
 
     parts = ["<h2>Touches of each object, evenly out of its recording</h2>"]
-    for one in objects[:SHEET_OBJECTS]:
-        rows = np.flatnonzero(touches.object == one["object"])
+    for entry in objects[:SHEET_OBJECTS]:
+        rows = np.flatnonzero(touches.object == entry["object"])
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHEET_TOUCHES).astype(int))]
         pictures = "".join(
             f"<img alt='touch {row}' src='{png_address(image, SHEET_SIDE)}'>"
@@ -252,8 +252,8 @@ def _sheet(touches: "Touches", objects: list[dict[str, Any]]) -> str:
                 rows, as_shown(touches.images[rows], touches.channels), strict=True
             )
         )
-        many = counted(one["touches"])
-        parts.append(f"<p>{escape(one['object'])}: {many}</p><div>{pictures}</div>")
+        many = counted(entry["touches"])
+        parts.append(f"<p>{escape(entry['object'])}: {many}</p><div>{pictures}</div>")
     if len(objects) > SHEET_OBJECTS:
         parts.append(f"<p>and {len(objects) - SHEET_OBJECTS} more objects</p>")
     return "".join(parts)

@@ -22,11 +22,11 @@ def list_sets(data: RecordedData = None, as_json: AsJson = False) -> None:
     from ..datasets import card, names, where
 
     here, rows = where(data), []
-    for one in map(card, names()):
-        there = all((here / place).exists() for place in one["makes"])
-        state = "there" if there else "no" if "why_not" in one else "to fetch"
-        told = {key: one[key] for key in ("name", "what", "licence")}
-        rows.append(told | {"state": state})
+    for description in map(card, names()):
+        there = all((here / place).exists() for place in description["makes"])
+        state = "there" if there else "no" if "why_not" in description else "to fetch"
+        row = {key: description[key] for key in ("name", "what", "licence")}
+        rows.append(row | {"state": state})
     lines = [f"{row['name']:16s}{row['state']:10s}{row['what']}" for row in rows]
     answer(as_json, {"folder": str(here), "sets": rows}, *lines)
 
@@ -42,8 +42,11 @@ def fetch(
     """Fetch a set once, check it, and make its touch archive; prints the path."""
     from .. import datasets
 
-    one = datasets.card(name)
-    say(f"{one['source']['page']}\nLicence: {one['licence']}", file=sys.stderr)
+    description = datasets.card(name)
+    say(
+        f"{description['source']['page']}\nLicence: {description['licence']}",
+        file=sys.stderr,
+    )
     with warnings.catch_warnings(record=True) as noted, stages() as stage:
         warnings.simplefilter("always", UserWarning)
         path = datasets.fetch(name, folder=data, mirror=mirror, progress=stage)
@@ -67,16 +70,16 @@ def card(name: Name, as_json: AsJson = False) -> None:
     """Print a set's source, licence, leaks, best figures, and what it is not for."""
     from .. import datasets
 
-    one = datasets.card(name)
-    columns = one.get("convert", {}).get("columns", {})
-    one["holds"] |= {key: how["means"] for key, how in columns.items()}
-    keys = (key for key in one if key not in ("convert", "arrays", "name"))
-    answer(as_json, one, *(_said(key, one[key]) for key in keys))
+    description = datasets.card(name)
+    columns = description.get("convert", {}).get("columns", {})
+    description["holds"] |= {key: how["means"] for key, how in columns.items()}
+    keys = (key for key in description if key not in ("convert", "arrays", "name"))
+    answer(as_json, description, *(_as_lines(key, description[key]) for key in keys))
 
 
-def _said(key: str, value: Any) -> str:
+def _as_lines(key: str, value: Any) -> str:
     if isinstance(value, dict):
-        value = [f"{name}: {one}" for name, one in value.items()]
+        value = [f"{name}: {item}" for name, item in value.items()]
     if not isinstance(value, list):
         return f"{key}: {value}"
     lines = ("; ".join(v.values()) if isinstance(v, dict) else v for v in value)

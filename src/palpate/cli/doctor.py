@@ -22,7 +22,7 @@ def doctor(as_json: AsJson = False) -> None:
     """Check this installation; exit 1 when something that palpate needs is missing."""
     old = "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer"
     python = _check("Python", platform.python_version(), old, needed=True)
-    checks = [python, *(_package(*one) for one in _packages()), _data()]
+    checks = [python, *(_package(*package) for package in _packages()), _data()]
     healthy = all(check["ok"] or not check["needed"] for check in checks)
     if as_json:
         print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
@@ -39,7 +39,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 def _packages() -> list[tuple[str, str | None]]:
     """Return what palpate was packaged to need: names, and the extra of each."""
-    found: list[tuple[str, str | None]] = []
+    packages: list[tuple[str, str | None]] = []
     try:
         lines = metadata.requires("palpate") or []
     except metadata.PackageNotFoundError:
@@ -47,21 +47,21 @@ def _packages() -> list[tuple[str, str | None]]:
     for line in lines:
         name, extra = re.match(r"[\w.-]+", line), re.search(r"extra == .(\w+)", line)
         if name and name[0] != "palpate" and not (extra and extra[1] in FOR_AUTHORS):
-            found.append((name[0], extra[1] if extra else None))
-    return found
+            packages.append((name[0], extra[1] if extra else None))
+    return packages
 
 
-def _check(name: str, found: str, fix: str, *, needed: bool) -> dict[str, Any]:
+def _check(name: str, state: str, fix: str, *, needed: bool) -> dict[str, Any]:
     """Return one line of the report; what has a fix is not as it should be."""
-    return {"name": name, "found": found, "fix": fix, "ok": not fix, "needed": needed}
+    return {"name": name, "found": state, "fix": fix, "ok": not fix, "needed": needed}
 
 
 def _package(name: str, extra: str | None) -> dict[str, Any]:
     try:
-        found, fix = metadata.version(name), ""
+        state, fix = metadata.version(name), ""
     except metadata.PackageNotFoundError:
-        found, fix = "missing", install(extra) if extra else f"pip install {name}"
-    return _check(name, found, fix, needed=extra is None)
+        state, fix = "missing", install(extra) if extra else f"pip install {name}"
+    return _check(name, state, fix, needed=extra is None)
 
 
 def _data() -> dict[str, Any]:

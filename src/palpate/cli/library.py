@@ -84,15 +84,14 @@ def add(
     with _opened(folder, create=True) as opened:
         before = opened.stats()
         for part in parts:
-            found = part
             if detect:
                 from ..sensors import TouchDetector
 
-                found = TouchDetector().touches_in(found)
+                part = TouchDetector().touches_in(part)
             if object_name is not None:
-                found = found.with_columns(object=[object_name] * len(found))
-            opened.add(found, session=session, episode=episode, sensor=described)
-            n_given += len(found)
+                part = part.with_columns(object=[object_name] * len(part))
+            opened.add(part, session=session, episode=episode, sensor=described)
+            n_given += len(part)
         after = opened.stats()
     n_new = sum(after[:2]) - sum(before[:2])
     answer(
@@ -147,21 +146,21 @@ def show(
     if not touch.isalnum():
         raise ValueError(f"The id of a touch must be hexadecimal, got {touch!r}.")
     with _opened(folder) as opened:
-        found = opened.list(f"id contains '{touch}'", limit=None, retracted=True)
-        rows = [row for row in found if row.id.startswith(touch)]
+        rows_of_id = opened.list(f"id contains '{touch}'", limit=None, retracted=True)
+        rows = [row for row in rows_of_id if row.id.startswith(touch)]
         if len(rows) != 1:
             raise ValueError(
                 f"The id must be that of one touch, got {touch!r}, which begins "
                 f"{len(rows)} of them. See `palpate library list`."
             )
         image = opened.image(rows[0].id)
-    known = rows[0]._asdict()
-    known |= {"least": image.min().item(), "largest": image.max().item()}
+    values = rows[0]._asdict()
+    values |= {"least": image.min().item(), "largest": image.max().item()}
     if output is not None:
         with replacing(output) as file:
             np.save(file, image, allow_pickle=False)
-    lines = (f"{name:10s} {_shown(value)}" for name, value in known.items())
-    answer(as_json, known, *lines)
+    lines = (f"{name:10s} {_shown(value)}" for name, value in values.items())
+    answer(as_json, values, *lines)
 
 
 @library.command()
@@ -206,10 +205,10 @@ def check(
     repaired = repair_library(folder) if repair else None
     report = check_library(folder)
     if as_json:
-        found = report._asdict()
-        found["problems"] = [p._asdict() for p in report.problems]
+        values = report._asdict()
+        values["problems"] = [p._asdict() for p in report.problems]
         done = None if repaired is None else repaired._asdict()
-        print_json({**found, "repair": done})
+        print_json({**values, "repair": done})
     else:
         if repaired is not None and repaired.rebuilt:
             say(
@@ -307,13 +306,13 @@ def _what(content: dict[str, Any]) -> str:
 def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
     """Show how much the library holds."""
     with _opened(folder) as opened:
-        found = opened.stats()._asdict()
+        counts = opened.stats()._asdict()
         sensors = [sensor._asdict() for sensor in opened.sensors()]
-    lines = [f"{name:15s} {value:,}" for name, value in found.items()]
+    lines = [f"{name:15s} {value:,}" for name, value in counts.items()]
     for sensor in sensors:
-        known = ", ".join(str(value) for value in sensor.values() if value)
-        lines.append(f"{'sensor':15s} {known}")
-    answer(as_json, {**found, "sensors": sensors}, *lines)
+        described = ", ".join(str(value) for value in sensor.values() if value)
+        lines.append(f"{'sensor':15s} {described}")
+    answer(as_json, {**counts, "sensors": sensors}, *lines)
 
 
 @library.command()
@@ -346,7 +345,7 @@ def merge(
 @library.command()
 def retract(
     folder: LibraryPath,
-    given: Filter = None,
+    filter_text: Filter = None,
     *,
     where: Where = None,
     reason: Annotated[str, option("Why.")],
@@ -354,23 +353,23 @@ def retract(
 ) -> None:
     """Leave touches out from now on; they are kept and can be restored."""
     with _opened(folder) as opened:
-        ids = [row.id for row in _meant(opened, given, where)]
+        ids = [row.id for row in _meant(opened, filter_text, where)]
         n_retracted = opened.retract(ids, reason=reason)
-    said = f"{counted(n_retracted)} retracted."
-    answer(as_json, {"retracted": n_retracted}, said)
+    message = f"{counted(n_retracted)} retracted."
+    answer(as_json, {"retracted": n_retracted}, message)
 
 
 @library.command()
 def restore(
     folder: LibraryPath,
-    given: Filter = None,
+    filter_text: Filter = None,
     *,
     where: Where = None,
     as_json: AsJson = False,
 ) -> None:
     """Take retracted touches back in."""
     with _opened(folder) as opened:
-        rows = _meant(opened, given, where, retracted=True)
+        rows = _meant(opened, filter_text, where, retracted=True)
         n_restored = opened.restore([row.id for row in rows if row.retracted])
     answer(as_json, {"restored": n_restored}, f"{counted(n_restored)} back.")
 
@@ -386,13 +385,13 @@ def _opened(folder: Path, *, create: bool = False) -> "TouchLibrary":
 
 
 def _meant(
-    opened: "TouchLibrary", given: str | None, where: str | None, **how: Any
+    opened: "TouchLibrary", filter_text: str | None, where: str | None, **how: Any
 ) -> "list[TouchRow]":
     """Return the touches of the one filter, which may be given in two ways."""
-    if (given is None) == (where is None):
+    if (filter_text is None) == (where is None):
         got = "neither" if where is None else "both"
         raise ValueError(f"Give either FILTER or --where FILTER, got {got}.")
-    chosen = where if given is None else given
+    chosen = where if filter_text is None else filter_text
     opened.refuse_unknown(chosen)
     return opened.list(chosen, limit=None, **how)
 

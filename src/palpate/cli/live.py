@@ -59,11 +59,11 @@ def live(
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
     session = LiveSession(chosen, model=model, library=library, **how)
-    found: queue.Queue[dict[str, Any]] = queue.Queue()
+    events: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def listen(event: Any) -> None:
         if event.kind in ("touch", "state"):
-            found.put(event.values)
+            events.put(event.values)
 
     session.listeners.add(listen, frames=False)
     with _sensor.logged(session, log), session, ExitStack() as stack:
@@ -73,7 +73,7 @@ def live(
             while episodes == 0 or len(done) < episodes:
                 ended = done[-1]["number"] if done else 0
                 episode = _episode(
-                    session, found, touches, timeout, ended, quiet=as_json
+                    session, events, touches, timeout, ended, quiet=as_json
                 )
                 if episode is None:
                     break
@@ -88,7 +88,7 @@ def live(
 
 def _episode(
     session: "LiveSession",
-    found: "queue.Queue[dict[str, Any]]",
+    events: "queue.Queue[dict[str, Any]]",
     most: int,
     timeout_s: float,
     ended: int,
@@ -98,7 +98,7 @@ def _episode(
     """Follow the episode after number `ended` to its decision; None without a touch."""
     if not quiet:
         say("Touch an object.")
-    while (episode := _next_touch(session, found, timeout_s)) is not None:
+    while (episode := _next_touch(session, events, timeout_s)) is not None:
         if episode["number"] <= ended:  # a touch that was on its way when it ended
             continue
         touch = episode["touches"][-1]
@@ -114,13 +114,13 @@ def _episode(
 
 
 def _next_touch(
-    session: "LiveSession", found: "queue.Queue[dict[str, Any]]", timeout_s: float
+    session: "LiveSession", events: "queue.Queue[dict[str, Any]]", timeout_s: float
 ) -> Episode | None:
     """Wait for a touch and return the episode; None, and why, where none is taken."""
     end_s = time.monotonic() + timeout_s
     while True:
         try:
-            event = found.get(timeout=max(0.0, end_s - time.monotonic()))
+            event = events.get(timeout=max(0.0, end_s - time.monotonic()))
         except queue.Empty:
             say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
             return None

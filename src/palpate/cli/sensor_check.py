@@ -51,35 +51,37 @@ def sensor_check(
             )
         memory = SensorMemory.from_dict(stored)
     with options.open(sensor) as live:
-        apart = -(-max(live.image_shape[:2]) // _MOST_SIDE)
+        step = -(-max(live.image_shape[:2]) // _MOST_SIDE)
         if memory is not None:
-            memory = replace(memory, no_contact=memory.no_contact[::apart, ::apart])
-        found = sensor_health(_frames(live, seconds, apart), live.step, memory)
-        found |= {"sensor": live.name, "unit": live.unit, "seconds": seconds}
-    maps = {name: found.pop(name) for name in ("rest", "noise")}
+            memory = replace(memory, no_contact=memory.no_contact[::step, ::step])
+        health = sensor_health(_frames(live, seconds, step), live.step, memory)
+        health |= {"sensor": live.name, "unit": live.unit, "seconds": seconds}
+    maps = {name: health.pop(name) for name in ("rest", "noise")}
     if report is not None:
-        write_text(report, _page(found, maps))
-    said = found["findings"] or ["Nothing is wrong."]
-    figures = (f"{name:20s} {value}" for name, value in _figures(found))
-    answer(as_json, found, *said, "", *figures)
-    if not found["ok"]:
+        write_text(report, _page(health, maps))
+    findings = health["findings"] or ["Nothing is wrong."]
+    figures = (f"{name:20s} {value}" for name, value in _figures(health))
+    answer(as_json, health, *findings, "", *figures)
+    if not health["ok"]:
         raise typer.Exit(1)
 
 
-def _frames(sensor: "LiveSensor", seconds: float, apart: int) -> list["Frame"]:
+def _frames(sensor: "LiveSensor", seconds: float, step: int) -> list["Frame"]:
     end_s, frames = time.monotonic() + seconds, []
     while time.monotonic() < end_s:
         frame = sensor.read_next()
-        frames.append(replace(frame, image=frame.image[::apart, ::apart].copy()))
+        frames.append(replace(frame, image=frame.image[::step, ::step].copy()))
     return frames
 
 
-def _page(found: dict[str, Any], maps: dict[str, Any]) -> str:
+def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
     from ..evaluation import html_table, report_page
     from ..touches import as_shown, png_address
 
-    said = found["findings"] or ["Nothing is wrong."]
-    lines = "".join(f"<p style='font-size:1.15rem'>{escape(line)}</p>" for line in said)
+    findings = health["findings"] or ["Nothing is wrong."]
+    lines = "".join(
+        f"<p style='font-size:1.15rem'>{escape(line)}</p>" for line in findings
+    )
     pictures = ""
     for name, image in maps.items():
         shown = as_shown(image[None], ("r", "g", "b") if image.ndim == 3 else None)[0]
@@ -89,23 +91,23 @@ def _page(found: dict[str, Any], maps: dict[str, Any]) -> str:
             f"<figcaption class=note>{name}, {image.min():.3g} (dark) to "
             f"{image.max():.3g}</figcaption></figure>"
         )
-    title = f"{found['sensor']}: {'well' if found['ok'] else 'look at it'}"
-    colour = "#1d7a46" if found["ok"] else "#b3261e"
-    watched = f"Watched for {found['seconds']:g} s; in {escape(found['unit'])}."
-    said = (
+    title = f"{health['sensor']}: {'well' if health['ok'] else 'look at it'}"
+    colour = "#1d7a46" if health["ok"] else "#b3261e"
+    watched = f"Watched for {health['seconds']:g} s; in {escape(health['unit'])}."
+    head = (
         f"<h1 style='border-left:.5rem solid {colour};padding-left:.8rem'>"
         f"{escape(title)}</h1>{lines}<p class=note>{watched}</p>"
         f"<div class=row>{pictures}</div>"
         "<h2>Mean level over time, and the drift that does harm</h2>"
     )
-    curve = _curve(found["levels"], found["figures"]["drift_limit"])
-    figures = html_table("Figures", ["", ""], _figures(found))
-    return report_page(title, [said, curve, figures])
+    curve = _curve(health["levels"], health["figures"]["drift_limit"])
+    figures = html_table("Figures", ["", ""], _figures(health))
+    return report_page(title, [head, curve, figures])
 
 
-def _figures(found: dict[str, Any]) -> list[list[str]]:
-    known = {n: "-" if v is None else f"{v:.4g}" for n, v in found["figures"].items()}
-    return [[name.replace("_", " "), text] for name, text in known.items()]
+def _figures(health: dict[str, Any]) -> list[list[str]]:
+    shown = {n: "-" if v is None else f"{v:.4g}" for n, v in health["figures"].items()}
+    return [[name.replace("_", " "), text] for name, text in shown.items()]
 
 
 def _curve(levels: list[float], limit: float) -> str:

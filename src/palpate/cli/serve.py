@@ -84,23 +84,25 @@ def serve(
     check_publish(publish)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
-    given = sensor or []
-    chosen: list[Any] = [options.open(one) for one in given] or [None]
-    folders = [library] if len(given) < 2 else _folders(given, library, model)
+    addresses = sensor or []
+    chosen: list[Any] = [options.open(address) for address in addresses] or [None]
+    folders = [library] if len(addresses) < 2 else _folders(addresses, library, model)
     chosen_token = None if token is None else checked_token(token)
     with closing(web.open_socket(host, port)) as socket, ExitStack() as stack:
         sessions = []
-        for one, folder in zip(chosen, folders, strict=True):
-            session = LiveSession(one, model=model, library=folder, **how)
+        for live, folder in zip(chosen, folders, strict=True):
+            session = LiveSession(live, model=model, library=folder, **how)
             sessions.append(session)
-            if session.watch is not None and len(given) > 1:
-                session.watch.address = given[len(sessions) - 1]
-            number = len(sessions) * (len(given) > 1)
+            if session.watch is not None and len(addresses) > 1:
+                session.watch.address = addresses[len(sessions) - 1]
+            number = len(sessions) * (len(addresses) > 1)
             stack.enter_context(logged(session, log, number))
             stack.callback(session.stop)
         web.start_all(sessions)
         for number, session in enumerate(sessions, start=1):
-            stack.enter_context(published(session, _of(publish, number, len(given))))
+            stack.enter_context(
+                published(session, _of(publish, number, len(addresses)))
+            )
         if chosen_token is None:
             chosen_token = web.new_token() if library is None else kept_token(library)
         app = create_app(sessions, chosen_token, names=[host, *(name or ())])
@@ -130,7 +132,7 @@ def _folders(
         address if places.count(place) > 1 else place
         for address, place in zip(sensors, places, strict=True)
     ]
-    names = [re.sub(r"[^\w.-]+", "-", one) for one in whole]
+    names = [re.sub(r"[^\w.-]+", "-", place) for place in whole]
     names = [
         f"{name}-{number}" if names.count(name) > 1 else name
         for number, name in enumerate(names, start=1)

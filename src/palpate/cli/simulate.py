@@ -70,7 +70,7 @@ class DomeTouches:
                 "The basic shapes are touched from above, other objects from all "
                 "sides; simulate them into archives of their own."
             )
-        made = simulate_touches(
+        touches = simulate_touches(
             things,
             self.touches,
             camera,
@@ -84,7 +84,7 @@ class DomeTouches:
             random_state=self.seed,
             progress=None,
         )
-        _write(made, self.output, "Touched {} objects", self.as_json)
+        _write(touches, self.output, "Touched {} objects", self.as_json)
 
 
 @simulate.command()
@@ -120,7 +120,7 @@ def array(
     from ..simulation import PARTS, PressureArray, simulate_presses
 
     check_output(output)
-    made = simulate_presses(
+    touches = simulate_presses(
         [int(n) if n.isdecimal() else n for n in parts or [p.name for p in PARTS]],
         presses,
         n_sessions=sessions,
@@ -144,7 +144,7 @@ def array(
         random_state=seed,
         n_jobs=workers,
     )
-    _write(made, output, "Pressed {} parts", as_json)
+    _write(touches, output, "Pressed {} parts", as_json)
 
 
 @simulate.command()
@@ -195,11 +195,13 @@ def pins(
     way.make(replace(usual, dome=seen, n_rings=rings))
 
 
-def _write(made: "Touches", output: Path, done: str, as_json: bool) -> None:
-    made.save(output)
-    names = [] if made.object is None else list(dict.fromkeys(made.object.tolist()))
-    values = {"touches": str(output), "n_touches": len(made), "objects": names}
-    line = f"{done.format(len(names))}, {len(made)} touches."
+def _write(touches: "Touches", output: Path, done: str, as_json: bool) -> None:
+    touches.save(output)
+    names = (
+        [] if touches.object is None else list(dict.fromkeys(touches.object.tolist()))
+    )
+    values = {"touches": str(output), "n_touches": len(touches), "objects": names}
+    line = f"{done.format(len(names))}, {len(touches)} touches."
     answer(as_json, values, line, output)
 
 
@@ -226,19 +228,19 @@ def check_output(path: Path) -> None:
 
 def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
     """Return the objects that names, sets and mesh files stand for, each once."""
-    from .. import simulation as made
+    from .. import simulation
 
-    known = (made.HOUSEHOLD, made.UNSEEN, made.BASIC_SHAPES)
-    sets = dict(zip(SETS, known, strict=True))
+    things_of_sets = (simulation.HOUSEHOLD, simulation.UNSEEN, simulation.BASIC_SHAPES)
+    sets = dict(zip(SETS, things_of_sets, strict=True))
     given_as: dict[str, str] = {}
-    found: list[SimObject] = []
+    objects: list[SimObject] = []
     for name in names or ["household"]:
         if name in sets:
             things = sets[name]
-        elif Path(name).suffix.lower() in made.MESH_SUFFIXES:
-            things = (made.load_mesh(name, unit=unit),)
+        elif Path(name).suffix.lower() in simulation.MESH_SUFFIXES:
+            things = (simulation.load_mesh(name, unit=unit),)
         else:
-            things = (made.find_object(name),)
+            things = (simulation.find_object(name),)
         for thing in things:
             if thing.name in given_as:
                 raise ValueError(
@@ -247,5 +249,5 @@ def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
                     "file is called as its object, so rename it."
                 )
             given_as[thing.name] = name
-        found += things
-    return found
+        objects += things
+    return objects

@@ -32,10 +32,10 @@ def study(
     from ..studies import STUDIES
 
     if list_names or not name:
-        for known, one in STUDIES.items():
-            say(f"{known:12s} {one.summary}")
+        for study_name, study in STUDIES.items():
+            say(f"{study_name:12s} {study.summary}")
         return
-    one = STUDIES[check_option("study", name, STUDIES)]
+    study = STUDIES[check_option("study", name, STUDIES)]
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
@@ -44,15 +44,15 @@ def study(
 
         check_report_path(report)
     with working.started(usual=-1) as n:
-        result = one.run(**{**options, "workers": n})
+        result = study.run(**{**options, "workers": n})
     for sentence in result["skipped"]:
         say(sentence, file=sys.stderr)
     if report is not None:
-        one.write_report(report, result)
+        study.write_report(report, result)
     if as_json:
         print_json(result)
         return
-    for title, columns, rows in one.tables(result):
+    for title, columns, rows in study.tables(result):
         table(title, columns, rows)
     if report is not None:
         say(report)

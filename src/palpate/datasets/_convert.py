@@ -56,20 +56,24 @@ def converted(
     rows.sort(key=lambda row: [row[0][name] for name in rule["sort"]])
     groups, data = [row[0] for row in rows], [row[1].read() for row in rows]
     seen: Counter[tuple[Any, ...]] = Counter()
-    for one in groups:  # the place of each file within its recording
-        recording = tuple(one[name] for name in rule.get("recording", []))
-        one["place"] = seen[recording]
+    for groups_of_file in groups:  # the place of each file within its recording
+        recording = tuple(groups_of_file[name] for name in rule.get("recording", []))
+        groups_of_file["place"] = seen[recording]
         seen[recording] += 1
     columns = {name: _column(groups, how) for name, how in rule["columns"].items()}
     whole = {name: np.array(value) for name, value in rule.get("whole", {}).items()}
     member, pairs = rule.get("beside", ""), zip(groups, data, strict=True)
-    beside = {one["path"]: d for one, d in pairs if one.get("member") == member}
+    beside = {
+        groups_of_file["path"]: d
+        for groups_of_file, d in pairs
+        if groups_of_file.get("member") == member
+    }
     levels = [_READ[rule["read"]](content, rule) for content in data]
     if "no_contact" in rule:
-        one, file = _matching(files, rule["no_contact"])[0]
+        groups_of_file, file = _matching(files, rule["no_contact"])[0]
         _refuse_many([file], 1, most_bytes)
-        beside[one["path"]] = file.read()
-        idle = _READ[rule["read"]](beside[one["path"]], rule)
+        beside[groups_of_file["path"]] = file.read()
+        idle = _READ[rule["read"]](beside[groups_of_file["path"]], rule)
         whole["no_contact"] = _WAYS[rule["ways"][0]](idle)
     for way in rule["ways"]:
         images = np.stack([_WAYS[way](picture) for picture in levels])
@@ -103,31 +107,33 @@ def _matching(files: Mapping[str, Member], pattern: str) -> list[tuple[Groups, M
 
     `path` is the part that matches; a group of digits without a leading 0 is a number.
     """
-    found: dict[str, tuple[Groups, Member]] = {}
+    matches: dict[str, tuple[Groups, Member]] = {}
     wanted = re.compile(rf"(?:^|/)(?P<path>{pattern})$")
     for path in sorted(files):
         if len(path) <= LONGEST_PATH and (match := wanted.search(path)):
-            told = match.groupdict().items()
-            groups = {name: int(t) if _NUMBER(t) else t for name, t in told}
-            found.setdefault(match["path"], (groups, files[path]))
-    if not found:
+            texts = match.groupdict().items()
+            groups = {name: int(t) if _NUMBER(t) else t for name, t in texts}
+            matches.setdefault(match["path"], (groups, files[path]))
+    if not matches:
         raise ValueError(
             f"the source must hold files like {pattern}, got none among {len(files)}. "
             "It is laid out in another way than palpate knows: please report it."
         )
-    return list(found.values())
+    return list(matches.values())
 
 
 def _column(rows: list[Groups], how: Rule) -> Array:
     """Fill the templates of a column from the groups of each path."""
     of, kind = how["of"], how["type"]
     if isinstance(of, list):
-        return np.array([[int(one.format(**g)) for one in of] for g in rows], kind)
+        return np.array(
+            [[int(template.format(**g)) for template in of] for g in rows], kind
+        )
     texts = [of.format(**groups) for groups in rows]
     if not kind.startswith("<U"):
         return np.array([int(text) + how.get("add", 0) for text in texts], kind)
-    told = [text.lower() if "lower" in how else text for text in texts]
-    return np.array(told, f"<U{max([int(kind[2:]), *map(len, told)])}")
+    texts_kept = [text.lower() if "lower" in how else text for text in texts]
+    return np.array(texts_kept, f"<U{max([int(kind[2:]), *map(len, texts_kept)])}")
 
 
 def _counts(data: bytes, rule: Rule) -> Array:

@@ -51,7 +51,7 @@ _FULL = (ENOSPC, EDQUOT, EACCES, EPERM, EROFS, EIO, EMFILE, ENFILE)
 
 def names() -> tuple[str, ...]:
     """Return the names of all sets, sorted."""
-    return tuple(sorted(one.name.removesuffix(".toml") for one in _CARDS.iterdir()))
+    return tuple(sorted(file.name.removesuffix(".toml") for file in _CARDS.iterdir()))
 
 
 def card(name: str) -> dict[str, Any]:
@@ -67,8 +67,12 @@ def where(folder: str | Path | None = None) -> Path:
     It is `folder`; by default what PALPATE_DATA names, else the cache: what
     PALPATE_DATA_HOME names, else `palpate` in the caches of this computer.
     """
-    told = (folder, os.environ.get("PALPATE_DATA"), os.environ.get("PALPATE_DATA_HOME"))
-    for named in told:
+    named_folders = (
+        folder,
+        os.environ.get("PALPATE_DATA"),
+        os.environ.get("PALPATE_DATA_HOME"),
+    )
+    for named in named_folders:
         if named:
             return Path(named)
     caches = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
@@ -102,33 +106,35 @@ def fetch(
     large; OSError where it cannot be reached or the folder not be written; ImportError
     without pooch. Nothing half done is left.
     """
-    one, here = card(name), where(folder)
-    made: list[Path] = [here / place for place in one["makes"]]
-    if all(place.exists() for place in made):
-        return made[0]
-    if "why_not" in one:
-        raise ValueError(f"{name} cannot be fetched: {one['why_not']}")
+    description, here = card(name), where(folder)
+    outputs: list[Path] = [here / place for place in description["makes"]]
+    if all(place.exists() for place in outputs):
+        return outputs[0]
+    if "why_not" in description:
+        raise ValueError(f"{name} cannot be fetched: {description['why_not']}")
     downloads, seen = here / ".downloads" / name, here / ".fetched" / f"{name}.sha256"
-    known = one["source"]["sha256"] or (seen.read_text() if seen.is_file() else "")
+    expected = description["source"]["sha256"] or (
+        seen.read_text() if seen.is_file() else ""
+    )
     with _explained(name, downloads, seen):
-        meter = _Meter(one["name"], one["source"]["most_mb"], progress)
+        meter = _Meter(description["name"], description["source"]["most_mb"], progress)
         load = partial(_download, meter, downloads)
-        url = _address(one["source"]["url"], mirror)
-        with _source(one, url, known, load) as source:
-            chosen, differs = _chosen(one, source)
-        _write(made, *chosen)
+        url = _address(description["source"]["url"], mirror)
+        with _source(description, url, expected, load) as source:
+            chosen, differs = _chosen(description, source)
+        _write(outputs, *chosen)
         with (downloads / "source").open("rb") as file:
             got = hashlib.file_digest(file, "sha256").hexdigest()
         seen.parent.mkdir(exist_ok=True)
         write_text(seen, got)
         shutil.rmtree(downloads, ignore_errors=True)
-    if not known:
+    if not expected:
         trusted = "no SHA-256 of the source was known, so this download was trusted"
         warnings.warn(f"{name}: {trusted}; a later one must have {got}.", stacklevel=2)
     if differs:
         others = f"{', '.join(differs)} are not the arrays behind the figures"
         warnings.warn(f"{name}: {others}: say so beside what you make.", stacklevel=2)
-    return made[0]
+    return outputs[0]
 
 
 def load(
@@ -155,7 +161,7 @@ def _address(url: str, mirror: str | None) -> str:
     return f"{root.rstrip('/')}{urlsplit(url).path}" if root else url
 
 
-def _download(meter: "_Meter", folder: Path, url: str, name: str, known: str) -> Path:
+def _download(meter: "_Meter", folder: Path, url: str, name: str, sha256: str) -> Path:
     """Return a download, whole and with the SHA-256 that is known, if one is.
 
     It works in a thread that is left behind where it does not end in time: a server may
@@ -174,7 +180,7 @@ def _download(meter: "_Meter", folder: Path, url: str, name: str, known: str) ->
     def retrieve() -> None:
         how = {"downloader": downloader}
         try:
-            got.append(Path(pooch.retrieve(url, known or None, name, folder, **how)))
+            got.append(Path(pooch.retrieve(url, sha256 or None, name, folder, **how)))
         except BaseException as error:  # handed on below
             got.append(error)
 
@@ -225,19 +231,26 @@ class _Meter:
 
 @contextmanager
 def _source(
-    one: dict[str, Any], url: str, known: str, load: Callable[[str, str, str], Path]
+    description: dict[str, Any],
+    url: str,
+    expected: str,
+    load: Callable[[str, str, str], Path],
 ) -> Iterator[Mapping[str, Member]]:
     """Yield the files of a zip, or those that a list of checksums names."""
-    first = load(url, "source", known)
-    if "listed" in one["source"]:
-        wanted = re.compile(rf"([0-9a-f]{{64}}) [ *]?({one['source']['listed']})")
+    first = load(url, "source", expected)
+    if "listed" in description["source"]:
+        wanted = re.compile(
+            rf"([0-9a-f]{{64}}) [ *]?({description['source']['listed']})"
+        )
         lines = first.read_text(errors="replace").splitlines()
-        told = (wanted.fullmatch(s) for s in lines if len(s) < 66 + LONGEST_PATH)
-        sums = {m[2]: m[1] for m in told if m}
-        most, base = 3 * one["touches"], url.rpartition("/")[0]
+        matches = (wanted.fullmatch(s) for s in lines if len(s) < 66 + LONGEST_PATH)
+        sums = {m[2]: m[1] for m in matches if m}
+        most, base = 3 * description["touches"], url.rpartition("/")[0]
         if len(sums) > most:
             raise ValueError(f"the list must name at most {most}, got {len(sums)}.")
-        places = {n: load(f"{base}/{n}", known, known) for n, known in sums.items()}
+        places = {
+            n: load(f"{base}/{n}", expected, expected) for n, expected in sums.items()
+        }
         yield {n: Member(p.stat().st_size, p.read_bytes) for n, p in places.items()}
         return
     _refuse_long_list(first)
@@ -254,8 +267,8 @@ def _refuse_long_list(path: Path) -> None:
     with path.open("rb") as file:
         file.seek(-min(path.stat().st_size, 2**16 + 22), os.SEEK_END)
         tail = file.read()
-    for found in re.finditer(re.escape(_LIST_END), tail):
-        end = tail[found.start() : found.start() + 16]
+    for match in re.finditer(re.escape(_LIST_END), tail):
+        end = tail[match.start() : match.start() + 16]
         n_bytes = struct.unpack("<I", end[12:])[0] if len(end) == 16 else 0
         if n_bytes > _LONGEST_LIST:
             raise ValueError(
@@ -271,27 +284,29 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
 
 
 def _chosen(
-    one: dict[str, Any], source: Mapping[str, Member]
+    description: dict[str, Any], source: Mapping[str, Member]
 ) -> tuple[Made, list[str]]:
     """Return the version behind the figures, else the first, and what differs."""
     tried: list[tuple[Made, list[str]]] = []
-    most_bytes = one["source"]["most_mb"] * _MB
-    for made in converted(source, one["convert"], one["touches"], most_bytes):
-        Touches(**made[0])  # refuses what would not read as an archive
-        got = {name: digest(array) for name, array in made[0].items()}
-        wanted = one["arrays"]
+    most_bytes = description["source"]["most_mb"] * _MB
+    for version in converted(
+        source, description["convert"], description["touches"], most_bytes
+    ):
+        Touches(**version[0])  # refuses what would not read as an archive
+        got = {name: digest(array) for name, array in version[0].items()}
+        wanted = description["arrays"]
         differs = [n for n in {**wanted, **got} if got.get(n) != wanted.get(n)]
-        tried = [*tried[:1], (made, differs)]
+        tried = [*tried[:1], (version, differs)]
         if not differs:
             return tried[-1]
     return tried[0]
 
 
 def _write(
-    made: list[Path], arrays: dict[str, Array], beside: dict[str, bytes]
+    outputs: list[Path], arrays: dict[str, Array], beside: dict[str, bytes]
 ) -> None:
     """Write the files beside, then the archive, each whole or not at all."""
-    archive, *folders = made
+    archive, *folders = outputs
     archive.parent.mkdir(parents=True, exist_ok=True)
     for folder in folders:
         partly = folder.with_name(f".partial-{folder.name}")
@@ -318,9 +333,9 @@ def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
         yield
     except RequestException as error:
         http = isinstance(error, HTTPError)
-        said = error if http else "the source cannot be reached, or was cut off"
+        message = error if http else "the source cannot be reached, or was cut off"
         again = "Check the network and try again, or give a copy with --mirror"
-        raise OSError(f"{name}: {said}. {again}.") from error
+        raise OSError(f"{name}: {message}. {again}.") from error
     except Exception as error:
         # Damaged files make zipfile, scipy and numpy raise two dozen kinds.
         full = isinstance(error, OSError) and error.errno in _FULL

@@ -46,7 +46,10 @@ def verdict(figures: dict[str, Any]) -> str:
 
 def recommendations(figures: dict[str, Any], trials: Sequence[Trial]) -> list[str]:
     """Return at most three sentences that say what to do, what harms most first."""
-    return [one for one, _ in zip(_all(figures, trials), range(MOST), strict=False)]
+    return [
+        sentence
+        for sentence, _ in zip(_all(figures, trials), range(MOST), strict=False)
+    ]
 
 
 def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:

@@ -38,7 +38,7 @@ Archives = str | Path | Iterable[str | Path] | Mapping[str, Touches]
 
 
 class Answers(NamedTuple):
-    """What a recogniser said in one fold: whether right, shape (n_asked,), and more."""
+    """A recogniser's answers in one fold: whether right, shape (n_test,), and more."""
 
     right: Bools
     learn_s: float
@@ -112,8 +112,8 @@ def benchmark(
         progress(f"{name}: reading")
         skip = {"archive": name, "protocol": None}
         try:
-            found = source if isinstance(source, Touches) else Touches.load(source)
-            column_of(found, "object")
+            touch_set = source if isinstance(source, Touches) else Touches.load(source)
+            column_of(touch_set, "object")
         except Exception as error:
             skipped.append({**skip, "reason": _reason(error)})
             continue
@@ -121,16 +121,20 @@ def benchmark(
         for protocol in protocols:
             wanted = "category" if protocol == "categories" else label
             try:
-                made = protocol_folds(found, protocol, wanted, repeats, seed)
-                tasks.append(Task(protocol, wanted, column_of(found, wanted), *made))
+                folds = protocol_folds(touch_set, protocol, wanted, repeats, seed)
+                tasks.append(
+                    Task(protocol, wanted, column_of(touch_set, wanted), *folds)
+                )
             except ValueError as error:
                 skipped.append({**skip, "protocol": protocol, "reason": str(error)})
-        said: dict[str, list[list[Answers] | str]] = {}
-        for one in recognisers if tasks else ():
-            progress(f"{name}: {one}, {sum(len(task.folds) for task in tasks)} folds")
-            said[one] = _said(one, found, tasks, touches, seed)
+        answers: dict[str, list[list[Answers] | str]] = {}
+        for method in recognisers if tasks else ():
+            progress(
+                f"{name}: {method}, {sum(len(task.folds) for task in tasks)} folds"
+            )
+            answers[method] = _answers(method, touch_set, tasks, touches, seed)
         progress(f"{name}: controls")
-        entries += _entries(name, found, tasks, said)
+        entries += _entries(name, touch_set, tasks, answers)
     done = {"label": label, "repeats": repeats, "seed": seed}
     return {"benchmark": entries, "skipped": skipped, **done}
 
@@ -141,28 +145,28 @@ def benchmark_tables(
     """Yield title, columns and lines of text of each archive."""
     entries = result["benchmark"]
     for name in dict.fromkeys(entry["archive"] for entry in entries):
-        mine = [entry for entry in entries if entry["archive"] == name]
-        rows = [row for entry in mine for row in entry["rows"]]
+        group = [entry for entry in entries if entry["archive"] == name]
+        rows = [row for entry in group for row in entry["rows"]]
         counts = sorted({int(k) for row in rows for k in row["after"] or {}} - {1})
         columns = ["recogniser", "after 1, %", "±", *(f"after {k}, %" for k in counts)]
         columns += ["no contact, %", "log loss", "learn, s", "ms a touch"]
-        lines = [line for entry in mine for line in _lines(entry, counts)]
+        lines = [line for entry in group for line in _lines(entry, counts)]
         blank = [[*line, *[""] * (len(columns) - len(line))] for line in lines]
-        yield f"{name}: {mine[0]['n_touches']} touches", columns, blank
+        yield f"{name}: {group[0]['n_touches']} touches", columns, blank
 
 
 def verdicts(result: dict[str, Any]) -> Iterator[str]:
     """Yield a sentence for each comparison, and for all that was left out."""
     for entry in result["benchmark"]:
         where = f"{entry['archive']}, {entry['protocol']}"
-        if (found := entry["behind"]) is not None:
-            side = "behind" if found["points"] > 0 else "ahead of"
-            leak = found["no_contact"]
+        if (behind := entry["behind"]) is not None:
+            side = "behind" if behind["points"] > 0 else "ahead of"
+            leak = behind["no_contact"]
             bare = f", which names {as_text(leak, 100)} % of touches without contact"
             yield (
-                f"{where}: {found['verdict']}: default is {abs(found['points']):.1f} "
-                f"points (standard error {found['se']:.1f}) {side} "
-                f"{found['recogniser']}{'' if leak is None else bare}."
+                f"{where}: {behind['verdict']}: default is {abs(behind['points']):.1f} "
+                f"points (standard error {behind['se']:.1f}) {side} "
+                f"{behind['recogniser']}{'' if leak is None else bare}."
             )
         if entry["left_out"]:
             names = ", ".join(entry["left_out"])
@@ -188,7 +192,7 @@ def _sets(archives: Archives) -> dict[str, Path | Touches]:
     """Name every archive: by its place in the folder given, or by its file's name."""
     if isinstance(archives, Mapping):
         return dict(archives)
-    found: dict[str, Path | Touches] = {}
+    sets: dict[str, Path | Touches] = {}
     for path in map(Path, [archives] if isinstance(archives, str | Path) else archives):
         inside = sorted(path.rglob("*.npz")) if path.is_dir() else [path]
         if not path.exists() or not inside:
@@ -197,10 +201,10 @@ def _sets(archives: Archives) -> dict[str, Path | Touches]:
                 f"{path}, where there is none. Write one with Touches.save or "
                 "`palpate library export`, or name another folder."
             )
-        for one in inside:
-            short = str(one.relative_to(path)) if path.is_dir() else path.name
-            found[str(one) if short in found else short] = one
-    return found
+        for archive in inside:
+            short = str(archive.relative_to(path)) if path.is_dir() else path.name
+            sets[str(archive) if short in sets else short] = archive
+    return sets
 
 
 def _reason(error: Exception) -> str:
@@ -208,11 +212,11 @@ def _reason(error: Exception) -> str:
     return str(error) if expected else f"{type(error).__name__}: {error}"
 
 
-def _said(
+def _answers(
     name: str, touches: Touches, tasks: list[Task], counts: Sequence[int], seed: int
 ) -> list[list[Answers] | str]:
     """Return the answers of one recogniser in each protocol, or why there are none."""
-    said: list[list[Answers] | str] = []
+    answers: list[list[Answers] | str] = []
     learner: Any = None
     for task in tasks:
         try:
@@ -222,17 +226,17 @@ def _said(
                 values = encode(touches.images)
                 encode_s = (time.process_time() - start) / len(touches)
             if name in SIMPLE:
-                said.append(_simply(learner, values, task, encode_s))
+                answers.append(_simply(learner, values, task, encode_s))
                 continue
             _check_written_for(name, touches, task.labels)
             preset = cast(PresetName, name)
             recogniser = ObjectRecogniser(preset, label=task.label, random_state=seed)
             calls = [(fold, recogniser, touches, task, counts) for fold in task.folds]
-            said.append(in_parallel(_preset_answers, calls, "Folds", show=False))
+            answers.append(in_parallel(_preset_answers, calls, "Folds", show=False))
         except Exception as error:
             learner = None
-            said.append(_reason(error))
-    return said
+            answers.append(_reason(error))
+    return answers
 
 
 def _check_written_for(preset: str, touches: Touches, labels: Array) -> None:
@@ -274,13 +278,13 @@ def _preset_answers(
 ) -> Answers:
     start = time.process_time()
     recogniser = clone(recogniser).fit(touches[fold.train])
-    learnt, asked = time.process_time(), touches[fold.test]
-    rows = recogniser.log_likelihood(asked)
-    ask_s = (time.process_time() - learnt) / len(asked)
-    whose = asked.columns["object"], task.labels[fold.test]
+    learnt, test = time.process_time(), touches[fold.test]
+    rows = recogniser.log_likelihood(test)
+    ask_s = (time.process_time() - learnt) / len(test)
+    whose = test.columns["object"], task.labels[fold.test]
     episodes = run_episodes(recogniser, rows, *whose, ORDERS, recogniser.random_state)
     ends = {k: end for k in {1, *counts} if (end := episodes.scores(k)) is not None}
-    right = np.empty(len(asked), dtype=bool)
+    right = np.empty(len(test), dtype=bool)
     assert episodes.singles is not None
     right[np.concatenate(episodes.singles.rows)[:, 0]] = ends[1].hit
     after = {str(k): float(ends[k].accuracy.mean()) for k in sorted(ends) if k > 1}
@@ -292,14 +296,17 @@ def _entries(
     name: str,
     touches: Touches,
     tasks: list[Task],
-    said: dict[str, list[list[Answers] | str]],
+    answers: dict[str, list[list[Answers] | str]],
 ) -> list[dict[str, Any]]:
     idle, values = without_contact(touches), _nuisances(touches) if tasks else {}
     entries = []
     for i, task in enumerate(tasks):
-        rows = [_row(one, of_tasks[i], task, idle) for one, of_tasks in said.items()]
+        rows = [
+            _row(method, of_tasks[i], task, idle)
+            for method, of_tasks in answers.items()
+        ]
         majority = float(np.mean([_majority(task.labels, fold) for fold in task.folds]))
-        alone = {one: _alone(value, task) for one, value in values.items()}
+        alone = {method: _alone(value, task) for method, value in values.items()}
         entries.append(
             {
                 "archive": name,
@@ -312,69 +319,77 @@ def _entries(
                 "left_out": task.left_out,
                 "rows": rows,
                 "controls": {"majority": majority, **alone},
-                "behind": _behind({one: of[i] for one, of in said.items()}, rows),
+                "behind": _behind(
+                    {method: of[i] for method, of in answers.items()}, rows
+                ),
             }
         )
     return entries
 
 
 def _row(
-    name: str, said: list[Answers] | str, task: Task, idle: Bools | None
+    name: str, answers: list[Answers] | str, task: Task, idle: Bools | None
 ) -> dict[str, Any]:
-    if isinstance(said, str):
+    if isinstance(answers, str):
         names = "accuracy", "sd", "se", "after", "no_contact", "log_loss", "seconds"
-        return {"recogniser": name, **dict.fromkeys((*names, "chosen")), "reason": said}
-    shares = [one.right.mean() for one in said]
-    keys = dict.fromkeys(k for one in said for k in one.after)
-    after = {k: _mean(one.after.get(k) for one in said) for k in keys}
+        return {
+            "recogniser": name,
+            **dict.fromkeys((*names, "chosen")),
+            "reason": answers,
+        }
+    shares = [answer.right.mean() for answer in answers]
+    keys = dict.fromkeys(k for answer in answers for k in answer.after)
+    after = {k: _mean(answer.after.get(k) for answer in answers) for k in keys}
     bare = [] if idle is None else [idle[fold.test] for fold in task.folds]
-    pairs = zip(said, bare, strict=False)
+    pairs = zip(answers, bare, strict=False)
     return {
         "recogniser": name,
         "accuracy": _mean(shares),
         "sd": float(spread(shares)) if len(shares) > 1 else None,
-        "se": _error([one.right for one in said]),
+        "se": _error([answer.right for answer in answers]),
         "after": {"1": _mean(shares), **after},
-        "no_contact": _mean(hit for one, some in pairs for hit in one.right[some]),
-        "log_loss": _mean(one.log_loss for one in said),
+        "no_contact": _mean(
+            hit for answer, rows in pairs for hit in answer.right[rows]
+        ),
+        "log_loss": _mean(answer.log_loss for answer in answers),
         "seconds": {
-            "learn": _mean(one.learn_s for one in said),
-            "per_touch": _mean(one.per_touch_s for one in said),
+            "learn": _mean(answer.learn_s for answer in answers),
+            "per_touch": _mean(answer.per_touch_s for answer in answers),
         },
-        "chosen": said[0].chosen,
+        "chosen": answers[0].chosen,
         "reason": None,
     }
 
 
 def _mean(values: Iterable[float | None]) -> float | None:
     """Return the mean of the values that there are; None where there is none."""
-    found = [value for value in values if value is not None]
-    return float(np.mean(found)) if found else None
+    present = [value for value in values if value is not None]
+    return float(np.mean(present)) if present else None
 
 
 def _error(folds: Sequence[Array]) -> float:
     """Return the standard error of the mean over folds; of one fold, over touches."""
-    values = [one.mean() for one in folds] if len(folds) > 1 else folds[0]
+    values = [fold.mean() for fold in folds] if len(folds) > 1 else folds[0]
     return float(spread(values) / np.sqrt(len(values)))
 
 
 def _behind(
-    said: dict[str, list[Answers] | str], rows: list[dict[str, Any]]
+    answers: dict[str, list[Answers] | str], rows: list[dict[str, Any]]
 ) -> dict[str, Any] | None:
     """Compare default with the best simple recogniser in the same folds.
 
     In points, positive where default is behind.
     """
     simple = [r for r in rows if r["recogniser"] in SIMPLE and r["reason"] is None]
-    default = said.get("default", "")
+    default = answers.get("default", "")
     if isinstance(default, str) or not simple:
         return None
     best = max(simple, key=lambda row: float(row["accuracy"]))
-    answers = said[best["recogniser"]]
-    assert not isinstance(answers, str)
-    pairs = zip(answers, default, strict=True)
+    of_best = answers[best["recogniser"]]
+    assert not isinstance(of_best, str)
+    pairs = zip(of_best, default, strict=True)
     lost = [100 * (a.right.astype(float) - b.right) for a, b in pairs]
-    points, error = float(np.mean([one.mean() for one in lost])), _error(lost)
+    points, error = float(np.mean([losses.mean() for losses in lost])), _error(lost)
     return {
         "recogniser": best["recogniser"],
         "no_contact": best["no_contact"],
@@ -404,7 +419,9 @@ def _alone(values: Floats | None, task: Task) -> float | None:
     if values is None:
         return None
     both = [_simply(learner, values, task) for learner in STANDARDISED]
-    return max(float(np.mean([one.right.mean() for one in said])) for said in both)
+    return max(
+        float(np.mean([answer.right.mean() for answer in answers])) for answers in both
+    )
 
 
 def _majority(labels: Array, fold: RowFold) -> float:

@@ -107,11 +107,11 @@ def named_alone(touches: Touches) -> dict[str, dict[str, float]]:
     (fold,) = split_touches(touches[np.isin(touches.object, kept)], "last")
     shares = {}
     for name, measure in CONTROLS.items():
-        taught, asked = measure(fold.train), measure(fold.test)
-        if taught is None or asked is None:
+        of_train, of_test = measure(fold.train), measure(fold.test)
+        if of_train is None or of_test is None:
             continue
         labels = np.asarray(fold.train.object)
-        scores = control_log_likelihood(taught, labels, None, asked)
+        scores = control_log_likelihood(of_train, labels, None, of_test)
         right = kept[scores.argmax(axis=1)] == fold.test.object
         shares[name] = {"right": float(right.mean()), "chance": 1 / len(kept)}
     return shares

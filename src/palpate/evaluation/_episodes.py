@@ -64,7 +64,7 @@ class Episodes:
         pairs = zip(truth, named, strict=True)
         answered = np.maximum(confusion.sum(axis=1, keepdims=True), 1e-12)
         return Scores(
-            accuracy=np.array([(said == t).mean() for t, said in pairs]),
+            accuracy=np.array([(best == t).mean() for t, best in pairs]),
             confidence=np.exp(everything.max(axis=1)),
             hit=best == column_of,
             log_loss=np.where(column_of >= 0, -true_log, np.nan),
@@ -129,7 +129,7 @@ def run_episodes(
     first = [rows[0] for rows in of_each]
     names = [str(objects[row]) for row in first]
     of_labels = [None if labels is None else str(labels[row]) for row in first]
-    truth = [classes.index(one) if one in classes else -1 for one in of_labels]
+    truth = [classes.index(label) if label in classes else -1 for label in of_labels]
     orders = [
         np.stack([rng.permutation(rows) for _ in range(n_orders)]) for rows in of_each
     ]

@@ -116,8 +116,8 @@ def evaluate(
         trials = in_parallel(_run, tasks, "Folds", show=False)
     figures = figures_of(trials, plan, split)
     if split in ("between", "last") and recorded_order(train) is None:
-        found = figures["chosen"].get("found", ())
-        figures["chosen"] = {**figures["chosen"], "found": [*found, _UNORDERED]}
+        findings = figures["chosen"].get("found", ())
+        figures["chosen"] = {**figures["chosen"], "found": [*findings, _UNORDERED]}
     figures["verdict"] = verdict(figures)
     figures["recommendations"] = recommendations(figures, trials)
     return figures, trials
@@ -185,38 +185,38 @@ def _remounted(
     order = np.arange(len(test)) if test.order is None else test.order
     in_order = np.argsort(order, kind="stable")
     if way == "confirm":
-        known = _test_labels(test, plan.label, recogniser)
-        names = known if test.object is None else test.object
+        labels_in_order = _test_labels(test, plan.label, recogniser)
+        names = labels_in_order if test.object is None else test.object
         first = [in_order[names[in_order] == n][:number] for n in np.unique(names)]
-        given = np.isin(np.arange(len(test)), np.concatenate(first))
-        if given.all():
+        confirmed = np.isin(np.arange(len(test)), np.concatenate(first))
+        if confirmed.all():
             raise ValueError(
                 f"remount must leave touches to ask about, got {plan.remount!r}, which "
                 "takes all. Confirm fewer."
             )
-        recogniser.remount(test[given])
-        return recogniser, test[~given], recogniser.evidence(test[~given])
+        recogniser.remount(test[confirmed])
+        return recogniser, test[~confirmed], recogniser.evidence(test[~confirmed])
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
     of_sessions = [in_order[session[in_order] == s] for s in np.unique(session)]
     evidence = []
-    for mine in of_sessions:
+    for rows in of_sessions:
         used = copy(recogniser)
-        used.remount(test[mine[:number]].without(*labels))
-        evidence.append(used.evidence(test[mine]))
+        used.remount(test[rows[:number]].without(*labels))
+        evidence.append(used.evidence(test[rows]))
     return used, test[np.concatenate(of_sessions)], Evidence.together(evidence)
 
 
 def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:
-    some = test[: min(len(test), N_TIMED)]
+    few = test[: min(len(test), N_TIMED)]
     start = time.perf_counter()
-    features = recogniser.encoder_.transform(some)
+    features = recogniser.encoder_.transform(few)
     encoded = time.perf_counter()
     recogniser.classifier_.log_likelihood(features)
     done = time.perf_counter()
     return {
-        "encode_per_touch": (encoded - start) / len(some),
-        "recognise_per_touch": (done - encoded) / len(some),
+        "encode_per_touch": (encoded - start) / len(few),
+        "recognise_per_touch": (done - encoded) / len(few),
     }
 
 
@@ -238,11 +238,11 @@ def _meet_unknown(
     if objects is None:
         objects = np.full(len(unknown), "unknown")
     memory = recogniser.memory_
-    known = np.intersect1d(objects, np.union1d(memory.objects, memory.labels))
-    if len(known):
+    learnt = np.intersect1d(objects, np.union1d(memory.objects, memory.labels))
+    if len(learnt):
         raise ValueError(
             f"unknown touches must be of objects that were not learnt, got "
-            f"{str(known[0])!r}. Leave those out."
+            f"{str(learnt[0])!r}. Leave those out."
         )
     evidence = recogniser.evidence(unknown)
     args = (objects, None, plan.orders, plan.seed + 1, evidence)
@@ -261,17 +261,17 @@ def _controls(
     groups = left_out_groups(train, taught, whose, plan.label)
 
     def curve(rows: Floats, which: Any = slice(None)) -> dict[str, float]:
-        asked = (objects[which], labels[which], plan.orders, plan.seed)
-        episodes = run_episodes(recogniser, rows, *asked)
+        episode_args = (objects[which], labels[which], plan.orders, plan.seed)
+        episodes = run_episodes(recogniser, rows, *episode_args)
         of_k = {str(k): episodes.scores(k) for k in plan.touches}
         return {k: float(s.accuracy.mean()) for k, s in of_k.items() if s is not None}
 
     result: dict[str, dict[str, float] | None] = dict.fromkeys(CONTROLS)
     for name, measure in CONTROLS.items():
-        if (known := measure(train)) is None or (of_test := measure(test)) is None:
+        if (in_train := measure(train)) is None or (in_test := measure(test)) is None:
             continue
-        result[name] = curve(control_log_likelihood(known, taught, groups, of_test))
+        result[name] = curve(control_log_likelihood(in_train, taught, groups, in_test))
     idle = without_contact(test)
-    some = idle is not None and idle.any()
-    result["no contact"] = curve(trial.log_likelihood[idle], idle) if some else None
+    any_idle = idle is not None and idle.any()
+    result["no contact"] = curve(trial.log_likelihood[idle], idle) if any_idle else None
     return result

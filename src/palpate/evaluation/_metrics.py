@@ -72,8 +72,8 @@ def spread(values: ArrayLike) -> Floats:
 
     For results over objects, folds or draws; 0 where there are fewer than two.
     """
-    found = np.asarray(values, dtype=np.float64)
-    return np.asarray(found.std(axis=0, ddof=min(1, len(found) - 1)))
+    numbers = np.asarray(values, dtype=np.float64)
+    return np.asarray(numbers.std(axis=0, ddof=min(1, len(numbers) - 1)))
 
 
 def davies_bouldin(X: ArrayLike, labels: ArrayLike, q: float = 2.0) -> float:

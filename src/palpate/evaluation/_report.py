@@ -63,7 +63,7 @@ class Explained(NamedTuple):
     name: str
     truth: str
     rows: Indices
-    said: str
+    label: str
     right: bool
 
 
@@ -102,7 +102,9 @@ def write_report(
     sections = [
         _head(figures),
         _accuracy(figures, trials),
-        "".join(f"<p><b>{escape(one)}</b></p>" for one in as_good_alone(figures)),
+        "".join(
+            f"<p><b>{escape(sentence)}</b></p>" for sentence in as_good_alone(figures)
+        ),
         _recommended(figures.get("recommendations", ())),
         _ends(figures["decision"]),
         f"<p class=note>{bound_said(figures['decision'])}</p>",
@@ -124,7 +126,7 @@ def _ends(decision: dict[str, Any]) -> str:
 
 
 def _recommended(sentences: Sequence[str]) -> str:
-    lines = "".join(f"<li>{escape(one)}</li>" for one in sentences)
+    lines = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<h2>What to do now</h2><ul>{lines}</ul>" if lines else ""
 
 
@@ -223,8 +225,8 @@ def explained_episodes(
     """Return at most six decided episodes: up to four wrong, the others right."""
     accepted = [figures["decision"][k] for k in ("error", "refusal", "strangers")]
     ends = [decide_episodes(t.episodes, *accepted) for t in trials]
-    wrong = _one_each(ends, lambda end: end.decided & ~end.right)
-    right = _one_each(ends, lambda end: end.right)
+    wrong = _first_of_each(ends, lambda end: end.decided & ~end.right)
+    right = _first_of_each(ends, lambda end: end.right)
     few = wrong[: max(WRONG, EPISODES - len(right))][:EPISODES]
     n_right = min(EPISODES - len(few), len(right))
     places = np.unique(np.linspace(0, len(right) - 1, n_right).astype(int))
@@ -237,7 +239,9 @@ def _head(figures: dict[str, Any]) -> str:
     folds = f", {figures['n_folds']} folds" if figures["n_folds"] > 1 else ""
     good = f"<p><b>{escape(figures['verdict'])}</b></p>"
     chosen = figures["chosen"]
-    found = "".join(f"<br>Found: {escape(one)}." for one in chosen.get("found", ()))
+    findings = "".join(
+        f"<br>Found: {escape(finding)}." for finding in chosen.get("found", ())
+    )
     return (
         f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
         f"{good}<p>Preset <b>{escape(figures['preset'])}</b>, "
@@ -246,22 +250,25 @@ def _head(figures: dict[str, Any]) -> str:
         f"{figures['orders']} random orders of each object's touches.<br>"
         f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
         f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
-        f"{found}<br>{escape(said_of_sessions(figures['sessions']))}</span></p>"
+        f"{findings}<br>{escape(said_of_sessions(figures['sessions']))}</span></p>"
     )
 
 
 def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     # After 1, 2, 3... touches, as far as every object has that many.
     shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
-    each = [[one.accuracy for one in scored(trials, k)] for k in range(1, shortest + 1)]
+    each = [
+        [scores.accuracy for scores in scored(trials, k)]
+        for k in range(1, shortest + 1)
+    ]
     per_fold = np.array([[over.mean() for over in folds] for folds in each])
     over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
-    sd = np.array([float(spread(one)) for one in over])
+    sd = np.array([float(spread(scores)) for scores in over])
     plot = plots.accuracy_curve(figures, per_fold.mean(axis=1), sd)
     bins = {}
     for k in figures["accuracy"]:
         ends = scored(trials, int(k))
-        confidence = np.concatenate([one.confidence for one in ends])
+        confidence = np.concatenate([scores.confidence for scores in ends])
         bins[k] = calibration_bins(confidence, np.concatenate([e.hit for e in ends]))
     return (
         "<h2>Accuracy against touches, and whether the belief can be trusted</h2>"
@@ -276,7 +283,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
     names = [str(name) for name in trials[0].recogniser.classes_]
-    confusion = np.mean([one.confusion for one in scored(trials, k)], axis=0)
+    confusion = np.mean([scores.confusion for scores in scored(trials, k)], axis=0)
     off = confusion.copy()
     np.fill_diagonal(off, 0)
     order = np.argsort(off, axis=None)[::-1][:PAIRS].tolist()
@@ -293,14 +300,14 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 def _pair(
     trials: Sequence[Trial], names: list[str], pair: tuple[int, int], share: float
 ) -> str:
-    true, said = (escape(names[i]) for i in pair)
+    true, taken_for = (escape(names[i]) for i in pair)
     cells = "".join(
         "<div><div class=touches>"
         f"{_pictures(trials, names[i], PICTURES_PER_PAIR)}</div>"
         f"<span class=note>{escape(names[i])}</span></div>"
         for i in pair
     )
-    title = f"<b>{true}</b> taken for <b>{said}</b>"
+    title = f"<b>{true}</b> taken for <b>{taken_for}</b>"
     return f"<p>{title}: {100 * share:.0f} %</p><div class=row>{cells}</div>"
 
 
@@ -318,8 +325,8 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     """Return evenly spaced training touches of a label, cleaned up, as images."""
     trial = trials[0]
     rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
-    some = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
-    touches = trial.fold.train[some]
+    rows_shown = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
+    touches = trial.fold.train[rows_shown]
     cleaned = as_shown(trial.recogniser.encoder_.clean(touches), touches.channels)
     alt = escape(f"touch of {name}")
     return "".join(
@@ -333,7 +340,9 @@ def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     Wrong decisions come first, of as many objects as there are, then right ones.
     """
     ends = figures["decision"]
-    shown = "".join(_episode(one, ends) for one in explained_episodes(figures, trials))
+    shown = "".join(
+        _episode(episode, ends) for episode in explained_episodes(figures, trials)
+    )
     if not shown:
         return ""
     return (
@@ -345,15 +354,15 @@ def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     )
 
 
-def _one_each(
+def _first_of_each(
     ends: Sequence[Decisions], which: Callable[[Decisions], Bools]
 ) -> list[tuple[int, int]]:
     """Return the first such episode of each object: fold, and number in it."""
-    found: dict[str, tuple[int, int]] = {}
+    first_of: dict[str, tuple[int, int]] = {}
     for fold, end in enumerate(ends):
         for number in np.flatnonzero(which(end)).tolist():
-            found.setdefault(str(end.objects[number]), (fold, number))
-    return list(found.values())
+            first_of.setdefault(str(end.objects[number]), (fold, number))
+    return list(first_of.values())
 
 
 def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
@@ -372,34 +381,40 @@ def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
     )
 
 
-def _episode(one: Explained, asked: dict[str, Any]) -> str:
-    belief = one.trial.recogniser.start(strangers=asked["strangers"])
-    belief.update(one.trial.fold.test[one.rows])
-    reason = belief.reason(asked["error"], refusal=asked["refusal"])
-    of_label = "" if one.name == one.truth else f" ({escape(one.truth)})"
+def _episode(explained: Explained, decision: dict[str, Any]) -> str:
+    belief = explained.trial.recogniser.start(strangers=decision["strangers"])
+    belief.update(explained.trial.fold.test[explained.rows])
+    reason = belief.reason(decision["error"], refusal=decision["refusal"])
+    of_label = (
+        "" if explained.name == explained.truth else f" ({escape(explained.truth)})"
+    )
     moved = "".join(
-        f"<div class=why>{''.join(_touch(one, step))}</div>"
+        f"<div class=why>{''.join(_touch(explained, step))}</div>"
         for step in belief.explain(MOVED, NEAREST)
     )
-    said = "nothing I know" if one.said == "unknown" else escape(one.said)
-    ended = "recognised" if one.right else f"taken for <b>{said}</b>"
+    label = (
+        "nothing I know" if explained.label == "unknown" else escape(explained.label)
+    )
+    ended = "recognised" if explained.right else f"taken for <b>{label}</b>"
     return (
-        f"<p><b>{escape(one.name)}</b>{of_label} {ended}.<br>"
+        f"<p><b>{escape(explained.name)}</b>{of_label} {ended}.<br>"
         f"<span class=note>{escape(reason)}</span></p>{moved}"
     )
 
 
-def _touch(one: Explained, step: dict[str, Any]) -> Iterator[str]:
+def _touch(explained: Explained, step: dict[str, Any]) -> Iterator[str]:
     """Yield a touch that moved the belief, then its nearest training touches."""
-    fold = one.trial.fold
+    fold = explained.trial.fold
     pair = step["best"], step["rival"]
     more, less = pair if step["nats"] > 0 else pair[::-1]
-    said = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
-    said += [f"over {less}", *filter(None, [step["flag"]])]
-    yield _cell(one.trial, fold.test[one.rows[[step["touch"] - 1]]], said)
+    lines = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
+    lines += [f"over {less}", *filter(None, [step["flag"]])]
+    yield _cell(explained.trial, fold.test[explained.rows[[step["touch"] - 1]]], lines)
     for near in step["nearest"]:
         train = fold.train[np.array([near["row"]])]
-        yield _cell(one.trial, train, [near["object"], f"{near['distance']:.2f} away"])
+        yield _cell(
+            explained.trial, train, [near["object"], f"{near['distance']:.2f} away"]
+        )
 
 
 def _cell(trial: Trial, touch: Touches, lines: Iterable[str]) -> str:

@@ -31,8 +31,8 @@ def pictures(images: Array) -> Floats:
     more, every fifth pixel is kept.
     """
     if images.ndim == 4:
-        every = EVERY if min(images.shape[1:3]) >= EVERY * HOG_CELL else 1
-        thinned = images[:, ::every, ::every]
+        step = EVERY if min(images.shape[1:3]) >= EVERY * HOG_CELL else 1
+        thinned = images[:, ::step, ::step]
         images = np.concatenate(np.moveaxis(thinned, -1, 0), axis=2)
     return np.nan_to_num(images.astype(np.float64))
 
@@ -56,18 +56,18 @@ def hog(images: Array) -> Floats:
     """
     feature = needed("skimage.feature", "bench", "HOG SVM")
     transform = needed("skimage.transform", "bench", "HOG SVM")
-    found = pictures(images)
-    shorter = min(found.shape[1:])
+    shown = pictures(images)
+    shorter = min(shown.shape[1:])
     if shorter < HOG_CELL:
         raise ValueError(
             f"pictures must have at least {HOG_CELL} taxels on a side for HOG SVM, got "
             f"{shorter}. Leave it out."
         )
     larger = max(1, HOG_SIDE / shorter)
-    shape = [round(side * larger) for side in found.shape[1:]]
+    shape = [round(side * larger) for side in shown.shape[1:]]
     cells = {"pixels_per_cell": (HOG_CELL, HOG_CELL), "cells_per_block": (2, 2)}
     rows = []
-    for picture in found:
+    for picture in shown:
         scaled = picture / (top if (top := picture.max()) > 0 else 1)
         if larger > 1:
             scaled = transform.resize(scaled, shape)
@@ -95,11 +95,11 @@ def planes(images: Array) -> Array:
     n_rows, n_cols = (max(1, round(n * CNN_SIDE / max(shape))) for n in shape)
     how = cv2.INTER_AREA if max(shape) > CNN_SIDE else cv2.INTER_LINEAR
     channels = np.moveaxis(images.reshape(*images.shape[:3], -1), -1, 1)
-    found = np.empty((*channels.shape[:2], n_rows, n_cols), np.float32)
-    for at in np.ndindex(found.shape[:2]):
+    resized = np.empty((*channels.shape[:2], n_rows, n_cols), np.float32)
+    for at in np.ndindex(resized.shape[:2]):
         plane = np.nan_to_num(channels[at].astype(np.float32))
-        found[at] = cv2.resize(plane, (n_cols, n_rows), interpolation=how)
-    return found
+        resized[at] = cv2.resize(plane, (n_cols, n_rows), interpolation=how)
+    return resized
 
 
 class SmallCNN(ClassifierMixin, BaseEstimator):
@@ -142,8 +142,8 @@ class SmallCNN(ClassifierMixin, BaseEstimator):
         for _ in range(CNN_EPOCHS):
             for rows in torch.randperm(len(X)).split(CNN_BATCH):
                 steps.zero_grad()
-                said = self.net_(pictures[rows])
-                torch.nn.functional.cross_entropy(said, labels[rows]).backward()
+                scores = self.net_(pictures[rows])
+                torch.nn.functional.cross_entropy(scores, labels[rows]).backward()
                 steps.step()
         self.net_.eval()
 

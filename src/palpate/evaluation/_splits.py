@@ -104,8 +104,8 @@ def recorded_order(touches: Touches) -> Array | None:
     if touches.order is not None:
         return touches.order
     time_s = touches.columns.get("time_s")
-    known = time_s is not None and bool(np.isfinite(time_s).all())
-    return time_s if known else None
+    has_times = time_s is not None and bool(np.isfinite(time_s).all())
+    return time_s if has_times else None
 
 
 def protocol_folds(
@@ -123,10 +123,13 @@ def protocol_folds(
     labels = column_of(touches, label)
     objects = column_of(touches, "object")
     folds = []
-    for name, asked in PROTOCOLS[protocol](touches, repeats, seed):
-        taught, counts = np.unique(labels[~asked], return_counts=True)
-        known = np.isin(labels, taught[counts > 1])
-        train, test = np.flatnonzero(known & ~asked), np.flatnonzero(known & asked)
+    for name, is_test in PROTOCOLS[protocol](touches, repeats, seed):
+        taught, counts = np.unique(labels[~is_test], return_counts=True)
+        teachable = np.isin(labels, taught[counts > 1])
+        train, test = (
+            np.flatnonzero(teachable & ~is_test),
+            np.flatnonzero(teachable & is_test),
+        )
         if len(test) and len(np.unique(labels[train])) > 1:
             folds.append(RowFold(name, train, test))
     if not folds:
@@ -207,13 +210,13 @@ def _random(touches: Touches, repeats: int, seed: int) -> Asked:
     place, count, recording = _places(touches)
     rng = np.random.default_rng(seed)
     for k in range(repeats):
-        asked = np.zeros(len(touches), dtype=bool)
-        for one in range(recording.max() + 1):
-            rows = np.flatnonzero(recording == one)
+        is_test = np.zeros(len(touches), dtype=bool)
+        for number in range(recording.max() + 1):
+            rows = np.flatnonzero(recording == number)
             n = int(count[rows[0]])
             drawn = rng.permutation(n)[place[rows]]
-            asked[rows] = drawn < (max(1, round(n / N_RUNS)) if n > 1 else 0)
-        yield f"draw {k + 1} of {repeats}", asked
+            is_test[rows] = drawn < (max(1, round(n / N_RUNS)) if n > 1 else 0)
+        yield f"draw {k + 1} of {repeats}", is_test
 
 
 def _categories(touches: Touches, repeats: int, seed: int) -> Asked:
@@ -265,6 +268,10 @@ def _codes(touches: Touches, *names: str) -> Rows:
     """Number the touches by what these columns hold together, where there are any."""
     codes = np.zeros(len(touches), dtype=np.intp)
     for name in filter(touches.columns.__contains__, names):
-        found = np.unique(touches.columns[name], return_inverse=True)[1].ravel()
-        codes = np.unique(codes * (found.max() + 1) + found, return_inverse=True)[1]
+        codes_of_column = np.unique(touches.columns[name], return_inverse=True)[
+            1
+        ].ravel()
+        codes = np.unique(
+            codes * (codes_of_column.max() + 1) + codes_of_column, return_inverse=True
+        )[1]
     return codes

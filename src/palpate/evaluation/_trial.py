@@ -89,12 +89,12 @@ class Plan:
     def remounting(self) -> tuple[str, int | None]:
         """What `remount` says, and its number."""
         ways = r"(none|recentre)|(recentre|confirm):([1-9][0-9]*)"
-        if (found := re.fullmatch(ways, self.remount)) is None:
+        if (match := re.fullmatch(ways, self.remount)) is None:
             raise ValueError(
                 "remount must be none, recentre, recentre:K or confirm:N with a number "
                 f"of touches, got {self.remount!r}."
             )
-        return found[1] or found[2], int(found[3]) if found[3] else None
+        return match[1] or match[2], int(match[3]) if match[3] else None
 
 
 @dataclass
@@ -136,7 +136,7 @@ class Trial:
 
 def scored(trials: Sequence[Trial], k: int) -> list[Scores]:
     """Return how the episodes ended after `k` touches, of folds that have any."""
-    return [one for t in trials if (one := t.episodes.scores(k)) is not None]
+    return [scores for t in trials if (scores := t.episodes.scores(k)) is not None]
 
 
 def figures_of(
@@ -165,9 +165,9 @@ def figures_of(
         figures["category_accuracy"] = right
     if trials[0].unknown_episodes is not None:
         figures["unknown_auroc"], figures["unknown_refused"] = _unknown(trials, plan)
-    asked = *plan.accepted, plan.strangers
-    ends = [decide_episodes(t.episodes, *asked) for t in trials]
-    figures["decision"] = Decisions.pooled(ends).to_dict(*asked)
+    accepted = *plan.accepted, plan.strangers
+    ends = [decide_episodes(t.episodes, *accepted) for t in trials]
+    figures["decision"] = Decisions.pooled(ends).to_dict(*accepted)
     figures["controls"] = _mean_controls(trials)
     seen = dict.fromkeys(flag for t in trials for flag in t.flags)
     shares = {f: [t.flags.get(f, 0.0) for t in trials] for f in seen}
@@ -185,9 +185,9 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
         return
 
     def together(ends: Sequence[Scores], name: str) -> Any:
-        return np.concatenate([getattr(one, name) for one in ends])
+        return np.concatenate([getattr(scores, name) for scores in ends])
 
-    per_fold = [one.accuracy.mean() for one in of_folds]
+    per_fold = [scores.accuracy.mean() for scores in of_folds]
     over_objects = together(of_folds, "accuracy")
     key, over = str(k), over_objects if len(of_folds) == 1 else per_fold
     figures["accuracy"][key] = float(np.mean(per_fold))
@@ -195,7 +195,7 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     figures["n_objects"][key] = len(over_objects)
     figures["log_loss"][key] = float(np.mean(together(of_folds, "log_loss")))
     before = [t.uncalibrated.scores(k) for t in trials if t.uncalibrated is not None]
-    there = [one for one in before if one is not None]
+    there = [scores for scores in before if scores is not None]
     for name, ends in {"ece": of_folds, "ece_before": there}.items():
         if ends:
             both = together(ends, "confidence"), together(ends, "hit")

@@ -56,7 +56,7 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
 def whole_ticks(last: int) -> list[int]:
     """Return at most eight numbers of touches from 1 to `last`, round ones."""
     steps = (factor * 10**power for power in range(9) for factor in (1, 2, 5))
-    step = next(one for one in steps if last / one <= 7)
+    step = next(size for size in steps if last / size <= 7)
     return [1, *range(step, last + 1, step)] if step > 1 else [*range(1, last + 1)]
 
 

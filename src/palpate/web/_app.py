@@ -100,9 +100,9 @@ async def _malformed(request: Request, error: Exception) -> JSONResponse:
     """Say what is wrong with a request, in valid JSON and without repeating it."""
     assert isinstance(error, RequestValidationError | ValidationError)
     detail = [
-        {key: str(one[key]) for key in ("msg", "type")}
-        | {"loc": [*map(str, one["loc"])]}
-        for one in error.errors()[:10]
+        {key: str(problem[key]) for key in ("msg", "type")}
+        | {"loc": [*map(str, problem["loc"])]}
+        for problem in error.errors()[:10]
     ]
     return JSONResponse({"detail": detail}, 422)
 
@@ -138,15 +138,15 @@ class _Hub:
         await socket.accept()
         client = _Client(socket, asyncio.get_running_loop())
         self._clients.add(client)
-        for one in self._sessions:
-            one.listeners.add(client.receive)
-            await asyncio.to_thread(one.tell_state, client.receive)
+        for session in self._sessions:
+            session.listeners.add(client.receive)
+            await asyncio.to_thread(session.tell_state, client.receive)
         tasks = [asyncio.create_task(work()) for work in (client.listen, client.send)]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for one in self._sessions:
-                one.listeners.discard(client.receive)
+            for session in self._sessions:
+                session.listeners.discard(client.receive)
             self._clients.discard(client)
             for task in tasks:
                 task.cancel()
@@ -161,7 +161,7 @@ class _Client:
         self._socket, self._loop = socket, loop
         self._frames: dict[int, Event] = {}
         self._waiting: deque[Event] = deque()
-        self._some = asyncio.Event()
+        self._pending = asyncio.Event()
         self._full = False
 
     def receive(self, event: Event) -> None:
@@ -177,13 +177,13 @@ class _Client:
             self._waiting.append(event)
         else:
             self._full = True
-        self._some.set()
+        self._pending.set()
 
     async def send(self) -> None:
         """Send what there is, as it comes; end where the client is too slow."""
         while not self._full:
-            await self._some.wait()
-            self._some.clear()
+            await self._pending.wait()
+            self._pending.clear()
             while self._waiting:
                 await self._send_one(self._waiting.popleft())
             frames, self._frames = self._frames, {}

@@ -33,10 +33,10 @@ class PatientProtocol(H11Protocol):
 
     uvicorn limits how long a connection may rest between two requests, not how long
     the first one, or one that was begun, may take. `RequestGuard` finds a connection
-    in the state of its requests, and tells it by `known` that the token was shown.
+    in the state of its requests, and tells it by `signed_in` that the token was shown.
     """
 
-    known = False
+    signed_in = False
     _ending: asyncio.TimerHandle | None = None
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -65,16 +65,20 @@ class PatientProtocol(H11Protocol):
     def _make_room(self) -> None:
         """Close the oldest of the connections that wait, beyond what may be open."""
         waiting = [
-            one
-            for one in self.connections
-            if isinstance(one, PatientProtocol)
-            and not one._answering
-            and not one.transport.is_closing()
+            connection
+            for connection in self.connections
+            if isinstance(connection, PatientProtocol)
+            and not connection._answering
+            and not connection.transport.is_closing()
         ]
-        for known in (False, True):
-            alike = [one for one in waiting if one.known == known]
+        for signed_in in (False, True):
+            alike = [
+                connection
+                for connection in waiting
+                if connection.signed_in == signed_in
+            ]
             if len(alike) > most_waiting():
-                min(alike, key=lambda one: one._made_s).transport.abort()
+                min(alike, key=lambda connection: connection._made_s).transport.abort()
 
     def _wait(self, whether: bool = True) -> None:
         upgraded = self.transport.get_protocol() is not self
@@ -104,8 +108,8 @@ class PatientServer(Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
-        for one in sockets or ():
-            one.listen(_QUEUE)
+        for listening in sockets or ():
+            listening.listen(_QUEUE)
 
 
 class SaidOnce(logging.Filter):
@@ -117,12 +121,12 @@ class SaidOnce(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether the message was not said within the last minute."""
-        said, now_s = record.getMessage().partition("\n")[0], time.monotonic()
-        if now_s - self._last_s.get(said, -_AGAIN_S) < _AGAIN_S:
+        message, now_s = record.getMessage().partition("\n")[0], time.monotonic()
+        if now_s - self._last_s.get(message, -_AGAIN_S) < _AGAIN_S:
             return False
         if len(self._last_s) >= _MOST_SAID:
             self._last_s.clear()
-        self._last_s[said] = now_s
+        self._last_s[message] = now_s
         return True
 
 

@@ -48,22 +48,22 @@ class LiveEpisode:
 
     Without a recogniser touches are only kept. `nearest` holds the learnt touches most
     similar to the last one; `id` is None where one is not among `stored_ids`, those in
-    the library at hand. `asked` is what `ObjectRecogniser.episode` takes.
+    the library at hand. `accepted` is what `ObjectRecogniser.episode` takes.
     """
 
     def __init__(
         self,
         number: int,
         recogniser: ObjectRecogniser | None,
-        asked: dict[str, Any],
+        accepted: dict[str, Any],
         stored_ids: Set[str] = frozenset(),
     ) -> None:
-        self.number, self.asked = number, asked
+        self.number, self.accepted = number, accepted
         self.recogniser, self._stored_ids = recogniser, stored_ids
         self.nearest: list[dict[str, Any]] = []
         self.episode: Episode | None = None
         if recogniser is not None:
-            self.episode = recogniser.episode(**asked, level="any")
+            self.episode = recogniser.episode(**accepted, level="any")
         self.touches: list[LiveTouch] = []
         self.images: list[Array] = []
         self.channels: Sequence[str] | None = None
@@ -91,14 +91,14 @@ class LiveEpisode:
     ) -> list[dict[str, Any]]:
         memory = recogniser.memory_
         (near,) = nearest_touches(memory, evidence.features, _NEAREST)
-        ids = [str(memory.touch_ids[one["row"]]) for one in near]
+        ids = [str(memory.touch_ids[near_touch["row"]]) for near_touch in near]
         return [
             {
                 "id": key if key in self._stored_ids else None,
-                "object": one["object"],
-                "distance": one["distance"],
+                "object": near_touch["object"],
+                "distance": near_touch["distance"],
             }
-            for key, one in zip(ids, near, strict=True)
+            for key, near_touch in zip(ids, near, strict=True)
         ]
 
     @property
@@ -131,7 +131,7 @@ class LiveEpisode:
         return {
             "number": self.number,
             "open": self.open,
-            **self.asked,
+            **self.accepted,
             "decision": self.decision,
             "category": self.category,
             "best": episode.belief.best if episode and self.touches else None,
@@ -166,7 +166,9 @@ def episode_report(episode: LiveEpisode) -> str:
         sentence=escape(episode.sentence),
         when=time.strftime("%Y-%m-%d %H:%M", began),
         count=len(episode.touches),
-        why="".join(f"<li>{escape(one)}</li>" for one in episode.to_dict()["why"]),
+        why="".join(
+            f"<li>{escape(reason)}</li>" for reason in episode.to_dict()["why"]
+        ),
         items="".join(map(_item, episode.touches, pictures)),
     )
 

@@ -53,8 +53,8 @@ class FramePainter:
         channels: Sequence[str] | None = None,
         told: bool = False,
     ) -> None:
-        own = set(RGB) <= set(channels or ())
-        self.coloured = not own and (told or max(image_shape[:2]) <= ARRAY_SIDE)
+        has_colours = set(RGB) <= set(channels or ())
+        self.coloured = not has_colours and (told or max(image_shape[:2]) <= ARRAY_SIDE)
         self._channels = channels
         self.content_type = "image/png" if self.coloured else "image/jpeg"
         self._low, self._high = float("inf"), float("-inf")

@@ -136,8 +136,8 @@ def learn_job(
     left_out: list[str] = []
     while True:
         try:
-            asked = library, output, base, drop, image_shape
-            return {**_learnt_once(*asked, left_out), "left_out": left_out}
+            learn_args = library, output, base, drop, image_shape
+            return {**_learnt_once(*learn_args, left_out), "left_out": left_out}
         except EmptyTouchError as error:
             if {*error.touch_ids} <= {*left_out}:
                 raise
@@ -195,7 +195,11 @@ def remember_sensor(
         return
     rows = np.unique(np.linspace(0, len(touches) - 1, _ENOUGH).round().astype(int))
     pieces = (rows[i : i + _AT_ONCE] for i in range(0, len(rows), _AT_ONCE))
-    images = (image for some in pieces for image in touches.touches(some).images)
+    images = (
+        image
+        for rows_at_once in pieces
+        for image in touches.touches(rows_at_once).images
+    )
     memory = SensorMemory.of(images, baseline)
     model.remember_sensor(memory.to_dict())
 

@@ -22,17 +22,17 @@ def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
     many; `taken_for`, the most frequent wrong answer to one touch, or None.
     """
     memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
-    said = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
+    log_likelihood = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
     left_out = recogniser.left_out_rows
     felt = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
     labels = memory.labels[left_out]
     rng, result = np.random.default_rng(0), []
     for code, name in enumerate(names):
         rows = np.flatnonzero((labels == recogniser.classes_[code]) & felt)
-        answers = np.bincount(said[rows].argmax(axis=1), minlength=len(names))
+        answers = np.bincount(log_likelihood[rows].argmax(axis=1), minlength=len(names))
         right, answers[code] = answers[code], 0
         drawn = rng.permuted(np.tile(rows, (_DRAWN, 1)), axis=1)[:, :_SOME]
-        best = said[drawn].sum(axis=1).argmax(axis=1)
+        best = log_likelihood[drawn].sum(axis=1).argmax(axis=1)
         after_eight = float(np.mean(best == code)) if len(rows) >= _SOME else None
         result.append(
             {
@@ -51,18 +51,19 @@ def advice(qualities: list[dict[str, Any]]) -> list[str]:
 
     Of objects that too few touches, one or eight, are right of, the worst first.
     """
-    few = [one["name"] for one in qualities if one["after_eight"] is None]
-    judged = (one for one in qualities if one["after_eight"] is not None)
+    few = [quality["name"] for quality in qualities if quality["after_eight"] is None]
+    judged = (quality for quality in qualities if quality["after_eight"] is not None)
     low = [x for x in judged if x["after_one"] < _HALF or x["after_eight"] < _WELL]
-    low = sorted(low, key=lambda one: one["after_one"])[:_MOST_SAID]
-    weak, said = {one["name"]: one["taken_for"] for one in low}, []
+    low = sorted(low, key=lambda quality: quality["after_one"])[:_MOST_SAID]
+    weak, sentences = {quality["name"]: quality["taken_for"] for quality in low}, []
     for name, other in weak.items():
         if other is None or weak.get(other) != name:
             what = f"is taken for {other}" if other else "is not sure"
-            said.append(f"{name} {what}: ten more touches of {name}, elsewhere.")
+            sentences.append(f"{name} {what}: ten more touches of {name}, elsewhere.")
         elif name < other:
             what = f"{name} and {other} are taken for each other"
-            said.append(f"{what}: ten more touches of each, elsewhere.")
+            sentences.append(f"{what}: ten more touches of each, elsewhere.")
     if few:
-        said.append(f"Fewer than {_SOME} touches cannot be judged: {', '.join(few)}.")
-    return said
+        names = ", ".join(few)
+        sentences.append(f"Fewer than {_SOME} touches cannot be judged: {names}.")
+    return sentences

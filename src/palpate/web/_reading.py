@@ -29,11 +29,11 @@ class ReadingRoom:
     async def read(
         self,
         read: Callable[_Given, _Read],
-        *given: _Given.args,
+        *args: _Given.args,
         **how: _Given.kwargs,
     ) -> _Read:
         """Return what `read` returns; answer 503 where that takes too long."""
-        reading = asyncio.wrap_future(self._pool.submit(read, *given, **how))
+        reading = asyncio.wrap_future(self._pool.submit(read, *args, **how))
         try:
             return await asyncio.wait_for(reading, self._limit_s)
         except TimeoutError:

@@ -74,22 +74,24 @@ class RequestGuard:
         names: Collection[str] = (),
     ) -> None:
         self._app, self._token = app, token.encode()
-        own = socket.gethostname().lower()
-        self._names = {"localhost", own, f"{own}.local", *map(str.lower, names)}
+        host = socket.gethostname().lower()
+        self._names = {"localhost", host, f"{host}.local", *map(str.lower, names)}
         self._max_body, self._rate_hz = max_body, rate_hz
-        self._known: _Permits = {}
+        self._signed_in: _Permits = {}
         self._strangers: _Permits = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        asked = HTTPConnection(scope)
-        refusal = self._refusal(asked)
-        known = refusal is None and scope["path"] not in _OPEN
-        if known and (connection := scope.get("state", {}).get("connection")):
-            connection.known = True
-        if not self._in_time(asked, self._known if known else self._strangers):
+        request = HTTPConnection(scope)
+        refusal = self._refusal(request)
+        signed_in = refusal is None and scope["path"] not in _OPEN
+        if signed_in and (connection := scope.get("state", {}).get("connection")):
+            connection.signed_in = True
+        if not self._in_time(
+            request, self._signed_in if signed_in else self._strangers
+        ):
             refusal = 429, "Too many requests; slow down."
         if scope["type"] == "websocket":
             if refusal is None:
@@ -112,29 +114,29 @@ class RequestGuard:
         with suppress(ClientDisconnect):
             await self._within_size(scope, receive, send_with_rules)
 
-    def _refusal(self, asked: HTTPConnection) -> tuple[int, str] | None:
-        if not self._is_ours(asked.headers.get("host", "")):
+    def _refusal(self, request: HTTPConnection) -> tuple[int, str] | None:
+        if not self._is_ours(request.headers.get("host", "")):
             return 403, (
                 "Host must be a name of this server, got another. Start palpate serve "
                 "with --name NAME, or use its address."
             )
-        if _from_elsewhere(asked):
+        if _from_elsewhere(request):
             return 403, "Requests from pages of other sites are refused."
-        if asked.scope["path"] in _OPEN:
+        if request.scope["path"] in _OPEN:
             return None
-        few = asked.scope["query_string"].count(b"&") < _MOST_FIELDS
-        in_address = asked.query_params.get("token") if few else None
-        if in_address and asked.scope.get("method", "GET") not in ("GET", "HEAD"):
+        few = request.scope["query_string"].count(b"&") < _MOST_FIELDS
+        in_address = request.query_params.get("token") if few else None
+        if in_address and request.scope.get("method", "GET") not in ("GET", "HEAD"):
             return 403, (
                 "The token must not be in the address of a request that changes "
                 "something. Send it as Authorization: Bearer TOKEN."
             )
-        kind, _, bearer = asked.headers.get("authorization", "").partition(" ")
+        kind, _, bearer = request.headers.get("authorization", "").partition(" ")
         named = bearer.strip() if kind.lower() == "bearer" else ""
-        given = named or in_address or asked.cookies.get(cookie_name(asked))
-        if given is None:
+        token = named or in_address or request.cookies.get(cookie_name(request))
+        if token is None:
             return 401, "The token is missing; open the address palpate serve printed."
-        if not hmac.compare_digest(given.encode(), self._token):
+        if not hmac.compare_digest(token.encode(), self._token):
             return 403, "The token is wrong; open the address palpate serve printed."
         return None
 
@@ -147,9 +149,9 @@ class RequestGuard:
             return bool(ip_address(name))
         return False
 
-    def _in_time(self, asked: HTTPConnection, permits: _Permits) -> bool:
+    def _in_time(self, request: HTTPConnection, permits: _Permits) -> bool:
         """Take a permit of an address; they come back at the rate, up to twice it."""
-        client = "" if asked.client is None else asked.client.host
+        client = "" if request.client is None else request.client.host
         if client not in permits and len(permits) >= _MOST_CLIENTS:
             permits.clear()
         now_s, most = time.monotonic(), 2 * self._rate_hz
@@ -211,18 +213,18 @@ class RequestGuard:
         return None if too_large else bytes(body)
 
 
-def cookie_name(asked: HTTPConnection) -> str:
+def cookie_name(request: HTTPConnection) -> str:
     """Return the cookie's name: cookies are of all ports of a host alike."""
-    return f"palpate_token_{(asked.scope.get('server') or ('', 0))[1]}"
+    return f"palpate_token_{(request.scope.get('server') or ('', 0))[1]}"
 
 
-def _from_elsewhere(asked: HTTPConnection) -> bool:
+def _from_elsewhere(request: HTTPConnection) -> bool:
     """Whether a page of another site sent this (pages of ours name our host)."""
-    origin = asked.headers.get("origin")
+    origin = request.headers.get("origin")
     if origin is None:
         return False
     try:
-        return urlsplit(origin).netloc != asked.headers.get("host", "")
+        return urlsplit(origin).netloc != request.headers.get("host", "")
     except ValueError:
         return True
 
@@ -232,8 +234,8 @@ async def _refuse(
 ) -> None:
     headers = {"Connection": "close", **_MORE_HEADERS.get(status, {})}
     answer: Response = JSONResponse({"detail": detail}, status, headers)
-    asked = Request(scope)
-    if asked.method == "GET" and "text/html" in asked.headers.get("accept", ""):
+    request = Request(scope)
+    if request.method == "GET" and "text/html" in request.headers.get("accept", ""):
         page = Template((STATIC / "sign-in.html").read_text(encoding="utf-8"))
         answer = HTMLResponse(page.substitute(detail=detail), status, headers)
     await answer(scope, receive, send)

@@ -105,7 +105,7 @@ class RosPublisher:
         shares = dict(touch["posterior"])
         if touch["unknown"] is not None:
             shares["unknown"] = touch["unknown"]
-        ordered = dict(sorted(shares.items(), key=lambda one: -one[1]))
+        ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
         message = classification(self._header(touch), ordered)
         self._belief.write_bytes(write(message, CLASSIFICATION))
         decision = episode["decision"] or ""

@@ -83,7 +83,11 @@ class Listeners:
 
     def discard(self, listener: Listener) -> None:
         with self._lock:
-            self._all = tuple(one for one in self._all if one != listener)
+            self._all = tuple(
+                listener_kept
+                for listener_kept in self._all
+                if listener_kept != listener
+            )
             self._of_frames = tuple(o for o in self._of_frames if o != listener)
 
     def notify(self, event: Event) -> None:
@@ -171,7 +175,7 @@ class SensorWatch:
         self.press: Array | None = None
         self._lock = threading.Lock()
         self._stop = threading.Event()
-        self._found: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
+        self._detected: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
@@ -187,7 +191,7 @@ class SensorWatch:
 
     def stop(self) -> None:
         self._stop.set()
-        self._found.put(None)
+        self._detected.put(None)
         self.sensor.disconnect()
         for thread in self._threads:
             thread.join(timeout=5.0)
@@ -270,14 +274,14 @@ class SensorWatch:
         stored = None if model is None else model.memory_.sensor
         self._memory = None if stored is None else SensorMemory.from_dict(stored)
         learnt = None if model is None else tuple(model.encoder_.image_shape_)
-        given = tuple(self.sensor.image_shape)
+        seen = tuple(self.sensor.image_shape)
         self.misfit = ""
-        if learnt is not None and learnt != given:
-            other = len(learnt) != len(given)
+        if learnt is not None and learnt != seen:
+            other = len(learnt) != len(seen)
             colour = f", with colour={len(learnt) - 2}" if other else ""
             self.misfit = (
-                f"The model must be of images of {_kind(given, learnt)}, which "
-                f"{self.sensor.name} gives, got one of {_kind(learnt, given)}. "
+                f"The model must be of images of {_kind(seen, learnt)}, which "
+                f"{self.sensor.name} gives, got one of {_kind(learnt, seen)}. "
                 "Learn from touches of this sensor, or start with the sensor that the "
                 f"model learnt from{colour}."
             )
@@ -286,14 +290,14 @@ class SensorWatch:
     def _compare(self) -> None:
         """Say what has left tolerance since the model learnt."""
         baseline, memory = self.detector.baseline, self._memory
-        found = [self.misfit]
+        warnings = [self.misfit]
         if not self.misfit and baseline is not None and memory is not None:
-            found = [sensors.baseline_warning(memory, baseline.astype(np.float64))]
+            warnings = [sensors.baseline_warning(memory, baseline.astype(np.float64))]
             recent = list(self._recent)
-            if recent and memory.response.size and not found[0]:
+            if recent and memory.response.size and not warnings[0]:
                 now = SensorMemory.of(np.stack(recent), baseline)
-                found.append(sensors.gain_warning(memory, now))
-        self._warnings = [warning for warning in found if warning]
+                warnings.append(sensors.gain_warning(memory, now))
+        self._warnings = [warning for warning in warnings if warning]
 
     def _follow(self) -> None:
         shown_s = stated_s = 0.0
@@ -327,7 +331,7 @@ class SensorWatch:
         if touch is not None and self._asking:
             self.press, self._n_presses = touch.image, self._n_presses + 1
         elif touch is not None:
-            self._found.put((touch, frame.time_s))
+            self._detected.put((touch, frame.time_s))
 
     def _show(self, frame: Frame) -> None:
         if not self._listeners.n_of_frames:
@@ -343,8 +347,8 @@ class SensorWatch:
         self._listeners.notify(Event("frame", values, *shown))
 
     def _hand_on(self) -> None:
-        while (found := self._found.get()) is not None:
-            touch, ended_s = found
+        while (detected := self._detected.get()) is not None:
+            touch, ended_s = detected
             with self._lock:
                 self._recent = [*self._recent[1 - _RECENT :], touch.image]
             self._take(touch, ended_s)

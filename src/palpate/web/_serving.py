@@ -98,10 +98,10 @@ def kept_token(library: str | Path) -> str:
 def address_of(host: str, port: int) -> str:
     """Return where a browser finds a server that listens on a host and a port."""
     if host in ("0.0.0.0", "::"):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
-                asked.connect(_ELSEWHERE)
-                host = asked.getsockname()[0]
+                probe.connect(_ELSEWHERE)
+                host = probe.getsockname()[0]
             except OSError:  # no network
                 host = "127.0.0.1"
     return f"http://{f'[{host}]' if ':' in host else host}:{port}/"

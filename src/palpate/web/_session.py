@@ -104,21 +104,21 @@ class LiveSession:
         summary: str = "peak",
     ) -> None:
         refusal = error if refusal is None else refusal
-        self.asked: dict[str, Any] = {"error": error, "refusal": refusal}
-        for name, share in self.asked.items():
+        self.accepted: dict[str, Any] = {"error": error, "refusal": refusal}
+        for name, share in self.accepted.items():
             check_number(name, share, low=1e-6, high=0.5)
-        self.asked["strangers"] = check_strangers(strangers)
+        self.accepted["strangers"] = check_strangers(strangers)
         self.listeners, self.health = Listeners(), Health(sensor)
         self.watch: SensorWatch | None = None
         if sensor is not None:
-            told = self.listeners, self.health
-            self.watch = SensorWatch(sensor, self._taken, *told, summary)
+            observers = self.listeners, self.health
+            self.watch = SensorWatch(sensor, self._taken, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
         self.recogniser: ObjectRecogniser | None = None
         self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
-        self.episode = LiveEpisode(1, None, self.asked)
+        self.episode = LiveEpisode(1, None, self.accepted)
         self.learning, self.learn_error = False, ""
         self.unlearnt = False
         self.message = self.trouble = self.alarm = ""
@@ -177,11 +177,11 @@ class LiveSession:
     def advice(self) -> list[str]:
         """What to teach next, in sentences, as lessons and learning tell."""
         verdicts = {} if self.teacher is None else self.teacher.verdicts
-        said = [self.alarm, *verdicts.values(), *advice(self._quality)]
+        sentences = [self.alarm, *verdicts.values(), *advice(self._quality)]
         memory = None if self.recogniser is None else self.recogniser.memory_
         if self.watch is not None and memory and len(np.unique(memory.sessions)) == 1:
-            said.append(ONE_SESSION)
-        return [sentence for sentence in said if sentence]
+            sentences.append(ONE_SESSION)
+        return [sentence for sentence in sentences if sentence]
 
     def post_touch(self, image: Array) -> dict[str, Any]:
         """Take one touch from outside into the episode; return the episode.
@@ -437,7 +437,7 @@ class LiveSession:
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
         self.episode = LiveEpisode(
-            number, self.recogniser, self.asked, self._stored_ids
+            number, self.recogniser, self.accepted, self._stored_ids
         )
 
     def _take(self, image: Array, columns: Mapping[str, float] | None = None) -> str:
@@ -533,13 +533,13 @@ class LiveSession:
         if names := answer["objects"]:
             self._use(ObjectRecogniser.load(path))
             more = " What to teach next stands under Teach." * bool(self.advice)
-            said = f"Learnt {len(names)} objects from {answer['n_touches']} touches."
+            message = f"Learnt {len(names)} objects from {answer['n_touches']} touches."
             if empty := answer["left_out"]:
-                said += (
+                message += (
                     f" Left out as holding no number: {', '.join(empty[:3])}"
                     f"{' and more' * (len(empty) > 3)}; retract them for good."
                 )
-            self.message = said + more
+            self.message = message + more
             return
         self._use(None)
         path.unlink(missing_ok=True)

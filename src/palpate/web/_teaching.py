@@ -177,12 +177,12 @@ class Teacher:
         channels = None if self._sensor is None else self._sensor.channels
         lesson.ids.append(self.store(lesson.name, image, channels, baseline, columns))
         count = f"{len(lesson.ids)} of {lesson.wanted}"
-        said = f"Touch {count} of {lesson.name} is stored."
+        stored = f"Touch {count} of {lesson.name} is stored."
         lesson.variety.add(image, baseline, noise)
         if len(lesson.ids) < lesson.wanted:
-            return said
+            return stored
         self.end()
-        return f"{said} {lesson.verdict or 'Learn to recognise it.'}"
+        return f"{stored} {lesson.verdict or 'Learn to recognise it.'}"
 
     def undo(self) -> tuple[str, str]:
         """Take back what was done last on the page; return the object and what to say.
@@ -244,17 +244,17 @@ class Teacher:
         """Add a touch once more under another name; return its id."""
         touch = self.library.touches(f"id = {quoted(row.id)}")
         if "category" in touch.columns:
-            category = next((one.category for one in self._newest(name)), None)
+            category = next((row.category for row in self._newest(name)), None)
             touch = touch.without("category")
             if category is not None:
                 touch = touch.with_columns(category=[category])
-        known = {one.name: one for one in self.library.sensors()}
+        sensors = {sensor.name: sensor for sensor in self.library.sensors()}
         (key,) = self.library.add(
             touch.with_columns(object=[name]),
-            sensor=known.get(row.sensor or ""),
+            sensor=sensors.get(row.sensor or ""),
             progress=False,
         )
-        if any(one.retracted for one in self._row(key)):  # it was there before
+        if any(row.retracted for row in self._row(key)):  # it was there before
             self.library.restore([key])
         return key
 
@@ -269,10 +269,10 @@ class Teacher:
         """Return touches by their ids, or say which is not there."""
         rows = []
         for key in dict.fromkeys(ids):
-            found = [row for row in self._row(key) if not row.retracted]
-            if not found:
+            present = [row for row in self._row(key) if not row.retracted]
+            if not present:
                 raise MissingTouchError(key)
-            rows += found
+            rows += present
         return rows
 
     def _name_now(self, name: str, ids: Sequence[str]) -> str:

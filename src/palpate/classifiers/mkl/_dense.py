@@ -148,7 +148,7 @@ def _factors(matrices: Floats) -> Iterable[Floats]:
     if matrices.shape[1] < _LARGE:
         with suppress(np.linalg.LinAlgError):
             return [*np.linalg.cholesky(matrices).transpose(0, 2, 1)]
-    return [_factor(one) for one in matrices]
+    return [_factor(matrix) for matrix in matrices]
 
 
 def _factor(matrix: Floats) -> Floats:

@@ -166,22 +166,22 @@ def _fill_gaussians(
     places: list[Floats], kernels: Sequence[Kernel], squared: Floats
 ) -> None:
     """Widest first: half the width is the fourth power, of fourfold rounding."""
-    known: dict[float, tuple[Floats, int]] = {}
+    filled: dict[float, tuple[Floats, int]] = {}
     gaussians = [
         (kernel.sigma, place)
         for kernel, place in zip(kernels, places, strict=True)
         if isinstance(kernel, GaussianKernel)
     ]
     for sigma, place in sorted(gaussians, key=lambda pair: -pair[0]):
-        wider, steps = known.get(2 * sigma, (None, _MOST_STEPS))
+        wider, steps = filled.get(2 * sigma, (None, _MOST_STEPS))
         if wider is not None and steps < _MOST_STEPS:
             np.multiply(wider, wider, out=place)
             np.multiply(place, place, out=place)
-            known[sigma] = place, steps + 1
+            filled[sigma] = place, steps + 1
         else:
             power = squared * (-0.5 / sigma**2)
             place[...] = exp(power, out=power)
-            known[sigma] = place, 0
+            filled[sigma] = place, 0
 
 
 class DenseBank(ABC):
@@ -274,10 +274,10 @@ class GivenBank(DenseBank):
     def _refuse_no_kernels(self, rounding: float, traces: Floats) -> None:
         """Refuse matrices that are not symmetric or not positive semi-definite."""
         n = self.n_touches
-        for some in row_blocks(len(traces), n**2):
-            turned = cv2.transpose(self._values.reshape(n**2, -1)[:, some])
+        for rows in row_blocks(len(traces), n**2):
+            turned = cv2.transpose(self._values.reshape(n**2, -1)[:, rows])
             matrices = np.asarray(turned, dtype=np.float64).reshape(-1, n, n)
-            for k, matrix in enumerate(matrices, some.start):
+            for k, matrix in enumerate(matrices, rows.start):
                 skew = cv2.norm(matrix, cv2.transpose(matrix), cv2.NORM_INF)
                 if skew and skew > rounding * cv2.norm(matrix, cv2.NORM_INF):
                     raise ValueError(

@@ -52,13 +52,15 @@ class LandmarkFeatures:
     ) -> None:
         self.kernels, self.landmarks = kernels, landmarks
         self.mean, self.maps = mean, maps
-        self.ranks = [one.shape[1] for one in maps]
+        self.ranks = [kernel_map.shape[1] for kernel_map in maps]
 
     def __call__(self, centred: Floats) -> Floats:
         """Return features, shape (n_touches, sum of ranks), kernel by kernel."""
         stack = kernel_stack(self.kernels, centred, self.landmarks, self.mean)
         both = zip(stack, self.maps, strict=True)
-        return np.concatenate([kernel @ one for kernel, one in both], axis=1)
+        return np.concatenate(
+            [kernel @ kernel_map for kernel, kernel_map in both], axis=1
+        )
 
     def blocks(self, centred: Floats) -> Iterator[tuple[slice, Floats]]:
         """Yield slices of touches and their features, a few at a time."""
@@ -100,8 +102,8 @@ class NystroemBank:
             squared = (self.features.sums(self.centred) / self.n_touches) ** 2
             mean = np.add.reduceat(squared, np.cumsum(ranks) - ranks)
         self.scales = kernel_scales(diagonals, mean, normalize)
-        for one, scale in zip(maps, self.scales, strict=True):
-            one *= np.sqrt(scale)
+        for kernel_map, scale in zip(maps, self.scales, strict=True):
+            kernel_map *= np.sqrt(scale)
 
         self.n_columns = sum(self.features.ranks)
 
@@ -254,9 +256,9 @@ class LowRankKernels:
         seen, total = np.empty(self.labels.shape[1]), np.zeros(len(columns))
         for rows, block in self._blocks():
             seen[rows] = block @ columns[:-1] + columns[-1]
-            given = values(rows, seen[rows])
-            total[:-1] += block.T @ given
-            total[-1] += given.sum()
+            value = values(rows, seen[rows])
+            total[:-1] += block.T @ value
+            total[-1] += value.sum()
         return seen, total
 
 
@@ -297,7 +299,7 @@ class PrimalNewton:
         self._imbalance = self._labels @ point.alpha[0]
         self._excess = point.level[0] - slope * energies - point.slack[0]
         self._surplus = point.shares.sum() - 1
-        self._apart = view.pull[0] - pulls
+        self._residual = view.pull[0] - pulls
         diagonal = np.arange(len(self._lean))
         matrix = np.zeros((len(diagonal) + 1, len(diagonal) + 1))
         matrix[diagonal, diagonal] = self._per_column(1 / self._weights)
@@ -307,9 +309,9 @@ class PrimalNewton:
         tilt = self._per_column(self._gain) * self._lean
         matrix[:-1, :-1] += np.outer(tilt / self._gain.sum(), tilt)
         self._alike, self._eased = matrix, self._ease * np.abs(self._labels)
-        some = drawn(self._eased, _DRAWN * len(matrix))
-        self._near = cholesky_solver(matrix + system.gram(some))
-        self._exact = some is self._eased
+        few = drawn(self._eased, _DRAWN * len(matrix))
+        self._near = cholesky_solver(matrix + system.gram(few))
+        self._exact = few is self._eased
         self._right, self._solved, self._left = np.zeros((3, len(matrix)))
         self._seen = np.zeros_like(self._ease)
 
@@ -346,7 +348,9 @@ class PrimalNewton:
         short = self._missing + wanted[0, :n] - wanted[0, n : 2 * n]
         eased = self._labels * self._ease * short
         right = np.empty(len(self._lean) + 1)
-        right[:-1] = self._apart + self._lean * self._per_column(self._yield(push)[0])
+        right[:-1] = self._residual + self._lean * self._per_column(
+            self._yield(push)[0]
+        )
         right[:-1] += system.gather(eased)
         right[-1] = eased.sum() + self._imbalance
         solved, seen = self._solve(right)

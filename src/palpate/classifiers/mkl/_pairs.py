@@ -79,19 +79,19 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
     for rows, index, labels in _batches(bank, codes, machines.pairs):
         system: Any = bank.system(index, labels)
         solution = settings.solve(system)
-        made = bank.machines(system, index, solution)
-        machines.coefficients[rows], machines.bias[rows] = made
+        coefficients_and_bias = bank.machines(system, index, solution)
+        machines.coefficients[rows], machines.bias[rows] = coefficients_and_bias
         machines.weights[rows] = solution.weights
         machines.gap[rows], machines.objective[rows] = solution.gap, solution.objective
         machines.n_iter[rows] = solution.n_iter
         if settings.calibrate:
             folds = folds_of(codes)[index]
-            scores, known = _left_out_scores(
+            scores, left_out_labels = _left_out_scores(
                 system, solution, folds, bank.n_folds, settings
             )
-            machines.sigmoids[rows] = fit_sigmoids(scores, known)
-            row, place = np.nonzero(known)
-            other = np.where(known[row, place] > 0, 0, 1)
+            machines.sigmoids[rows] = fit_sigmoids(scores, left_out_labels)
+            row, place = np.nonzero(left_out_labels)
+            other = np.where(left_out_labels[row, place] > 0, 0, 1)
             columns = machines.pairs[rows[row], other]
             machines.left_out[index[row, place], columns] = scores[row, place]
     return machines
@@ -145,14 +145,14 @@ def _left_out_scores(
     labels = system.labels
     lone = (folds == -1) & (labels != 0)
     scores = np.where(lone, system.decisions(solution), 0)
-    known = np.where(lone, labels, 0)
+    left_out_labels = np.where(lone, labels, 0)
     for fold in range(n_folds):
         out = (folds == fold) & (labels != 0)
         part = system.with_labels(np.where(out, 0, labels))
         rest = settings.solve(part, roughly=True)
         scores = np.where(out, part.decisions(rest), scores)
-        known = np.where(out, labels, known)
-    return scores, known
+        left_out_labels = np.where(out, labels, left_out_labels)
+    return scores, left_out_labels
 
 
 def all_pairs(n_classes: int) -> Array:
@@ -262,9 +262,9 @@ def put_left_out(
 ) -> None:
     """Replace decisions (n_touches, n_pairs) of own pairs by those `left_out`."""
     for number, (first, second) in enumerate(pairs):
-        for own, other in ((first, second), (second, first)):
-            mine = codes == own
-            decisions[mine, number] = left_out[mine, other]
+        for label, other in ((first, second), (second, first)):
+            rows = codes == label
+            decisions[rows, number] = left_out[rows, other]
 
 
 def fit_temperature(chances: Floats, codes: Array) -> float:
@@ -299,12 +299,12 @@ def side_with_votes(probabilities: Floats, winners: Array) -> Floats:
     chance = probabilities.copy()
     order = np.argsort(-chance, axis=1)
     falling = np.take_along_axis(chance, order, axis=1)
-    mine = chance[rows, winners]
+    winner_chance = chance[rows, winners]
     counts = np.arange(1, chance.shape[1] + 1)
-    shared = (np.cumsum(falling, axis=1) + mine[:, None]) / (counts + 1)
-    above = falling > mine[:, None]
+    shared = (np.cumsum(falling, axis=1) + winner_chance[:, None]) / (counts + 1)
+    above = falling > winner_chance[:, None]
     # Classes join the winner from the top while they are above the mean so far.
-    before = np.concatenate([mine[:, None], shared[:, :-1]], axis=1)
+    before = np.concatenate([winner_chance[:, None], shared[:, :-1]], axis=1)
     joins = np.logical_and.accumulate(above & (falling > before), axis=1)
     n_joined = joins.sum(axis=1)
     changed = n_joined > 0

@@ -420,13 +420,13 @@ class Best:
             alpha[alpha < share_of_alpha * alpha.max(axis=1, keepdims=True)] = 0
             sparse = part.system.settled(part, sparse, share_of_weight)
             view = part.view(sparse)
-            found = relative_gap(part, sparse, view)
-            fine = found <= np.maximum(self._tol, gap[rows])
+            sparse_gap = relative_gap(part, sparse, view)
+            fine = sparse_gap <= np.maximum(self._tol, gap[rows])
             # Nothing is left out in the last round: that is how it must be.
             fine |= share_of_weight == share_of_alpha == 0
             done = rows[fine]
             point.overwrite(done, sparse.take(fine))
-            gap[done], energies[done] = found[fine], view.energies[fine]
+            gap[done], energies[done] = sparse_gap[fine], view.energies[fine]
             rows = rows[~fine]
             if not len(rows):
                 break

@@ -56,21 +56,21 @@ def solve_simplemkl(
     walks = [
         reduced_gradient_walk(system.n_kernels, tol, max_iter) for _ in system.labels
     ]
-    asked = np.array([next(walk) for walk in walks])
+    weights = np.array([next(walk) for walk in walks])
     n_iter = np.ones(len(walks), dtype=np.int64)
-    found = asked.copy()
+    solutions = weights.copy()
     rows = np.arange(len(walks))
     while len(rows):
-        values, energies = machines.evaluate(rows, asked[rows])
+        values, energies = machines.evaluate(rows, weights[rows])
         going = []
         for row, value, energy in zip(rows, values, energies, strict=True):
             try:
-                asked[row] = walks[row].send(Answer(float(value), energy))
+                weights[row] = walks[row].send(Answer(float(value), energy))
                 going.append(row)
             except StopIteration as stop:
-                found[row], n_iter[row] = stop.value
+                solutions[row], n_iter[row] = stop.value
         rows = np.array(going, dtype=np.int64)
-    return machines.solution(found, n_iter)
+    return machines.solution(solutions, n_iter)
 
 
 def reduced_gradient_walk(n_kernels: int, tol: float, max_iter: int) -> Walk:
@@ -183,8 +183,8 @@ class SingleKernelMachines:
         n_problems, n_kernels, n, _ = self._system.kernels.shape
         flat = self._system.kernels.reshape(n_problems, n_kernels, n * n)
         summed = (full[:, None, :] @ flat).reshape(n_problems, 1, n, n)
-        known = self._system.labels, None, self._system.sides
-        self._solve(DenseKernels(summed, *known))
+        rest = self._system.labels, None, self._system.sides
+        self._solve(DenseKernels(summed, *rest))
         alpha = self._alpha[self._rows]
         energies = _view(self._system, alpha, self._bias[self._rows], full)[2].energies
         values = alpha.sum(axis=1) - (full * energies).sum(axis=1)
