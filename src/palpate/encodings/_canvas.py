@@ -210,9 +210,9 @@ class RingPatterns(CanvasEncoder):
         shares = self._shares(images)
         spread = np.linspace(0, len(images) - 1, _MOVED).astype(int)
         rows = np.unique(spread)
-        some, still = images[rows].astype(np.float32), shares[rows]
+        part, still = images[rows].astype(np.float32), shares[rows]
         changes = np.concatenate(
-            [self._shares(_moved(some, *step)) - still for step in _STEPS]
+            [self._shares(_moved(part, *step)) - still for step in _STEPS]
         )
         # Flat images change nowhere; their directions would be chance.
         strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
@@ -241,10 +241,10 @@ class RingPatterns(CanvasEncoder):
         unit = min(image.shape) / _CANVAS
         radii = np.atleast_1d(self.radii).tolist()
         counts = np.empty((len(radii), self.n_rings, n_codes))
-        for found, radius in zip(counts, radii, strict=True):
+        for histogram, radius in zip(counts, radii, strict=True):
             code = _patterns(image, least, max(radius * unit, 1.0), self.n_points)
-            some = np.bincount(first + code.take(inside), minlength=found.size)
-            found[:] = some.reshape(found.shape)
+            binned = np.bincount(first + code.take(inside), minlength=histogram.size)
+            histogram[:] = binned.reshape(histogram.shape)
         shares: Floats = counts / counts.sum(axis=2, keepdims=True)
         return np.sqrt(shares).ravel()
 
@@ -302,9 +302,9 @@ def lengths(across: Array, down: Array) -> Array:
     """Return the lengths of gradients in single precision, however large or small."""
     # OpenCV's own function rounds by where an image lies in memory.
     with np.errstate(over="ignore", under="ignore"):
-        found: Array = np.sqrt(across * across + down * down)
+        distances: Array = np.sqrt(across * across + down * down)
     # Of what squares leave too large or too small, ten times slower.
-    return found if 1e-12 < found.max() < np.inf else np.hypot(across, down)
+    return distances if 1e-12 < distances.max() < np.inf else np.hypot(across, down)
 
 
 @lru_cache(maxsize=16)
@@ -319,7 +319,7 @@ def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
 def _rings(shape: tuple[int, int], n_rings: int) -> tuple[Indices, Indices]:
     """Which pixels lie in the inscribed disc, ring by ring, and in which ring each."""
     places = _places(shape, n_rings)
-    ring = np.repeat(np.arange(n_rings), [len(some) for some in places])
+    ring = np.repeat(np.arange(n_rings), [len(ring) for ring in places])
     return np.concatenate(places), ring
 
 
@@ -369,7 +369,7 @@ def _circle(
     between = zip((lefts + margin).tolist(), (columns - lefts).tolist(), strict=True)
     down = zip((tops + margin).tolist(), (row - tops).tolist(), strict=True)
     return list(between), [
-        (k, *one) for k, one in zip(which.tolist(), down, strict=True)
+        (k, *weights) for k, weights in zip(which.tolist(), down, strict=True)
     ]
 
 
@@ -377,4 +377,4 @@ def _moved(images: Array, row: float, col: float) -> Array:
     """Move images by a part of a pixel, bilinearly, edges replicated."""
     size, edge = images.shape[:0:-1], cv2.BORDER_REPLICATE
     way = np.array([[1, 0, col], [0, 1, row]], np.float32)
-    return np.stack([cv2.warpAffine(one, way, size, borderMode=edge) for one in images])
+    return np.stack([cv2.warpAffine(o, way, size, borderMode=edge) for o in images])

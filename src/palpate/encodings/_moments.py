@@ -269,7 +269,7 @@ class HuMoments(ImageEstimator):
         rows, cols, inside = _looked_at(*images.shape[1:], self.region == "disc")
         planes = images[:, rows, cols].astype(kind, copy=False)
         relative = self.levels == "above-least"
-        each = [_hu(np.ascontiguousarray(one), inside, relative) for one in planes]
+        each = [_hu(np.ascontiguousarray(plane), inside, relative) for plane in planes]
         invariants = np.stack(each)[:, : self.n_components]
         if not self.log:
             return invariants

@@ -361,12 +361,12 @@ def _quarters(grid: Grid) -> tuple[list[_Quarter], Indices, int]:
     dtype = np.float32 if grid.single else np.float64
     row, col = np.divmod(taxels, disc.n_cols)
     top, left = disc.n_rows // 2, disc.n_cols // 2
-    mine = (row >= top) & (col >= left)
-    row, col = row[mine], col[mine]
+    in_quarter = (row >= top) & (col >= left)
+    row, col = row[in_quarter], col[in_quarter]
     # A row or column in the very middle is folded onto itself and counts twice.
     twice = (disc.n_rows % 2) * (row == top), (disc.n_cols % 2) * (col == left)
     share = 0.5 ** (twice[0].astype(float) + twice[1])
-    basis = _basis_of(grid, taxels[mine]) * share[:, np.newaxis]
+    basis = _basis_of(grid, taxels[in_quarter]) * share[:, np.newaxis]
     m = np.array([m for _, m in zernike_degrees(grid.order)])
     sign = np.where(m % 2 == 0, 1, -1)
     # cos(m phi) keeps its sign from top to bottom, sin(m phi) changes it.

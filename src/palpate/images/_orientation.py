@@ -142,8 +142,8 @@ class OrientationRegulariser(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""
-        found = orientations(images)
-        angle = np.where(found.anisotropy >= self.min_anisotropy, found.angle_deg, 0.0)
+        axes = orientations(images)
+        angle = np.where(axes.anisotropy >= self.min_anisotropy, axes.angle_deg, 0.0)
         turned = repose(images, -angle, edges="nearest")
         turned *= inscribed_mask(*images.shape[1:])
         return turned
@@ -254,15 +254,15 @@ def repose(
 
 
 def _per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    given = np.asarray(value, dtype=np.float64)
-    if given.shape not in (shape, shape[1:]):
-        one = "a number" if len(shape) == 1 else f"of shape {shape[1:]}"
+    values = np.asarray(value, dtype=np.float64)
+    if values.shape not in (shape, shape[1:]):
+        single = "a number" if len(shape) == 1 else f"of shape {shape[1:]}"
         raise ValueError(
-            f"{name} must be {one} or of shape {shape}, got shape {given.shape}."
+            f"{name} must be {single} or of shape {shape}, got shape {values.shape}."
         )
-    if not np.isfinite(given).all():
+    if not np.isfinite(values).all():
         raise ValueError(f"{name} must be finite, got NaN or infinity.")
-    return np.broadcast_to(given, shape)
+    return np.broadcast_to(values, shape)
 
 
 def interpolate(

@@ -145,8 +145,8 @@ def _edge_points(small: NDArray[np.uint8]) -> Singles | None:
     """Row, col and unit gradient of points steeper than thrice the median, or 1 %."""
     smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=_EDGE)
     dx, dy = cv2.spatialGradient(smooth)
-    some = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
-    high = max(2.4 * float(np.median(some)), 0.01 * 255 * 8)
+    steepness = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
+    high = max(2.4 * float(np.median(steepness)), 0.01 * 255 * 8)
     edges = cv2.Canny(dx, dy, 0.7 * high, high, L2gradient=True)
     edges[0] = edges[-1] = edges[:, 0] = edges[:, -1] = 0
     places = np.flatnonzero(edges.view(np.bool_))
@@ -264,18 +264,18 @@ class _Rays:
         # One more on either side, where nothing is likely any more.
         ends = float(middle.min()) - reach, float(middle.max()) + reach
         first, last = np.searchsorted(self.offset, ends)
-        some = slice(max(first - 1, 0), last + 1)
-        likely = self.offset[some] - middle[:, None]
+        near = slice(max(first - 1, 0), last + 1)
+        likely = self.offset[near] - middle[:, None]
         likely /= np.float32(reach)
         likely *= likely
         np.subtract(1, likely, out=likely)
         np.maximum(likely, 0, out=likely)
-        likely *= self.slope[:, some]
-        peak = likely.argmax(axis=1) + some.start
+        likely *= self.slope[:, near]
+        peak = likely.argmax(axis=1) + near.start
         slope, at = self.slope.ravel(), self.layout.firsts + peak
         top = slope[at]
         ray = np.flatnonzero(
-            (peak > some.start) & (peak < len(self.offset) - 1) & (top > 0)
+            (peak > near.start) & (peak < len(self.offset) - 1) & (top > 0)
         )
         peak, at, top = peak[ray], at[ray], top[ray]
         before, after = slope[at - 1], slope[at + 1]

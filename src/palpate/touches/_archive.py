@@ -113,8 +113,8 @@ def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
             f"{_mib(n_bytes)} MiB. Raise max_bytes if you trust the file."
         )
     members = [_described(archive, info) for info in infos]
-    arrays = {one.info.filename.removesuffix(".npy"): one for one in members}
-    wide = [name for name, one in arrays.items() if len(one.shape) in (3, 4)]
+    arrays = {member.info.filename.removesuffix(".npy"): member for member in members}
+    wide = [name for name, member in arrays.items() if len(member.shape) in (3, 4)]
     if "images" not in arrays and len(wide) == 1:  # plain arrays that others wrote
         arrays["images"] = arrays.pop(wide[0])
         labels = {"label", "labels", "y"} & set(arrays)

@@ -76,11 +76,11 @@ def touches_axes(
         low, high = np.nanmin(shown), np.nanmax(shown)
         shown = (shown - low) / max(high - low, 1e-12)
     labels = columns.get("object", np.full(n_shown, ""))
-    for one in axes.flat:
-        one.set_axis_off()
-    for one, image, label in zip(axes.flat, shown, labels, strict=False):
-        one.imshow(image, cmap="gray", interpolation="nearest")
-        one.set_title(_cut(label)[:16], fontsize=8)
+    for place in axes.flat:
+        place.set_axis_off()
+    for place, image, label in zip(axes.flat, shown, labels, strict=False):
+        place.imshow(image, cmap="gray", interpolation="nearest")
+        place.set_title(_cut(label)[:16], fontsize=8)
     return np.asarray(axes)
 
 

@@ -59,11 +59,11 @@ def compiled(name_pattern: object) -> re.Pattern[str]:
 
 def matched(pattern: re.Pattern[str], names: Sequence[str]) -> list[Groups | None]:
     """Return the groups of each name, None where it does not match."""
-    asked = json.dumps([pattern.pattern, list(names)]).encode()
+    question = json.dumps([pattern.pattern, list(names)]).encode()
     try:
         done = subprocess.run(
             [sys.executable, "-I", "-S", "-c", _MATCH],
-            input=asked,
+            input=question,
             capture_output=True,
             timeout=_MOST_S,
             check=True,

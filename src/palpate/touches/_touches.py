@@ -152,11 +152,11 @@ class Touches(Labelled):
         pad_names: ArrayLike | None = None,
         **columns: ArrayLike | None,
     ) -> None:
-        given = {"object": object, "category": category, **columns}
-        given.update(no_contact=no_contact, geometry=geometry)
-        given.update(channels=channels, pads=pads, pad_names=pad_names)
+        by_name = {"object": object, "category": category, **columns}
+        by_name.update(no_contact=no_contact, geometry=geometry)
+        by_name.update(channels=channels, pads=pads, pad_names=pad_names)
         self._images = _columns.checked_images(images)
-        self._columns, self._whole = _columns.sorted_out(given, self._images)
+        self._columns, self._whole = _columns.sorted_out(by_name, self._images)
         check_layout(self._images, self._columns, self._whole)
         self._files = None
 
@@ -242,9 +242,9 @@ class Touches(Labelled):
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
         if levels is not None or skip_bad:
-            given = f"levels {levels!r}" if levels is not None else "skip_bad"
+            options = f"levels {levels!r}" if levels is not None else "skip_bad"
             raise TouchesError(
-                f"{given} must be left out but for a folder, got it with {place}. "
+                f"{options} must be left out but for a folder, got it with {place}. "
                 f"{nearest_path(place)}".rstrip()
             )
         if ending in (*TABLES, *TEXTS) and place.is_file() and plain:
@@ -457,9 +457,9 @@ class Touches(Labelled):
         size = " x ".join(map(str, self._images.shape[1:]))
         counted = {"object": "objects", "category": "categories", "session": "sessions"}
         kinds = [
-            f"{n} {one if n == 1 else many}"
-            for one, many in counted.items()
-            if one in self._columns and (n := len(np.unique(self._columns[one])))
+            f"{n} {column if n == 1 else many}"
+            for column, many in counted.items()
+            if column in self._columns and (n := len(np.unique(self._columns[column])))
         ]
         line = f"<Touches: {len(self)} of {size} {self._images.dtype}; "
         line += ", ".join(kinds) or "no labels"

@@ -136,7 +136,7 @@ class Liu2014Plan(Plan):
             name: tuple(number for number in numbers if number in self.parts)
             for name, numbers in CLASS_SETS.items()
         }
-        return {name: some for name, some in held.items() if len(some) > 1}
+        return {name: parts for name, parts in held.items() if len(parts) > 1}
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,8 @@ def reposed_presses(touches: Touches, seed: int) -> Touches:
 def count_pieces(binary: Bools) -> Codes:
     """Return the number of 8-connected pieces of each image, shape (n_touches,)."""
     images = binary.astype(np.uint8)
-    found = [cv2.connectedComponents(image, connectivity=8)[0] - 1 for image in images]
-    return np.array(found, dtype=np.intp)
+    counts = [cv2.connectedComponents(image, connectivity=8)[0] for image in images]
+    return np.array(counts, dtype=np.intp) - 1
 
 
 def overlap(binary: Bools, footprint: Bools) -> Floats:
