@@ -133,7 +133,7 @@ def test_a_job_that_fails_takes_back_what_it_did_alone(library):
     with pytest.raises(LibraryError, match="must have no channels"):
         futures[5].result()
     assert all(len(f.result()) == 1 for f in futures[:4] + futures[6:])
-    assert not store.one("SELECT 1 FROM objects WHERE name = 'ghost'")
+    assert not store.first_row("SELECT 1 FROM objects WHERE name = 'ghost'")
     assert len(library) == 2 + 8
     assert library.check().ok
 

@@ -72,8 +72,8 @@ def read_bag(
         It is no bag, unpacks to too much, lacks the topic, or a message is no image.
     """
     for plugged in _readers(Path(path)):
-        found: Touches = plugged.read(Path(path), topic, object, max_bytes)
-        return found
+        touches: Touches = plugged.read(Path(path), topic, object, max_bytes)
+        return touches
     highlevel = needed("rosbags.highlevel", "ros", "Reading ROS bags")
     typesys = needed("rosbags.typesys", "ros", "Reading ROS bags")
     types = typesys.get_typestore(typesys.Stores.LATEST)
@@ -107,8 +107,8 @@ def read_bag(
 
 def is_recording(path: Path) -> bool:
     """Tell whether `read_bag` is for a file or folder, by its name and its files."""
-    told = path.suffix.lower() in (".mcap", ".db3", ".bag")
-    return told or (path / "metadata.yaml").is_file() or bool(_readers(path))
+    by_name = path.suffix.lower() in (".mcap", ".db3", ".bag")
+    return by_name or (path / "metadata.yaml").is_file() or bool(_readers(path))
 
 
 def _readers(path: Path) -> list[Any]:

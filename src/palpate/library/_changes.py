@@ -90,23 +90,23 @@ def is_sound(values: Sequence[Any], digest: object) -> bool:
 
 def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
     """Return key and present name of an object, of the one it was merged into."""
-    row = store.one(_FOUND, [name])
+    row = store.first_row(_FOUND, [name])
     return None if row is None else (int(row[0]), str(row[1]))
 
 
 def known_object(store: Store, name: str) -> tuple[int, str]:
     is_name = isinstance(name, str) and is_unicode(name)
-    found = find_object(store, name) if is_name else None
-    if found is None and is_name and (spelling := one_spelling(name)):
-        found = find_object(store, spelling)
-    if found is None:
-        known = [r[0] for r in store.rows("SELECT name FROM objects ORDER BY name")]
-        listed = ", ".join(map(repr, known[:20])) + ", ..." * (len(known) > 20)
+    row = find_object(store, name) if is_name else None
+    if row is None and is_name and (spelling := one_spelling(name)):
+        row = find_object(store, spelling)
+    if row is None:
+        names = [r[0] for r in store.rows("SELECT name FROM objects ORDER BY name")]
+        listed = ", ".join(map(repr, names[:20])) + ", ..." * (len(names) > 20)
         raise LibraryError(
             f"object must be one in the library ({listed or 'it has none'}), got "
-            f"{name!r}.{did_you_mean(name, known)}"
+            f"{name!r}.{did_you_mean(name, names)}"
         )
-    return found
+    return row
 
 
 def chosen_ids(
@@ -125,7 +125,7 @@ def chosen_ids(
         return [row[0] for row in rows]
     chosen = [ids] if isinstance(ids, str) else list(ids or [])
     for key in chosen:
-        if not store.one("SELECT 1 FROM touches WHERE id = ?", [id_bytes(key)]):
+        if not store.first_row("SELECT 1 FROM touches WHERE id = ?", [id_bytes(key)]):
             raise LibraryError(
                 f"ids must be of touches in the library, got {key!r}. "
                 "See `palpate library list`."
@@ -136,7 +136,7 @@ def chosen_ids(
 def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
     old, new = content["old"], content["new"]
     key, _ = known_object(store, old)
-    if store.one("SELECT id FROM objects WHERE name = ?", [new]):
+    if store.first_row("SELECT id FROM objects WHERE name = ?", [new]):
         raise LibraryError(
             f"The new name must not be taken, got {new!r}. To make two objects one, "
             f"merge {old!r} into it."

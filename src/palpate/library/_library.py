@@ -191,9 +191,9 @@ class TouchLibrary:
             each["sensor"] = sensor.checked().name
             whole = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
             whole["geometry"] = None if touches.geometry else sensor.geometry
-        known = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
-        known |= {n: np.array(v) for n, v in whole.items() if v is not None}
-        labelled = touches.with_columns(**known) if known else touches
+        new = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
+        new |= {n: np.array(v) for n, v in whole.items() if v is not None}
+        labelled = touches.with_columns(**new) if new else touches
         return _adding.add_touches(self._store, labelled, sensor, progress)
 
     def objects(self) -> list[ObjectRow]:
@@ -275,7 +275,7 @@ class TouchLibrary:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
         row = read_one(self._tables, id)
         [packed] = packed_images(self._tables, [row])
-        return packed.one(0)
+        return packed.image_at(0)
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
@@ -409,8 +409,8 @@ class TouchLibrary:
         if not isinstance(reason, str) or not reason.strip() or not is_unicode(reason):
             raise ValueError(f"reason must be a text, got {reason!r}. Say why.")
         chosen = chosen_ids(self._store, ids, object, "IS NULL")
-        known = {"ids": chosen, "object": object, "reason": reason}
-        return make_change(self._store, "retract", **known)
+        content = {"ids": chosen, "object": object, "reason": reason}
+        return make_change(self._store, "retract", **content)
 
     def restore(
         self, ids: str | Iterable[str] | None = None, *, object: str | None = None

@@ -164,9 +164,9 @@ class _Old:
 
     def refuse_others(self, store: Store) -> None:
         """Refuse to go on with a migration of another library."""
-        known = store.rows("SELECT number, id FROM touches ORDER BY number")
+        entered = store.rows("SELECT number, id FROM touches ORDER BY number")
         ids = dict(self._rows("SELECT number, id FROM touches"))
-        if any(ids.get(number) != key for number, key in known):
+        if any(ids.get(number) != key for number, key in entered):
             raise LibraryError(
                 f"{store.folder} must be where the migration of {self.folder} was "
                 "begun, got touches of another library. Give another folder."
@@ -175,7 +175,7 @@ class _Old:
     def enter_rest(self, store: Store, bar: Progress) -> None:
         """Enter touches and changes in their order, but for those in `store`."""
         number = store.count("SELECT max(number) FROM touches")
-        last_s = store.one("SELECT max(time_s) FROM changes")
+        last_s = store.first_row("SELECT max(time_s) FROM changes")
         done_s = (last_s and last_s[0]) or 0.0
         waiting = [change for change in self._changes if change.time_s > done_s]
         enter_all(store, self._touches_after(number, bar), waiting)
@@ -202,8 +202,8 @@ class _Old:
             )
 
     def n_unknown_files(self) -> int:
-        known = {name.hex() for (name,) in self._rows("SELECT name FROM files")}
-        return sum(p.stem not in known for p in self.folder.glob("images/*/*.npy"))
+        listed = {name.hex() for (name,) in self._rows("SELECT name FROM files")}
+        return sum(p.stem not in listed for p in self.folder.glob("images/*/*.npy"))
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         try:

@@ -189,7 +189,7 @@ class Store:
         with self._lock, self._explained:
             return self._connection.execute(sql, values).fetchall()
 
-    def one(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
+    def first_row(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
         return next(iter(self.rows(sql, values)), None)
 
     def count(self, sql: str, values: Sequence[Any] = ()) -> int:
@@ -204,7 +204,7 @@ class Store:
         return rows
 
     def tally(self) -> Tally:
-        row = self.one("SELECT n_touches, touches, n_changes, changes FROM tally")
+        row = self.first_row("SELECT n_touches, touches, n_changes, changes FROM tally")
         if row is None:
             raise DatabaseDamaged(
                 f"{self.path} must be a sound database, got no count of its touches. "
@@ -246,12 +246,13 @@ class Store:
 
     def lasting_key(self, table: str, values: dict[str, Any], unique: str) -> int:
         """Return the key of a row that never changes; it is entered where it lacks."""
-        known = table, values[unique]
-        if known not in self._lasting:
+        row_name = table, values[unique]
+        if row_name not in self._lasting:
             sql = f"SELECT rowid FROM {table} WHERE {unique} = ?"
-            row = self.one(sql, [values[unique]])
-            self._lasting[known] = self.insert(table, values) if row is None else row[0]
-        return self._lasting[known]
+            row = self.first_row(sql, [values[unique]])
+            key = self.insert(table, values) if row is None else row[0]
+            self._lasting[row_name] = key
+        return self._lasting[row_name]
 
     def insert(self, table: str, values: dict[str, Any]) -> int:
         """Insert one row within a job and return its key."""
@@ -327,7 +328,7 @@ class Store:
             line = "{:20d} {:20d}\n".format(*counts)
             os.pwrite(self._count, line.encode(), 0)
 
-    def _commit_waiting(self, own: "_Ticket[Any]") -> None:
+    def _commit_waiting(self, ours: "_Ticket[Any]") -> None:
         """Run the jobs that wait, in one transaction; each knows its outcome then."""
         tickets: list[_Ticket[Any]] = []
         try:
@@ -341,7 +342,7 @@ class Store:
             for ticket in tickets:
                 ticket.fail(error)
         except BaseException:  # an interrupt concerns the job of this thread alone
-            again = [t for t in tickets if t is not own and t not in self._waiting]
+            again = [t for t in tickets if t is not ours and t not in self._waiting]
             self._waiting.extendleft(reversed(again))
             raise
         for ticket in tickets:
@@ -454,7 +455,7 @@ class Store:
         with self._transaction():
             # Where there are some, another process was faster, or it is another
             # database.
-            if not self.one("SELECT 1 FROM sqlite_master"):
+            if not self.first_row("SELECT 1 FROM sqlite_master"):
                 for statement in _TABLES.split(";"):
                     self.run(statement)
                 self.run(f"PRAGMA application_id = {_APPLICATION}")

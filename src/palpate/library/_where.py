@@ -97,7 +97,7 @@ class _Parser:
         self._next = 0
 
     def either(self, depth: int) -> Condition:
-        return self._joined("or", partial(self._joined, "and", self._one), depth)
+        return self._joined("or", partial(self._joined, "and", self._operand), depth)
 
     def end(self) -> None:
         if self._next < len(self._tokens):
@@ -112,7 +112,7 @@ class _Parser:
         sql = _balanced(word.upper(), [p.sql for p in parts])
         return Condition(sql, [v for p in parts for v in p.values])
 
-    def _one(self, depth: int) -> Condition:
+    def _operand(self, depth: int) -> Condition:
         if depth > _DEEPEST:
             raise LibraryError(f"--where must nest at most {_DEEPEST} brackets deep.")
         negated = False
@@ -203,20 +203,20 @@ def _tokens(text: str) -> list[_Token]:
     tokens, place = [], 0
     text = text.rstrip()
     while place < len(text):
-        found = _TOKENS.match(text, place)
-        if found is None:
+        match = _TOKENS.match(text, place)
+        if match is None:
             raise LibraryError(
                 f"--where {text!r} must be a filter, got {text[place:][:20]!r} in it. "
                 "Put texts with odd characters between quotes."
             )
-        kind = str(found.lastgroup)
+        kind = str(match.lastgroup)
         quoted = kind in ("single", "double")
-        literal = found[kind]
+        literal = match[kind]
         if quoted:
             quote = "'" if kind == "single" else '"'
             literal = literal.replace(2 * quote, quote)
         tokens.append(_Token(literal, quoted, kind == "op"))
-        place = found.end()
+        place = match.end()
     return tokens
 
 

@@ -247,37 +247,37 @@ class TouchDetector:
         SensorError
             The film cannot be read to its end, or holds no touch.
         """
-        given = source if isinstance(source, Touches) else None
+        recorded = source if isinstance(source, Touches) else None
         place = Path(str(source))
-        frames = _film(place, colour) if given is None else _frames_of(given)
-        if self.baseline is None and given is not None:
-            self._set_baseline(given.no_contact)
+        frames = _film(place, colour) if recorded is None else _frames_of(recorded)
+        if self.baseline is None and recorded is not None:
+            self._set_baseline(recorded.no_contact)
         if self.baseline is None:
             self.take_baseline([frame.image for frame in islice(frames, n_rest)])
-        found: list[DetectedTouch | None] = []
+        ended: list[DetectedTouch | None] = []
         changes: list[float] = []
         last: Frame | None = None
         for last in frames:
-            found.append(self.update(last))
+            ended.append(self.update(last))
             changes.append(self.change)
         if last is not None and self.touching:
-            found.append(self._ended(last.time_s))
-        touches = [touch for touch in found if touch is not None]
+            ended.append(self._ended(last.time_s))
+        touches = [touch for touch in ended if touch is not None]
         self.note = self._better_limit(np.array(changes), len(touches))
         if not touches:
             raise SensorError(
-                f"The stream must hold a touch, got {len(found)} frames without one: "
+                f"The stream must hold a touch, got {len(ended)} frames without one: "
                 f"none changed by {self.begin:.3g} for {self._min_frames} frames. Give "
                 f"its frame of no contact, or lower `begin`. {self.note}".strip()
             )
-        known = None if given is None else given.channels
+        channels = None if recorded is None else recorded.channels
         return Touches(
             np.stack([touch.image for touch in touches]),
             time_s=np.array([touch.began_s for touch in touches]),
             duration_s=np.array([t.ended_s - t.began_s for t in touches]),
             order=np.arange(len(touches)),
             no_contact=self.baseline,
-            channels=known or channels_of(touches[0].image.shape),
+            channels=channels or channels_of(touches[0].image.shape),
         )
 
     def baseline_offer(self, now_s: float) -> str:
@@ -550,8 +550,8 @@ class SensorMemory:
 def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
     """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
     if memory.no_contact.shape != no_contact.shape:
-        known, found = map(size_said, (memory.no_contact.shape, no_contact.shape))
-        what = f"The model learnt from a sensor of {known}, this one has {found}."
+        learnt, present = map(size_said, (memory.no_contact.shape, no_contact.shape))
+        what = f"The model learnt from a sensor of {learnt}, this one has {present}."
         return f"{what} Learn again with this sensor."
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
     if off <= _BASELINE_TOLERANCE * memory.touch_change:
@@ -588,5 +588,5 @@ def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
 
 def taxels_said(places: Sequence[Sequence[int]], most: int) -> str:
     """Return where taxels lie, the first few of them."""
-    said = ", ".join(f"row {row} column {col}" for row, col in places[:most])
-    return said + f" and {len(places) - most} more" * (len(places) > most)
+    listed = ", ".join(f"row {row} column {col}" for row, col in places[:most])
+    return listed + f" and {len(places) - most} more" * (len(places) > most)

@@ -75,8 +75,8 @@ class LineFraming:
         if len(self._begun) > self._longest:
             self._begun = b""
             self.n_damaged += 1
-        found = [self._frame(line.strip()) for line in lines if line.strip()]
-        return [frame for frame in found if frame is not None]
+        frames = [self._frame(line.strip()) for line in lines if line.strip()]
+        return [frame for frame in frames if frame is not None]
 
     def _frame(self, line: bytes) -> NDArray[np.float32] | None:
         """Return the frame at the end of a line; count those it has the rest of."""

@@ -73,7 +73,7 @@ def sensor_health(
     if memory is not None and memory.no_contact.shape == rest.shape:
         findings += filter(None, [_detector.baseline_warning(memory, rest)])
     n_s = frames[-1].time_s - frames[0].time_s
-    told = {
+    signs = {
         f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
         f"{_named(dead)} never change: dead or unplugged.": dead,
         f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
@@ -91,7 +91,7 @@ def sensor_health(
             "touched it. Leave it alone and check again."
         )
     else:
-        findings += [said for said, wrong in told.items() if wrong]
+        findings += [finding for finding, wrong in signs.items() if wrong]
     figures = {
         "frames": len(frames),
         "rate_hz": 1000 / usual_ms if usual_ms else None,
@@ -105,8 +105,8 @@ def sensor_health(
     }
     levels = [float(np.nanmean(mean - means[0])) for mean in means]
     taxels = {"dead": dead, "hot": hot, "saturated": saturated}
-    found = {"ok": not findings, "findings": findings, "figures": figures, **taxels}
-    return {**found, "levels": levels, "rest": rest, "noise": noise}
+    report = {"ok": not findings, "findings": findings, "figures": figures, **taxels}
+    return {**report, "levels": levels, "rest": rest, "noise": noise}
 
 
 def _named(places: list[list[int]]) -> str:
@@ -121,9 +121,9 @@ def _shared(stack: Array, noise: Floats) -> tuple[float, float]:
     changes = np.diff(stack.astype(np.float64), axis=0)
     scaled = np.nan_to_num(changes / np.where(noise > 0, noise, np.inf))
     variance = max(float(np.mean(scaled**2)), 1e-300)
-    found = []
+    shares = []
     for axis in (2, 1):
         n = scaled.shape[axis]
         ratio = n * float(np.mean(scaled.mean(axis=axis) ** 2)) / variance
-        found.append((ratio - 1) / (n - 1) if n > 1 else 0.0)
-    return found[0], found[1]
+        shares.append((ratio - 1) / (n - 1) if n > 1 else 0.0)
+    return shares[0], shares[1]

@@ -152,4 +152,4 @@ def classification(header: Header, shares: dict[str, float]) -> Any:
     stamp = types["builtin_interfaces/msg/Time"](header.sec, header.nanosec)
     head = types["std_msgs/msg/Header"](stamp, header.frame_id)
     kind = types["vision_msgs/msg/ObjectHypothesis"]
-    return types[CLASSIFICATION](head, [kind(*one) for one in shares.items()])
+    return types[CLASSIFICATION](head, [kind(*share) for share in shares.items()])

@@ -88,7 +88,7 @@ class SerialArraySensor(LiveSensor):
         self.checksum = checksum
         self._framing = self._new_framing()
         self._serial: Any = None
-        self._told, self._read_s, self._fresh = b"", 0.0, True
+        self._unread, self._read_s, self._fresh = b"", 0.0, True
 
     def _new_framing(self) -> LineFraming | BinaryFraming:
         if self.framing == "line":
@@ -105,7 +105,7 @@ class SerialArraySensor(LiveSensor):
     def _open(self) -> None:
         self._serial = _open_port(self.port, self.baud)
         self._framing = self._new_framing()
-        self._told, self._read_s, self._fresh = b"", time.monotonic(), True
+        self._unread, self._read_s, self._fresh = b"", time.monotonic(), True
 
     def _grab(self) -> Sequence[Array]:
         try:
@@ -132,13 +132,13 @@ class SerialArraySensor(LiveSensor):
         """Say in `lost` why no frames come though bytes do."""
         now_s = time.monotonic()
         if good:
-            self._told, self._read_s, self.lost = b"", now_s, ""
+            self._unread, self._read_s, self.lost = b"", now_s, ""
             return
-        self._told = (self._told + data)[-_MOST_TOLD:]
+        self._unread = (self._unread + data)[-_MOST_TOLD:]
         if data and now_s - self._read_s > _SILENT_S:
             self._read_s = now_s
             how = self.framing, self.image_shape, self.dtype.name, self.checksum
-            self.lost = why_no_frame(self._told, *how)
+            self.lost = why_no_frame(self._unread, *how)
 
     def _close(self) -> None:
         if self._serial is not None:
@@ -148,24 +148,25 @@ class SerialArraySensor(LiveSensor):
 
 def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
     """Return how an array writes, as arguments of `SerialArraySensor`, by listening."""
-    told, data, opened = None, b"", _open_port(port, baud)
+    looks, data, opened = None, b"", _open_port(port, baud)
     try:
         end_s = time.monotonic() + _LISTEN_S
-        while (told is None or not told.framing) and time.monotonic() < end_s:
+        while (looks is None or not looks.framing) and time.monotonic() < end_s:
             data += opened.read(max(1, opened.in_waiting))
-            told = told_by(data[-_MOST_TOLD:])
+            looks = told_by(data[-_MOST_TOLD:])
     finally:
         opened.close()
-    if told is not None and told.shape is not None:
-        found = {"image_shape": told.shape, "framing": told.framing}
-        line = told.framing == "line"
-        return found | ({"checksum": told.checksum} if line else {"dtype": told.dtype})
-    if told is None:
+    if looks is not None and looks.shape is not None:
+        arguments = {"image_shape": looks.shape, "framing": looks.framing}
+        line = looks.framing == "line"
+        checked = {"checksum": looks.checksum}
+        return arguments | (checked if line else {"dtype": looks.dtype})
+    if looks is None:
         unclear = "Nothing whole came: check its cable, or give --shape."
-    elif not told.framing:
+    elif not looks.framing:
         unclear = "Its bytes are neither lines nor frames: check --baud."
     else:
-        unclear = f"Its lines have {told.n_values} values: {told.shapes}."
+        unclear = f"Its lines have {looks.n_values} values: {looks.shapes}."
     raise SensorError(f"shape=auto did not find what {port} writes. {unclear}")
 
 
@@ -178,7 +179,7 @@ def _open_port(port: str, baud: int) -> Any:
         if fix is None:
             from serial.tools.list_ports import comports
 
-            there = ", ".join(found.device for found in comports())
+            there = ", ".join(port_info.device for port_info in comports())
             fix = f"There are: {there}." if there else "No serial port is plugged in."
         raise SensorError(f"The serial port {port} cannot be opened. {fix}") from error
 
@@ -205,7 +206,7 @@ class BytesTold:
         n = self.n_values
         short = next(s for s in range(isqrt(n), 0, -1) if n % s == 0)
         both = dict.fromkeys((f"{short}x{n // short}", f"{n // short}x{short}"))
-        return " or ".join(f"--shape {one}" for one in both)
+        return " or ".join(f"--shape {shape_text}" for shape_text in both)
 
 
 def told_by(data: bytes) -> BytesTold | None:
@@ -217,23 +218,23 @@ def why_no_frame(
     data: bytes, framing: str, shape: tuple[int, int], dtype: str, checksum: bool | None
 ) -> str:
     """Return why bytes are no frames as they are read, and the fix; or nothing."""
-    told = told_by(data)
-    if told is None:
+    seen = told_by(data)
+    if seen is None:
         return ""
-    if not told.framing:
+    if not seen.framing:
         return (
             "The bytes look neither like lines nor like frames: check --baud, or say "
             "--framing binary."
         )
-    if told.framing != framing:
-        looks = "binary" if told.framing == "binary" else "lines"
-        return f"The bytes look like {looks}: --framing {told.framing}."
+    if seen.framing != framing:
+        looks = "binary" if seen.framing == "binary" else "lines"
+        return f"The bytes look like {looks}: --framing {seen.framing}."
     expected = shape[0] * shape[1]
-    if told.n_values != expected or told.shape not in (None, shape):
-        return f"{told.n_values} values, expected {expected}: {told.shapes}."
+    if seen.n_values != expected or seen.shape not in (None, shape):
+        return f"{seen.n_values} values, expected {expected}: {seen.shapes}."
     if framing == "binary":
-        return f"Taxels are {told.dtype}, expected {dtype}: dtype={told.dtype}."
-    if not told.checksum and checksum is not False:
+        return f"Taxels are {seen.dtype}, expected {dtype}: dtype={seen.dtype}."
+    if not seen.checksum and checksum is not False:
         return "The lines have no checksum: --no-checksum."
     return ""
 

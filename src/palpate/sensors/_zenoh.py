@@ -170,7 +170,7 @@ class ZenohReader:
     @property
     def n_publishers(self) -> int:
         """How many have told of themselves, or 1 where one sent a moment ago."""
-        n_tokens = sum(one == self._endpoint for one in _publishers(self._tokens))
+        n_tokens = sum(p == self._endpoint for p in _publishers(self._tokens))
         return n_tokens or int(time.monotonic() - self._last_s < _RECENT_S)
 
     def _put(self, sample: Any) -> None:
@@ -258,7 +258,7 @@ def _renamed(fields: Any, old: str, new: str) -> Any:
     if isinstance(fields, str):
         return fields.replace(old, new)
     if isinstance(fields, (tuple, list)):
-        return type(fields)(_renamed(one, old, new) for one in fields)
+        return type(fields)(_renamed(field, old, new) for field in fields)
     return fields
 
 
