@@ -349,10 +349,7 @@ def calls_profiled() -> dict[str, int]:
     from palpate.sensors import Frame, TouchDetector
 
     touches = drawn(Touches)
-    recogniser = ObjectRecogniser("default").fit(touches)
-    belief = recogniser.start()
-    belief.update(touches[0:1])
-    update = passed_through(lambda: belief.update(touches[1:2]))
+    update = update_passed()
     fit = passed_through(lambda: ObjectRecogniser("default").fit(touches))
     detector = TouchDetector()
     detector.take_baseline([touches.images[0]] * 3)
@@ -373,6 +370,17 @@ def calls_profiled() -> dict[str, int]:
         "files of one add": len(set(add)),
         "changes of file of one update": sum(a != b for a, b in pairwise(update)),
     }
+
+
+def update_passed() -> list[str]:
+    """Return the file of each call of the second `Belief.update` of an episode."""
+    from palpate import Touches
+    from palpate.recognition import ObjectRecogniser
+
+    touches = drawn(Touches)
+    belief = ObjectRecogniser("default").fit(touches).start()
+    belief.update(touches[0:1])
+    return passed_through(lambda: belief.update(touches[1:2]))
 
 
 def passed_through(do: Callable[[], object]) -> list[str]:
