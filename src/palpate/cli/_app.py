@@ -19,6 +19,7 @@ import typer
 from .. import __version__
 from ._options import option
 from ._output import answer, printable, say
+from ._wording import as_typed
 from .remount import sensor
 from .sensor_check import sensor_check
 
@@ -82,8 +83,9 @@ def main() -> None:
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
-        said, code = _sentence(error), 1
+        said, code = as_typed(_sentence(error)), 1
     except _Usage as error:
+        error.message = as_typed(error.message)
         if not as_json:
             say(_shown(error), file=sys.stderr)
             sys.exit(error.exit_code)
@@ -106,7 +108,7 @@ def _plain_warnings() -> Iterator[None]:
     usual = warnings.formatwarning
 
     def plain(message: Any, *rest: Any, **more: Any) -> str:
-        return usual(printable(str(message)), *rest, **more)
+        return usual(printable(as_typed(str(message))), *rest, **more)
 
     warnings.formatwarning = plain
     try:

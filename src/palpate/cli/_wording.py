@@ -38,9 +38,8 @@ def as_typed(text: str) -> str:
 def _as_quoted(options: dict[str, tuple[str, str]], word: re.Match[str]) -> str:
     name, value, arguments = word.groups()
     if name in _VERBS:
-        parts = re.split(r",\s*", arguments or "")
-        words = [re.sub(r"^(\w+)=", r"--\1 ", part) for part in parts if part]
-        return f"`{' '.join([_VERBS[name], *words])}`"
+        words = re.sub(r",\s*", " ", arguments or "")
+        return f"`{_VERBS[name]} {words}".rstrip() + "`"
     if name not in options or arguments is not None:
         return word[0]
     option, negative = options[name]

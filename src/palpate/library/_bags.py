@@ -175,7 +175,7 @@ def _chosen_topic(reader: Any, topic: str | None) -> str:
         return able[0]
     listed = ", ".join(f"{n} of {kind}" for n, kind in sorted(kinds.items())) or "none"
     raise LibraryError(
-        f"topic (--topic) must be one of the bag ({listed}), got {topic!r}."
+        f"topic must be one of the bag ({listed}), got {topic!r}."
         f"{did_you_mean(topic or '', kinds)}"
     )
 

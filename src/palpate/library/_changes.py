@@ -74,7 +74,7 @@ def history(store: Store) -> list[Change]:
         if not is_sound([time_s, after, action, text], digest):
             raise LibraryError(
                 f"{store.path} must be as it was written, got another change {key}. "
-                "See `palpate library check`."
+                "See `check_library`."
             )
         changes.append(Change(time_s, action, from_json(text), after))
     return changes
@@ -128,7 +128,7 @@ def chosen_ids(
         if not store.first_row("SELECT 1 FROM touches WHERE id = ?", [id_bytes(key)]):
             raise LibraryError(
                 f"ids must be of touches in the library, got {key!r}. "
-                "See `palpate library list`."
+                "See `TouchLibrary.list`."
             )
     return chosen
 

@@ -87,8 +87,7 @@ class TouchLibrary:
                 f"{self.folder} once held {n_touches} more touches and {n_changes} "
                 "more changes: its log was damaged, a disk lost what it had "
                 "acknowledged, or an older file took its place. Add them again, or put "
-                "a backup back; "
-                "`palpate library check --repair` accepts it as it is.",
+                "a backup back; `repair_library` accepts it as it is.",
                 stacklevel=3,
             )
 

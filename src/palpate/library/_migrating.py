@@ -198,7 +198,7 @@ class _Old:
             raise LibraryError(
                 f"{self.folder} must be one whose changes explain its touches, got "
                 f"another name or retraction of touch {odd}. Look at it with "
-                "`palpate library check` of the palpate that made it."
+                "`check_library` of the palpate that made it."
             )
 
     def n_unknown_files(self) -> int:
@@ -211,7 +211,7 @@ class _Old:
         except sqlite3.Error as error:
             raise LibraryError(
                 f"{self.folder} must be a sound library, got: {error}. Repair it with "
-                "the palpate that made it: `palpate library check --repair`."
+                "the palpate that made it: `repair_library`."
             ) from error
 
     def _read_changes(self) -> Iterator[Change]:

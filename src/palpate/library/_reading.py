@@ -59,7 +59,7 @@ def common_kind(
     if not kinds:
         raise LibraryError(
             "The selection must hold at least one touch, got none. "
-            "See `palpate library list`, and widen the filter."
+            "See `TouchLibrary.list`, and widen the filter."
         )
     if len(kinds) > 1:
         listed = "; ".join(f"{' x '.join(map(str, s))} {dtype}" for s, dtype in kinds)
@@ -234,7 +234,7 @@ def read_array(tables: Tables, entry: str, digest: str) -> Array | None:
     except LibraryError as error:
         warnings.warn(
             f"{error} Touches are read without their {entry}, {digest[:12]}; adding "
-            "them again brings it back. `palpate library check` lists them.",
+            "them again brings it back. `check_library` lists them.",
             stacklevel=2,
         )
         return None

@@ -187,7 +187,7 @@ def rows_at(
         if bad and damaged == "raise":
             raise LibraryError(
                 f"Rows of touches must be as they were written, got others: "
-                f"{_listed(bad)}. `palpate library check --repair` keeps the rest; "
+                f"{_listed(bad)}. `repair_library` keeps the rest; "
                 'damaged="skip" leaves them out.'
             )
         yield sound
@@ -235,7 +235,7 @@ def read_one(tables: Tables, key: str) -> StoredTouch:
     if number is None:
         raise LibraryError(
             f"id must be that of a touch in the library, got {key!r}. "
-            "See `palpate library list`."
+            "See `TouchLibrary.list`."
         )
     [[row]] = rows_at(tables, number)
     return row
@@ -285,7 +285,7 @@ class Packed(NamedTuple):
                     return image
         raise LibraryError(
             f"Touch {self.keys[place]}: its image must be as it was added, got {got}. "
-            "`palpate library check --repair` keeps all others."
+            "`repair_library` keeps all others."
         )
 
 

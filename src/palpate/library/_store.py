@@ -160,7 +160,7 @@ class Store:
         if not create and not self.path.is_file():
             raise LibraryError(
                 f"{folder} must be a library of touches, got no {name} in it. Make one "
-                "with `palpate library add`."
+                "with `TouchLibrary.add`."
             )
         try:
             self._open(create, locking="EXCLUSIVE" if alone else "NORMAL")
@@ -439,7 +439,7 @@ class Store:
         if application == _APPLICATION and version in OLD_VERSIONS:
             raise OtherVersion(
                 f"{self.folder} is a library of format {version}, of palpate 0.2 or "
-                f"older. `palpate library migrate {self.folder} NEW` makes one of "
+                f"older. `migrate_library({self.folder}, NEW)` makes one of "
                 "today of it; the old one stays as it is."
             )
         if version != VERSION or application != _APPLICATION:
@@ -528,7 +528,7 @@ def warn_of_network(folder: Path) -> None:
         warnings.warn(
             f"{folder} lies on a network file system ({kind}), where SQLite's locks "
             "cannot be trusted: let one machine alone use the library, or keep it on a "
-            "disk of that machine and `palpate library export` it for others.",
+            "disk of that machine and `TouchLibrary.export` it for others.",
             stacklevel=4,
         )
 
@@ -555,11 +555,11 @@ _FIXES = {
     "SQLITE_NOMEM": "Free memory and try again.",
 }
 REPAIR = (
-    "It is damaged; `palpate library check --repair` keeps what can be read, and the "
-    "damaged file as well."
+    "It is damaged; `repair_library` keeps what can be read, and the damaged file as "
+    "well."
 )
 _WAIT = "Another program has been writing for a minute; wait, or end it."
-_CHECK = "Check that the folder may be written to, and run `palpate library check`."
+_CHECK = "Check that the folder may be written to, and call `check_library`."
 
 
 class _Explained:

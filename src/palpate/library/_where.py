@@ -62,11 +62,11 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
     """Return a filter as SQL; `extra` names further columns that some touches have."""
     if len(text) > _LONGEST:
         raise LibraryError(
-            f"--where must have at most {_LONGEST} characters, got {len(text)}."
+            f"where must have at most {_LONGEST} characters, got {len(text)}."
         )
     if not is_unicode(text):
         raise LibraryError(
-            f"--where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
+            f"where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
             "the encoding of the terminal."
         )
     parser = _Parser(normalize("NFC", text), extra)  # as names of objects are spelt
@@ -75,7 +75,7 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
     steps = ((letter == "(") - (letter == ")") for letter in condition.sql)
     if max(accumulate(steps)) > _DEEPEST_SQL:
         raise LibraryError(
-            f"--where must nest less deeply, got {text[:80]!r}. Join comparisons by "
+            f"where must nest less deeply, got {text[:80]!r}. Join comparisons by "
             "`in (...)`, or leave out brackets."
         )
     return condition
@@ -114,7 +114,7 @@ class _Parser:
 
     def _operand(self, depth: int) -> Condition:
         if depth > _DEEPEST:
-            raise LibraryError(f"--where must nest at most {_DEEPEST} brackets deep.")
+            raise LibraryError(f"where must nest at most {_DEEPEST} brackets deep.")
         negated = False
         while self._take("not"):
             negated = not negated
@@ -152,7 +152,7 @@ class _Parser:
         token = self._literal()
         if token.text.lower() == "nan" and not token.quoted:
             raise LibraryError(
-                f"--where must compare with a number or a text, got {token.text!r} "
+                f"where must compare with a number or a text, got {token.text!r} "
                 'after a column. Write "is null" for values that are not known.'
             )
         return Condition(f"({column} {operator} ?)", [*bound, _value(token)])
@@ -165,7 +165,7 @@ class _Parser:
             return "json_extract(t.extra, ?)", [f'$."{token.text}"']
         names = ", ".join([*COLUMNS, *sorted(self._extra)])
         raise LibraryError(
-            f"--where must name columns of the library ({names}), got {token.text!r}."
+            f"where must name columns of the library ({names}), got {token.text!r}."
         )
 
     def _literal(self, wanted: str = "a number, a word or a quoted text") -> _Token:
@@ -194,7 +194,7 @@ class _Parser:
         token = self._current()
         got = "its end" if token is None else repr(token.text)
         return LibraryError(
-            f"--where {self._text!r} must go on with {wanted}, got {got}. Write "
+            f"where must go on with {wanted}, got {got} in {self._text!r}. Write "
             'for example "object = mug and force_n > 0.5".'
         )
 
@@ -206,7 +206,7 @@ def _tokens(text: str) -> list[_Token]:
         match = _TOKENS.match(text, place)
         if match is None:
             raise LibraryError(
-                f"--where {text!r} must be a filter, got {text[place:][:20]!r} in it. "
+                f"where must be a filter, got {text[place:][:20]!r} in {text!r}. "
                 "Put texts with odd characters between quotes."
             )
         kind = str(match.lastgroup)

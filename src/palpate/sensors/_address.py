@@ -194,7 +194,7 @@ def ros_place(address: str) -> RosPlace:
     kind, _, place = base.partition(":")
     if kind != "ros" or not re.fullmatch(r"/?\w+(/\w+)*", place):
         raise AddressError(f"It must be like ros:/palpate?domain=0, got {address!r}.")
-    return RosPlace(f"/{place.strip('/')}", **_written(address, "--publish", written))
+    return RosPlace(f"/{place.strip('/')}", **_written(address, "publishing", written))
 
 
 def _written(address: str, kind: str, written: str) -> dict[str, Any]:
@@ -227,7 +227,7 @@ def _driver(kind: str) -> Callable[..., Any] | None:
 
 def _options(kind: str) -> dict[str, _Option]:
     """Return the options of a kind of sensor; a driver's are its own parameters."""
-    if kind == "--publish":
+    if kind == "publishing":
         return _PUBLISHED
     if kind in _OPTIONS:
         return _OPTIONS[kind]
@@ -256,15 +256,15 @@ def _agreed(
     if name is None:  # not for addresses; the sensor itself knows or refuses it
         return value
     if name not in _options(kind):
-        raise AddressError(f"--{name} says nothing to a {kind} sensor.")
+        raise AddressError(f"`{name}` says nothing to a {kind} sensor.")
     if isinstance(value, str):
         value = _read(address, kind, name, value)
     if keyword == "image_shape" and value != "auto":
         value = tuple(value)
     if keyword in arguments and arguments[keyword] != value:
         raise AddressError(
-            f"{name}={_shown(arguments[keyword])} in {address!r} and --{name} "
-            f"{_shown(value)} contradict each other. Leave one of them out."
+            f"{name}={_shown(arguments[keyword])} in {address!r} and "
+            f"`{name}={_shown(value)}` contradict each other. Leave one of them out."
         )
     return value
 
@@ -305,8 +305,8 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
     elif shape is None:
         raise AddressError(
             "shape must be given for a serial array, got none. Say how many rows and "
-            f"columns it has: serial:{place}?shape=16x16, or --shape 16x16; "
-            "--shape auto listens to it."
+            f"columns it has: serial:{place}?shape=16x16, or `shape=16x16`; "
+            "`shape=auto` listens to it."
         )
     else:
         if shape == "auto":
@@ -319,7 +319,7 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
         (n_rows, n_cols), (asked_rows, asked_cols) = sensor.image_shape[:2], shape
         raise AddressError(
             f"shape must be that of the {sensor.name}, {n_rows} x {n_cols}, got "
-            f"{asked_rows} x {asked_cols}. Leave it (--shape) out."
+            f"{asked_rows} x {asked_cols}. Leave `shape` out."
         )
     if desk is not None and isinstance(sensor, PlayedSensor):
         sensor.place(desk)

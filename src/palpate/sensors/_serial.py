@@ -162,9 +162,9 @@ def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
         checked = {"checksum": looks.checksum}
         return arguments | (checked if line else {"dtype": looks.dtype})
     if looks is None:
-        unclear = "Nothing whole came: check its cable, or give --shape."
+        unclear = "Nothing whole came: check its cable, or give `shape`."
     elif not looks.framing:
-        unclear = "Its bytes are neither lines nor frames: check --baud."
+        unclear = "Its bytes are neither lines nor frames: check `baud`."
     else:
         unclear = f"Its lines have {looks.n_values} values: {looks.shapes}."
     raise SensorError(f"shape=auto did not find what {port} writes. {unclear}")
@@ -202,11 +202,11 @@ class BytesTold:
     def shapes(self) -> str:
         """Return what to write for the shape: the squarest that fits, and its turn."""
         if self.shape is not None:
-            return f"--shape {self.shape[0]}x{self.shape[1]}"
+            return f"`shape={self.shape[0]}x{self.shape[1]}`"
         n = self.n_values
         short = next(s for s in range(isqrt(n), 0, -1) if n % s == 0)
         both = dict.fromkeys((f"{short}x{n // short}", f"{n // short}x{short}"))
-        return " or ".join(f"--shape {shape_text}" for shape_text in both)
+        return " or ".join(f"`shape={sides}`" for sides in both)
 
 
 def told_by(data: bytes) -> BytesTold | None:
@@ -223,19 +223,19 @@ def why_no_frame(
         return ""
     if not seen.framing:
         return (
-            "The bytes look neither like lines nor like frames: check --baud, or say "
-            "--framing binary."
+            "The bytes look neither like lines nor like frames: check `baud`, or say "
+            "`framing=binary`."
         )
     if seen.framing != framing:
         looks = "binary" if seen.framing == "binary" else "lines"
-        return f"The bytes look like {looks}: --framing {seen.framing}."
+        return f"The bytes look like {looks}: `framing={seen.framing}`."
     expected = shape[0] * shape[1]
     if seen.n_values != expected or seen.shape not in (None, shape):
         return f"{seen.n_values} values, expected {expected}: {seen.shapes}."
     if framing == "binary":
-        return f"Taxels are {seen.dtype}, expected {dtype}: dtype={seen.dtype}."
+        return f"Taxels are {seen.dtype}, expected {dtype}: `dtype={seen.dtype}`."
     if not seen.checksum and checksum is not False:
-        return "The lines have no checksum: --no-checksum."
+        return "The lines have no checksum: `checksum=no`."
     return ""
 
 

@@ -209,15 +209,15 @@ def recorded_touches(data: str | Path | None, archive: Archive) -> Touches | str
     path = where(data) / place
     if path.is_file():
         return Touches.load(path)
-    fetch = f"palpate data fetch {archive.place.parts[0]}"
+    name = archive.place.parts[0]
     if data is not None:
         raise ValueError(
-            f"--data must name a folder that holds {place}, got {data}. Type `{fetch} "
-            f"--data {data}`, or leave --data out."
+            f"data must name a folder that holds {place}, got {data}. Call "
+            f"`fetch({name})` with that folder, or leave `data` out."
         )
     return (
         f"The rows of {what} ({place.stem}) are left out: {where()} has no {place}. "
-        f"Type `{fetch}`, or name their folder with --data or PALPATE_DATA."
+        f"Call `fetch({name})`, or name their folder with `data` or PALPATE_DATA."
     )
 
 

@@ -98,7 +98,7 @@ def check_pictures(
 
 def _fix(problem: str) -> str:
     if "grey where colour" in problem:
-        return "leave out --colour, or take it out"
+        return "leave out `colour`, or take it out"
     if "pixels" in problem and "more than" in problem:
         return "make it smaller"
     return "save it again as 8-bit JPEG or PNG, or take it out"

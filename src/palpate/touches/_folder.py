@@ -138,7 +138,7 @@ def _checked(
     """Look at every picture, and at whether it gets a label like the others."""
     check = check_pictures(root, names, max_pixels=max_pixels, colour=colour)
     are_bad = {bad.picture for bad in check.bad}
-    fix = "move it to the folder of its object, or give it as --no-contact"
+    fix = "move it to the folder of its object, or give it as `no_contact`"
     if pattern is not None:
         pairs = zip(names, matched(pattern, names), strict=True)
         odd = {n: "not named like the others" for n, match in pairs if match is None}

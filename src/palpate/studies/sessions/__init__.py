@@ -84,7 +84,7 @@ def measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[str
         for name, touches, its_ways in _recorded(plan, folder):
             sources[name], ways[name] = touches, its_ways
     else:
-        why = f"no {folder}; see --data" if plan.recorded else "a first look"
+        why = f"no {folder}; see `data`" if plan.recorded else "a first look"
         skipped = [f"Recorded touches are left out: {why}."]
     tasks = [
         (plan, name, touches, way)
