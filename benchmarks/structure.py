@@ -26,7 +26,11 @@ VAGUE = {
     *("every", "apart", "given"),
 }
 # What belongs on a command line: an option, or the command with a verb.
-OF_COMMAND_LINE = re.compile(r"(?<![\w-])--[a-z][a-z-]+|\bpalpate [a-z]+\b(?!\.)")
+VERBS = (
+    "learn|recognise|evaluate|study|simulate|explore|demo|serve|bench|doctor|benchmark|"
+)
+VERBS += "remount|sensor|data|check|library|live|record"
+OF_COMMAND_LINE = re.compile(rf"(?<![\w'-])--[a-z][a-z-]+|\bpalpate ({VERBS})\b")
 
 
 def main() -> None:
