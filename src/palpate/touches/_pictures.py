@@ -4,7 +4,7 @@ Headers are read first, so that the size is known before anything is decoded. Pi
 tests a PNG's checksums; OpenCV decodes it. A JPEG has no checksum, but libjpeg
 complains of much damage and of a missing end: simplejpeg tells, where OpenCV and Pillow
 fill in grey. Most single flipped bits among its coefficients still give a wrong picture
-that nothing can tell; docs/explanation/architecture.md has figures.
+that nothing can tell; docs/contributing/testing.md has figures.
 
 Pictures are turned upright as their Exif orientation says, like every viewer does: a
 camera that was turned meanwhile writes it. Colour becomes its luma (ITU-R BT.601)
