@@ -1,4 +1,4 @@
-"""What every estimator of images shares: its tags, its image size, and its checks."""
+"""Base of every estimator of images: its tags, its image size, and its checks."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     @property
     def blind_to(self) -> frozenset[str]:
-        """What the result does not change under: "shifts", "turns", "gain"."""
+        """The changes that leave the result alike: "shifts", "turns", "gain"."""
         return frozenset()
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:

@@ -271,7 +271,7 @@ def _pictures(data: Path | None) -> list[Picture]:
 
 
 def _peers(size: int, order: int) -> dict[str, tuple[Encode | None, int | None]]:
-    """How each peer encodes, None where absent, and how many images it takes."""
+    """Return how each peer encodes, None where absent, and how many images it takes."""
     makers = {"mahotas": _mahotas, "centrosome": _centrosome}
     return {
         **{n: (m(size, order) if find_spec(n) else None, 1) for n, m in makers.items()},

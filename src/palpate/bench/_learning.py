@@ -1,4 +1,4 @@
-"""How long learning takes, and adding to what was learnt, beside a plain SVM.
+"""Time of learning, and of adding to what was learnt, beside a plain SVM.
 
 The touches are drawn: discs of objects with dents of their own, 120 pixels a side. What
 is measured is time, not recognition.

@@ -1,4 +1,4 @@
-"""How fast touching goes: a picture to the new belief, frames to a page, an array.
+"""Speed of touching: a picture to the new belief, frames to a page, an array.
 
 `latency` starts from a 640 x 480 JPEG in memory, with 90 training touches of each of 50
 objects, on one core. The pictures are drawn: domes with dents at random places; what is

@@ -1,4 +1,4 @@
-"""What the benchmarks share: CPU time, equal total durations, one thread; their data.
+"""Shared by the benchmarks: CPU time, equal total durations, one thread; their data.
 
 Wall time on a busy machine flatters short calls, so calls are timed by the CPU time
 of the process, and each is repeated until about the same total time is spent.

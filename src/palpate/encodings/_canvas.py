@@ -309,7 +309,7 @@ def lengths(across: Array, down: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
-    """Which pixels, counted row by row, lie in each ring of the inscribed disc."""
+    """Return the pixels, counted row by row, in each ring of the inscribed disc."""
     row, col = (np.arange(n) - (n - 1) / 2 for n in shape)
     radius = np.hypot(row[:, np.newaxis], col) / (min(shape) / 2)
     return [np.flatnonzero(np.floor(radius * n_rings) == k) for k in range(n_rings)]
@@ -317,7 +317,7 @@ def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
 
 @lru_cache(maxsize=16)
 def _rings(shape: tuple[int, int], n_rings: int) -> tuple[Indices, Indices]:
-    """Which pixels lie in the inscribed disc, ring by ring, and in which ring each."""
+    """Return the pixels of the inscribed disc, ring by ring, and the ring of each."""
     places = _places(shape, n_rings)
     ring = np.repeat(np.arange(n_rings), [len(ring) for ring in places])
     return np.concatenate(places), ring
@@ -357,7 +357,7 @@ def _patterns(
 def _circle(
     radius: float, n_points: int, margin: int
 ) -> tuple[list[tuple[int, float]], list[tuple[int, int, float]]]:
-    """Where places on a circle lie in an image with a margin.
+    """Return the pixels around places on a circle, in an image with a margin.
 
     Of each column between pixels the left one and the share of the right one; of each
     place which of these, the upper row and the share of the lower one.

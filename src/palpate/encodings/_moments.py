@@ -161,7 +161,7 @@ def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
 
 
 def size_of(images: Floats, normalise: str | None) -> Floats:
-    """What each image is divided by, 1 where that would be 0."""
+    """Return the divisor of each image, 1 where that would be 0."""
     if normalise is None:
         return np.ones(len(images))
     # By the largest level first, so that no square over- or underflows.

@@ -185,7 +185,7 @@ class EncodingUnion(ImageEstimator, by_channel=False):
 
     @property
     def blind_to(self) -> frozenset[str]:
-        """What all of its encoders are blind to."""
+        """The changes that all of its encoders are blind to."""
         nothing: frozenset[str] = frozenset()
         each = [getattr(part, "blind_to", nothing) for part in self.encoders]
         return frozenset.intersection(*each) if each else nothing

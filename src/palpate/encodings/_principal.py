@@ -54,7 +54,7 @@ class PrincipalEncoder(ImageEstimator):
 
     @property
     def blind_to(self) -> frozenset[str]:
-        """What the encoding is blind to whose components these are."""
+        """The changes that the encoding of these components is blind to."""
         return self._first().blind_to
 
     def transform_checked(self, images: Array) -> Floats:

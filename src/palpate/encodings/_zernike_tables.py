@@ -136,7 +136,7 @@ def cut_nodes(disc: Disc, taxels: Indices, order: int, n_nodes: int) -> Nodes:
 
 
 class Grid(NamedTuple):
-    """What the tables depend on."""
+    """The disc, order and precision that tables depend on."""
 
     disc: Disc
     order: int

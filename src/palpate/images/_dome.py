@@ -306,7 +306,7 @@ def standardise_discs(discs: ArrayLike) -> Singles:
 
 
 def _spread(n_images: int) -> Indices:
-    """Which of so many images the safe radius is learnt from."""
+    """Return the rows, of so many images, that the safe radius is learnt from."""
     rows = np.linspace(0, n_images - 1, min(n_images, N_SAFE))
     return np.unique(rows.round().astype(int))
 

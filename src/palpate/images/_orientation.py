@@ -1,4 +1,4 @@
-"""Where an image's mass lies, which way it points; images turned and shifted.
+"""The centre and direction of an image's mass; images turned and shifted.
 
 x points along the columns, y along the rows (downwards); lengths are in pixels, and
 positions for re-posing count from the image's centre. A positive angle, in degrees,
@@ -65,7 +65,7 @@ def _about_centroid(raw: Floats) -> CentralMoments:
 
 @lru_cache(maxsize=16)
 def inscribed_mask(n_rows: int, n_cols: int) -> Bools:
-    """Which pixel centres lie in the frame's inscribed disc; shared, so read-only."""
+    """Return a mask of the frame's inscribed disc; it is shared, so read-only."""
     row = np.arange(n_rows) - (n_rows - 1) / 2
     col = np.arange(n_cols) - (n_cols - 1) / 2
     squared = row[:, np.newaxis] ** 2 + col**2

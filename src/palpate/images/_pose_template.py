@@ -226,7 +226,7 @@ def render(template: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def _free(symmetry: int) -> Indices:
-    """Which of angle, x and y can be found."""
+    """Return which of angle, x and y can be estimated."""
     return np.array([0, 1, 2] if symmetry else [1, 2])
 
 

@@ -51,7 +51,7 @@ _OF_TEMPLATE = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where parts lie and how they are turned, one entry per press.
+    """Places and angles of parts, one entry per press.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class Fit(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """What to choose among circles by: the rim encloses all that touches it."""
+        """Score of a circle to choose by: the rim encloses all that touches it."""
         return float(self.support * self.arc**0.5 * self.circle[2])
 
 
@@ -183,7 +183,7 @@ def _accumulate(
 
 
 class _Layout(NamedTuple):
-    """Where rays across a circle lie in a frame: the same for all of a stream.
+    """The pixels of rays across a circle: the same for all frames of a stream.
 
     `places` and `sides` are (col, row) of all points, and of two a ray, inside and
     outside the circle; `inside` says which points lie in the frame, None that all do;
@@ -251,7 +251,7 @@ class _Rays:
             self.typical = np.abs(self.slope).sum(axis=1) / layout.n_inside
 
     def predict(self, circle: Array) -> Array:
-        """Where `circle` crosses each ray, as an offset from the start's radius."""
+        """Return where each ray crosses `circle`, less the radius at the start."""
         down, right = circle[0] - self.row, circle[1] - self.col
         along = self.sin * down + self.cos * right
         inner = circle[2] ** 2 - (down * down + right * right) + along * along

@@ -35,7 +35,7 @@ _BYTES_AT_ONCE = 32 * 2**20
 
 
 class SensorDescription(NamedTuple):
-    """What is known of the sensor that took some touches.
+    """The sensor that took some touches, as far as it is known.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class TouchRow(NamedTuple):
 
 
 class Stats(NamedTuple):
-    """How much a library holds; sizes in bytes, images among those of the database."""
+    """Counts and sizes of a library; bytes, images among those of the database."""
 
     n_touches: int
     n_retracted: int

@@ -94,7 +94,7 @@ def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
     return None if row is None else (int(row[0]), str(row[1]))
 
 
-def known_object(store: Store, name: str) -> tuple[int, str]:
+def object_row(store: Store, name: str) -> tuple[int, str]:
     is_name = isinstance(name, str) and is_unicode(name)
     row = find_object(store, name) if is_name else None
     if row is None and is_name and (spelling := one_spelling(name)):
@@ -120,7 +120,7 @@ def chosen_ids(
             "SELECT lower(hex(t.id)) FROM touches t "
             "JOIN objects o ON o.id = t.object "
             f"WHERE coalesce(o.merged_into, o.id) = ? AND t.retraction {state}",
-            known_object(store, name)[:1],
+            object_row(store, name)[:1],
         )
         return [row[0] for row in rows]
     chosen = [ids] if isinstance(ids, str) else list(ids or [])
@@ -135,7 +135,7 @@ def chosen_ids(
 
 def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
     old, new = content["old"], content["new"]
-    key, _ = known_object(store, old)
+    key, _ = object_row(store, old)
     if store.first_row("SELECT id FROM objects WHERE name = ?", [new]):
         raise LibraryError(
             f"The new name must not be taken, got {new!r}. To make two objects one, "
@@ -145,8 +145,8 @@ def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
 
 
 def _merge(store: Store, change: int, content: dict[str, Any]) -> int:
-    source, _ = known_object(store, content["source"])
-    into, _ = known_object(store, content["into"])
+    source, _ = object_row(store, content["source"])
+    into, _ = object_row(store, content["into"])
     if source == into:
         raise LibraryError(
             f"Objects to merge must be two, got {content['source']!r} and "

@@ -51,7 +51,7 @@ class Problem(NamedTuple):
 
 
 class CheckReport(NamedTuple):
-    """What a check found; `ok` when nothing is wrong that a repair has not seen."""
+    """The result of a check; `ok` when nothing is wrong that a repair has not seen."""
 
     ok: bool
     n_touches: int

@@ -1,4 +1,4 @@
-"""What a touch is made of in the database: cells, and bytes for longer values.
+"""The parts of a touch in the database: cells, and bytes for longer values.
 
 Short values (numbers and text, at most `WIDE` numbers a touch) are cells; longer ones
 (a press as thirty frames) are bytes beside the image. Images are kept without loss: a

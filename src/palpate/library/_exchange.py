@@ -246,7 +246,7 @@ def _write_tables(path: Path, tables: Iterator[Any], **options: Any) -> None:
 
 
 class _Dataset:
-    """What a LeRobotDataset says of its episodes, gathered one by one."""
+    """The metadata of a LeRobotDataset's episodes, gathered one by one."""
 
     def __init__(self, whole: dict[str, Array]) -> None:
         self.whole = whole

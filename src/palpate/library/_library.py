@@ -18,8 +18,8 @@ from ._changes import (
     checked_name,
     chosen_ids,
     history,
-    known_object,
     make_change,
+    object_row,
 )
 from ._checking import CheckReport, check_store
 from ._exchange import export_touches
@@ -31,8 +31,8 @@ from ._rows import (
     StoredTouch,
     Tables,
     packed_images,
-    read_one,
     rows_at,
+    touch_row,
 )
 from ._store import (
     COUNT_NAME,
@@ -42,7 +42,7 @@ from ._store import (
     is_unicode,
     warn_of_network,
 )
-from ._where import objects_asked
+from ._where import objects_named
 
 MAX_BYTES = 64 * 2**30
 Sensors = list[SensorDescription]
@@ -262,8 +262,8 @@ class TouchLibrary:
 
     def refuse_unknown(self, where: str | None) -> None:
         """Refuse a filter `object = NAME` of a name that no object has, or had."""
-        for name in objects_asked(where or ""):
-            known_object(self._store, name)
+        for name in objects_named(where or ""):
+            object_row(self._store, name)
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
@@ -272,7 +272,7 @@ class TouchLibrary:
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
-        row = read_one(self._tables, id)
+        row = touch_row(self._tables, id)
         [packed] = packed_images(self._tables, [row])
         return packed.image_at(0)
 
@@ -382,13 +382,13 @@ class TouchLibrary:
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
-        _, now = known_object(self._store, old)
+        _, now = object_row(self._store, old)
         make_change(self._store, "rename", old=now, new=checked_name(new))
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
-        _, source = known_object(self._store, source)
-        _, into = known_object(self._store, into)
+        _, source = object_row(self._store, source)
+        _, into = object_row(self._store, into)
         make_change(self._store, "merge", source=source, into=into)
 
     def retract(

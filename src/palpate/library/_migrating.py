@@ -60,7 +60,7 @@ _STATE = (
 
 
 class MigrationReport(NamedTuple):
-    """What became of an old library: how much is in the new one, and what is not.
+    """The result of a migration: how much is in the new library, and what is not.
 
     `lost` are ids of touches whose image is missing or altered in the old library,
     `lost_arrays` names what whole recordings have lost likewise, such as "no_contact";

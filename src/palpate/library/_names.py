@@ -1,4 +1,4 @@
-"""What objects were called and are called, from the recorded changes of names."""
+"""Former and present names of objects, from the recorded changes of names."""
 
 from bisect import bisect_left
 from typing import NamedTuple

@@ -321,7 +321,7 @@ class Selection(Labelled):
 
     @property
     def whole(self) -> dict[str, Array]:
-        """What describes all of the touches alike, by name; see `Touches`."""
+        """Arrays that describe all of the touches alike, by name; see `Touches`."""
         return self._picked.whole()
 
     def __getitem__(self, rows: ArrayLike) -> Selection:

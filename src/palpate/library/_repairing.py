@@ -1,4 +1,4 @@
-"""What is whole of a damaged library kept in a new database; copies of a whole one."""
+"""A new database of what is whole of a damaged library; copies of a whole one."""
 
 import os
 import secrets
@@ -39,7 +39,7 @@ _N_PAGES = slice(28, 32)  # of a header, by the format of SQLite's files
 
 
 class RepairReport(NamedTuple):
-    """What a repair did.
+    """The result of a repair.
 
     `rebuilt` tells whether a new database was made, of the `n_touches` and `n_changes`
     that were whole; `lost` names touches that were not, and `n_changes_lost` counts

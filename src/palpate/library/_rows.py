@@ -66,7 +66,7 @@ _INSERT = (
 
 
 class Recording(NamedTuple):
-    """What is the same for all touches of a recording."""
+    """A recording: entries that are the same for all of its touches."""
 
     digest: bytes
     sensor: str | None
@@ -227,7 +227,7 @@ def _listed(keys: Sequence[str]) -> str:
     return f"{', '.join(keys[:_SHOWN])}{more}"
 
 
-def read_one(tables: Tables, key: str) -> StoredTouch:
+def touch_row(tables: Tables, key: str) -> StoredTouch:
     """Return the row of the touch with this id."""
     number = tables.store.first_row(
         "SELECT number FROM touches WHERE id = ?", [id_bytes(key)]

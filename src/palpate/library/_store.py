@@ -120,7 +120,7 @@ class OtherVersion(LibraryError):
 
 
 class Tally(NamedTuple):
-    """How many touches and changes there are, and the chains over their digests."""
+    """Numbers of touches and changes, and the chains over their digests."""
 
     n_touches: int
     touches: bytes
@@ -337,7 +337,7 @@ class Store:
                 self._waiting.popleft()
             with self._lock, self._transaction():
                 for ticket in tickets:
-                    self._run_one(ticket)
+                    self._run_ticket(ticket)
         except Exception as error:
             for ticket in tickets:
                 ticket.fail(error)
@@ -350,7 +350,7 @@ class Store:
         with suppress(LibraryError):
             self.note_count()
 
-    def _run_one(self, ticket: "_Ticket[Any]") -> None:
+    def _run_ticket(self, ticket: "_Ticket[Any]") -> None:
         self.run("SAVEPOINT job")
         try:
             ticket.run()

@@ -81,7 +81,7 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
     return condition
 
 
-def objects_asked(text: str) -> list[str]:
+def objects_named(text: str) -> list[str]:
     """Return the names that a filter wants objects to have (`object = NAME`)."""
     tokens = [token.text for token in _tokens(text)]
     threes = zip(tokens, tokens[1:], tokens[2:], strict=False)

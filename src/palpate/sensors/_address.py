@@ -174,7 +174,7 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
 
 
 class RosPlace(NamedTuple):
-    """Where beliefs are published, and whether services are offered beside them."""
+    """A name to publish beliefs under, and whether services are offered beside them."""
 
     prefix: str
     domain: int = 0

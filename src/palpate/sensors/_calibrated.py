@@ -12,7 +12,7 @@ _TICK_S = 0.3
 
 
 class Calibration(Protocol):
-    """What turns images into those of another unit, such as `TaxelCalibration`."""
+    """A map of images to those of another unit, such as `TaxelCalibration`."""
 
     image_shape_: tuple[int, int]
 

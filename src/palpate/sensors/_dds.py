@@ -132,7 +132,7 @@ class DdsReader:
 
     @property
     def n_publishers(self) -> int:
-        """How many publishers it is matched with now."""
+        """Number of publishers it is matched with now."""
         return len(self._reader.get_matched_publications())
 
     @property

@@ -1,4 +1,4 @@
-"""Where a touch begins and ends in a stream of frames; whether the sensor has changed.
+"""Beginning and end of touches in a stream of frames; changes of the sensor.
 
 A frame is compared with the frame of no contact (the baseline). Its change is the root
 mean square of the difference over the taxels that work and their colours, in the
@@ -503,7 +503,7 @@ def _rms(difference: Floats) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SensorMemory:
-    """What touches tell of the sensor that made them.
+    """Figures of a sensor, from touches that it made.
 
     `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
     touches of their root mean square difference from it. `response` is the mean over
@@ -581,12 +581,12 @@ def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
         return ""
     return (
         "Taxels answer otherwise than when the model learnt: "
-        f"{taxels_said(taxels.tolist(), _NAMED)}. "
+        f"{taxels_listed(taxels.tolist(), _NAMED)}. "
         "They may be damaged or loose; calibrate, or learn again."
     )
 
 
-def taxels_said(places: Sequence[Sequence[int]], most: int) -> str:
+def taxels_listed(places: Sequence[Sequence[int]], most: int) -> str:
     """Return where taxels lie, the first few of them."""
     listed = ", ".join(f"row {row} column {col}" for row, col in places[:most])
     return listed + f" and {len(places) - most} more" * (len(places) > most)

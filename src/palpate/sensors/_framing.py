@@ -1,4 +1,4 @@
-"""How a pressure array writes frames on a serial line: as lines, or as bytes.
+"""Frames of a pressure array on a serial line: written as lines, or as bytes.
 
 **Lines**, which any microcontroller can print and people can read. One frame is one
 line: all taxels row after row, separated by commas, spaces or tabs; numbers as

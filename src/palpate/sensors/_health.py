@@ -1,4 +1,4 @@
-"""How a sensor does while nothing touches it: what is wrong, and the figures.
+"""The health of a sensor that nothing touches: what is wrong, and the figures.
 
 Limits are those of `TouchDetector`: what moves rest by less than half of the change at
 which a touch begins does no harm. Noise is told from neighbouring frames, so that drift
@@ -110,7 +110,7 @@ def sensor_health(
 
 
 def _named(places: list[list[int]]) -> str:
-    return f"{len(places)} taxels ({_detector.taxels_said(places, _NAMED)})"
+    return f"{len(places)} taxels ({_detector.taxels_listed(places, _NAMED)})"
 
 
 def _shared(stack: Array, noise: Floats) -> tuple[float, float]:

@@ -35,7 +35,7 @@ class Endpoint(NamedTuple):
 
 
 class Header(NamedTuple):
-    """When (`sec`, `nanosec`) and where a message was made."""
+    """Time (`sec`, `nanosec`) and frame of a message."""
 
     sec: int
     nanosec: int

@@ -22,7 +22,7 @@ FRAMINGS = ("line", "binary")
 _WAIT_S = 0.1
 # Without a frame for so long, so many bytes tell why; so long an array that is found by
 # itself may take to write (many start again when their port is opened).
-_SILENT_S, _MOST_TOLD, _LISTEN_S = 1.0, 2**16, 5.0
+_SILENT_S, _MOST_UNREAD, _LISTEN_S = 1.0, 2**16, 5.0
 _FIXES = {
     errno.EACCES: "You may not use it: join the group that owns it (often dialout).",
     errno.EBUSY: "Another program uses it; close that.",
@@ -134,7 +134,7 @@ class SerialArraySensor(LiveSensor):
         if good:
             self._unread, self._read_s, self.lost = b"", now_s, ""
             return
-        self._unread = (self._unread + data)[-_MOST_TOLD:]
+        self._unread = (self._unread + data)[-_MOST_UNREAD:]
         if data and now_s - self._read_s > _SILENT_S:
             self._read_s = now_s
             how = self.framing, self.image_shape, self.dtype.name, self.checksum
@@ -153,7 +153,7 @@ def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
         end_s = time.monotonic() + _LISTEN_S
         while (looks is None or not looks.framing) and time.monotonic() < end_s:
             data += opened.read(max(1, opened.in_waiting))
-            looks = told_by(data[-_MOST_TOLD:])
+            looks = layout_of(data[-_MOST_UNREAD:])
     finally:
         opened.close()
     if looks is not None and looks.shape is not None:
@@ -185,8 +185,8 @@ def _open_port(port: str, baud: int) -> Any:
 
 
 @dataclass(frozen=True)
-class BytesTold:
-    """How an array writes: `framing` "line" or "binary", or "" where bytes are neither.
+class BytesLayout:
+    """The writing of frames: `framing` "line" or "binary", "" where bytes are neither.
 
     Of lines `n_values` and whether they have a `checksum`, of binary frames `dtype`;
     `shape` (n_rows, n_cols) is None where a line may be of several.
@@ -209,7 +209,7 @@ class BytesTold:
         return " or ".join(f"`shape={sides}`" for sides in both)
 
 
-def told_by(data: bytes) -> BytesTold | None:
+def layout_of(data: bytes) -> BytesLayout | None:
     """Return what bytes tell, None while there are too few."""
     return _binary(data) or _lines(data)
 
@@ -218,7 +218,7 @@ def why_no_frame(
     data: bytes, framing: str, shape: tuple[int, int], dtype: str, checksum: bool | None
 ) -> str:
     """Return why bytes are no frames as they are read, and the fix; or nothing."""
-    seen = told_by(data)
+    seen = layout_of(data)
     if seen is None:
         return ""
     if not seen.framing:
@@ -239,7 +239,7 @@ def why_no_frame(
     return ""
 
 
-def _binary(data: bytes) -> BytesTold | None:
+def _binary(data: bytes) -> BytesLayout | None:
     """Return what the first frame in bytes says whose checksum is right."""
     start = data.find(SYNC)
     while 0 <= start <= len(data) - len(SYNC) - _HEAD.size:
@@ -248,25 +248,25 @@ def _binary(data: bytes) -> BytesTold | None:
             shape = n_rows, n_cols
             if BinaryFraming(shape, _CODES[code]).feed(data[start:]):
                 n_values = n_rows * n_cols
-                return BytesTold("binary", n_values, True, _CODES[code], shape)
+                return BytesLayout("binary", n_values, True, _CODES[code], shape)
         start = data.find(SYNC, start + 1)
     return None
 
 
-def _lines(data: bytes) -> BytesTold | None:
+def _lines(data: bytes) -> BytesLayout | None:
     """Return what whole lines say: the first and the last piece may be cut."""
     if len(data) > 64 and not _TEXT.fullmatch(data.replace(b"\n", b"")[-64:]):
-        return BytesTold("")
+        return BytesLayout("")
     lines = [line.strip() for line in data.split(b"\n")[1:-1] if line.strip()]
     if len(lines) < _LINES:
         return None
     counts = Counter(map(_values, lines))
     (n_values, checksum), _ = counts.most_common(1)[0]
     if not n_values:
-        return BytesTold("")
+        return BytesLayout("")
     side = isqrt(n_values)
     shape = (side, side) if side**2 == n_values else None
-    return BytesTold("line", n_values, checksum, shape=shape)
+    return BytesLayout("line", n_values, checksum, shape=shape)
 
 
 def _values(line: bytes) -> tuple[int, bool]:

@@ -169,7 +169,7 @@ class ZenohReader:
 
     @property
     def n_publishers(self) -> int:
-        """How many have told of themselves, or 1 where one sent a moment ago."""
+        """Number of publishers with a token, or 1 where one sent a moment ago."""
         n_tokens = sum(p == self._endpoint for p in _publishers(self._tokens))
         return n_tokens or int(time.monotonic() - self._last_s < _RECENT_S)
 

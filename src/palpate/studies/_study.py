@@ -1,4 +1,4 @@
-"""What the papers' studies have in common: a plan, touches, a run, a result for people.
+"""The frame of every study: a plan, touches, a run, and a result for people.
 
 A study's subpackage, imported when the study is first used, has what differs from paper
 to paper: its `PLAN`, a class; `measure(plan, data, work)`, which returns `rows`,
@@ -61,7 +61,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Work:
-    """How the tasks of a study are done: by so many processes, with a bar or not."""
+    """The way tasks of a study are done: by so many processes, with a bar or not."""
 
     workers: int = -1
     progress: bool | None = None

@@ -24,7 +24,7 @@ class BadPicture(NamedTuple):
 
 @dataclass
 class PictureCheck:
-    """What was seen in the pictures of a folder.
+    """The findings in the pictures of a folder.
 
     Attributes
     ----------

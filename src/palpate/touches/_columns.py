@@ -1,4 +1,4 @@
-"""What a set of touches may hold: checked, picked from, joined and summarised.
+"""Columns of a set of touches: checked, picked from, joined and summarised.
 
 A name decides first: the names in `WHOLE` and those beginning with `set_` belong to
 the whole set; the names in `COLUMNS` are columns and must have one row per touch. Any

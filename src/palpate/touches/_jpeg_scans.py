@@ -1,4 +1,4 @@
-"""How many scans a JPEG has: each takes time over every pixel, whatever it says.
+"""The scans of a JPEG, counted: each takes time over every pixel, whatever it says.
 
 Cameras write one scan, programs that write progressive JPEGs at most some twenty. A
 scan of nothing has a dozen bytes, so that a small file can keep a decoder busy for

@@ -1,4 +1,4 @@
-"""What the folders above pictures mean: given as levels, or found out.
+"""The meaning of folders above pictures: given as levels, or found out.
 
 Unnamed levels are read as `object`, or as `category/object`. Three layouts that people
 have would make wrong objects of that, in silence: the parts of a set (`train/mug`), a

@@ -62,11 +62,11 @@ _AT_ONCE = 8
 
 
 class PictureError(Exception):
-    """What was found instead of a picture, for the middle of a message."""
+    """A file is no picture; the text is for the middle of a message."""
 
 
 class Header(NamedTuple):
-    """What must be the same for all pictures of a set, upright.
+    """Format, size and depth: the same for all pictures of a set, upright.
 
     `colour` counts only where colours are asked for; it is False elsewhere.
     """

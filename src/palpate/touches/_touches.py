@@ -405,7 +405,7 @@ class Touches(Labelled):
 
     @property
     def touch_id(self) -> NDArray[np.str_] | None:
-        """Where each touch lies in a library, shape (n_touches,), or None."""
+        """Id of each touch in a library, shape (n_touches,), or None."""
         return self._columns.get("touch_id")
 
     @property
@@ -415,13 +415,13 @@ class Touches(Labelled):
 
     @property
     def geometry(self) -> str | None:
-        """How taxels lie ("dome", "array", "plane" or "none"), or None."""
+        """Arrangement of taxels ("dome", "array", "plane" or "none"), or None."""
         geometry = self._whole.get("geometry")
         return None if geometry is None else str(geometry)
 
     @property
     def channels(self) -> tuple[str, ...] | None:
-        """What the last axis of images holds, in its order, or None without one."""
+        """Names of the last axis of images, in its order, or None without one."""
         names = self._whole.get("channels")
         return None if names is None else tuple(names.tolist())
 
@@ -432,7 +432,7 @@ class Touches(Labelled):
 
     @property
     def pad_names(self) -> tuple[str, ...] | None:
-        """What the pads are called, or None."""
+        """Names of the pads, or None."""
         names = self._whole.get("pad_names")
         return None if names is None else tuple(names.tolist())
 

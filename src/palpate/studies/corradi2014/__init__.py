@@ -143,7 +143,7 @@ def _best(rows: Sequence[Row]) -> Table:
 
 
 def _paired(paired: Sequence[Row]) -> Table:
-    """Where image and derivative differ, all tests together."""
+    """Return the differences between image and derivative, all tests together."""
     lines = []
     for data in shared.unique(row["data"] for row in paired):
         of_data = shared.held(paired, data=data)

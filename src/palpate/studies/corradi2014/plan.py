@@ -1,4 +1,4 @@
-"""What the Corradi 2014 study measures: sizes, touches, and the paper's figures."""
+"""The plan of the Corradi 2014 study: sizes, touches, and the paper's figures."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -85,7 +85,7 @@ def measure(
         skipped.append(recorded)
     else:
         sets.append(stated.recorded_objects(recorded))
-    tasks = [task for objects in sets for task in episodes.known_tasks(plan, objects)]
+    tasks = [task for objects in sets for task in episodes.learnt_tasks(plan, objects)]
     if plan.later and not isinstance(recorded, str):
         tasks += episodes.later_tasks(plan, recorded)
     done = work.done(call, [(task,) for task in tasks], "learning and recognising")

@@ -106,7 +106,7 @@ class Compared:
         return Answered(*origin, answers, partition.truth, facts)
 
 
-def known_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
+def learnt_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
     """Recognise the ten objects in every partition."""
     encoded = Encoder(objects.learnt)(objects.learnt)
     compared = partial(Compared, "ten objects", objects.data, objects.learnt, encoded)

@@ -1,4 +1,4 @@
-"""What the Corradi 2015 study measures: sizes, touches, and the paper's figures.
+"""The plan of the Corradi 2015 study: sizes, touches, and the paper's figures.
 
 Each feature is computed once for all partitions. What it learns from touches (principal
 components, clusters) is learnt later, from the training touches of each partition. Only

@@ -46,7 +46,7 @@ class Densities:
 
 @dataclass(frozen=True)
 class _Clustered:
-    """What counts touches in so many k-means clusters as recognise best."""
+    """Base of recognisers that count touches in the best number of k-means clusters."""
 
     clusters: Sequence[int]
     seed: int = 0

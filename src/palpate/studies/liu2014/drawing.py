@@ -1,4 +1,4 @@
-"""What the figures of Liu et al. (2014) show, of simulated presses and of our rows."""
+"""The figures of Liu et al. (2014), drawn of simulated presses and of our rows."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -241,7 +241,7 @@ class Job:
 
     @property
     def work(self) -> float:
-        """How long a run takes, in no unit."""
+        """The length of a run, in no unit."""
         return float(len(self.method.settings) * self.row["n_classes"] ** 2)
 
     def run(self, plan: Liu2014Plan, number: int) -> list[Half]:

@@ -1,4 +1,4 @@
-"""What the Liu 2014 study measures: its sizes, its presses, and the paper's figures.
+"""The plan of the Liu 2014 study: sizes, presses, and the paper's figures.
 
 Presses are simulated, or real ones re-posed. Pieces of the cleaned image, and how far
 it agrees with where the part lay, tell how load and cover break images up or blur them.
