@@ -200,27 +200,6 @@ def test_a_stream_from_several_threads_keeps_each_threads_order(library):
         assert [listed.index(key) for key in keys] == sorted(map(listed.index, keys))
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Six touches of three objects; one was retracted."""
-    place = tmp_path / "lab"
-    with TouchLibrary.open(place, create=True) as library:
-        images = np.arange(6 * 4, dtype=np.uint8).reshape(6, 2, 2)
-        labels = ["mug", "pen", "cap"] * 2
-        library.add(
-            Touches(
-                images,
-                object=labels,
-                force_n=np.arange(6.0),
-                note=labels,
-                no_contact=images[0],
-            )
-        )
-        library.rename_object("cap", "hat")
-        library.retract(library.list()[3].id, reason="wet")
-    return place
-
-
 def _rows(folder):
     with TouchLibrary.open(folder) as library:
         return library.list(limit=None, retracted=True)

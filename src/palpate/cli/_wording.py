@@ -30,6 +30,8 @@ _NO = ("no", "False", "0")
 
 def as_typed(text: str) -> str:
     """Return a message in words of the verb that was typed."""
+    if not (_QUOTED.search(text) or _FIRST_WORD.search(text)):
+        return text
     options = _options_of(tuple(sys.argv[1:]))
     text = _QUOTED.sub(partial(_as_quoted, options), text)
     return _FIRST_WORD.sub(lambda word: options.get(word[1], (word[1],))[0], text)
