@@ -1,29 +1,24 @@
-"""Beginning and end of touches in a stream of frames; changes of the sensor.
+"""Beginning and end of touches in a stream of frames.
 
 A frame is compared with the frame of no contact (the baseline). Its change is the root
 mean square of the difference over the taxels that work and their colours, in the
 sensor's unit. A touch begins where the change rises above one limit and ends where it
 falls below a lower one, so that a change near a limit does not make many touches of
 one.
-
-`SensorMemory` is what is remembered of a sensor: its frame of no contact, how much its
-touches change it, and, for arrays, how strongly each taxel answers. All of it can be
-kept in a model file.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import islice
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 from scipy import ndimage
 
-from .._checks import ARRAY_SIDE, check_count, check_option, check_positive, size_said
+from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
 from .._types import Array, Floats
 from ..touches import Touches
 from ._contract import Frame, SensorError, as_kind, channels_of
@@ -39,11 +34,7 @@ _IDLE_S, _STUCK_S = 2.0, 20.0
 _STEADY_NOISES = 3.0
 # An array is pressed where neighbours read so many spreads and steps above the others.
 _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 8.0, 8.0, 4
-MOST_TAXELS = 4096
-_ENOUGH_TOUCHES = 10
 _LEAST_NOISES, _N_LIMITS = 3.0, 60
-_BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
-_NAMED = 3
 _MAX_PIXELS = 50_000_000  # of a film
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
@@ -499,94 +490,3 @@ def _rms(difference: Floats) -> float:
     """Root mean square over taxels that are not NaN; 0 where all are."""
     alive = difference[~np.isnan(difference)]
     return float(np.sqrt(np.mean(np.square(alive)))) if alive.size else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class SensorMemory:
-    """Figures of a sensor, from touches that it made.
-
-    `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
-    touches of their root mean square difference from it. `response` is the mean over
-    touches of the share that each taxel has in a touch's change, over channels,
-    `response_var` the variance of that mean, both (n_rows, n_cols), or (0, 0) for
-    sensors of over 4096 taxels.
-    """
-
-    no_contact: Floats
-    touch_change: float
-    response: Floats
-    response_var: Floats
-    n_touches: int
-
-    @classmethod
-    def of(cls, images: Iterable[Array], no_contact: Array) -> Self:
-        """Remember the sensor that made these touches, each (n_rows, n_cols)."""
-        baseline = np.asarray(no_contact, dtype=np.float64)
-        changes, shares = [], []
-        for image in images:
-            size = np.abs(image - baseline)
-            changes.append(float(np.sqrt(np.nanmean(size**2))))
-            size = size.reshape(*size.shape[:2], -1).mean(axis=2)
-            shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
-            if baseline.size > MOST_TAXELS:
-                shares.clear()
-        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
-        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
-        return cls(baseline, float(np.median(changes)), response, spread, len(changes))
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> Self:
-        """Return what `to_dict` gave."""
-        names = ("no_contact", "response", "response_var")
-        arrays = {name: np.asarray(stored[name], np.float64) for name in names}
-        change, n_touches = float(stored["touch_change"]), int(stored["n_touches"])
-        return cls(**arrays, touch_change=change, n_touches=n_touches)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return arrays and plain values, for a model file."""
-        return dict(vars(self))
-
-
-def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
-    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
-    if memory.no_contact.shape != no_contact.shape:
-        learnt, present = map(size_said, (memory.no_contact.shape, no_contact.shape))
-        what = f"The model learnt from a sensor of {learnt}, this one has {present}."
-        return f"{what} Learn again with this sensor."
-    off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
-    if off <= _BASELINE_TOLERANCE * memory.touch_change:
-        return ""
-    share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
-    return (
-        f"At rest the sensor differs from when the model learnt by {share} of what a "
-        "touch changes. Check how it is mounted and lit, or learn again."
-    )
-
-
-def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
-    """Return a sentence if taxels answer otherwise than they did, else nothing.
-
-    Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
-    touches differs by a factor of 2, up or down, and by 4 standard errors.
-    """
-    few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
-    if few or not memory.response.size or memory.response.shape != now.response.shape:
-        return ""
-    before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
-    error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
-    sure = np.abs(after - before) > _SURE_SD * error
-    far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
-    taxels = np.argwhere(sure & far)
-    if not len(taxels):
-        return ""
-    return (
-        "Taxels answer otherwise than when the model learnt: "
-        f"{taxels_listed(taxels.tolist(), _NAMED)}. "
-        "They may be damaged or loose; calibrate, or learn again."
-    )
-
-
-def taxels_listed(places: Sequence[Sequence[int]], most: int) -> str:
-    """Return where taxels lie, the first few of them."""
-    listed = ", ".join(f"row {row} column {col}" for row, col in places[:most])
-    return listed + f" and {len(places) - most} more" * (len(places) > most)

@@ -1,24 +1,127 @@
-"""The health of a sensor that nothing touches: what is wrong, and the figures.
+"""The health of a sensor: at rest, and beside what is remembered of it.
 
-Limits are those of `TouchDetector`: what moves rest by less than half of the change at
-which a touch begins does no harm. Noise is told from neighbouring frames, so that drift
-is none. Crosstalk here is noise that rows or columns share; what a press on one taxel
-does to others only a press can tell.
+`SensorMemory` is its frame of no contact, how much touches change it, and, for arrays,
+how strongly each taxel answers. All of it can be kept in a model file. Of a sensor that
+nothing touches, `sensor_health` tells what is wrong, and the figures: limits are
+those of `TouchDetector`: what moves rest by less than half of the change at which a
+touch begins does no harm. Noise is told from neighbouring frames, so that drift is
+none. Crosstalk here is noise that rows or columns share; what a press on one taxel does
+to others only a press can tell.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from .._checks import size_said
 from .._types import Array, Floats
-from . import _detector
 from ._contract import Frame, SensorError
-from ._detector import MOST_TAXELS, ContactError, SensorMemory
+from ._detector import ContactError, TouchDetector
 
 _PARTS, _REST, _NAMED, _PAIRS = 12, 10, 5, 400
 _HOT, _SHARED, _LATE, _LOST = 6.0, 0.3, 3.0, 0.01
+# With more, a sensor is a camera: single taxels are nothing to name.
+MOST_TAXELS = 4096
+# Rest that is off by more than this share of a touch's change spoils touches.
+_BASELINE_TOLERANCE = 0.25
+# A taxel is named where its share differs by this factor, and by so many standard
+# errors: of 4,096 taxels a normal chance would name one in four checks.
+_GAIN_TOLERANCE, _SURE_SD = 2.0, 4.0
+_ENOUGH_TOUCHES, _NAMED_AFTER = 10, 3
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMemory:
+    """Figures of a sensor, from touches that it made.
+
+    `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
+    touches of their root mean square difference from it. `response` is the mean over
+    touches of the share that each taxel has in a touch's change, over channels,
+    `response_var` the variance of that mean, both (n_rows, n_cols), or (0, 0) for
+    sensors of over 4096 taxels.
+    """
+
+    no_contact: Floats
+    touch_change: float
+    response: Floats
+    response_var: Floats
+    n_touches: int
+
+    @classmethod
+    def of(cls, images: Iterable[Array], no_contact: Array) -> Self:
+        """Remember the sensor that made these touches, each (n_rows, n_cols)."""
+        baseline = np.asarray(no_contact, dtype=np.float64)
+        changes, shares = [], []
+        for image in images:
+            size = np.abs(image - baseline)
+            changes.append(float(np.sqrt(np.nanmean(size**2))))
+            size = size.reshape(*size.shape[:2], -1).mean(axis=2)
+            shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
+            if baseline.size > MOST_TAXELS:
+                shares.clear()
+        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
+        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
+        return cls(baseline, float(np.median(changes)), response, spread, len(changes))
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Self:
+        """Return what `to_dict` gave."""
+        names = ("no_contact", "response", "response_var")
+        arrays = {name: np.asarray(stored[name], np.float64) for name in names}
+        change, n_touches = float(stored["touch_change"]), int(stored["n_touches"])
+        return cls(**arrays, touch_change=change, n_touches=n_touches)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return arrays and plain values, for a model file."""
+        return dict(vars(self))
+
+
+def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
+    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
+    if memory.no_contact.shape != no_contact.shape:
+        learnt, present = map(size_said, (memory.no_contact.shape, no_contact.shape))
+        what = f"The model learnt from a sensor of {learnt}, this one has {present}."
+        return f"{what} Learn again with this sensor."
+    off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
+    if off <= _BASELINE_TOLERANCE * memory.touch_change:
+        return ""
+    share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
+    return (
+        f"At rest the sensor differs from when the model learnt by {share} of what a "
+        "touch changes. Check how it is mounted and lit, or learn again."
+    )
+
+
+def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
+    """Return a sentence if taxels answer otherwise than they did, else nothing.
+
+    Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
+    touches differs by a factor of 2, up or down, and by 4 standard errors.
+    """
+    few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
+    if few or not memory.response.size or memory.response.shape != now.response.shape:
+        return ""
+    before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
+    error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
+    sure = np.abs(after - before) > _SURE_SD * error
+    far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
+    taxels = np.argwhere(sure & far)
+    if not len(taxels):
+        return ""
+    return (
+        "Taxels answer otherwise than when the model learnt: "
+        f"{taxels_listed(taxels.tolist(), _NAMED_AFTER)}. "
+        "They may be damaged or loose; calibrate, or learn again."
+    )
+
+
+def taxels_listed(places: Sequence[Sequence[int]], most: int) -> str:
+    """Return where taxels lie, the first few of them."""
+    listed = ", ".join(f"row {row} column {col}" for row, col in places[:most])
+    return listed + f" and {len(places) - most} more" * (len(places) > most)
 
 
 def sensor_health(
@@ -39,7 +142,7 @@ def sensor_health(
     stack = np.stack([frame.image for frame in frames])
     whole, array = stack.dtype.kind in "iu", stack.ndim == 3
     array = array and stack[0].size <= MOST_TAXELS
-    detector, findings = _detector.TouchDetector(), []
+    detector, findings = TouchDetector(), []
     detector.step = max(step, 1.0) if whole else step
     try:
         detector.take_baseline(list(stack[:_REST]))
@@ -71,7 +174,7 @@ def sensor_health(
     usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
     lost = 1 - len(frames) / (frames[-1].number - frames[0].number + 1)
     if memory is not None and memory.no_contact.shape == rest.shape:
-        findings += filter(None, [_detector.baseline_warning(memory, rest)])
+        findings += filter(None, [baseline_warning(memory, rest)])
     n_s = frames[-1].time_s - frames[0].time_s
     signs = {
         f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
@@ -110,7 +213,7 @@ def sensor_health(
 
 
 def _named(places: list[list[int]]) -> str:
-    return f"{len(places)} taxels ({_detector.taxels_listed(places, _NAMED)})"
+    return f"{len(places)} taxels ({taxels_listed(places, _NAMED)})"
 
 
 def _shared(stack: Array, noise: Floats) -> tuple[float, float]:
