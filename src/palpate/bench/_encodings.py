@@ -74,8 +74,8 @@ def work(folder): return np.stack([simplejpeg.decode_jpeg(p.read_bytes(), 'GRAY'
 """
 Encode = Callable[[Array], Floats]
 _TYPES = ("float64", "float32", "uint8")
-_N_TOUCHES = 32
-_SIZE = 128
+_N_TOUCHES = 32  # pictures in turn, so that none stays in the cache
+_SIZE = 128  # pixels of a disc
 
 
 def bench_decode(

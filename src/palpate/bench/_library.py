@@ -38,19 +38,19 @@ from ..touches import Touches
 from ._timing import Row, cpu_ms, one_thread, real_touches, row, wall_ms
 
 SHAPES = ((10, 60), (50, 24), (50, 94))  # objects, touches of each
-BATCHES = (1, 64)
+BATCHES = (1, 64)  # touches asked at once
 
 Measure = Callable[[Floats], Floats]
-SIZES = (10_000, 100_000)
-LARGE = (1_000_000,)
-N_OBJECTS = 50
-N_TESTED = 192
-NOISE = 0.3
-WIDTHS = (22, 71)
+SIZES = (10_000, 100_000)  # touches in a library
+LARGE = (1_000_000,)  # the same, which takes minutes
+N_OBJECTS = 50  # as the BathTip's recordings
+N_TESTED = 192  # of its held-out touches, three batches
+NOISE = 0.3  # of a feature's deviation, on touches drawn again
+WIDTHS = (22, 71)  # features: few, and Zernike moments of a disc
 _PRODUCT = "float32 matrix product"
-_AT_ONCE = 50_000
+_AT_ONCE = 50_000  # touches drawn at a time
 _NO_PEER = "nothing to compare with"
-_ADDED_SINGLY, _STREAMED, _CALLERS = 50, 1000, 32
+_ADDED_SINGLY, _STREAMED, _CALLERS = 50, 1000, 32  # touches; and threads that add
 
 
 def bench_likelihood(

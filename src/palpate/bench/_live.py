@@ -25,8 +25,8 @@ from ._learning import drawn_touches
 from ._timing import N_COLS, N_ROWS, Row, coded, drawn_dome, one_thread, row
 
 STAGES = ("decode", "clean up", "encode", "likelihood", "belief")
-_N_TOUCHES = 12
-_OFFERED_HZ = 30.0
+_N_TOUCHES = 12  # seen by the page
+_OFFERED_HZ = 30.0  # of a camera
 _STREAM = f"{N_COLS} x {N_ROWS} uint8 replay"
 _WAYS = ("frame to", "touch to belief at")
 _alone = partial(row, reason="no other tool shows a belief over objects live")

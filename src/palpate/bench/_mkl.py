@@ -31,10 +31,10 @@ Easy = Callable[[Any, Tensors], None]
 # Kernel matrices of the touches learnt, and of those recognised if they are asked.
 Stacks = tuple[Floats, Floats | None]
 
-_N_CLASSES, _PER_CLASS, _N_FEATURES = 12, 10, 20
+_N_CLASSES, _PER_CLASS, _N_FEATURES = 12, 10, 20  # a study of Liu 2014's size
 _SIZE = f"{_N_CLASSES} x {_PER_CLASS} touches 22 kernels float64"
-_PRICES = (1.0, 100.0)
-_MANY = (10_000, 100_000)
+_PRICES = (1.0, 100.0)  # values of C: a soft margin and a hard one
+_MANY = (10_000, 100_000)  # touches, of which 200 are landmarks
 _LARGE = """
 import numpy as np
 from palpate.classifiers import MKLSVC, GaussianKernel

@@ -16,7 +16,7 @@ from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Indices
 
-_CLIP = 0.2
+_CLIP = 0.2  # as SIFT does, doi:10.1023/B:VISI.0000029664.99615.94
 # Below this share of the strongest cell, a block is not brought to length 1.
 _FAINT = 1e-3
 # The canvas' shorter side has 32 pixels at least: each ring has some.

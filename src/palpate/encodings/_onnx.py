@@ -24,7 +24,7 @@ from .._extras import needed
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Singles
 
-MB = 2**20
+MB = 2**20  # bytes
 # Larger files are refused, and more memory is not given to all networks together.
 MAX_NETWORK_MB, MAX_MEMORY_GB = 500, 4
 MAX_OPERATORS, MAX_SIDE, MAX_WIDTH = 20_000, 2048, 16_384

@@ -11,7 +11,7 @@ from .._types import Array, Floats
 from ..images import OrientationRegulariser
 from ._moments import size_of
 
-PAPER_SIDE = 13
+PAPER_SIDE = 13  # 169 values, as in the paper
 # The median of so many training images is a baseline.
 _LOOKED_AT = 200
 

@@ -37,8 +37,8 @@ from ._pixels import ScaledPixels
 from ._zernike import ZernikeMoments
 
 Components = int | float | None
-_FOLDS = 5
-_LEARNT_FROM = 600
+_FOLDS = 5  # groups are left out in so many parts
+_LEARNT_FROM = 600  # as many as the encodings are chosen on
 
 
 class PrincipalEncoder(ImageEstimator):

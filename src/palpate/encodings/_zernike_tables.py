@@ -24,7 +24,7 @@ from .._types import Array, Bools, Complexes, Floats, Indices
 from ._zernike_polynomials import legendre_weights, zernike_degrees, zernike_values
 
 Nodes = tuple[Floats, Floats, Floats]
-HIGHEST_SEPARABLE_ORDER = 20
+HIGHEST_SEPARABLE_ORDER = 20  # up to it weights of monomials are exact
 # Taxels per pass over the images: what fits in a processor's second-level cache.
 _TAXELS_IN_CACHE = 2**17
 # Numbers in one buffer of features, and in one block of a dense basis: 8 and 16 MB.

@@ -26,9 +26,9 @@ from .._types import Array, Floats, Indices, Singles
 from ._orientation import inscribed_mask
 from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
-N_SAFE = 512
-SAFE_SHARE = 0.02
-FLAT = 1e-6
+N_SAFE = 512  # images are spread over all; more change a quantile little
+SAFE_SHARE = 0.02  # of the images may reach beyond the disc
+FLAT = 1e-6  # of the level: single precision rounds there
 
 
 class DomeCrop(ImageEstimator):

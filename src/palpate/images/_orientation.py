@@ -20,9 +20,9 @@ from .._checks import check_count, check_images, check_number, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Bools, Floats, Indices
 
-ORDER = 3
+ORDER = 3  # third moments tell one end of an axis from the other
 _BINOMIAL = pascal(ORDER + 1, kind="lower").astype(float)
-MIN_ANISOTROPY = 0.02
+MIN_ANISOTROPY = 0.02  # below, noise turns a round press
 # Rounding of the second moments, as a share of their sum.
 _ROUNDING = 1e-9
 # Pixels of output worked on at a time; bounds the memory of the coordinates.

@@ -28,10 +28,13 @@ from .._types import Array, Bools, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
 
-SMALLEST_SIDE = 40
-RADII = (0.25, 0.8)
+SMALLEST_SIDE = 40  # pixels; below, an image is of an array
+RADII = (0.25, 0.8)  # that are looked for, of the shorter side
+# Shares of the circle: with a sharp edge, in the frame, and on the lesser side.
 MIN_SUPPORT, MIN_ARC, MIN_BALANCE = 0.65, 0.2, 0.12
+# With less on one side, so much of what is in the frame must show an edge.
 ONE_SIDED, ONE_SIDED_SUPPORT = 0.2, 0.9
+# How far a rim may be from a known one, of its radius.
 FREE_RADIUS, FREE_CENTRE = 0.03, 0.5
 # A rim found from where it was is trusted no further off than this share of its radius.
 FEW_STEPS = 0.05

@@ -32,14 +32,14 @@ from .._types import Array, Singles
 
 Triple = tuple[float, float, float]
 
-REDUCED_SIDE = 120
-MAX_EDGE_POINTS = 500
-N_RAYS = 192
-HALF_WIDTH = 0.1
-BIWEIGHT = 4.685
-MIN_EDGES = 12
-HOLD = 0.003
-TOLERANCE, SHARP = 0.012, 1.8
+REDUCED_SIDE = 120  # pixels, for the search alone; the fit takes all
+MAX_EDGE_POINTS = 500  # the steepest vote: time grows with them
+N_RAYS = 192  # across the rim, one every 1.9 degrees
+HALF_WIDTH = 0.1  # of the radius, that a ray reaches to either side
+BIWEIGHT = 4.685  # 95 % efficient for normal noise (Tukey)
+MIN_EDGES = 12  # four for each of the circle's three numbers
+HOLD = 0.003  # of the radius: how far the known one may be off
+TOLERANCE, SHARP = 0.012, 1.8  # of the radius off the circle; times the typical slope
 _EDGE = cv2.BORDER_REPLICATE
 
 _ANGLE = 2 * np.pi * np.arange(N_RAYS) / N_RAYS

@@ -30,8 +30,8 @@ from ._store import (
 )
 from ._where import Condition, parse_where
 
-_TOUCHES_AT_ONCE = 256
-_BYTES_AT_ONCE = 32 * 2**20
+_TOUCHES_AT_ONCE = 256  # in one transaction
+_BYTES_AT_ONCE = 32 * 2**20  # of images in it
 
 
 class SensorDescription(NamedTuple):

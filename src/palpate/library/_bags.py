@@ -37,7 +37,7 @@ from ..touches import Touches, TouchesError, shows_frame
 from ..touches import frame_of_message as _frame_of_message
 from ._store import LibraryError
 
-MAX_BYTES = 4 * 2**30
+MAX_BYTES = 4 * 2**30  # as of Touches.load
 _room = threading.local()  # how much the bag that is read may still unpack to
 
 

@@ -31,7 +31,7 @@ from ._store import (
     from_json,
 )
 
-_SHOWN = 20
+_SHOWN = 20  # ids of a problem that are listed
 LEFT_OUT = "left out"
 _LEFT_OUT = "SELECT 1 FROM arrays WHERE digest = ? AND content = ?"
 

@@ -32,14 +32,14 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-_LEVEL = 1
-_ID_BYTES = 16
-_MAX_HEADER = 2**14
-_MAX_ARRAY = 2**30
+_LEVEL = 1  # of Zstandard: the fastest
+_ID_BYTES = 16  # of SHA-256: two touches of 10^12 share one in 10^14
+_MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
+_MAX_ARRAY = 2**30  # bytes of an array in the database
 _PLAIN_KINDS = "biufcSUMm"
 PICTURE = "picture"  # a form of images: the file it came in
 _PLAIN, _PACKED = "plain", "packed"
-WIDE = 16
+WIDE = 16  # values; longer columns stand beside the row
 CELLS = (
     *("object", "category", "session", "episode", "sensor", "order"),
     *("time_s", "force_n", "press", "frame", "source_path"),

@@ -48,7 +48,7 @@ from ._store import LibraryError, room_for
 
 TACTILE = "observation.tactile"
 _LEROBOT_VERSION = "v3.0"
-_FRAMES_PER_SECOND = 1
+_FRAMES_PER_SECOND = 1  # a touch is a frame, and has its own time
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
 _KEYS = ("object", "category", "session", "episode", "sensor")

@@ -44,7 +44,7 @@ from ._store import (
 )
 from ._where import objects_named
 
-MAX_BYTES = 64 * 2**30
+MAX_BYTES = 64 * 2**30  # of all images read at once; larger is refused
 Sensors = list[SensorDescription]
 Ids = list[str]  # inside the class, `list` is a method
 Changes = list[Change]

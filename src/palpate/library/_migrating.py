@@ -40,8 +40,8 @@ from ._repairing import enter_all
 from ._store import FILE_NAME, OLD_VERSIONS, LibraryError, Store
 
 _BEGUN = ".migrating.sqlite"
-_AT_ONCE = 256
-_MAX_HEADER = 2**14
+_AT_ONCE = 256  # touches in one transaction
+_MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
 _ROWS = (
     "SELECT t.number, t.id, given.name, "
     + ", ".join(f't."{name}"' for name in CELLS[1:])

@@ -43,9 +43,9 @@ from ._rows import (
 )
 from ._store import FEATURES, LibraryError, room_for
 
-IN_MEMORY = 256 * 2**20
-NO_LIMIT = 2**62
-_TASKS_PER_FILE = 16
+IN_MEMORY = 256 * 2**20  # bytes of images; more are mapped to a file
+NO_LIMIT = 2**62  # SQLite counts with 63 bits
+_TASKS_PER_FILE = 16  # of features, written when they are done
 _ID = "S16"  # a last byte of zero is no matter among equals
 Encode = Callable[[Touches], Floats]
 

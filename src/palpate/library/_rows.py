@@ -44,8 +44,8 @@ from ._store import (
 
 Numbers = NDArray[np.int64]
 LOST = b""  # an array that a repair did not find whole
-_SHOWN = 20
-_BYTES_AT_ONCE = 64 * 2**20
+_SHOWN = 20  # ids of a message that are listed
+_BYTES_AT_ONCE = 64 * 2**20  # of images, some MiB in memory
 _RECORDED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
 _SIZES = ("n_rows", "n_cols", "n_channels", "dtype", "whole")
 FROM = (

@@ -27,13 +27,13 @@ T = TypeVar("T")
 FILE_NAME, COUNT_NAME = "library.sqlite", "library.count"
 FEATURES = "features"
 VERSION = 3  # 1 and 2 had images in files of their own
-OLD_VERSIONS = (1, 2)
-PATIENCE_S = 60.0
-_PATIENCE_ALONE_S = 2.0
+OLD_VERSIONS = (1, 2)  # migrate_library reads them
+PATIENCE_S = 60.0  # for another program that writes
+_PATIENCE_ALONE_S = 2.0  # where the file is opened for this program alone
 AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
 _TOGETHER = 32  # so many callers share a transaction
 _APPLICATION = 0x70616C70  # "palp"
-PAGE_BYTES = 8192
+PAGE_BYTES = 8192  # of SQLite; twice its default, since images are long
 _MOUNTS = Path("/proc/self/mounts")
 _NETWORK = ("nfs", "cifs", "smb", "afs", "ncpfs", "ceph", "lustre", "fuse.sshfs")
 

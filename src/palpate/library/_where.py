@@ -40,8 +40,8 @@ _INTEGER = re.compile("[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf", re.I)
 _EQUAL, _UNEQUAL, _ORDERED = ("=", "=="), ("!=", "<>"), ("<", "<=", ">", ">=")
 _NAMED = [("object", sign) for sign in _EQUAL]
-_LONGEST = 10_000
-_DEEPEST = 50
+_LONGEST = 10_000  # letters; a filter is written by hand
+_DEEPEST = 50  # brackets; Python's own stack holds them
 _DEEPEST_SQL = 30  # SQLite's parser holds 100 symbols, up to three for each bracket
 
 

@@ -15,7 +15,7 @@ from .._types import Array, Floats
 from ..simulation import DomeCamera, PlacedObject, SensorPose
 from ._contract import SensorError
 
-_SAME_LINE_MM = 1e-6
+_SAME_LINE_MM = 1e-6  # rounding of a pose on the same line
 # Forces at which contact is solved; between them it is interpolated in logarithms.
 _FORCES_N = 0.03 * 2.5 ** np.arange(7)
 _LEAST_MM = 1e-3

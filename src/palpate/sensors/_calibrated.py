@@ -8,7 +8,7 @@ import numpy as np
 from .._types import Array, Floats
 from ._contract import Frame, LiveSensor, Reading, SensorError
 
-_TICK_S = 0.3
+_TICK_S = 0.3  # between looks at whether to stop
 
 
 class Calibration(Protocol):

@@ -21,7 +21,11 @@ from .._types import Array, Floats
 from ._contract import Frame, SensorError
 from ._detector import ContactError, TouchDetector
 
+# Parts of the frames whose means show drift, frames of a baseline, taxels named of each
+# kind, and pairs of frames for crosstalk.
 _PARTS, _REST, _NAMED, _PAIRS = 12, 10, 5, 400
+# Bad is noise so many times the typical one, this share of noise in common, a frame in
+# a hundred so many times as late as usual, this share of frames lost.
 _HOT, _SHARED, _LATE, _LOST = 6.0, 0.3, 3.0, 0.01
 # With more, a sensor is a camera: single taxels are nothing to name.
 MOST_TAXELS = 4096

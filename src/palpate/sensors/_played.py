@@ -31,9 +31,9 @@ from ..simulation import (
 from ..touches import Touches, TouchesError
 from ._contract import LiveSensor, SensorError, as_kind
 
-_LONGEST_WAIT_S = 0.2
+_LONGEST_WAIT_S = 0.2  # between looks at whether to stop
 _UNLABELLED = "recording"
-_NOISE_FRAMES = 8
+_NOISE_FRAMES = 8  # drawn once, in turn
 _NAMES = {"dome": "dome camera", "gel": "gel camera", "array": "pressure array"}
 # Quiet pictures differ by under a tenth of what pictures that differ much do (90 % of
 # the pairs differ less). They are of at least half of the objects; of one object a

@@ -16,8 +16,8 @@ from ._ros_types import MAX_MESSAGE, Header, RosNode, RosReader, read_message
 from ._zenoh import ZenohNode
 
 VIA = ("dds", "zenoh")
-_TICK_S = 0.2
-_MATCH_S = 1.0
+_TICK_S = 0.2  # between looks at whether to stop
+_MATCH_S = 1.0  # until publisher and reader have met
 _HEADERS = 4096  # of the newest frames
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 from .._extras import needed
 
 WHAT = "A topic of ROS 2"
-MAX_MESSAGE = 2**26
+MAX_MESSAGE = 2**26  # bytes: 64 MiB hold any image
 DEPTH = 64  # messages that may wait
 STRING, CLASSIFICATION = "std_msgs/msg/String", "vision_msgs/msg/Classification"
 TRIGGER, SET_BOOL = "std_srvs/srv/Trigger", "std_srvs/srv/SetBool"

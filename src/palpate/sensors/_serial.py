@@ -19,7 +19,7 @@ from ._contract import LiveSensor, SensorError
 from ._framing import _HEAD, _TYPES, SYNC, BinaryFraming, LineFraming
 
 FRAMINGS = ("line", "binary")
-_WAIT_S = 0.1
+_WAIT_S = 0.1  # for bytes, before looking whether to stop
 # Without a frame for so long, so many bytes tell why; so long an array that is found by
 # itself may take to write (many start again when their port is opened).
 _SILENT_S, _MOST_UNREAD, _LISTEN_S = 1.0, 2**16, 5.0

@@ -35,7 +35,7 @@ from ._ros_types import (
 _ROUTER = "tcp/localhost:7447"
 _TOKENS = "@ros2_lv"
 _QUALITY = f"::,{DEPTH}:,:,:,,"  # reliable, volatile, the last 64
-_RECENT_S = 2.0
+_RECENT_S = 2.0  # after its last message a publisher counts as there
 _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 

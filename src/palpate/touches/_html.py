@@ -11,10 +11,10 @@ from .._extras import needed
 from .._types import Array
 from ._pictures import RGB
 
-PICTURES = 8
-SIDE_PX = 96
-_NAMES = 12
-_LETTERS = 60
+PICTURES = 8  # shown of a set
+SIDE_PX = 96  # of each
+_NAMES = 12  # listed
+_LETTERS = 60  # of each name
 _DEAD = (60, 60, 220)  # blue, green, red
 _EVEN = "display:inline-block;margin:2px;text-align:center;vertical-align:top"
 

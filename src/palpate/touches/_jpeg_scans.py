@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 
-MOST_SCANS = 100
+MOST_SCANS = 100  # progressive files of cameras have about ten
 # A scan has ten bytes at least and takes at most some 0.4 ns a pixel: where bytes times
 # pixels are fewer, as of a camera's 640 x 480, no picture takes longer than a second.
 _FEW = 5 * 2**32

@@ -15,7 +15,7 @@ from ._columns import WHOLE, TouchesError
 POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
 TAKEN = (*WHOLE, *POSITIONS, "images", "source_path")
 _EXAMPLE = r"(?P<object>[a-z]+)_(?P<n>\d+)"
-_MOST_S = 10.0
+_MOST_S = 10.0  # seconds; some patterns would never end
 # The file name is searched first, then the path relative to the folder.
 _MATCH = """
 import json, re, sys

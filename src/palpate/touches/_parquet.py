@@ -32,9 +32,9 @@ from ._columns import Arrays, TouchesError
 from ._pictures import RGB, decode_bytes, png_bytes
 
 ENDINGS = (".parquet", ".pq")
-FORMAT = 2
-_ROWS_AT_ONCE = 512
-_BYTES_AT_ONCE = 64 * 2**20
+FORMAT = 2  # 1 had one recording alone
+_ROWS_AT_ONCE = 512  # of which memory holds
+_BYTES_AT_ONCE = 64 * 2**20  # as many images at once
 _IMAGE, _RECORDING = "image", "recording"
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL)
 _PART = re.compile(r"([^/=]+)=([^/]*)")

@@ -26,9 +26,9 @@ from ._folder import PICTURES, folder_arrays, no_contact_picture
 from ._parquet import is_parquet, parquet_parts
 from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
-MAX_PIXELS = 50_000_000
-MAX_BYTES = 4 * 2**30
-_LINE = 88
+MAX_PIXELS = 50_000_000  # of one picture: any camera's
+MAX_BYTES = 4 * 2**30  # of all images, 4 GiB: what a laptop holds
+_LINE = 88  # columns of a terminal
 
 
 class Episode(NamedTuple):

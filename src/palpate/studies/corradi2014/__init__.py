@@ -34,10 +34,10 @@ CAPTIONS = {
     "On the second half: bars are randomised fivefold cross-validation, black lines "
     "folds that leave a whole recording out; dotted, the paper's best, 96.4 %.",
 }
-SIGNIFICANT = 0.05
+SIGNIFICANT = 0.05  # the usual level; beside it Holm's
 SHAPES = ("corner", "cylinder", "edge", "flat", "flat-to-edge", "nothing", "point")
-LIFTS = (0.12, -0.12)
-_TICKS = (1, 2, 5, 10, 30, 100, 1000)
+LIFTS = (0.12, -0.12)  # two variants side by side on one line
+_TICKS = (1, 2, 5, 10, 30, 100, 1000)  # of an axis in logarithms
 # Of a larger set so many touches are looked at for repeated ones.
 _MOST_ALIKE = 1000
 

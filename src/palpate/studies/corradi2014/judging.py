@@ -35,7 +35,7 @@ from . import plan as stated
 from .plan import CANDIDATES, CLASSIFIERS, Corradi2014Plan, Images, Shapes
 
 SENSORS = ("simulated", "simulated-pins")
-N_FOLDS = 5
+N_FOLDS = 5  # as in the paper
 Counts = tuple[int, ...]
 # From training and test touches, numbers of components and a seed to per cent right.
 Right = Callable[[Codes, Codes, Counts, int], list[float]]

@@ -36,6 +36,7 @@ PAPER_ENCODINGS = tuple(TABLE_2)
 VARIANTS = ("image", "derivative")
 CLASSIFIERS = ("1-NN", "network", "SVMs", "naive Bayes")
 
+# Numbers of features that are tried; Zernike moments end with a whole order.
 HU = (1, 2, 3, 4, 5, 6, 7)
 MOMENTS = (3, 8, 15, 24, 35, 48, 71)
 PRINCIPAL = (2, 4, 7, 11, 16, 22, 30, 40)
@@ -64,8 +65,8 @@ CANDIDATES: dict[str, tuple[Part, ...]] = {
 Images = Singles
 
 TACTIP = Archive(Path("tactip4") / "tactip4.npz", "a real dome with pins")
-SIZE = 128
-N_GROUPS = 5
+SIZE = 128  # pixels of a disc
+N_GROUPS = 5  # parts of a recording, left out in turn
 # Two touches whose standardised discs correlate above this show the same picture.
 SAME = 0.99
 

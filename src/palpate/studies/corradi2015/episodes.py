@@ -31,7 +31,8 @@ IDLE = {name: f"idle, {name}" for name in (MAIN, DEFAULT)}
 _CONTROLS: dict[str, Recogniser] = {
     name: known_by.Nuisance(name) for name in ("disc centre", "brightness")
 }
-LATER_TOUCHES = 20
+LATER_TOUCHES = 20  # the most that the paper asks for
+# Touches after which the confusion, and the belief about a stranger, are shown.
 CONFUSED_AFTER = (5, 15)
 UNSEEN_AFTER = (1, 5, 10, 30)
 _FIGURES: dict[tuple[str, str], dict[int, float]] = {

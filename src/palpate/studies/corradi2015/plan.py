@@ -23,7 +23,7 @@ from ...simulation import HOUSEHOLD, UNSEEN, simulate_touches
 from ...touches import Touches
 from .._study import Codes, Plan, labels
 
-N_KNOWN = 10
+N_KNOWN = 10  # as in the paper
 # Share right in per cent after so many touches, as the text of the paper gives it.
 PAPER: dict[int, float] = {15: 87.0, 30: 95.0}
 PAPER_CLUSTERS: dict[int, float] = {30: 70.0}

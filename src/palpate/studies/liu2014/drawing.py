@@ -16,7 +16,7 @@ from .. import _study as shared
 from .._study import Row, labels
 from .plan import CLASS_SETS, PAPER_LOAD_KGF, Liu2014Plan, simulated_presses
 
-STAGES_SHOWN, WAVES_KEPT = 3, 3
+STAGES_SHOWN, WAVES_KEPT = 3, 3  # what a picture has room for
 LEVELS, LINE = "cividis", plots.COLOURS[1]
 # Encoding, scaling, name, colour and line of the curves over load and cover.
 CURVES = (

@@ -23,6 +23,7 @@ from .._study import Archive, Codes, Plan
 
 PROTOCOLS = ("both", "nested", "paper")
 SCALINGS = ("z-scored", "raw")
+# The paper's: descriptors, partitions of a side, load and cover of its tables.
 PAPER_N = 40
 PAPER_PARTITIONS = 2
 PAPER_LOAD_KGF = 4.0

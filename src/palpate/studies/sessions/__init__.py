@@ -33,7 +33,7 @@ WAYS = {
 CEILING = "the last quarter of the same sessions"
 ALARM = "alarm"
 PAIRS, MOVED = "pairs of others known", "after the camera jumped"
-N_ALARM_TOUCHES = 10
+N_ALARM_TOUCHES = 10  # a first handful of a session
 TITLE = "Taught in some sessions, asked in another"
 CAPTIONS = {"sessions": "Right after one touch, each session left out, in per cent"}
 
