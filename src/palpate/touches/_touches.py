@@ -223,30 +223,21 @@ class Touches(Labelled):
         place = Path(path)
         ending = place.suffix.lower()
         plain = name_pattern is None and not colour
-        if ending in (*CONTAINERS, *RAW) and place.exists() and plain:
-            if ending in RAW:
-                arrays = raw_arrays(place, shape, dtype, max_bytes, channels)
-            else:
-                arrays = container_arrays(place, max_bytes, max_pixels)
-                if channels:
-                    arrays["channels"] = np.array(channels)
-            read = cls(**arrays)
+        if ending in CONTAINERS and place.exists() and plain:
+            arrays = container_arrays(place, max_bytes, max_pixels)
+            if channels:
+                arrays["channels"] = np.array(channels)
+            return cls(**arrays)._with_rest(no_contact, max_pixels)
+        if ending in RAW and place.exists() and plain:
+            read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
             return read._with_rest(no_contact, max_pixels)
-        if dtype is not None:
-            raise TouchesError(
-                f"dtype must be left out but for {', '.join(RAW)}, got {dtype!r} with "
-                f"{place}. Other files say themselves what they hold."
-            )
+        why = "Other files say themselves what they hold."
+        _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             how = (name_pattern, levels, no_contact, colour, skip_bad)
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
-        if levels is not None or skip_bad:
-            options = f"levels {levels!r}" if levels is not None else "skip_bad"
-            raise TouchesError(
-                f"{options} must be left out but for a folder, got it with {place}. "
-                f"{nearest_path(place)}".rstrip()
-            )
+        _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
         if ending in (*TABLES, *TEXTS) and place.is_file() and plain:
             if ending != ".npy":
                 read = cls(**csv_arrays(place, shape, max_bytes, channels))
@@ -255,26 +246,11 @@ class Touches(Labelled):
                 read = cls(array[None] if array.ndim == 2 else array)
             return read._with_rest(no_contact, max_pixels)
         if ending != ".npz":
-            if not place.exists():
-                raise TouchesError(
-                    f"{place} must be a file or folder of touches, got nothing there. "
-                    f"{nearest_path(place) or 'Check the path.'}"
-                )
-            kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
-            raise TouchesError(
-                f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
-                "without options for others, got another kind of file. Convert it."
-            )
-        if name_pattern is not None:
-            raise TouchesError(
-                f"name_pattern must be left out for an archive, got {name_pattern!r} "
-                f"with {place}. Archives carry their labels."
-            )
-        if colour:
-            raise TouchesError(
-                f"colour must be left out for an archive, got {colour!r} with {place}. "
-                "Archives carry the names of their channels."
-            )
+            raise _no_touches(place)
+        why = "Archives carry their labels and the names of their channels."
+        _left_out(
+            place, "for an archive", why, name_pattern=name_pattern, colour=colour
+        )
         touches = cls._of(*read_archive(place, max_bytes))
         return touches._with_rest(no_contact, max_pixels)
 
@@ -623,6 +599,29 @@ class TouchSource(Protocol):
     def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
         """Return features of all touches, made by `encode` or kept under `key`."""
         ...
+
+
+def _left_out(place: Path, where: str, why: str, **options: Any) -> None:
+    """Refuse options that say nothing to a kind of file."""
+    for name, value in options.items():
+        if value is not None and value is not False:
+            raise TouchesError(
+                f"{name} must be left out {where}, got {value!r} with {place}. "
+                f"{why or nearest_path(place)}".rstrip()
+            )
+
+
+def _no_touches(place: Path) -> TouchesError:
+    if not place.exists():
+        return TouchesError(
+            f"{place} must be a file or folder of touches, got nothing there. "
+            f"{nearest_path(place) or 'Check the path.'}"
+        )
+    kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
+    return TouchesError(
+        f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
+        "without options for others, got another kind of file. Convert it."
+    )
 
 
 def read_parquet(
