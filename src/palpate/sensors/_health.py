@@ -144,93 +144,125 @@ def sensor_health(
             f"A check needs {2 * _PARTS} frames, got {len(frames)}. Watch for longer."
         )
     stack = np.stack([frame.image for frame in frames])
-    whole, array = stack.dtype.kind in "iu", stack.ndim == 3
-    array = array and stack[0].size <= MOST_TAXELS
+    is_array = stack.ndim == 3 and stack[0].size <= MOST_TAXELS
     detector, findings = TouchDetector(), []
-    detector.step = max(step, 1.0) if whole else step
+    detector.step = max(step, 1.0) if stack.dtype.kind in "iu" else step
     try:
         detector.take_baseline(list(stack[:_REST]))
     except ContactError as error:
         findings.append(str(error))
     n_touched = sum(detector.update(frame) is not None for frame in frames)
-    rest = stack.mean(axis=0, dtype=np.float64)
-    squares = np.zeros(rest.shape)
-    for before, after in pairwise(image.astype(np.float64) for image in stack):
-        squares += (after - before) ** 2
-    noise = np.sqrt(squares / (len(stack) - 1) / 2)
-    typical = float(np.nanmedian(noise))
+    rest, noise = stack.mean(axis=0, dtype=np.float64), _noise(stack)
     parts = np.array_split(stack, _PARTS)
     means = [part.mean(axis=0, dtype=np.float64) for part in parts]
-    by_chance = float(np.nanmean(noise**2)) * (1 / len(parts[0]) + 1 / len(parts[-1]))
-    moved = float(np.nanmean((means[-1] - means[0]) ** 2)) - by_chance
-    drift, limit = max(moved, 0.0) ** 0.5, detector.end
-    most = np.iinfo(stack.dtype).max if whole else np.inf
-    at_top = np.mean(stack == most, axis=0)
-    # Where numbers are coarser than the noise, a taxel that stands still may be well.
-    fine = typical >= max(detector.step / 2, 1e-300)
-    full, still = at_top > 0.5, (noise == 0) & fine
-    loud = (noise > max(_HOT * typical, detector.step)) & (typical > 0)
-    saturated = np.argwhere(full & array).tolist()
-    dead = np.argwhere((np.isnan(rest) | (still & ~full)) & array).tolist()
-    hot = np.argwhere(loud & array).tolist()
-    by_row, by_col = _shared(stack[: _PAIRS + 1], noise) if array else (0.0, 0.0)
-    gaps_ms = np.diff([frame.time_s for frame in frames]) * 1000
-    usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
-    lost = 1 - len(frames) / (frames[-1].number - frames[0].number + 1)
+    figures = {
+        **_times(frames),
+        "noise": float(np.nanmedian(noise)),
+        "drift": _drift(parts, means, noise),
+        "drift_limit": detector.end,
+        **_shared(stack[: _PAIRS + 1] if is_array else stack[:0], noise),
+    }
+    taxels: dict[str, list[list[int]]] = {"dead": [], "hot": [], "saturated": []}
+    if is_array:
+        taxels = _bad_taxels(stack, rest, noise, detector.step)
     if memory is not None and memory.no_contact.shape == rest.shape:
         findings += filter(None, [baseline_warning(memory, rest)])
-    n_s = frames[-1].time_s - frames[0].time_s
-    signs = {
-        f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
-        f"{_named(dead)} never change: dead or unplugged.": dead,
-        f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
-        f"Rest drifted by {drift:.3g} in {n_s:.0f} s; a touch ends at {limit:.3g}. "
-        "Let it warm up, or take the baseline often.": drift > limit,
-        f"Rows share {by_row:.0%} and columns {by_col:.0%} of their noise: crosstalk, "
-        "or an unsteady supply.": max(by_row, by_col) > _SHARED,
-        f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
-        f"{usual_ms:.0f}: something holds it up.": late_ms > _LATE * usual_ms,
-        f"{lost:.1%} of the frames are lost.": lost > _LOST,
-    }
     if n_touched:  # whatever else there is may come of it
         findings.append(
             f"Rest left its baseline {n_touched} times and came back: something "
             "touched it. Leave it alone and check again."
         )
     else:
-        findings += [finding for finding, wrong in signs.items() if wrong]
-    figures = {
+        findings += _findings(figures, taxels, frames[-1].time_s - frames[0].time_s)
+    levels = [float(np.nanmean(mean - means[0])) for mean in means]
+    report = {"ok": not findings, "findings": findings, "figures": figures, **taxels}
+    return {**report, "levels": levels, "rest": rest, "noise": noise}
+
+
+def _findings(
+    figures: dict[str, Any], taxels: dict[str, list[list[int]]], duration_s: float
+) -> list[str]:
+    """Return a sentence for all that is beyond its limit."""
+    dead, hot, saturated = taxels["dead"], taxels["hot"], taxels["saturated"]
+    drift, limit = figures["drift"], figures["drift_limit"]
+    by_row, by_col = figures["shared_by_rows"], figures["shared_by_columns"]
+    late_ms, usual_ms = figures["interval_99_ms"], 1000 / (figures["rate_hz"] or np.inf)
+    signs = {
+        f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
+        f"{_named(dead)} never change: dead or unplugged.": dead,
+        f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
+        f"Rest drifted by {drift:.3g} in {duration_s:.0f} s; a touch ends at "
+        f"{limit:.3g}. Let it warm up, or take the baseline often.": drift > limit,
+        f"Rows share {by_row:.0%} and columns {by_col:.0%} of their noise: crosstalk, "
+        "or an unsteady supply.": max(by_row, by_col) > _SHARED,
+        f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
+        f"{usual_ms:.0f}: something holds it up.": late_ms > _LATE * usual_ms,
+        f"{figures['lost']:.1%} of the frames are lost.": figures["lost"] > _LOST,
+    }
+    return [finding for finding, is_wrong in signs.items() if is_wrong]
+
+
+def _times(frames: Sequence[Frame]) -> dict[str, Any]:
+    gaps_ms = np.diff([frame.time_s for frame in frames]) * 1000
+    usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
+    return {
         "frames": len(frames),
         "rate_hz": 1000 / usual_ms if usual_ms else None,
         "interval_99_ms": late_ms,
-        "lost": lost,
-        "noise": typical,
-        "drift": drift,
-        "drift_limit": limit,
-        "shared_by_rows": by_row,
-        "shared_by_columns": by_col,
+        "lost": 1 - len(frames) / (frames[-1].number - frames[0].number + 1),
     }
-    levels = [float(np.nanmean(mean - means[0])) for mean in means]
-    taxels = {"dead": dead, "hot": hot, "saturated": saturated}
-    report = {"ok": not findings, "findings": findings, "figures": figures, **taxels}
-    return {**report, "levels": levels, "rest": rest, "noise": noise}
+
+
+def _noise(stack: Array) -> Floats:
+    """Return the noise of each taxel, from neighbouring frames."""
+    squares = np.zeros(stack.shape[1:])
+    for before, after in pairwise(image.astype(np.float64) for image in stack):
+        squares += (after - before) ** 2
+    return np.asarray(np.sqrt(squares / (len(stack) - 1) / 2))
+
+
+def _drift(parts: list[Array], means: list[Floats], noise: Floats) -> float:
+    """Return how far rest moved from the first part to the last, beyond noise."""
+    by_chance = float(np.nanmean(noise**2)) * (1 / len(parts[0]) + 1 / len(parts[-1]))
+    moved = float(np.nanmean((means[-1] - means[0]) ** 2)) - by_chance
+    return float(max(moved, 0.0) ** 0.5)
+
+
+def _bad_taxels(
+    stack: Array, rest: Floats, noise: Floats, step: float
+) -> dict[str, list[list[int]]]:
+    """Return (row, column) of taxels of an array that are dead, hot or saturated."""
+    typical = float(np.nanmedian(noise))
+    most = np.iinfo(stack.dtype).max if stack.dtype.kind in "iu" else np.inf
+    is_full = np.mean(stack == most, axis=0) > 0.5
+    # Where numbers are coarser than the noise, a taxel that stands still may be well.
+    is_still = (noise == 0) & (typical >= max(step / 2, 1e-300))
+    is_loud = (noise > max(_HOT * typical, step)) & (typical > 0)
+    masks = {
+        "dead": np.isnan(rest) | (is_still & ~is_full),
+        "hot": is_loud,
+        "saturated": is_full,
+    }
+    return {name: np.argwhere(mask).tolist() for name, mask in masks.items()}
 
 
 def _named(places: list[list[int]]) -> str:
     return f"{len(places)} taxels ({taxels_listed(places, _NAMED)})"
 
 
-def _shared(stack: Array, noise: Floats) -> tuple[float, float]:
+def _shared(stack: Array, noise: Floats) -> dict[str, float]:
     """Return the mean correlation of the noise of taxels in a row, and in a column.
 
     The variance of a mean of n equal variances is theirs times (1 + (n - 1) rho) / n.
     """
+    shares = {"shared_by_rows": 0.0, "shared_by_columns": 0.0}
+    if not len(stack):
+        return shares
     changes = np.diff(stack.astype(np.float64), axis=0)
     scaled = np.nan_to_num(changes / np.where(noise > 0, noise, np.inf))
     variance = max(float(np.mean(scaled**2)), 1e-300)
-    shares = []
-    for axis in (2, 1):
+    for axis, name in zip((2, 1), shares, strict=True):
         n = scaled.shape[axis]
         ratio = n * float(np.mean(scaled.mean(axis=axis) ** 2)) / variance
-        shares.append((ratio - 1) / (n - 1) if n > 1 else 0.0)
-    return shares[0], shares[1]
+        shares[name] = (ratio - 1) / (n - 1) if n > 1 else 0.0
+    return shares
