@@ -20,10 +20,10 @@ from palpate.sensors import (
     SimulatedStream,
     TouchDetector,
     TouchSensor,
+    channels_of,
     check_sensor,
     open_sensor,
 )
-from palpate.sensors._contract import channels_of
 
 
 class Counting(LiveSensor):
