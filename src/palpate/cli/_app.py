@@ -19,7 +19,7 @@ import typer
 from .. import __version__
 from ._options import option
 from ._output import answer, printable, say
-from ._wording import as_typed
+from ._wording import as_typed, translate_for
 from .remount import sensor
 from .sensor_check import sensor_check
 
@@ -45,6 +45,7 @@ for name in VERBS:
         app.command()(verb)
 sensor.command("check")(sensor_check)
 app.add_typer(sensor, name="sensor")
+translate_for(app)
 
 _Usage: Any = typer.BadParameter.__base__  # every wrong use of the command line
 # What a verb may fail with; anything else is a fault of palpate and shows where.

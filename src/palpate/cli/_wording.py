@@ -26,6 +26,12 @@ _VERBS = {
 _QUOTED = re.compile(r"`([\w.]+)(?:=([^`\s]+)|\(([^`]*)\))?`")
 _FIRST_WORD = re.compile(r"(?:^|(?<=[.;:] ))(\w+)(?= must )")
 _NO = ("no", "False", "0")
+_ROOT: list[typer.Typer] = []  # the command, once it is put together
+
+
+def translate_for(app: typer.Typer) -> None:
+    """Take the command whose verbs and options messages are to name."""
+    _ROOT[:] = [app]
 
 
 def as_typed(text: str) -> str:
@@ -53,9 +59,7 @@ def _as_quoted(options: dict[str, tuple[str, str]], word: re.Match[str]) -> str:
 @cache
 def _options_of(words: tuple[str, ...]) -> dict[str, tuple[str, str]]:
     """Return options of the verb in `words`, and their negatives, by argument."""
-    from ._app import app
-
-    command: Any = typer.main.get_command(app)
+    command: Any = typer.main.get_command(*_ROOT)
     for word in words:
         command = getattr(command, "commands", {}).get(word, command)
     options = {}
