@@ -37,9 +37,9 @@ from ._rows import (
 from ._store import (
     COUNT_NAME,
     FILE_NAME,
-    LibraryError,
     Store,
     is_unicode,
+    make_folder,
     warn_of_network,
 )
 from ._where import objects_named
@@ -102,12 +102,7 @@ class TouchLibrary:
         """
         place = Path(folder)
         if create:
-            try:
-                place.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise LibraryError(
-                    f"{place} must be a folder that can be made, got: {error.strerror}."
-                ) from error
+            make_folder(place)
             is_new = not (place / FILE_NAME).is_file()
             Store(place, create=True).close()  # several programs may try at once
             if is_new:

@@ -37,7 +37,7 @@ from ._content import (
     wide_identity,
 )
 from ._repairing import enter_all
-from ._store import FILE_NAME, OLD_VERSIONS, LibraryError, Store
+from ._store import FILE_NAME, OLD_VERSIONS, LibraryError, Store, make_folder
 
 _BEGUN = ".migrating.sqlite"
 _AT_ONCE = 256  # touches in one transaction
@@ -108,12 +108,7 @@ def migrate_library(
         tempfile.TemporaryDirectory() as scratch,
         closing(_Old(old, scratch)) as source,
     ):
-        try:
-            new.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise LibraryError(
-                f"{new} must be a folder that can be made, got: {error.strerror}."
-            ) from error
+        make_folder(new)
         with closing(Store(new, create=True, name=_BEGUN)) as store:
             source.refuse_others(store)
             with Progress(source.n_touches, "Migrating", progress) as bar:

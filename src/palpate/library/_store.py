@@ -533,6 +533,16 @@ def warn_of_network(folder: Path) -> None:
         )
 
 
+def make_folder(place: Path) -> None:
+    """Make the folder of a library where there is none, or explain."""
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LibraryError(
+            f"{place} must be a folder that can be made, got: {error.strerror}."
+        ) from error
+
+
 @contextmanager
 def room_for(what: str, place: Path, fix: str) -> Iterator[None]:
     """Turn a full or failing disk into one sentence that ends with `fix`."""
