@@ -118,7 +118,8 @@ class PolarGradients(ImageEstimator):
         shape = len(images), _N_CHANNELS, self.n_rings, self.n_harmonics + 1
         coefficients = np.empty(shape, dtype=np.complex128)
         for start in range(0, len(images), _AT_ONCE):
-            into, part = (a[start : start + _AT_ONCE] for a in (coefficients, images))
+            into = coefficients[start : start + _AT_ONCE]
+            part = images[start : start + _AT_ONCE]
             values = np.stack([*map(_channels, part, repeat(sigma), repeat(grid))])
             into[:] = np.fft.rfft(values, axis=-1)[..., : shape[-1]]
             into /= _PLACES
