@@ -162,9 +162,7 @@ def test_bad_sizes_are_refused(changes, message):
 
 
 def test_a_folder_without_the_touches_is_refused(tmp_path):
-    with pytest.raises(
-        ValueError, match="data must name a folder that holds bathtip"
-    ):
+    with pytest.raises(ValueError, match="data must name a folder that holds bathtip"):
         run_study("corradi2015", data=tmp_path, quick=True)
 
 
