@@ -1,19 +1,36 @@
 """Count what the house is made of: `structure.py [REVISION] [--json FILE]`.
 
-Files, lines, docstrings, public names, private imports of tests, import circles, and
-what one `Belief.update` goes through. Without a revision the tree is counted as it is.
+Files, lines, docstrings, names (public, re-exported, vague), messages below `cli` that
+speak its language, private imports of tests, import circles, and what one
+`Belief.update`, `fit`, frame of a sensor and `TouchLibrary.add` go through. Without a
+revision the tree is counted as it is.
 """
 
 import argparse
 import ast
 import json
+import re
 import statistics
 import sys
-from collections.abc import Iterable, Iterator
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
 from revisions import check_where, checked_out, python
+
+# Words that say nothing of what they name: a reader must find out each time.
+VAGUE = {
+    *("found", "known", "one", "some", "said", "told", "mine", "own", "asked", "made"),
+    *("every", "apart", "given"),
+}
+# What belongs on a command line: an option, or the command with a verb.
+VERBS = (
+    "learn|recognise|evaluate|study|simulate|explore|demo|serve|bench|doctor|benchmark|"
+)
+VERBS += "remount|sensor|data|check|library|live|record"
+OF_COMMAND_LINE = re.compile(rf"(?<![\w'-])--[a-z][a-z-]+|\bpalpate ({VERBS})\b")
 
 
 def main() -> None:
@@ -22,18 +39,18 @@ def main() -> None:
     parser.add_argument("revision", nargs="?", help="default: the tree as it is")
     parser.add_argument("--json", type=Path, help="write the figures here too")
     parser.add_argument("--details", action="store_true", help="say which files")
-    given = parser.parse_args()
-    with checked_out(given.revision) as root:
-        figures = {**counted(root), **update_counted(root)}
+    options = parser.parse_args()
+    with checked_out(options.revision) as root:
+        figures = {**counted(root), **calls_counted(root)}
         details = named(root)
     for name, value in figures.items():
         print(f"{name:40s} {value:>10}")
-    if given.details:
+    if options.details:
         for name, lines in details.items():
             print(f"\n{name}:", *lines, sep="\n  ")
     print(json.dumps(figures))
-    if given.json:
-        given.json.write_text(json.dumps({**figures, **details}, indent=1) + "\n")
+    if options.json:
+        options.json.write_text(json.dumps({**figures, **details}, indent=1) + "\n")
 
 
 def counted(root: Path) -> dict[str, float]:
@@ -48,6 +65,10 @@ def counted(root: Path) -> dict[str, float]:
         "median lines of a file": statistics.median(lines),
         "docstrings, % of lines": round(100 * docstrings / sum(lines), 1),
         "public names": sum(map(len, public_names(root / "src" / "palpate").values())),
+        "names re-exported without __all__": sum(
+            map(len, reexported(root / "src" / "palpate").values())
+        ),
+        **words_counted(root / "src" / "palpate"),
         "test files": len(tests),
         "test files that import private modules": sum(map(imports_private, tests)),
         "import circles": len(import_circles(root / "src")),
@@ -70,7 +91,128 @@ def named(root: Path) -> dict[str, list[str]]:
             for circle in import_circles(root / "src", deferred=True)
         ],
         "public names of": [f"{room}: {len(names)}" for room, names in rooms.items()],
+        "re-exported without __all__ by": [
+            f"{room}: {', '.join(names)}"
+            for room, names in reexported(root / "src" / "palpate").items()
+        ],
+        **words_named(root / "src" / "palpate"),
     }
+
+
+def words_counted(package: Path) -> dict[str, float]:
+    """Return how many names are vague, and how many messages name options or verbs."""
+    names = [name for path in package.rglob("*.py") for name, _ in bound_names(path)]
+    n_vague = sum(map(is_vague, names))
+    return {
+        "bound names": len(names),
+        "vague names": n_vague,
+        "vague names, % of bound ones": round(100 * n_vague / len(names), 2),
+        "messages outside cli that name options": sum(
+            len(list(messages_of_cli(path))) for path in outside_cli(package)
+        ),
+    }
+
+
+def words_named(package: Path) -> dict[str, list[str]]:
+    """Return where vague names are bound, by room and file, and the messages."""
+    rooms: Counter[str] = Counter()
+    files = []
+    for path in sorted(package.rglob("*.py")):
+        vague = [f"{n} {line}" for n, line in bound_names(path) if is_vague(n)]
+        parts = path.relative_to(package).parts
+        rooms[parts[0] if len(parts) > 1 else "root"] += len(vague)
+        if vague:
+            files.append(f"{'/'.join(parts)}: {len(vague)}: {', '.join(vague)}")
+    return {
+        "vague names of": [f"{room}: {n}" for room, n in rooms.most_common()],
+        "vague names, with their lines, in": files,
+        "messages that name options or verbs in": [
+            f"{path.relative_to(package)}:{line}: {' '.join(text.split())[:150]}"
+            for path in outside_cli(package)
+            for line, text in messages_of_cli(path)
+        ],
+    }
+
+
+def outside_cli(package: Path) -> list[Path]:
+    """Return the files of every room but `cli`, in order."""
+    return [
+        path
+        for path in sorted(package.rglob("*.py"))
+        if path.relative_to(package).parts[0] != "cli"
+    ]
+
+
+def is_vague(name: str) -> bool:
+    """Whether a name is one of the vague words, underscores aside."""
+    return name.strip("_") in VAGUE
+
+
+def bound_names(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield each name that a file binds, with its line; imports bind no new word."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        match node:
+            case ast.Name(id=name, ctx=ast.Store()):
+                yield name, node.lineno
+            case ast.Attribute(attr=name, ctx=ast.Store()):
+                yield name, node.lineno
+            case ast.arg(arg=name) | ast.ExceptHandler(name=str(name)):
+                yield name, node.lineno
+            case (
+                ast.FunctionDef(name=name)
+                | ast.AsyncFunctionDef(name=name)
+                | ast.ClassDef(name=name)
+            ):
+                yield name, node.lineno
+
+
+def messages_of_cli(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the texts of a file, docstrings aside, that name an option or a verb."""
+    tree = ast.parse(path.read_text())
+    docstrings, parts = set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr):
+            docstrings.add(node.value)
+        elif isinstance(node, ast.JoinedStr):
+            parts |= set(node.values)
+    for node in ast.walk(tree):
+        if node in docstrings or node in parts:
+            continue
+        if isinstance(node, ast.JoinedStr):
+            text = "".join(getattr(part, "value", "{}") or "" for part in text_of(node))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            text = node.value
+        else:
+            continue
+        if OF_COMMAND_LINE.search(text):
+            yield node.lineno, text
+
+
+def text_of(node: ast.JoinedStr) -> Iterator[ast.Constant]:
+    """Yield the parts of an f-string, "{}" for each value in it."""
+    for part in node.values:
+        yield part if isinstance(part, ast.Constant) else ast.Constant("{}")
+
+
+def reexported(package: Path) -> dict[str, list[str]]:
+    """Return what each room re-exports from its files beside `__all__`."""
+    public = public_names(package)
+    rooms = {}
+    for path in sorted(package.glob("*/__init__.py*")):
+        if path.suffix not in (".py", ".pyi"):
+            continue
+        names = [
+            alias.asname or alias.name
+            for node in ast.parse(path.read_text()).body
+            if isinstance(node, ast.ImportFrom) and node.level == 1
+            for alias in node.names
+            if not (alias.asname or alias.name).startswith("_")
+        ]
+        room = path.parent.name
+        hidden = sorted({*names, *rooms.get(room, [])} - {*public.get(room, [])})
+        if hidden:
+            rooms[room] = hidden
+    return rooms
 
 
 def docstring_lines(path: Path) -> int:
@@ -188,31 +330,68 @@ def strongly_connected(graph: dict[str, set[str]]) -> list[list[str]]:
 
 def reachable(node: str, graph: dict[str, set[str]]) -> set[str]:
     """Return what can be reached from a node in one or more steps."""
-    found: set[str] = set()
+    reached: set[str] = set()
     waiting = [node]
     while waiting:
-        for other in graph[waiting.pop()] - found:
-            found.add(other)
+        for other in graph[waiting.pop()] - reached:
+            reached.add(other)
             waiting.append(other)
-    return found
+    return reached
 
 
-def update_counted(root: Path) -> dict[str, float]:
-    """Return calls, files and changes of file of one `Belief.update` of a revision."""
+def calls_counted(root: Path) -> dict[str, float]:
+    """Return calls and files of what is called most, in a revision."""
     check_where(root)
-    return json.loads(python(root, Path(__file__).resolve(), "--update"))
+    return json.loads(python(root, Path(__file__).resolve(), "--calls"))
 
 
-def update_profiled() -> dict[str, int]:
-    """Run the second `Belief.update` of an episode and count what is called."""
-    import palpate
+def calls_profiled() -> dict[str, int]:
+    """Count what one update, fit, frame of a sensor and add go through, each warm."""
+    from palpate import Touches
+    from palpate.library import TouchLibrary
+    from palpate.recognition import ObjectRecogniser
+    from palpate.sensors import Frame, TouchDetector
+
+    touches = drawn(Touches)
+    update = update_passed()
+    fit = passed_through(lambda: ObjectRecogniser("default").fit(touches))
+    detector = TouchDetector()
+    detector.take_baseline([touches.images[0]] * 3)
+    detector.update(Frame(touches.images[1], time_s=0.0, number=0))
+    touching = Frame(touches.images[1], time_s=0.03, number=1)
+    frame = passed_through(lambda: detector.update(touching))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        TouchLibrary.open(folder, create=True) as library,
+    ):
+        library.add(touches[0:1])
+        add = passed_through(lambda: library.add(touches[1:2]))
+    named = {"one update": update, "one fit": fit, "one live frame": frame}
+    return {
+        **{f"calls of {name}": len(files) for name, files in named.items()},
+        **{f"files of {name}": len(set(files)) for name, files in named.items()},
+        "calls of one add": len(add),
+        "files of one add": len(set(add)),
+        "changes of file of one update": sum(a != b for a, b in pairwise(update)),
+    }
+
+
+def update_passed() -> list[str]:
+    """Return the file of each call of the second `Belief.update` of an episode."""
     from palpate import Touches
     from palpate.recognition import ObjectRecogniser
 
-    inside = str(Path(palpate.__file__).parent)
     touches = drawn(Touches)
     belief = ObjectRecogniser("default").fit(touches).start()
     belief.update(touches[0:1])
+    return passed_through(lambda: belief.update(touches[1:2]))
+
+
+def passed_through(do: Callable[[], object]) -> list[str]:
+    """Return the file of every function of palpate that is called on the way."""
+    import palpate
+
+    inside = str(Path(palpate.__file__).parent)
     files: list[str] = []
 
     def note(frame, event, _):
@@ -220,16 +399,10 @@ def update_profiled() -> dict[str, int]:
         if event == "call" and name.startswith(inside):
             files.append(name)
 
-    one = touches[1:2]
     sys.setprofile(note)
-    belief.update(one)
+    do()
     sys.setprofile(None)
-    changes = sum(a != b for a, b in pairwise(files))
-    return {
-        "calls of one update": len(files),
-        "files of one update": len(set(files)),
-        "changes of file of one update": changes,
-    }
+    return files
 
 
 def drawn(kind):
@@ -251,7 +424,7 @@ def drawn(kind):
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["--update"]:
-        print(json.dumps(update_profiled()))
+    if sys.argv[1:] == ["--calls"]:
+        print(json.dumps(calls_profiled()))
     else:
         main()

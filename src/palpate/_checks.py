@@ -37,7 +37,7 @@ def one_spelling(text: str) -> str | None:
 def nearest_path(path: Path) -> str:
     """Return "Did you mean ...?" for a path that is not there, or nothing."""
     try:
-        names = {one.name: one for one in path.parent.iterdir()}
+        names = {entry.name: entry for entry in path.parent.iterdir()}
     except OSError:
         return nearest_path(path.parent) if path.parent != path.parent.parent else ""
     folded = {name.casefold(): name for name in names}
@@ -95,9 +95,9 @@ def check_option(name: str, value: object, options: Iterable[object]) -> Any:
     return value
 
 
-def did_you_mean(name: object, known: Iterable[object]) -> str:
+def did_you_mean(name: object, names: Iterable[object]) -> str:
     """Return " Did you mean 'mug'?" where one of some names is nearly this one."""
-    named = {str(one).casefold(): one for one in known}
+    named = {str(each).casefold(): each for each in names}
     near = get_close_matches(str(name).casefold(), named, 1)
     return f" Did you mean {named[near[0]]!r}?" if near else ""
 
@@ -254,12 +254,12 @@ def check_width(name: str, value: object) -> float:
 def check_label_kinds(y: ArrayLike) -> None:
     """Refuse labels of several kinds, which have no order."""
     if isinstance(y, list | tuple):
-        given = list(y)
+        listed = list(y)
     else:
         labels = np.asarray(y)
-        given = labels.ravel().tolist() if labels.dtype.kind == "O" else []
+        listed = labels.ravel().tolist() if labels.dtype.kind == "O" else []
     first: dict[str, object] = {}
-    for label in given:
+    for label in listed:
         first.setdefault(_label_kind(label), label)
     if len(first) > 1:
         shown = ", ".join(map(repr, first.values()))

@@ -46,8 +46,8 @@ def _disk_error(error: BaseException, partial: Path) -> int | None:
     """Return the number of what the disk said, to Python or to a library in Rust."""
     if isinstance(error, OSError):
         return error.errno if error.filename in (None, str(partial)) else None
-    said = re.search(r"\(os error (\d+)\)", str(error))
-    return int(said[1]) if said else None
+    match = re.search(r"\(os error (\d+)\)", str(error))
+    return int(match[1]) if match else None
 
 
 def write_text(target: Path, content: str) -> None:

@@ -1,4 +1,4 @@
-"""What every estimator of images shares: its tags, its image size, and its checks."""
+"""Base of every estimator of images: its tags, its image size, and its checks."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     @property
     def blind_to(self) -> frozenset[str]:
-        """What the result does not change under: "shifts", "turns", "gain"."""
+        """The changes that leave the result alike: "shifts", "turns", "gain"."""
         return frozenset()
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
@@ -71,20 +71,20 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
         self._fitted(self._checked(X))
         return self
 
-    def fit_transform(self, X: ArrayLike, y: object = None, **known: Any) -> Array:
+    def fit_transform(self, X: ArrayLike, y: object = None, **fixed: Any) -> Array:
         """Do what `fit` and then `transform` do, without doing anything twice."""
         if type(self).fit is not ImageEstimator.fit:
-            return np.asarray(super().fit_transform(X, y, **known))
+            return np.asarray(super().fit_transform(X, y, **fixed))
         images = self._checked(X)
-        made = self._fitted(images)
-        if made is None:
+        features = self._fitted(images)
+        if features is None:
             return self.transform_checked(images)
-        return by_channel(lambda _: made, images)
+        return by_channel(lambda _: features, images)
 
     def _fitted(self, images: Array) -> Array | None:
-        made = self._learn(planes_of(images) if self._by_channel else images)
+        features = self._learn(planes_of(images) if self._by_channel else images)
         self.image_shape_ = images.shape[1:]
-        return made
+        return features
 
     def transform(self, X: ArrayLike) -> Array:
         """Check images `X` of the size that `fit` saw, and transform them.
@@ -144,13 +144,13 @@ def planes_of(images: Array) -> Array:
 
 def by_channel(transform: Callable[[Array], Array], images: Array) -> Array:
     """Return what `transform` makes of grey images, also of images with channels."""
-    made = transform(planes_of(images))
+    features = transform(planes_of(images))
     if images.ndim == 3:
-        return made
-    apart = made.reshape(len(images), images.shape[3], *made.shape[1:])
-    if made.ndim == 2:
-        return apart.reshape(len(images), -1)
-    return np.moveaxis(apart, 1, 3)
+        return features
+    by_plane = features.reshape(len(images), images.shape[3], *features.shape[1:])
+    if features.ndim == 2:
+        return by_plane.reshape(len(images), -1)
+    return np.moveaxis(by_plane, 1, 3)
 
 
 def _by_channel(transform: Callable[[Any, Array], Array]) -> Any:

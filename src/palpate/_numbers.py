@@ -63,12 +63,12 @@ def log_loss(logits: Floats, codes: Array, shares: Floats) -> tuple[float, Float
     touch's own class (n_touches,) and its share in the loss (n_touches,).
     """
     each = np.arange(len(codes))
-    own = logits[each, codes]
+    of_labels = logits[each, codes]
     largest = logits.max(axis=1)
     logits -= largest[:, np.newaxis]
     exp(logits, out=logits)
     total = logits.sum(axis=1)
-    loss = (largest + np.log(total) - own) @ shares
+    loss = (largest + np.log(total) - of_labels) @ shares
     logits *= (shares / total)[:, np.newaxis]
     logits[each, codes] -= shares
     return float(loss), logits

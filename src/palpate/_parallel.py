@@ -12,7 +12,7 @@ from threadpoolctl import ThreadpoolController
 
 from ._progress import Progress
 
-_MOST_LOSSES = 3
+_MOST_LOSSES = 3  # of workers; more is no accident
 _lock = Lock()
 # How many now keep OpenCV on one thread, and how many threads it had before.
 _keepers, _usual = 0, 1

@@ -4,7 +4,7 @@ import sys
 import time
 from typing import Any, Self
 
-_PATIENCE_S = 2.0
+_PATIENCE_S = 2.0  # what ends sooner needs no bar
 
 
 class Progress:

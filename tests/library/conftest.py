@@ -1,9 +1,13 @@
-"""What tests of the library share: rows changed behind its back."""
+"""Shared by tests of the library: a library, and rows changed behind its back."""
 
 import sqlite3
 from contextlib import closing
 
+import numpy as np
 import pytest
+
+from palpate.library import TouchLibrary
+from palpate.touches import Touches
 
 
 @pytest.fixture
@@ -17,3 +21,24 @@ def alter():
             database.commit()
 
     return run
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Six touches of three objects; one was retracted."""
+    place = tmp_path / "lab"
+    with TouchLibrary.open(place, create=True) as library:
+        images = np.arange(6 * 4, dtype=np.uint8).reshape(6, 2, 2)
+        labels = ["mug", "pen", "cap"] * 2
+        library.add(
+            Touches(
+                images,
+                object=labels,
+                force_n=np.arange(6.0),
+                note=labels,
+                no_contact=images[0],
+            )
+        )
+        library.rename_object("cap", "hat")
+        library.retract(library.list()[3].id, reason="wet")
+    return place

@@ -36,27 +36,6 @@ def _press(seed, n_touches=1, side=5):
     )
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Six touches of three objects; one was retracted."""
-    place = tmp_path / "lab"
-    with TouchLibrary.open(place, create=True) as library:
-        images = np.arange(6 * 4, dtype=np.uint8).reshape(6, 2, 2)
-        labels = ["mug", "pen", "cap"] * 2
-        library.add(
-            Touches(
-                images,
-                object=labels,
-                force_n=np.arange(6.0),
-                note=labels,
-                no_contact=images[0],
-            )
-        )
-        library.rename_object("cap", "hat")
-        library.retract(library.list()[3].id, reason="wet")
-    return place
-
-
 def _rows(folder):
     with TouchLibrary.open(folder) as library:
         return library.list(limit=None, retracted=True)
@@ -354,7 +333,7 @@ def test_a_database_of_which_nothing_is_left_is_not_replaced(folder, damage):
         lambda: repair_library(folder),
     ):
         with pytest.raises(
-            LibraryError, match=r"backup|check --repair|no library\.sqlite"
+            LibraryError, match=r"backup|`repair_library`|no library\.sqlite"
         ):
             act()
     assert not (folder / "damaged").exists()

@@ -110,9 +110,9 @@ def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps)
 
 
 def test_an_old_library_is_refused_with_the_way_out(old):
-    with pytest.raises(LibraryError, match="palpate library migrate"):
+    with pytest.raises(LibraryError, match="`migrate_library"):
         TouchLibrary.open(old)
-    with pytest.raises(LibraryError, match="palpate library migrate"):
+    with pytest.raises(LibraryError, match="`migrate_library"):
         TouchLibrary.open(old, create=True)
     report = check_library(old)
     assert not report.ok

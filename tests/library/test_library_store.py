@@ -133,7 +133,7 @@ def test_a_job_that_fails_takes_back_what_it_did_alone(library):
     with pytest.raises(LibraryError, match="must have no channels"):
         futures[5].result()
     assert all(len(f.result()) == 1 for f in futures[:4] + futures[6:])
-    assert not store.one("SELECT 1 FROM objects WHERE name = 'ghost'")
+    assert not store.first_row("SELECT 1 FROM objects WHERE name = 'ghost'")
     assert len(library) == 2 + 8
     assert library.check().ok
 
@@ -198,27 +198,6 @@ def test_a_stream_from_several_threads_keeps_each_threads_order(library):
     assert len(set(listed)) == len(listed) == 81
     for keys in streams:
         assert [listed.index(key) for key in keys] == sorted(map(listed.index, keys))
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """Six touches of three objects; one was retracted."""
-    place = tmp_path / "lab"
-    with TouchLibrary.open(place, create=True) as library:
-        images = np.arange(6 * 4, dtype=np.uint8).reshape(6, 2, 2)
-        labels = ["mug", "pen", "cap"] * 2
-        library.add(
-            Touches(
-                images,
-                object=labels,
-                force_n=np.arange(6.0),
-                note=labels,
-                no_contact=images[0],
-            )
-        )
-        library.rename_object("cap", "hat")
-        library.retract(library.list()[3].id, reason="wet")
-    return place
 
 
 def _rows(folder):

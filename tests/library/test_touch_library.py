@@ -224,7 +224,7 @@ def test_an_older_library_is_told_how_it_is_migrated(library, alter, version):
     library.close()
     alter(library.folder, f"PRAGMA user_version = {version}")
     for create in (False, True):
-        with pytest.raises(LibraryError, match=r"`palpate library migrate .* NEW`"):
+        with pytest.raises(LibraryError, match=r"`migrate_library\(.*, NEW\)`"):
             TouchLibrary.open(library.folder, create=create)
     assert [p.kind for p in check_library(library.folder).problems] == ["version"]
 

@@ -20,10 +20,10 @@ from palpate.sensors import (
     SimulatedStream,
     TouchDetector,
     TouchSensor,
+    channels_of,
     check_sensor,
     open_sensor,
 )
-from palpate.sensors._contract import channels_of
 
 
 class Counting(LiveSensor):
@@ -226,7 +226,7 @@ def test_a_shape_that_the_sensor_does_not_have_is_refused(tmp_path):
     recording().save(path)
     assert open_sensor(f"replay:{path}", image_shape=(4, 5)).image_shape == (4, 5)
     for spec, fixed in ((f"replay:{path}", "4 x 5"), ("sim:bar10", "10 x 10")):
-        with pytest.raises(ValueError, match=f"{fixed}, got 8 x 8.*--shape"):
+        with pytest.raises(ValueError, match=f"{fixed}, got 8 x 8.*`shape`"):
             open_sensor(spec, image_shape=(8, 8))
 
 
@@ -287,8 +287,8 @@ def test_an_option_beside_the_address_must_agree_with_it():
     assert (array.image_shape, array.baud) == ((16, 8), 9600)
     assert open_sensor("camera:0?rate=15", rate_hz=15).rate_hz == 15
     for options, message in (
-        ({"image_shape": (8, 8)}, "shape=16x8 in .* and --shape 8x8 contradict"),
-        ({"checksum": True}, "checksum=no in .* and --checksum yes contradict"),
+        ({"image_shape": (8, 8)}, "shape=16x8 in .* and `shape=8x8` contradict"),
+        ({"checksum": True}, "checksum=no in .* and `checksum=yes` contradict"),
     ):
         with pytest.raises(ValueError, match=message):
             open_sensor("serial:/dev/x?shape=16x8&checksum=no", **options)
@@ -306,7 +306,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
         ("sim:?rate=3", "must be camera:NAME"),
         ("sim:unicorn", "name must be one of .*'mug'"),
         ("sim:mug?place=unicorn", "name must be one of .*'mug'"),
-        ("serial:/dev/ttyUSB0", "--shape 16x16"),
+        ("serial:/dev/ttyUSB0", "`shape=16x16`"),
         ("camera:0?baud=9", "'baud' is no option .* are shape, rate, exposure"),
         ("camera:0?image_shape=4x4", "'image_shape' is no option"),
         ("camera:0?=4", "'' is no option"),
@@ -375,7 +375,7 @@ def test_rest_is_taken_from_quiet_pictures_of_a_recording(rng, n_quiet):
 
 def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rng):
     touches = pictures_of(0, rng)
-    with pytest.raises(SensorError, match=r"touches alone. Give .* as no_contact.$"):
+    with pytest.raises(SensorError, match=r"touches alone. Give .* as `no_contact`.$"):
         ReplaySensor(touches)
     assert ReplaySensor(touches, gap=0).no_contact() is None  # as they are
     touches.save(tmp_path / "touches.npz")
@@ -384,7 +384,7 @@ def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rn
     address = f"replay:{tmp_path}/touches.npz"
     given = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
     assert_array_equal(given.no_contact(), rest)
-    with pytest.raises(SensorError, match="--no-contact FILE"):
+    with pytest.raises(SensorError, match="as `no_contact`"):
         SensorOptions().open(address)
 
 

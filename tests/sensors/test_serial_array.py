@@ -167,23 +167,23 @@ def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(termina
         (
             plain_line,
             {"image_shape": (16, 16)},
-            "128 values, expected 256: --shape 8x16",
+            "128 values, expected 256: `shape=8x16`",
         ),
         (
             as_line,
             {"image_shape": (8, 8)},
-            "128 values, expected 64: --shape 8x16 or --shape 16x8",
+            "128 values, expected 64: `shape=8x16` or `shape=16x8`",
         ),
-        (plain_line, {"checksum": True}, "no checksum: --no-checksum"),
-        (write_binary, {}, "look like binary: --framing binary"),
-        (as_line, {"framing": "binary"}, "look like lines: --framing line"),
+        (plain_line, {"checksum": True}, "no checksum: `checksum=no`"),
+        (write_binary, {}, "look like binary: `framing=binary`"),
+        (as_line, {"framing": "binary"}, "look like lines: `framing=line`"),
         (
             write_binary,
             {"framing": "binary", "image_shape": (16, 8)},
-            "128: --shape 8x16.",
+            "128: `shape=8x16`.",
         ),
-        (one_byte, {"framing": "binary"}, "uint8, expected uint16: dtype=uint8"),
-        (lambda image, number: bytes(range(128, 250)) * 9, {}, "check --baud"),
+        (one_byte, {"framing": "binary"}, "uint8, expected uint16: `dtype=uint8`"),
+        (lambda image, number: bytes(range(128, 250)) * 9, {}, "check `baud`"),
     ],
 )
 def test_bytes_that_are_no_frames_say_why(
@@ -225,9 +225,9 @@ def test_an_array_is_found_by_what_it_writes(terminal, write, shape, framing, ch
     [
         (
             [plain_line(np.ones((3, 5), int), 0)] * 9,
-            "15 values: --shape 3x5 or --shape 5x3",
+            "15 values: `shape=3x5` or `shape=5x3`",
         ),
-        ([bytes(range(128, 250))] * 9, "check --baud"),
+        ([bytes(range(128, 250))] * 9, "check `baud`"),
         ([], "check its cable"),
     ],
 )

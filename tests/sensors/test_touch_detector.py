@@ -15,8 +15,9 @@ from palpate.sensors import (
     SensorError,
     SensorMemory,
     TouchDetector,
+    baseline_warning,
+    gain_warning,
 )
-from palpate.sensors._detector import baseline_warning, gain_warning
 
 REST = np.full((4, 4), 100, np.uint8)
 

@@ -206,7 +206,7 @@ def test_fewer_touches_than_components_have_fewer_directions(rng):
     (both,) = (
         encode("zernike-pca", images, None, (40,)).features(rows, rows, (40,)).values()
     )
-    features = encode("zernike", images, None, (71,)).known[71]
+    features = encode("zernike", images, None, (71,)).train[71]
     assert both[0].shape == (6, 5)
     variances = PCA(5).fit(features).explained_variance_
     assert_allclose(both[0].var(axis=0, ddof=1), variances, rtol=1e-6)
@@ -296,7 +296,7 @@ def test_a_first_look_names_recorded_shapes_with_turned_tests_alone(rng):
     first_look = Corradi2014Plan.quick()
     (turned,) = recorded_shapes(touches, 0, upright=first_look.recorded_upright)
     assert turned.data == "tactip4, test turned"
-    assert not np.allclose(turned.asked["image"], turned.images["image"])
+    assert not np.allclose(turned.test_images["image"], turned.images["image"])
 
 
 @pytest.mark.slow
@@ -313,7 +313,7 @@ def test_the_index_is_that_of_the_second_half(discs):
     plan = Corradi2014Plan.quick(choice_step=8)
     judged = judge(shapes_of(images, codes), "image", "hu", plan)
     second = np.tile(np.arange(20), 3) >= 10
-    features = encode("hu", images, None, (7,)).known[7]
+    features = encode("hu", images, None, (7,)).train[7]
     (row,) = [r for r in judged.rows if r.get("q") == 2]
     assert row["n_components"] == 7
     assert row["ours"] == pytest.approx(davies_bouldin(features[second], codes[second]))

@@ -158,7 +158,7 @@ def test_the_study_asks_them_with_the_later_experiments(later, rng, monkeypatch)
         "beside_tasks": asked,
         "unseen_beliefs": {},
         "confusions": {},
-        **{n: [] for n in ("known_tasks", "later_tasks", "experiment_rows")},
+        **{n: [] for n in ("learnt_tasks", "later_tasks", "experiment_rows")},
         **{n: [] for n in ("unseen_rows", "timing_rows")},
     }
     for name, answer in stubs.items():

@@ -111,7 +111,7 @@ def test_timings_stand_beside_the_papers(result):
 
 
 def test_what_is_missing_is_said_and_json_holds_everything(result):
-    assert "--data or PALPATE_DATA" in result["skipped"][0]
+    assert "`data` or PALPATE_DATA" in result["skipped"][0]
     assert json.loads(json.dumps(result))["study"] == "corradi2015"
 
 
@@ -162,9 +162,7 @@ def test_bad_sizes_are_refused(changes, message):
 
 
 def test_a_folder_without_the_touches_is_refused(tmp_path):
-    with pytest.raises(
-        ValueError, match="--data must name a folder that holds bathtip"
-    ):
+    with pytest.raises(ValueError, match="data must name a folder that holds bathtip"):
         run_study("corradi2015", data=tmp_path, quick=True)
 
 

@@ -93,12 +93,12 @@ def test_presses_are_found(given, tmp_path, monkeypatch):
 
 def test_missing_presses_are_a_sentence_or_a_refusal(tmp_path, monkeypatch):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
-    assert "--data or PALPATE_DATA" in recorded_touches(None, REAL)
+    assert "`data` or PALPATE_DATA" in recorded_touches(None, REAL)
     monkeypatch.setenv("PALPATE_DATA", str(tmp_path))
     left_out = recorded_touches(None, REAL)
     assert f"{tmp_path} has no" in left_out
-    assert "palpate data fetch taxel10x10" in left_out
-    with pytest.raises(ValueError, match="--data must name a folder that holds"):
+    assert "`fetch(taxel10x10)`" in left_out
+    with pytest.raises(ValueError, match="data must name a folder that holds"):
         recorded_touches(tmp_path / "gone", REAL)
 
 

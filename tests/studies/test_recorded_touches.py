@@ -10,6 +10,6 @@ from palpate.studies import Archive, recorded_touches
 def test_a_folder_without_the_archive_is_named_with_where_to_fetch_it(tmp_path):
     archive = Path("tactip4") / "tactip4.npz"
     pins = Archive(archive, "a real dome")
-    said = r"got .*\. Type `palpate data fetch tactip4 --data .*`, or leave --data out"
+    said = r"got .*\. Call `fetch\(tactip4\)` with that folder, or leave `data` out"
     with pytest.raises(ValueError, match=said):
         recorded_touches(tmp_path, pins)

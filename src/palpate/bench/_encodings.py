@@ -74,8 +74,8 @@ def work(folder): return np.stack([simplejpeg.decode_jpeg(p.read_bytes(), 'GRAY'
 """
 Encode = Callable[[Array], Floats]
 _TYPES = ("float64", "float32", "uint8")
-_N_TOUCHES = 32
-_SIZE = 128
+_N_TOUCHES = 32  # pictures in turn, so that none stays in the cache
+_SIZE = 128  # pixels of a disc
 
 
 def bench_decode(
@@ -142,8 +142,8 @@ def bench_encodings(
         ]
         if "hu" in names:
             rows.append(_hu_row(pictures, kind, seconds))
-        known = (kind, discs, stages, seconds)
-        return rows + [_encoding_row(name, *known) for name in names]
+        setting = (kind, discs, stages, seconds)
+        return rows + [_encoding_row(name, *setting) for name in names]
 
 
 def bench_zernike(
@@ -163,21 +163,24 @@ def bench_zernike(
         for dtype in _TYPES:
             images = grey.astype(dtype)
 
-            def each_ms(encode: Encode, some: Array) -> float:
-                return cpu_ms(lambda: encode(some), seconds) / len(some)
+            def each_ms(encode: Encode, batch: Array) -> float:
+                return cpu_ms(lambda: encode(batch), seconds) / len(batch)
 
-            for some, batch in ((images[:1], "single"), (images, f"batch {n_touches}")):
+            for batch, width in (
+                (images[:1], "single"),
+                (images, f"batch {n_touches}"),
+            ):
                 theirs = {
-                    peer: {"peer_ms": each_ms(encode, some[:limit])}
+                    peer: {"peer_ms": each_ms(encode, batch[:limit])}
                     if encode
                     else {"reason": missing(peer, "bench", "A peer")}
                     for peer, (encode, limit) in peers.items()
                 }
                 for method in ("sample", "exact"):
-                    encoder = ZernikeMoments(order, method=method).fit(some[:1])
-                    ours = each_ms(encoder.transform, some)
-                    name = f"{size} x {size} {dtype} {method} {batch}"
-                    rows += [row(name, ours, p, **found) for p, found in theirs.items()]
+                    encoder = ZernikeMoments(order, method=method).fit(batch[:1])
+                    ours = each_ms(encoder.transform, batch)
+                    name = f"{size} x {size} {dtype} {method} {width}"
+                    rows += [row(name, ours, p, **peer) for p, peer in theirs.items()]
     return rows
 
 
@@ -185,7 +188,7 @@ def _stages(
     pictures: list[Picture], seconds: float
 ) -> tuple[dict[str, float], Singles]:
     """Milliseconds of each stage before the encoding, and the discs."""
-    images = np.stack([_decoded(one) for one in pictures])
+    images = np.stack([_decoded(picture) for picture in pictures])
     crop = DomeCrop(_SIZE).fit(images)
     rims = crop.rims(images)
     radius, size = crop.disc_radius_, crop.size_
@@ -200,8 +203,8 @@ def _stages(
     return times, standardise_discs(discs)
 
 
-def _decoded(one: Picture) -> Array:
-    image = cv2.imdecode(one, cv2.IMREAD_GRAYSCALE)
+def _decoded(picture: Picture) -> Array:
+    image = cv2.imdecode(picture, cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise ValueError("Pictures must be decodable, got one that is not.")
     return image
@@ -222,7 +225,7 @@ def _encoding_row(
 
 def _hu_row(pictures: list[Picture], kind: str, seconds: float) -> Row:
     """Hu's moments of the disc of a whole picture; OpenCV takes no least level off."""
-    images = np.stack([_decoded(one) for one in pictures])
+    images = np.stack([_decoded(picture) for picture in pictures])
     encoder = HuMoments().fit(images[:1])
     disc = np.where(inscribed_mask(*images.shape[1:]), 255, 0).astype(np.uint8)
     ours = _each(lambda i: encoder.transform(images[i : i + 1]), seconds)
@@ -256,19 +259,19 @@ def _pictures(data: Path | None) -> list[Picture]:
     """Coded JPEGs: real ones spread over the objects, or drawn ones."""
     if data is None:
         drawn = [drawn_dome(np.random.default_rng(n)) for n in range(_N_TOUCHES)]
-        return [np.frombuffer(coded(one), np.uint8) for one in drawn]
-    found = sorted((data / "bathtip" / "originals").glob("*/*/*.jpg"))
-    if len(found) < _N_TOUCHES:
+        return [np.frombuffer(coded(image), np.uint8) for image in drawn]
+    paths = sorted((data / "bathtip" / "originals").glob("*/*/*.jpg"))
+    if len(paths) < _N_TOUCHES:
         raise ValueError(
             f"data must hold {_N_TOUCHES} pictures in bathtip/originals, got "
-            f"{len(found)} in {data}. Unset PALPATE_DATA to draw some."
+            f"{len(paths)} in {data}. Unset PALPATE_DATA to draw some."
         )
-    spread = np.linspace(0, len(found) - 1, _N_TOUCHES).astype(int)
-    return [np.frombuffer(found[i].read_bytes(), np.uint8) for i in spread]
+    spread = np.linspace(0, len(paths) - 1, _N_TOUCHES).astype(int)
+    return [np.frombuffer(paths[i].read_bytes(), np.uint8) for i in spread]
 
 
 def _peers(size: int, order: int) -> dict[str, tuple[Encode | None, int | None]]:
-    """How each peer encodes, None where absent, and how many images it takes."""
+    """Return how each peer encodes, None where absent, and how many images it takes."""
     makers = {"mahotas": _mahotas, "centrosome": _centrosome}
     return {
         **{n: (m(size, order) if find_spec(n) else None, 1) for n, m in makers.items()},

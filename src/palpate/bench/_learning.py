@@ -1,4 +1,4 @@
-"""How long learning takes, and adding to what was learnt, beside a plain SVM.
+"""Time of learning, and of adding to what was learnt, beside a plain SVM.
 
 The touches are drawn: discs of objects with dents of their own, 120 pixels a side. What
 is measured is time, not recognition.
@@ -75,8 +75,8 @@ def _added(touches: Touches) -> list[Row]:
     names = np.unique(touches.columns["object"])
     first = np.flatnonzero(touches.columns["object"] == names[0])
     last = np.flatnonzero(touches.columns["object"] == names[-1])
-    known = np.setdiff1d(np.arange(len(touches)), [*first[-10:], *last])
-    recogniser = ObjectRecogniser().fit(touches[known])
+    before = np.setdiff1d(np.arange(len(touches)), [*first[-10:], *last])
+    recogniser = ObjectRecogniser().fit(touches[before])
     more, other = touches[first[-10:]], touches[last]
     ways: dict[str, Callable[[ObjectRecogniser], object]] = {
         "adding ten touches": lambda r: r.extend_object(str(names[0]), more),
@@ -88,7 +88,7 @@ def _added(touches: Touches) -> list[Row]:
     for name, way in ways.items():
         without = deepcopy(recogniser)  # of which what makes adding quick is not part
         quick, slow = (_cpu_once(partial(way, r)) for r in (recogniser, without))
-        rows.append(row(f"{name} at {len(known)}", quick, "learning all again", slow))
+        rows.append(row(f"{name} at {len(before)}", quick, "learning all again", slow))
     return rows
 
 

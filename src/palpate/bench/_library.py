@@ -38,19 +38,19 @@ from ..touches import Touches
 from ._timing import Row, cpu_ms, one_thread, real_touches, row, wall_ms
 
 SHAPES = ((10, 60), (50, 24), (50, 94))  # objects, touches of each
-BATCHES = (1, 64)
+BATCHES = (1, 64)  # touches asked at once
 
 Measure = Callable[[Floats], Floats]
-SIZES = (10_000, 100_000)
-LARGE = (1_000_000,)
-N_OBJECTS = 50
-N_TESTED = 192
-NOISE = 0.3
-WIDTHS = (22, 71)
+SIZES = (10_000, 100_000)  # touches in a library
+LARGE = (1_000_000,)  # the same, which takes minutes
+N_OBJECTS = 50  # as the BathTip's recordings
+N_TESTED = 192  # of its held-out touches, three batches
+NOISE = 0.3  # of a feature's deviation, on touches drawn again
+WIDTHS = (22, 71)  # features: few, and Zernike moments of a disc
 _PRODUCT = "float32 matrix product"
-_AT_ONCE = 50_000
+_AT_ONCE = 50_000  # touches drawn at a time
 _NO_PEER = "nothing to compare with"
-_ADDED_SINGLY, _STREAMED, _CALLERS = 50, 1000, 32
+_ADDED_SINGLY, _STREAMED, _CALLERS = 50, 1000, 32  # touches; and threads that add
 
 
 def bench_likelihood(
@@ -167,15 +167,15 @@ def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
         ),
     ]
     actions: dict[str, Callable[[TouchLibrary], object]] = {
-        "opened": lambda one: None,
-        "opened, 50 listed": lambda one: one.list(limit=50),
-        "opened, filtered by force": lambda one: one.list("force_n > 0.9999"),
-        "opened, counted by two columns": lambda one: one.count(
+        "opened": lambda library: None,
+        "opened, 50 listed": lambda library: library.list(limit=50),
+        "opened, filtered by force": lambda library: library.list("force_n > 0.9999"),
+        "opened, counted by two columns": lambda library: library.count(
             'force_n > 0.5 and session = "day 1"'
         ),
-        "opened, objects counted": lambda one: one.objects(),
-        "opened, selected": lambda one: one.select(),
-        "opened, 10,000 read": lambda one: one.touches("order < 10000"),
+        "opened, objects counted": lambda library: library.objects(),
+        "opened, selected": lambda library: library.select(),
+        "opened, 10,000 read": lambda library: library.touches("order < 10000"),
     }
 
     def opened(action: Callable[[TouchLibrary], object]) -> None:
@@ -218,7 +218,7 @@ def _sizes_row(name: str, path: Path, n_touches: int) -> Row:
     else:
         touches = Touches.load(path)[:n_touches]
     files = touches.files
-    given = touches.images.nbytes if files is None else sum(map(len, files))
+    n_bytes = touches.images.nbytes if files is None else sum(map(len, files))
     with tempfile.TemporaryDirectory() as scratch:
         with TouchLibrary.open(scratch, create=True) as library:
             added = time.process_time()
@@ -235,7 +235,7 @@ def _sizes_row(name: str, path: Path, n_touches: int) -> Row:
         reason=_NO_PEER,
         added_ms=1e3 * added / len(touches),
         bytes_per_touch=held / len(touches),
-        share_of_given=held / given,
+        share_of_given=held / n_bytes,
     )
 
 
@@ -265,20 +265,20 @@ def _likelihood_rows(
     name: str, stored: Floats, labels: Array, new: Floats, seconds: float
 ) -> list[Row]:
     model = KernelDensityBayes().fit(stored, labels)
-    some = {"single": new[:1], "batch 64": new[:64]}
+    batches = {"single": new[:1], "batch 64": new[:64]}
 
     def each_ms(ask: Callable[[Floats], object]) -> dict[str, float]:
         return {
-            mode: cpu_ms(partial(ask, asked), seconds) / len(asked)
-            for mode, asked in some.items()
+            mode: cpu_ms(partial(ask, batch), seconds) / len(batch)
+            for mode, batch in batches.items()
         }
 
     columns = np.ascontiguousarray(model.points_.T, dtype=np.float32)
     exact = each_ms(model.log_likelihood)
     product = each_ms(lambda new: new[:, : len(columns)].astype(np.float32) @ columns)
-    known = {"megabytes": (model.points_.nbytes + model.tiles_.nbytes) / 2**20}
+    size = {"megabytes": (model.points_.nbytes + model.tiles_.nbytes) / 2**20}
     rows = [
-        row(f"{name}, exact {mode}", ms, _PRODUCT, product[mode], **known)
+        row(f"{name}, exact {mode}", ms, _PRODUCT, product[mode], **size)
         for mode, ms in exact.items()
     ]
     started = time.process_time()
@@ -323,12 +323,13 @@ def _features(
     if n_features < values.shape[1]:
         values = PCA(n_features, random_state=0).fit_transform(values)
     held_out = np.arange(len(values)) % 10 == seed % 10
-    known, of_known = values[~held_out], objects[~held_out]
+    learnt, of_learnt = values[~held_out], objects[~held_out]
     labels = np.repeat(np.arange(N_OBJECTS), size // N_OBJECTS)
     stored = np.empty((len(labels), values.shape[1]))
     for place in range(N_OBJECTS):
-        own = known[of_known == place]
-        mine = labels == place
-        drawn = own[rng.integers(0, len(own), int(mine.sum()))]
-        stored[mine] = drawn + NOISE * own.std(axis=0) * rng.normal(size=drawn.shape)
+        of_object = learnt[of_learnt == place]
+        rows = labels == place
+        drawn = of_object[rng.integers(0, len(of_object), int(rows.sum()))]
+        noise = NOISE * of_object.std(axis=0) * rng.normal(size=drawn.shape)
+        stored[rows] = drawn + noise
     return stored, labels, values[held_out][:N_TESTED]

@@ -1,4 +1,4 @@
-"""How fast touching goes: a picture to the new belief, frames to a page, an array.
+"""Speed of touching: a picture to the new belief, frames to a page, an array.
 
 `latency` starts from a 640 x 480 JPEG in memory, with 90 training touches of each of 50
 objects, on one core. The pictures are drawn: domes with dents at random places; what is
@@ -25,8 +25,8 @@ from ._learning import drawn_touches
 from ._timing import N_COLS, N_ROWS, Row, coded, drawn_dome, one_thread, row
 
 STAGES = ("decode", "clean up", "encode", "likelihood", "belief")
-_N_TOUCHES = 12
-_OFFERED_HZ = 30.0
+_N_TOUCHES = 12  # seen by the page
+_OFFERED_HZ = 30.0  # of a camera
 _STREAM = f"{N_COLS} x {N_ROWS} uint8 replay"
 _WAYS = ("frame to", "touch to belief at")
 _alone = partial(row, reason="no other tool shows a belief over objects live")
@@ -40,25 +40,25 @@ def bench_latency(
 ) -> list[Row]:
     """Measure stages of single touches: median and 99th percentile of wall time, ms."""
     train = drawn_touches(n_objects, n_each, small=False)
-    asked = drawn_touches(n_objects, -(-n_asked // n_objects), seed=1, small=False)
-    pictures = [coded(image) for image in asked.images[:n_asked]]
+    test = drawn_touches(n_objects, -(-n_asked // n_objects), seed=1, small=False)
+    pictures = [coded(image) for image in test.images[:n_asked]]
     rows = []
     with one_thread():
         for preset in presets:
             recogniser = ObjectRecogniser(preset).fit(train)
             for picture in pictures[:3]:
-                _one(recogniser, picture)
-            seconds = np.array([_one(recogniser, picture) for picture in pictures])
+                _stage_seconds(recogniser, picture)
+            seconds = np.array([_stage_seconds(recogniser, p) for p in pictures])
             stages = np.column_stack([seconds, seconds.sum(axis=1)]) * 1e3
             for name, ms in zip((*STAGES, "in all"), stages.T, strict=True):
                 shown = f"{n_objects} objects {preset} {name}"
                 late = float(np.quantile(ms, 0.99))
-                known = {"p99_ms": late, "reason": "no peer does this"}
-                rows.append(row(shown, float(np.median(ms)), "none", None, **known))
+                facts = {"p99_ms": late, "reason": "no peer does this"}
+                rows.append(row(shown, float(np.median(ms)), "none", None, **facts))
     return rows
 
 
-def _one(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
+def _stage_seconds(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
     """Seconds of each stage for one touch, the second of its episode."""
     encoder = recogniser.encoder_
     belief = recogniser.start()
@@ -146,16 +146,16 @@ def _page_rows(page: Any, seconds: float) -> list[Row]:
             way_ms = 1e3 * (time.time() - touch["time_s"])
             to_belief_ms.append(touch["latency_ms"] + way_ms)
     taken_s, cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
-    seen, known = max(1, n_frames), to_belief_ms or [float("nan")]
+    seen, latencies_ms = max(1, n_frames), to_belief_ms or [float("nan")]
     streamed: Row = {"frames_per_s": n_frames / taken_s}
     streamed["kib_per_frame"] = n_bytes / seen / 1024
     frame, touched = (f"{_STREAM} {what} page" for what in _WAYS)
-    median, n_touches = float(np.median(known)), len(to_belief_ms)
+    median, n_touches = float(np.median(latencies_ms)), len(to_belief_ms)
     return [
         _alone(f"{frame} wall", 1e3 * taken_s / seen, **streamed),
         _alone(f"{frame} cpu", 1e3 * cpu_s / seen),
         _alone(f"{touched} median", median, n_touches=n_touches),
-        _alone(f"{touched} greatest", float(max(known))),
+        _alone(f"{touched} greatest", float(max(latencies_ms))),
     ]
 
 

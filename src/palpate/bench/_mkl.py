@@ -31,10 +31,10 @@ Easy = Callable[[Any, Tensors], None]
 # Kernel matrices of the touches learnt, and of those recognised if they are asked.
 Stacks = tuple[Floats, Floats | None]
 
-_N_CLASSES, _PER_CLASS, _N_FEATURES = 12, 10, 20
+_N_CLASSES, _PER_CLASS, _N_FEATURES = 12, 10, 20  # a study of Liu 2014's size
 _SIZE = f"{_N_CLASSES} x {_PER_CLASS} touches 22 kernels float64"
-_PRICES = (1.0, 100.0)
-_MANY = (10_000, 100_000)
+_PRICES = (1.0, 100.0)  # values of C: a soft margin and a hard one
+_MANY = (10_000, 100_000)  # touches, of which 200 are landmarks
 _LARGE = """
 import numpy as np
 from palpate.classifiers import MKLSVC, GaussianKernel
@@ -88,7 +88,7 @@ class _Case:
         )
         sides = [self.touches, self.others] if recognise else [self.touches]
         learn, *others = (
-            np.stack([_kernel(one, side, self.touches) for one in mkl.paper_kernels()])
+            np.stack([_kernel(k, side, self.touches) for k in mkl.paper_kernels()])
             / traces[:, None, None]
             for side in sides
         )
@@ -97,14 +97,14 @@ class _Case:
 
 def _rows(case: _Case, C: float, seconds: float, what: str) -> list[Row]:
     """Time ours, one machine per kernel, and EasyMKL, at one of three jobs."""
-    given, recognise = "given" in what, "recognise" in what
+    ready, recognise = "given" in what, "recognise" in what
     stack, _ = case.kernels()
-    learnt = np.ascontiguousarray(stack.transpose(1, 2, 0)) if given else case.touches
-    bank: dict[str, Any] = {"kernels": "precomputed"} if given else {}
+    learnt = np.ascontiguousarray(stack.transpose(1, 2, 0)) if ready else case.touches
+    bank: dict[str, Any] = {"kernels": "precomputed"} if ready else {}
     machine = mkl.MKLSVC(C=C, probability=False, **bank)
 
     def stacks() -> Stacks:
-        return (stack, None) if given else case.kernels(recognise=recognise)
+        return (stack, None) if ready else case.kernels(recognise=recognise)
 
     def ours() -> None:
         machine.fit(learnt, case.codes)
@@ -152,15 +152,15 @@ def _time_easy(easy: Easy, seconds: float) -> dict[str, Any]:
 def _row_simplemkl(case: _Case, C: float, seconds: float) -> Row:
     """Compare one algorithm on our machines and on scikit-learn's, gap 1e-2."""
     stack, _ = case.kernels()
-    given = np.ascontiguousarray(stack.transpose(1, 2, 0))
+    kernels = np.ascontiguousarray(stack.transpose(1, 2, 0))
     machine = mkl.MKLSVC(
         C=C, kernels="precomputed", solver="simplemkl", probability=False
     )
-    ours_ms = cpu_ms(lambda: machine.fit(given, case.codes), seconds)
+    ours_ms = cpu_ms(lambda: machine.fit(kernels, case.codes), seconds)
     # A part of the pairs will do: all of them take seconds.
-    some = machine.pairs_[::6]
-    walks_ms = cpu_ms(lambda: _walk(stack, case.codes, some, C), 0.0)
-    peer_ms = walks_ms * len(machine.pairs_) / len(some)
+    tested = machine.pairs_[::6]
+    walks_ms = cpu_ms(lambda: _walk(stack, case.codes, tested, C), 0.0)
+    peer_ms = walks_ms * len(machine.pairs_) / len(tested)
     name = f"{_SIZE} SimpleMKL kernels given learn C {C:g}"
     gap = float(machine.gap_.max())
     return row(name, ours_ms, "SimpleMKL on SVC", peer_ms, gap=gap)
@@ -168,8 +168,8 @@ def _row_simplemkl(case: _Case, C: float, seconds: float) -> Row:
 
 def _kernel(kernel: Any, left: Floats, right: Floats) -> Floats:
     if isinstance(kernel, mkl.PolynomialKernel):
-        known = {"degree": kernel.degree, "gamma": 1, "coef0": 1}
-        return np.asarray(polynomial_kernel(left, right, **known))
+        fixed = {"degree": kernel.degree, "gamma": 1, "coef0": 1}
+        return np.asarray(polynomial_kernel(left, right, **fixed))
     return np.asarray(rbf_kernel(left, right, gamma=1 / (2 * kernel.sigma**2)))
 
 
@@ -193,15 +193,15 @@ def _walk(stack: Floats, codes: Array, pairs: Array, C: float) -> None:
 
 
 def _row_large(n_touches: int) -> Row:
-    found = measured_apart(_LARGE, n_touches)
+    measured = measured_apart(_LARGE, n_touches)
     exact = 4 * 8 * n_touches**2 / 2**30
     return row(
         f"2 classes {n_touches} touches 4 kernels float64 Nystroem 200 landmarks",
-        found["ms"],
+        measured["ms"],
         "none",
         reason=f"the four kernel matrices alone would take {exact:.0f} GiB",
-        gap=found["gap"],
-        n_iter=found["n_iter"],
-        peak_gib=found["peak"],
-        peak_before_gib=found["before"],
+        gap=measured["gap"],
+        n_iter=measured["n_iter"],
+        peak_gib=measured["peak"],
+        peak_before_gib=measured["before"],
     )

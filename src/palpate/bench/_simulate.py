@@ -9,8 +9,8 @@ from .. import simulation
 from ._timing import Row, cpu_ms, one_thread, row
 
 _SHAPES = ((96, 96), (150, 150), (300, 300), (480, 640))
-_TOUCHES_PER_OBJECT = 4
-_ARRAY_SIZES = (10, 16, 32)
+_TOUCHES_PER_OBJECT = 4  # a model is placed for each
+_ARRAY_SIZES = (10, 16, 32)  # taxels on a side
 _NO_DOME = "no other package presses a shaded dome on objects"
 _NO_ARRAY = "no other package presses parts on a covered array"
 

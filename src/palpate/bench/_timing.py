@@ -1,4 +1,4 @@
-"""What the benchmarks share: CPU time, equal total durations, one thread; their data.
+"""Shared by the benchmarks: CPU time, equal total durations, one thread; their data.
 
 Wall time on a busy machine flatters short calls, so calls are timed by the CPU time
 of the process, and each is repeated until about the same total time is spent.
@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 Row = dict[str, Any]
 Picture = NDArray[np.uint8]
-N_ROWS, N_COLS = 480, 640
+N_ROWS, N_COLS = 480, 640  # of a camera's picture
 # BLAS and OpenMP on one thread inside a `with` block.
 one_thread = partial(threadpool_limits, limits=1)
 # The kernel's high-water mark of a process: allocations of OpenCV are invisible to

@@ -19,6 +19,7 @@ import typer
 from .. import __version__
 from ._options import option
 from ._output import answer, printable, say
+from ._wording import as_typed, translate_for
 from .remount import sensor
 from .sensor_check import sensor_check
 
@@ -44,6 +45,7 @@ for name in VERBS:
         app.command()(verb)
 sensor.command("check")(sensor_check)
 app.add_typer(sensor, name="sensor")
+translate_for(app)
 
 _Usage: Any = typer.BadParameter.__base__  # every wrong use of the command line
 # What a verb may fail with; anything else is a fault of palpate and shows where.
@@ -82,8 +84,9 @@ def main() -> None:
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
-        message, code = _sentence(error), 1
+        message, code = as_typed(_sentence(error)), 1
     except _Usage as error:
+        error.message = as_typed(error.message)
         if not as_json:
             say(_shown(error), file=sys.stderr)
             sys.exit(error.exit_code)
@@ -106,7 +109,7 @@ def _plain_warnings() -> Iterator[None]:
     usual = warnings.formatwarning
 
     def plain(message: Any, *rest: Any, **more: Any) -> str:
-        return usual(printable(str(message)), *rest, **more)
+        return usual(printable(as_typed(str(message))), *rest, **more)
 
     warnings.formatwarning = plain
     try:

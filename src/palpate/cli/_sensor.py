@@ -78,12 +78,7 @@ class SensorOptions:
 
     def open(self, address: str) -> "LiveSensor":
         """Return the sensor at an address; it is not connected yet."""
-        from ..sensors import (
-            AddressError,
-            CalibratedSensor,
-            SensorError,
-            open_sensor,
-        )
+        from ..sensors import AddressError, CalibratedSensor, open_sensor
 
         settings = {**vars(self)}
         path = settings.pop("calibration")
@@ -91,9 +86,6 @@ class SensorOptions:
             sensor = open_sensor(address, **settings)
         except AddressError as error:
             raise typer.BadParameter(str(error)) from error
-        except SensorError as error:
-            message = str(error).replace("as no_contact", "with --no-contact FILE")
-            raise SensorError(message) from error
         if path is None:
             return sensor
         from ..images import TaxelCalibration

@@ -9,6 +9,7 @@ import typer
 
 from ._options import AsJson, Reading, Report, TouchesPath, grouped
 from ._output import answer, counted, percent, say, stages, table
+from ._wording import as_typed
 
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
@@ -48,7 +49,7 @@ def check(
         except TouchesError as error:
             if pictures is None or not pictures.bad:
                 raise
-            read, problem = None, str(error)
+            read, problem = None, as_typed(str(error))
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
     checked: dict[str, Any] = {
@@ -57,7 +58,7 @@ def check(
         "n_touches": 0 if read is None else len(read),
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
         "read_as": "" if read is None else reading.read_as(touches, read),
-        "bad": [] if pictures is None else [bad._asdict() for bad in pictures.bad],
+        "bad": [] if pictures is None else _bad(pictures),
         "notes": _notes(pictures, others),
         "objects": [] if read is None else _objects(read),
         "alone": alone,
@@ -171,6 +172,10 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             )
             break
     return advice
+
+
+def _bad(pictures: "PictureCheck") -> list[dict[str, Any]]:
+    return [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad]
 
 
 def _print(checked: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ import typer
 
 from ._options import AsJson, Reading, TouchesPath, Where, argument, grouped, option
 from ._output import answer, counted, print_json, say, table
+from ._wording import as_typed
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow
@@ -222,7 +223,7 @@ def check(
                     f"{counted(repaired.n_changes_lost, 'change')}. Touches can be "
                     "added again."
                 )
-        say(report)
+        say(as_typed(str(report)))
     if not report.ok:
         raise typer.Exit(1)
 

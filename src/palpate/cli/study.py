@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from . import _options
 from ._options import option
 from ._output import print_json, say, table
+from ._wording import as_typed
 
 
 @_options.grouped
@@ -45,6 +46,7 @@ def study(
         check_report_path(report)
     with working.started(usual=-1) as n:
         result = study.run(**{**options, "workers": n})
+    result["skipped"] = [as_typed(sentence) for sentence in result["skipped"]]
     for sentence in result["skipped"]:
         say(sentence, file=sys.stderr)
     if report is not None:

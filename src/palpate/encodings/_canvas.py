@@ -16,7 +16,7 @@ from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Indices
 
-_CLIP = 0.2
+_CLIP = 0.2  # as SIFT does, doi:10.1023/B:VISI.0000029664.99615.94
 # Below this share of the strongest cell, a block is not brought to length 1.
 _FAINT = 1e-3
 # The canvas' shorter side has 32 pixels at least: each ring has some.
@@ -210,9 +210,9 @@ class RingPatterns(CanvasEncoder):
         shares = self._shares(images)
         spread = np.linspace(0, len(images) - 1, _MOVED).astype(int)
         rows = np.unique(spread)
-        some, still = images[rows].astype(np.float32), shares[rows]
+        part, still = images[rows].astype(np.float32), shares[rows]
         changes = np.concatenate(
-            [self._shares(_moved(some, *step)) - still for step in _STEPS]
+            [self._shares(_moved(part, *step)) - still for step in _STEPS]
         )
         # Flat images change nowhere; their directions would be chance.
         strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
@@ -241,10 +241,10 @@ class RingPatterns(CanvasEncoder):
         unit = min(image.shape) / _CANVAS
         radii = np.atleast_1d(self.radii).tolist()
         counts = np.empty((len(radii), self.n_rings, n_codes))
-        for found, radius in zip(counts, radii, strict=True):
+        for histogram, radius in zip(counts, radii, strict=True):
             code = _patterns(image, least, max(radius * unit, 1.0), self.n_points)
-            some = np.bincount(first + code.take(inside), minlength=found.size)
-            found[:] = some.reshape(found.shape)
+            binned = np.bincount(first + code.take(inside), minlength=histogram.size)
+            histogram[:] = binned.reshape(histogram.shape)
         shares: Floats = counts / counts.sum(axis=2, keepdims=True)
         return np.sqrt(shares).ravel()
 
@@ -302,14 +302,14 @@ def lengths(across: Array, down: Array) -> Array:
     """Return the lengths of gradients in single precision, however large or small."""
     # OpenCV's own function rounds by where an image lies in memory.
     with np.errstate(over="ignore", under="ignore"):
-        found: Array = np.sqrt(across * across + down * down)
+        distances: Array = np.sqrt(across * across + down * down)
     # Of what squares leave too large or too small, ten times slower.
-    return found if 1e-12 < found.max() < np.inf else np.hypot(across, down)
+    return distances if 1e-12 < distances.max() < np.inf else np.hypot(across, down)
 
 
 @lru_cache(maxsize=16)
 def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
-    """Which pixels, counted row by row, lie in each ring of the inscribed disc."""
+    """Return the pixels, counted row by row, in each ring of the inscribed disc."""
     row, col = (np.arange(n) - (n - 1) / 2 for n in shape)
     radius = np.hypot(row[:, np.newaxis], col) / (min(shape) / 2)
     return [np.flatnonzero(np.floor(radius * n_rings) == k) for k in range(n_rings)]
@@ -317,9 +317,9 @@ def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
 
 @lru_cache(maxsize=16)
 def _rings(shape: tuple[int, int], n_rings: int) -> tuple[Indices, Indices]:
-    """Which pixels lie in the inscribed disc, ring by ring, and in which ring each."""
+    """Return the pixels of the inscribed disc, ring by ring, and the ring of each."""
     places = _places(shape, n_rings)
-    ring = np.repeat(np.arange(n_rings), [len(some) for some in places])
+    ring = np.repeat(np.arange(n_rings), [len(ring) for ring in places])
     return np.concatenate(places), ring
 
 
@@ -357,7 +357,7 @@ def _patterns(
 def _circle(
     radius: float, n_points: int, margin: int
 ) -> tuple[list[tuple[int, float]], list[tuple[int, int, float]]]:
-    """Where places on a circle lie in an image with a margin.
+    """Return the pixels around places on a circle, in an image with a margin.
 
     Of each column between pixels the left one and the share of the right one; of each
     place which of these, the upper row and the share of the lower one.
@@ -369,7 +369,7 @@ def _circle(
     between = zip((lefts + margin).tolist(), (columns - lefts).tolist(), strict=True)
     down = zip((tops + margin).tolist(), (row - tops).tolist(), strict=True)
     return list(between), [
-        (k, *one) for k, one in zip(which.tolist(), down, strict=True)
+        (k, *weights) for k, weights in zip(which.tolist(), down, strict=True)
     ]
 
 
@@ -377,4 +377,4 @@ def _moved(images: Array, row: float, col: float) -> Array:
     """Move images by a part of a pixel, bilinearly, edges replicated."""
     size, edge = images.shape[:0:-1], cv2.BORDER_REPLICATE
     way = np.array([[1, 0, col], [0, 1, row]], np.float32)
-    return np.stack([cv2.warpAffine(one, way, size, borderMode=edge) for one in images])
+    return np.stack([cv2.warpAffine(o, way, size, borderMode=edge) for o in images])

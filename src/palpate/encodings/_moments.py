@@ -161,7 +161,7 @@ def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
 
 
 def size_of(images: Floats, normalise: str | None) -> Floats:
-    """What each image is divided by, 1 where that would be 0."""
+    """Return the divisor of each image, 1 where that would be 0."""
     if normalise is None:
         return np.ones(len(images))
     # By the largest level first, so that no square over- or underflows.
@@ -269,7 +269,7 @@ class HuMoments(ImageEstimator):
         rows, cols, inside = _looked_at(*images.shape[1:], self.region == "disc")
         planes = images[:, rows, cols].astype(kind, copy=False)
         relative = self.levels == "above-least"
-        each = [_hu(np.ascontiguousarray(one), inside, relative) for one in planes]
+        each = [_hu(np.ascontiguousarray(plane), inside, relative) for plane in planes]
         invariants = np.stack(each)[:, : self.n_components]
         if not self.log:
             return invariants

@@ -93,8 +93,8 @@ def encoder_named(
                 f"joined by '+', got {name!r}."
             )
     counts = _counts_of(parts, n_components)
-    made = [_make(*chosen, options) for chosen in zip(parts, counts, strict=True)]
-    return made[0] if len(made) == 1 else EncodingUnion(made)
+    encoders = [_make(*chosen, options) for chosen in zip(parts, counts, strict=True)]
+    return encoders[0] if len(encoders) == 1 else EncodingUnion(encoders)
 
 
 def _counts_of(
@@ -110,14 +110,14 @@ def _counts_of(
         return counts
     if len(parts) == 1:
         return [n_components]
-    known = _principal.check_components(n_components)
-    counts = [known] * len(parts)
+    count = _principal.check_components(n_components)
+    counts = [count] * len(parts)
     for i, part in enumerate(parts):
         principal = issubclass(ENCODINGS[part][0], PrincipalEncoder)
-        if isinstance(known, float) and not principal:
+        if isinstance(count, float) and not principal:
             counts[i] = None
-        elif isinstance(known, int) and part == "scaled-pixels":
-            counts[i] = isqrt(known) ** 2
+        elif isinstance(count, int) and part == "scaled-pixels":
+            counts[i] = isqrt(count) ** 2
     return counts
 
 
@@ -185,7 +185,7 @@ class EncodingUnion(ImageEstimator, by_channel=False):
 
     @property
     def blind_to(self) -> frozenset[str]:
-        """What all of its encoders are blind to."""
+        """The changes that all of its encoders are blind to."""
         nothing: frozenset[str] = frozenset()
         each = [getattr(part, "blind_to", nothing) for part in self.encoders]
         return frozenset.intersection(*each) if each else nothing
@@ -195,7 +195,7 @@ class EncodingUnion(ImageEstimator, by_channel=False):
         self.fit_transform(X, y)
         return self
 
-    def fit_transform(self, X: ArrayLike, y: object = None, **known: Any) -> Floats:
+    def fit_transform(self, X: ArrayLike, y: object = None, **fixed: Any) -> Floats:
         """Fit every encoder and return the joined vectors of the same images."""
         images = self._checked(X)
         encoders = _check_encoders(self.encoders)
@@ -218,8 +218,8 @@ class EncodingUnion(ImageEstimator, by_channel=False):
         """Return the joined vectors, shape (n_touches, n_features)."""
         parts = []
         for encoder in self.encoders_:
-            known = isinstance(encoder, ImageEstimator)
-            encode = encoder.transform_checked if known else encoder.transform
+            is_ours = isinstance(encoder, ImageEstimator)
+            encode = encoder.transform_checked if is_ours else encoder.transform
             parts.append(encode(images))
         return self._joined(parts)
 

@@ -24,7 +24,7 @@ from .._extras import needed
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Singles
 
-MB = 2**20
+MB = 2**20  # bytes
 # Larger files are refused, and more memory is not given to all networks together.
 MAX_NETWORK_MB, MAX_MEMORY_GB = 500, 4
 MAX_OPERATORS, MAX_SIDE, MAX_WIDTH = 20_000, 2048, 16_384
@@ -120,16 +120,16 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
 
     def _tried(self, images: Array) -> int:
         """Return the length of the vectors, if the network encodes each image alone."""
-        some = images[:2] if len(images) > 1 else np.concatenate([images, images])
-        together = self._vectors(some, most_seconds=MOST_SECONDS)
-        alone = np.concatenate([self._vectors(one[np.newaxis]) for one in some])
+        pair = images[:2] if len(images) > 1 else np.concatenate([images, images])
+        together = self._vectors(pair, most_seconds=MOST_SECONDS)
+        alone = np.concatenate([self._vectors(image[np.newaxis]) for image in pair])
         if together.shape[1] > MAX_WIDTH:
             raise OnnxError(
                 f"The network must give at most {MAX_WIDTH} numbers for each image, "
                 f"got {together.shape[1]}. Name a later layer as its output."
             )
-        apart = np.abs(together - alone).max()
-        if apart > _ROUNDING * max(1.0, float(np.abs(together).max())):
+        difference = np.abs(together - alone).max()
+        if difference > _ROUNDING * max(1.0, float(np.abs(together).max())):
             raise OnnxError(
                 "The network must encode each image alone and always alike, got other "
                 "numbers for an image among others. Export it in evaluation mode "
@@ -140,25 +140,25 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
     def _vectors(self, images: Array, most_seconds: float | None = None) -> Floats:
         """Return what the network makes of some images, (n_images, n_numbers)."""
         session, name = self._ready()
-        given = {name: self._prepared(images, session.get_inputs()[0].shape)}
+        inputs = {name: self._prepared(images, session.get_inputs()[0].shape)}
         options = needed("onnxruntime", "onnx", "OnnxEncoding").RunOptions()
         watch = Timer(most_seconds or 0, lambda: setattr(options, "terminate", True))
         watch.daemon = True
         if most_seconds:
             watch.start()
         try:
-            (made,) = session.run([self._output(session)], given, options)
+            (output,) = session.run([self._output(session)], inputs, options)
         except OnnxError:
             raise
         except Exception as error:
             raise OnnxError(
-                f"The network cannot encode images of {given[name].shape[2]} x "
-                f"{given[name].shape[3]}: {_first_line(error)}. Export it anew for "
+                f"The network cannot encode images of {inputs[name].shape[2]} x "
+                f"{inputs[name].shape[3]}: {_first_line(error)}. Export it anew for "
                 "images of this size, or of any."
             ) from error
         finally:
             watch.cancel()
-        return _rows(made, len(images))
+        return _rows(output, len(images))
 
     def _prepared(self, images: Array, shape: Sequence[Any]) -> Singles:
         """Return images as the network takes them, (n_images, channels, rows, cols)."""
@@ -175,15 +175,15 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
             grey = scaled.mean(axis=3, keepdims=True)
             scaled = np.repeat(grey, n_channels, axis=3)
         size = [
-            side if isinstance(side, int) else own
-            for side, own in zip((n_rows, n_cols), scaled.shape[1:3], strict=True)
+            side if isinstance(side, int) else side_now
+            for side, side_now in zip((n_rows, n_cols), scaled.shape[1:3], strict=True)
         ]
         if tuple(size) != scaled.shape[1:3]:
-            scaled = np.stack([_resized(one, size) for one in scaled])
+            scaled = np.stack([_resized(image, size) for image in scaled])
         return np.ascontiguousarray(np.moveaxis(scaled, 3, 1))
 
     def _output(self, session: Any) -> str:
-        names = [one.name for one in session.get_outputs()]
+        names = [node.name for node in session.get_outputs()]
         name = names[0] if self.output is None and len(names) == 1 else self.output
         if name not in names:
             raise OnnxError(
@@ -245,7 +245,7 @@ def checked_network(content: bytes) -> bytes:
 
 def _check_operators(model: Any, onnx: Any) -> None:
     """Refuse operators of other makers, other files, control flow and chance."""
-    opsets = {one.domain: one.version for one in model.opset_import}
+    opsets = {opset.domain: opset.version for opset in model.opset_import}
     domains = {*opsets, *(node.domain for node in model.graph.node)}
     if odd := sorted(domains.difference(_STANDARD)):
         raise OnnxError(
@@ -336,7 +336,7 @@ def _bound_memory() -> None:
 
 def _check_input(inputs: Sequence[Any]) -> None:
     """Refuse a network that takes no images, or one image at a time."""
-    shapes = [(one.type, one.shape) for one in inputs]
+    shapes = [(node.type, node.shape) for node in inputs]
     kind: str = shapes[0][0] if len(shapes) == 1 else ""
     shape: list[Any] = shapes[0][1] if len(shapes) == 1 else []
     fits = kind == "tensor(float)" and len(shape) == 4 and shape[1] in (1, 3)
@@ -359,17 +359,17 @@ def _check_input(inputs: Sequence[Any]) -> None:
         )
 
 
-def _rows(made: Any, n_images: int) -> Floats:
+def _rows(output: Any, n_images: int) -> Floats:
     """Return an output as vectors, one a row, or explain."""
-    if not isinstance(made, np.ndarray) or made.dtype.kind != "f":
-        got = made.dtype if isinstance(made, np.ndarray) else type(made).__name__
+    if not isinstance(output, np.ndarray) or output.dtype.kind != "f":
+        got = output.dtype if isinstance(output, np.ndarray) else type(output).__name__
         raise OnnxError(f"The network must give floats, got {got}.")
-    if made.ndim < 2 or len(made) != n_images or not made.size:
+    if output.ndim < 2 or len(output) != n_images or not output.size:
         raise OnnxError(
             f"The network must give one vector for each of {n_images} images, got "
-            f"shape {made.shape}."
+            f"shape {output.shape}."
         )
-    vectors = made.reshape(n_images, -1).astype(np.float64)
+    vectors = output.reshape(n_images, -1).astype(np.float64)
     if not np.isfinite(vectors).all():
         raise OnnxError(
             "The network gave NaN or infinity. Give mean and std that its training "
@@ -388,16 +388,16 @@ def _resized(image: Singles, size: Sequence[int]) -> Singles:
 
 
 def _levels(
-    name: str, given: ArrayLike | None, learnt: float, n_channels: int
+    name: str, parameter: ArrayLike | None, learnt: float, n_channels: int
 ) -> Floats:
     """Return what a parameter says for all channels or for each, or what was learnt."""
-    if given is None:
+    if parameter is None:
         return np.array([learnt])
-    values = np.atleast_1d(np.asarray(given, dtype=np.float64))
+    values = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
     if values.shape not in ((1,), (n_channels,)) or not np.isfinite(values).all():
         raise ValueError(
             f"{name} must be one number, or one for each of {n_channels} channels, got "
-            f"{given!r}."
+            f"{parameter!r}."
         )
     return values
 

@@ -11,7 +11,7 @@ from .._types import Array, Floats
 from ..images import OrientationRegulariser
 from ._moments import size_of
 
-PAPER_SIDE = 13
+PAPER_SIDE = 13  # 169 values, as in the paper
 # The median of so many training images is a baseline.
 _LOOKED_AT = 200
 
@@ -156,8 +156,8 @@ class GridLevels(ImageEstimator, by_channel=False):
         if isinstance(self.baseline, str):
             check_option("baseline", self.baseline, ("median",))
             spread = np.linspace(0, len(images) - 1, _LOOKED_AT).astype(int)
-            some = by_channel(self._means, images[np.unique(spread)])
-            self.baseline_ = np.median(some, axis=0)
+            means = by_channel(self._means, images[np.unique(spread)])
+            self.baseline_ = np.median(means, axis=0)
         elif self.baseline is not None:
             frame = check_finite(np.asarray(self.baseline)[np.newaxis])
             if frame.shape[1:] != images.shape[1:]:
@@ -220,8 +220,8 @@ def _averages(n: int, n_cells: int) -> Floats:
 
 def _gaussian(n_cells: int, std: float) -> Floats:
     """Weights of a blur along one side, (n_cells, n_cells); rows sum to 1."""
-    apart = np.subtract.outer(np.arange(n_cells), np.arange(n_cells))
-    weights: Floats = np.exp(-(apart**2) / (2 * max(std, 1e-3) ** 2))
+    lag = np.subtract.outer(np.arange(n_cells), np.arange(n_cells))
+    weights: Floats = np.exp(-(lag**2) / (2 * max(std, 1e-3) ** 2))
     weights /= weights.sum(axis=1, keepdims=True)
     return weights
 

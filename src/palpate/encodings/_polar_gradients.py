@@ -93,8 +93,8 @@ class PolarGradients(ImageEstimator):
         check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
         raw = self._harmonics(images)
         means, power = raw[..., 0].mean(axis=0), np.zeros(raw.shape[1])
-        for some in _few(raw):
-            spread = some.copy()
+        for part in _few(raw):
+            spread = part.copy()
             spread[..., 0] -= means
             power += (np.abs(spread) ** 2).sum(axis=(0, 2, 3)) / len(raw)
         self.scale_ = np.where(power > 1e-24, np.sqrt(power), 1.0)
@@ -116,16 +116,17 @@ class PolarGradients(ImageEstimator):
         grid = _grid(self.n_rings, size)
         sigma = max(self.smoothing * min(size) / 2, 0.5)
         shape = len(images), _N_CHANNELS, self.n_rings, self.n_harmonics + 1
-        found = np.empty(shape, dtype=np.complex128)
+        coefficients = np.empty(shape, dtype=np.complex128)
         for start in range(0, len(images), _AT_ONCE):
-            into, some = found[start : start + _AT_ONCE], images[start:][:_AT_ONCE]
-            values = np.stack([*map(_channels, some, repeat(sigma), repeat(grid))])
+            into = coefficients[start : start + _AT_ONCE]
+            part = images[start : start + _AT_ONCE]
+            values = np.stack([*map(_channels, part, repeat(sigma), repeat(grid))])
             into[:] = np.fft.rfft(values, axis=-1)[..., : shape[-1]]
             into /= _PLACES
-        found *= np.sqrt(rings)[:, np.newaxis]
+        coefficients *= np.sqrt(rings)[:, np.newaxis]
         # A coefficient stands for itself and its conjugate; the mean has none.
-        found[..., 0] /= np.sqrt(2)
-        return found
+        coefficients[..., 0] /= np.sqrt(2)
+        return coefficients
 
 
 def _few(images: Array) -> Iterator[Array]:

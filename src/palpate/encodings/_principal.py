@@ -37,8 +37,8 @@ from ._pixels import ScaledPixels
 from ._zernike import ZernikeMoments
 
 Components = int | float | None
-_FOLDS = 5
-_LEARNT_FROM = 600
+_FOLDS = 5  # groups are left out in so many parts
+_LEARNT_FROM = 600  # as many as the encodings are chosen on
 
 
 class PrincipalEncoder(ImageEstimator):
@@ -54,7 +54,7 @@ class PrincipalEncoder(ImageEstimator):
 
     @property
     def blind_to(self) -> frozenset[str]:
-        """What the encoding is blind to whose components these are."""
+        """The changes that the encoding of these components is blind to."""
         return self._first().blind_to
 
     def transform_checked(self, images: Array) -> Floats:
@@ -76,10 +76,10 @@ class PrincipalEncoder(ImageEstimator):
             wanted = min(wanted, *features.shape)
         # Exactly, to sizes around 1: squares of very small or large ones overflow.
         _, exponent = np.frexp(np.abs(features).max())
-        found = _fitted(np.ldexp(features, -exponent), wanted)
-        self.components_ = found.components_
-        self.mean_ = np.ldexp(found.mean_, exponent)
-        self.explained_variance_ratio_ = found.explained_variance_ratio_
+        pca = _fitted(np.ldexp(features, -exponent), wanted)
+        self.components_ = pca.components_
+        self.mean_ = np.ldexp(pca.mean_, exponent)
+        self.explained_variance_ratio_ = pca.explained_variance_ratio_
         self.n_components_ = len(self.components_)
 
     def _first(self) -> ImageEstimator:
@@ -263,12 +263,12 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
         result = np.zeros(len(X))
         fold = np.unique(groups, return_inverse=True)[1] % _FOLDS
         for k in np.unique(fold):
-            others, mine = np.flatnonzero(fold != k), fold == k
+            others, rows = np.flatnonzero(fold != k), fold == k
             if len(others):
                 n = min(len(others), _LEARNT_FROM)
-                some = others[np.linspace(0, len(others) - 1, n).astype(int)]
-                part = PrincipalShare(self.share).fit(X[some])
-                result[mine] = part.unexplained(X[mine], part.transform(X[mine]))
+                chosen = others[np.linspace(0, len(others) - 1, n).astype(int)]
+                part = PrincipalShare(self.share).fit(X[chosen])
+                result[rows] = part.unexplained(X[rows], part.transform(X[rows]))
         return result
 
 
@@ -300,17 +300,18 @@ def _directions(centred: Floats, share: float) -> Floats:
     # Exactly, to sizes around 1: squares of very small or large ones overflow.
     centred = np.ldexp(centred, -np.frexp(np.abs(centred).max())[1])
     few = centred.shape[0] <= centred.shape[1]
-    variance, found = np.linalg.eigh(
+    variance, vectors = np.linalg.eigh(
         centred @ centred.T if few else centred.T @ centred
     )
     held = np.cumsum(variance[::-1]) / variance.sum()
     n_kept = min(int(np.searchsorted(held, share, side="right")) + 1, len(held))
-    found = found[:, ::-1][:, :n_kept]
+    vectors = vectors[:, ::-1][:, :n_kept]
     if few:
-        found = centred.T @ found
-        found /= np.sqrt((found**2).sum(axis=0))
-    largest = np.abs(found).argmax(axis=0)
-    return np.ascontiguousarray((found * np.sign(found[largest, np.arange(n_kept)])).T)
+        vectors = centred.T @ vectors
+        vectors /= np.sqrt((vectors**2).sum(axis=0))
+    largest = np.abs(vectors).argmax(axis=0)
+    vectors *= np.sign(vectors[largest, np.arange(n_kept)])
+    return np.ascontiguousarray(vectors.T)
 
 
 def _fitted(features: Floats, n_components: Components) -> PCA:

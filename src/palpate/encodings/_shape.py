@@ -135,8 +135,8 @@ class FourierDescriptors(ImageEstimator):
             size = np.linalg.norm(np.fft.fft(outline, axis=0), axis=1)[1:]
             # An outline whose first wave vanishes has no size to divide by.
             if size[0] > 1e-9 * size.max():
-                found = (size / size[0])[: self.n]
-                row[: len(found)] = found
+                relative = (size / size[0])[: self.n]
+                row[: len(relative)] = relative
         return descriptors
 
     def get_feature_names_out(self, input_features: object = None) -> Array:

@@ -43,8 +43,8 @@ def noll_degrees(order: int) -> list[tuple[int, int]]:
 def zernike_values(order: int, x: Floats, y: Floats) -> Iterator[Complexes]:
     """Yield V(n, m) at the points (x, y), in the order of `zernike_degrees`."""
     z = x + 1j * y
-    one = np.ones_like(z)
-    return _recurrence(order, one, lambda v: z * v, lambda v: z.conj() * v)
+    unit = np.ones_like(z)
+    return _recurrence(order, unit, lambda v: z * v, lambda v: z.conj() * v)
 
 
 @lru_cache(maxsize=32)
@@ -72,18 +72,18 @@ def _monomial_weights(order: int) -> Iterator[Complexes]:
         product[:, 1:] += sign * 1j * a[:, :-1]
         return product
 
-    one = np.zeros((order + 1, order + 1), dtype=complex)
-    one[0, 0] = 1
-    yield from _recurrence(order, one, lambda a: times(a, 1), lambda a: times(a, -1))
+    unit = np.zeros((order + 1, order + 1), dtype=complex)
+    unit[0, 0] = 1
+    yield from _recurrence(order, unit, lambda a: times(a, 1), lambda a: times(a, -1))
 
 
 def _recurrence(
-    order: int, one: Array, times_z: Times, times_conjugate: Times
+    order: int, unit: Array, times_z: Times, times_conjugate: Times
 ) -> Iterator[Array]:
     """Yield V(0, 0), V(1, 1), V(2, 0), ... from the four-term recurrence."""
     before: dict[int, Array] = {}
-    last = {0: one}
-    yield one
+    last = {0: unit}
+    yield unit
     for n in range(1, order + 1):
         new = {}
         for m in range(n % 2, n + 1, 2):

@@ -24,7 +24,7 @@ from .._types import Array, Bools, Complexes, Floats, Indices
 from ._zernike_polynomials import legendre_weights, zernike_degrees, zernike_values
 
 Nodes = tuple[Floats, Floats, Floats]
-HIGHEST_SEPARABLE_ORDER = 20
+HIGHEST_SEPARABLE_ORDER = 20  # up to it weights of monomials are exact
 # Taxels per pass over the images: what fits in a processor's second-level cache.
 _TAXELS_IN_CACHE = 2**17
 # Numbers in one buffer of features, and in one block of a dense basis: 8 and 16 MB.
@@ -136,7 +136,7 @@ def cut_nodes(disc: Disc, taxels: Indices, order: int, n_nodes: int) -> Nodes:
 
 
 class Grid(NamedTuple):
-    """What the tables depend on."""
+    """The disc, order and precision that tables depend on."""
 
     disc: Disc
     order: int
@@ -361,12 +361,12 @@ def _quarters(grid: Grid) -> tuple[list[_Quarter], Indices, int]:
     dtype = np.float32 if grid.single else np.float64
     row, col = np.divmod(taxels, disc.n_cols)
     top, left = disc.n_rows // 2, disc.n_cols // 2
-    mine = (row >= top) & (col >= left)
-    row, col = row[mine], col[mine]
+    in_quarter = (row >= top) & (col >= left)
+    row, col = row[in_quarter], col[in_quarter]
     # A row or column in the very middle is folded onto itself and counts twice.
     twice = (disc.n_rows % 2) * (row == top), (disc.n_cols % 2) * (col == left)
     share = 0.5 ** (twice[0].astype(float) + twice[1])
-    basis = _basis_of(grid, taxels[mine]) * share[:, np.newaxis]
+    basis = _basis_of(grid, taxels[in_quarter]) * share[:, np.newaxis]
     m = np.array([m for _, m in zernike_degrees(grid.order)])
     sign = np.where(m % 2 == 0, 1, -1)
     # cos(m phi) keeps its sign from top to bottom, sin(m phi) changes it.

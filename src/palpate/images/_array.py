@@ -106,7 +106,7 @@ class ArrayCleanUp(ImageEstimator):
     def transform_checked(self, images: Array) -> Array:
         """Return cleaned images of shape (n_touches, *shape), bool when binary."""
         wanted = check_option("output", self.output, _OUTPUTS)
-        return next(made for step, made in self._steps(images) if step == wanted)
+        return next(stage for step, stage in self._steps(images) if step == wanted)
 
     def _steps(self, images: Array) -> Iterator[tuple[str, Array]]:
         filled = fill_dead_taxels(images, dead=self.dead)
@@ -309,7 +309,7 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
     """
     if np.ndim(images) == 4:
         channels = np.moveaxis(np.asarray(images), -1, 0)
-        return np.stack([fill_dead_taxels(one, dead=dead) for one in channels], -1)
+        return np.stack([fill_dead_taxels(plane, dead=dead) for plane in channels], -1)
     checked = check_images(images, allow_nan=True)
     check_option("dead", dead, ("fill", "refuse"))
     is_dead = np.isnan(checked)
@@ -343,24 +343,24 @@ def _solve(images: Floats, is_dead: Bools) -> Floats:
     """Solve for the taxels of `is_dead`, the same in each of `images`."""
     number = np.where(is_dead, np.cumsum(is_dead).reshape(is_dead.shape) - 1, -1)
     n_dead = int(is_dead.sum())
-    diagonal, known = np.zeros(n_dead), np.zeros((n_dead, len(images)))
+    diagonal, sums = np.zeros(n_dead), np.zeros((n_dead, len(images)))
     pairs: list[Array] = []
     # Slices that pair each taxel with its right and lower neighbour, and the reverse.
-    every, head, tail = slice(None), slice(None, -1), slice(1, None)
-    across = [((every, head), (every, tail)), ((head, every), (tail, every))]
+    whole, head, tail = slice(None), slice(None, -1), slice(1, None)
+    across = [((whole, head), (whole, tail)), ((head, whole), (tail, whole))]
     for here, there in across + [(there, here) for here, there in across]:
         unknown = number[here][is_dead[here]]
         neighbour = number[there][is_dead[here]]
         np.add.at(diagonal, unknown, 1)
         alive = neighbour < 0
         levels = images[:, *there][:, is_dead[here]].T
-        np.add.at(known, unknown[alive], levels[alive])
+        np.add.at(sums, unknown[alive], levels[alive])
         pairs.append(np.stack([unknown[~alive], neighbour[~alive]]))
     row, col = np.hstack([*pairs, np.tile(np.arange(n_dead), (2, 1))])
     weight = np.concatenate([-np.ones(len(row) - n_dead), diagonal])
     matrix = coo_array((weight, (row, col)), shape=(n_dead, n_dead)).tocsc()
     solved = images.copy()
-    solved[:, is_dead] = spsolve(matrix, known).reshape(n_dead, -1).T
+    solved[:, is_dead] = spsolve(matrix, sums).reshape(n_dead, -1).T
     return solved
 
 

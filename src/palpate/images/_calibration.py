@@ -297,13 +297,13 @@ def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, 
         group = (np.arange(len(steps)) * _MOST_LOADS // len(steps))[group]
         steps = np.array([np.median(loads[group == i]) for i in range(_MOST_LOADS)])
     silent = np.isnan(readings).mean(axis=0) > 0.5
-    known = np.where(silent, 0.0, readings)
-    levels = np.stack([_median(known[group == i]) for i in range(len(steps))])
+    counts = np.where(silent, 0.0, readings)
+    levels = np.stack([_median(counts[group == i]) for i in range(len(steps))])
     silent |= np.isnan(levels).any(axis=0)
     levels = np.where(silent, 0.0, levels)
     first, last, gain, offset = _best_segment(steps, levels)
     linear = (group[:, None] >= first) & (group[:, None] <= last)
-    residual = np.where(linear, known - offset - gain * loads[:, None], np.nan)
+    residual = np.where(linear, counts - offset - gain * loads[:, None], np.nan)
     noise = _median(np.abs(residual)) / _MAD_PER_SD
     learnt = {"gain": gain, "offset": offset, "noise": noise}
     learnt |= _ends(steps, levels, first, last, gain, offset, noise)

@@ -26,9 +26,9 @@ from .._types import Array, Floats, Indices, Singles
 from ._orientation import inscribed_mask
 from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
-N_SAFE = 512
-SAFE_SHARE = 0.02
-FLAT = 1e-6
+N_SAFE = 512  # images are spread over all; more change a quantile little
+SAFE_SHARE = 0.02  # of the images may reach beyond the disc
+FLAT = 1e-6  # of the level: single precision rounds there
 
 
 class DomeCrop(ImageEstimator):
@@ -110,11 +110,11 @@ class DomeCrop(ImageEstimator):
         return self
 
     def fit_transform(
-        self, X: ArrayLike, y: object = None, **known: ArrayLike | None
+        self, X: ArrayLike, y: object = None, **fixed: ArrayLike | None
     ) -> Singles:
         """Do what `fit` and then `transform` do; each rim is looked for once."""
         images = as_images(X)
-        self._learn_rim(images, **known)
+        self._learn_rim(images, **fixed)
         rims = self._rims(images)
         self._learn_disc(rims[_spread(len(images))])
         return self._cut(images, rims)
@@ -306,9 +306,9 @@ def standardise_discs(discs: ArrayLike) -> Singles:
 
 
 def _spread(n_images: int) -> Indices:
-    """Which of so many images the safe radius is learnt from."""
-    some = np.linspace(0, n_images - 1, min(n_images, N_SAFE))
-    return np.unique(some.round().astype(int))
+    """Return the rows, of so many images, that the safe radius is learnt from."""
+    rows = np.linspace(0, n_images - 1, min(n_images, N_SAFE))
+    return np.unique(rows.round().astype(int))
 
 
 def _crop(images: Array, rims: Rims, radius: float, size: int) -> Singles:

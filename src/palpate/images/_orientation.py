@@ -1,4 +1,4 @@
-"""Where an image's mass lies, which way it points; images turned and shifted.
+"""The centre and direction of an image's mass; images turned and shifted.
 
 x points along the columns, y along the rows (downwards); lengths are in pixels, and
 positions for re-posing count from the image's centre. A positive angle, in degrees,
@@ -20,9 +20,9 @@ from .._checks import check_count, check_images, check_number, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Bools, Floats, Indices
 
-ORDER = 3
+ORDER = 3  # third moments tell one end of an axis from the other
 _BINOMIAL = pascal(ORDER + 1, kind="lower").astype(float)
-MIN_ANISOTROPY = 0.02
+MIN_ANISOTROPY = 0.02  # below, noise turns a round press
 # Rounding of the second moments, as a share of their sum.
 _ROUNDING = 1e-9
 # Pixels of output worked on at a time; bounds the memory of the coordinates.
@@ -65,7 +65,7 @@ def _about_centroid(raw: Floats) -> CentralMoments:
 
 @lru_cache(maxsize=16)
 def inscribed_mask(n_rows: int, n_cols: int) -> Bools:
-    """Which pixel centres lie in the frame's inscribed disc; shared, so read-only."""
+    """Return a mask of the frame's inscribed disc; it is shared, so read-only."""
     row = np.arange(n_rows) - (n_rows - 1) / 2
     col = np.arange(n_cols) - (n_cols - 1) / 2
     squared = row[:, np.newaxis] ** 2 + col**2
@@ -142,8 +142,8 @@ class OrientationRegulariser(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""
-        found = orientations(images)
-        angle = np.where(found.anisotropy >= self.min_anisotropy, found.angle_deg, 0.0)
+        axes = orientations(images)
+        angle = np.where(axes.anisotropy >= self.min_anisotropy, axes.angle_deg, 0.0)
         turned = repose(images, -angle, edges="nearest")
         turned *= inscribed_mask(*images.shape[1:])
         return turned
@@ -254,15 +254,15 @@ def repose(
 
 
 def _per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    given = np.asarray(value, dtype=np.float64)
-    if given.shape not in (shape, shape[1:]):
-        one = "a number" if len(shape) == 1 else f"of shape {shape[1:]}"
+    values = np.asarray(value, dtype=np.float64)
+    if values.shape not in (shape, shape[1:]):
+        single = "a number" if len(shape) == 1 else f"of shape {shape[1:]}"
         raise ValueError(
-            f"{name} must be {one} or of shape {shape}, got shape {given.shape}."
+            f"{name} must be {single} or of shape {shape}, got shape {values.shape}."
         )
-    if not np.isfinite(given).all():
+    if not np.isfinite(values).all():
         raise ValueError(f"{name} must be finite, got NaN or infinity.")
-    return np.broadcast_to(given, shape)
+    return np.broadcast_to(values, shape)
 
 
 def interpolate(

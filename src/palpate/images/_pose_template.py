@@ -18,7 +18,7 @@ from ._orientation import interpolate, repose
 
 Pair = tuple[Floats, Floats]
 
-OVERSAMPLING = 2
+OVERSAMPLING = 2  # pixels per taxel: linear interpolation blurs less
 # Penalty on the plane's rise over `_PLANE_TAXELS`, so that tilt is not unlimited.
 _PLANE_PRECISION, _PLANE_TAXELS = 0.3, 3.0
 _SEARCH_DEG = 10.0
@@ -226,7 +226,7 @@ def render(template: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def _free(symmetry: int) -> Indices:
-    """Which of angle, x and y can be found."""
+    """Return which of angle, x and y can be estimated."""
     return np.array([0, 1, 2] if symmetry else [1, 2])
 
 

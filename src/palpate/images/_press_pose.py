@@ -51,7 +51,7 @@ _OF_TEMPLATE = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where parts lie and how they are turned, one entry per press.
+    """Places and angles of parts, one entry per press.
 
     Parameters
     ----------
@@ -316,10 +316,10 @@ class PressPose(BaseEstimator):
                 "with presses of that part, or use press_pose."
             )
         which = np.searchsorted(self.labels_, labels)
-        found = np.empty((len(images), 5))
+        poses = np.empty((len(images), 5))
         for index in np.unique(which):
-            found[which == index] = self._place(images[which == index], int(index))
-        x, y_down, angle, sd, sd_deg = found.T
+            poses[which == index] = self._place(images[which == index], int(index))
+        x, y_down, angle, sd, sd_deg = poses.T
         x_mm, y_mm, sd_mm = (taxels * self.pitch_mm for taxels in (x, y_down, sd))
         return Poses(x_mm, y_mm, angle, sd_mm, sd_deg, self.symmetry_[which])
 
@@ -353,8 +353,8 @@ class PressPose(BaseEstimator):
             zero = -_pose_template.template_angle(template, centroid, symmetry)
         else:
             # The circular mean of angles that repeat every 360 / symmetry.
-            apart = np.deg2rad(np.rad2deg(poses[:, 0]) - angles[pressed])
-            mean = np.exp(1j * apart * symmetry).mean()
+            lag = np.deg2rad(np.rad2deg(poses[:, 0]) - angles[pressed])
+            mean = np.exp(1j * lag * symmetry).mean()
             zero = float(np.rad2deg(np.angle(mean)) / symmetry)
         return template, symmetry, centroid, zero, inflation
 
@@ -367,8 +367,8 @@ class PressPose(BaseEstimator):
         variance = pose_variances(levels, template, poses, symmetry)
         centroid = np.broadcast_to(self.centroids_[index], (len(poses), 2))
         place = poses[:, 1:] + _turn(centroid, poses[:, 0])
-        apart = ((place - outline) ** 2).sum(axis=1)
-        sd = np.sqrt(variance[:, 1] + variance[:, 2] + apart)
+        offset = ((place - outline) ** 2).sum(axis=1)
+        sd = np.sqrt(variance[:, 1] + variance[:, 2] + offset)
         angle = np.zeros(len(poses))
         if symmetry:
             angle = np.rad2deg(poses[:, 0]) - self.zeros_deg_[index]
@@ -376,9 +376,9 @@ class PressPose(BaseEstimator):
         sd_deg = np.full(len(poses), np.inf)
         if np.isfinite(self.inflation_[index]):
             sd_deg = doubt_of_angle(variance[:, 0] * self.inflation_[index], symmetry)
-        found = np.column_stack([place, angle, sd, sd_deg])
-        found[empty] = [0, 0, 0, np.inf, np.inf]
-        return found
+        rows = np.column_stack([place, angle, sd, sd_deg])
+        rows[empty] = [0, 0, 0, np.inf, np.inf]
+        return rows
 
 
 def _prepare(images: Floats) -> tuple[Floats, Floats]:

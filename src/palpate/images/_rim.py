@@ -28,10 +28,13 @@ from .._types import Array, Bools, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
 
-SMALLEST_SIDE = 40
-RADII = (0.25, 0.8)
+SMALLEST_SIDE = 40  # pixels; below, an image is of an array
+RADII = (0.25, 0.8)  # that are looked for, of the shorter side
+# Shares of the circle: with a sharp edge, in the frame, and on the lesser side.
 MIN_SUPPORT, MIN_ARC, MIN_BALANCE = 0.65, 0.2, 0.12
+# With less on one side, so much of what is in the frame must show an edge.
 ONE_SIDED, ONE_SIDED_SUPPORT = 0.2, 0.9
+# How far a rim may be from a known one, of its radius.
 FREE_RADIUS, FREE_CENTRE = 0.03, 0.5
 # A rim found from where it was is trusted no further off than this share of its radius.
 FEW_STEPS = 0.05
@@ -174,14 +177,14 @@ def typical_rim(
     n = len(checked)
     which = np.unique(np.linspace(0, n - 1, min(n, N_TYPICAL)).round().astype(int))
     alone = None if no_contact is None else find_rim(no_contact)
-    known = alone if alone is not None and alone.visible else None
-    rims = rims_near(checked[which], known)
+    idle = alone if alone is not None and alone.visible else None
+    rims = rims_near(checked[which], idle)
     seen = rims[rims.visible]
-    if known is not None:
+    if idle is not None:
         if not len(seen):
-            return known
+            return idle
         row, col = float(np.median(seen.row)), float(np.median(seen.col))
-        return replace(known, row=row, col=col)
+        return replace(idle, row=row, col=col)
     if 2 * len(seen) < len(rims):
         return None
     row, col, radius = (float(np.median(v)) for v in (seen.row, seen.col, seen.radius))
@@ -257,10 +260,10 @@ def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:
         row, col = (near.row - centre) / block, (near.col - centre) / block
         radii = np.array([near.radius / block])
         search = (row, col, FREE_CENTRE * near.radius / block)
-    found = _rim_fit.vote(
+    circles = _rim_fit.vote(
         small, radii.astype(np.float32), n_best=3 if near is None else 2, near=search
     )
-    for (row, col, radius), sign in found:
+    for (row, col, radius), sign in circles:
         start = (row * block + centre, col * block + centre, radius * block)
         hold = None if near is None else near.radius
         fit = _rim_fit.refine(grey, start, sign, hold)

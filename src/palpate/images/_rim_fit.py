@@ -32,14 +32,14 @@ from .._types import Array, Singles
 
 Triple = tuple[float, float, float]
 
-REDUCED_SIDE = 120
-MAX_EDGE_POINTS = 500
-N_RAYS = 192
-HALF_WIDTH = 0.1
-BIWEIGHT = 4.685
-MIN_EDGES = 12
-HOLD = 0.003
-TOLERANCE, SHARP = 0.012, 1.8
+REDUCED_SIDE = 120  # pixels, for the search alone; the fit takes all
+MAX_EDGE_POINTS = 500  # the steepest vote: time grows with them
+N_RAYS = 192  # across the rim, one every 1.9 degrees
+HALF_WIDTH = 0.1  # of the radius, that a ray reaches to either side
+BIWEIGHT = 4.685  # 95 % efficient for normal noise (Tukey)
+MIN_EDGES = 12  # four for each of the circle's three numbers
+HOLD = 0.003  # of the radius: how far the known one may be off
+TOLERANCE, SHARP = 0.012, 1.8  # of the radius off the circle; times the typical slope
 _EDGE = cv2.BORDER_REPLICATE
 
 _ANGLE = 2 * np.pi * np.arange(N_RAYS) / N_RAYS
@@ -62,7 +62,7 @@ class Fit(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """What to choose among circles by: the rim encloses all that touches it."""
+        """Score of a circle to choose by: the rim encloses all that touches it."""
         return float(self.support * self.arc**0.5 * self.circle[2])
 
 
@@ -145,8 +145,8 @@ def _edge_points(small: NDArray[np.uint8]) -> Singles | None:
     """Row, col and unit gradient of points steeper than thrice the median, or 1 %."""
     smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=_EDGE)
     dx, dy = cv2.spatialGradient(smooth)
-    some = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
-    high = max(2.4 * float(np.median(some)), 0.01 * 255 * 8)
+    steepness = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
+    high = max(2.4 * float(np.median(steepness)), 0.01 * 255 * 8)
     edges = cv2.Canny(dx, dy, 0.7 * high, high, L2gradient=True)
     edges[0] = edges[-1] = edges[:, 0] = edges[:, -1] = 0
     places = np.flatnonzero(edges.view(np.bool_))
@@ -183,7 +183,7 @@ def _accumulate(
 
 
 class _Layout(NamedTuple):
-    """Where rays across a circle lie in a frame: the same for all of a stream.
+    """The pixels of rays across a circle: the same for all frames of a stream.
 
     `places` and `sides` are (col, row) of all points, and of two a ray, inside and
     outside the circle; `inside` says which points lie in the frame, None that all do;
@@ -251,7 +251,7 @@ class _Rays:
             self.typical = np.abs(self.slope).sum(axis=1) / layout.n_inside
 
     def predict(self, circle: Array) -> Array:
-        """Where `circle` crosses each ray, as an offset from the start's radius."""
+        """Return where each ray crosses `circle`, less the radius at the start."""
         down, right = circle[0] - self.row, circle[1] - self.col
         along = self.sin * down + self.cos * right
         inner = circle[2] ** 2 - (down * down + right * right) + along * along
@@ -264,18 +264,18 @@ class _Rays:
         # One more on either side, where nothing is likely any more.
         ends = float(middle.min()) - reach, float(middle.max()) + reach
         first, last = np.searchsorted(self.offset, ends)
-        some = slice(max(first - 1, 0), last + 1)
-        likely = self.offset[some] - middle[:, None]
+        near = slice(max(first - 1, 0), last + 1)
+        likely = self.offset[near] - middle[:, None]
         likely /= np.float32(reach)
         likely *= likely
         np.subtract(1, likely, out=likely)
         np.maximum(likely, 0, out=likely)
-        likely *= self.slope[:, some]
-        peak = likely.argmax(axis=1) + some.start
+        likely *= self.slope[:, near]
+        peak = likely.argmax(axis=1) + near.start
         slope, at = self.slope.ravel(), self.layout.firsts + peak
         top = slope[at]
         ray = np.flatnonzero(
-            (peak > some.start) & (peak < len(self.offset) - 1) & (top > 0)
+            (peak > near.start) & (peak < len(self.offset) - 1) & (top > 0)
         )
         peak, at, top = peak[ray], at[ray], top[ray]
         before, after = slope[at - 1], slope[at + 1]

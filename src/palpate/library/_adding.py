@@ -30,12 +30,12 @@ from ._store import (
 )
 from ._where import Condition, parse_where
 
-_TOUCHES_AT_ONCE = 256
-_BYTES_AT_ONCE = 32 * 2**20
+_TOUCHES_AT_ONCE = 256  # in one transaction
+_BYTES_AT_ONCE = 32 * 2**20  # of images in it
 
 
 class SensorDescription(NamedTuple):
-    """What is known of the sensor that took some touches.
+    """The sensor that took some touches, as far as it is known.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class TouchRow(NamedTuple):
 
 
 class Stats(NamedTuple):
-    """How much a library holds; sizes in bytes, images among those of the database."""
+    """Counts and sizes of a library; bytes, images among those of the database."""
 
     n_touches: int
     n_retracted: int
@@ -216,8 +216,8 @@ def add_touches(
 
 def _recording(touches: Touches, sensor: SensorDescription | None) -> dict[str, Any]:
     """Return what is the same for all of `touches`."""
-    known = (sensor or SensorDescription(""))._replace(geometry=touches.geometry)
-    described = known._asdict()
+    sensor_now = (sensor or SensorDescription(""))._replace(geometry=touches.geometry)
+    described = sensor_now._asdict()
     n_rows, n_cols, *channels = touches.images.shape[1:]
     if described["pitch_mm"] is not None:
         described["pitch_mm"] = float(described["pitch_mm"])
@@ -237,8 +237,8 @@ def _store_batch(store: Store, batch: Batch) -> list[bytes]:
     for digest, array in batch.arrays.items():
         enter_array(store, digest, array)  # it may have been lost meanwhile
     ids = _matched(store, batch)
-    known = {row[0] for row in store.among(_KNOWN, ids)}
-    new = {key: row for row, key in enumerate(ids) if key not in known}
+    stored = {row[0] for row in store.among(_KNOWN, ids)}
+    new = {key: row for row, key in enumerate(ids) if key not in stored}
     if new:
         kept = batch if len(new) == len(ids) else batch.picked(sorted(new.values()))
         write_rows(store, kept)
@@ -252,7 +252,7 @@ def _refuse_other_channels(store: Store, recording: dict[str, Any]) -> None:
     """Refuse grey touches of a sensor that gave colour before, and the reverse."""
     sensor, now = recording["sensor"], recording["n_channels"]
     sql = "SELECT n_channels FROM recordings WHERE sensor = ? LIMIT 1"
-    before = store.one(sql, [sensor]) if sensor else None
+    before = store.first_row(sql, [sensor]) if sensor else None
     if before is not None and before[0] != now:
         was, got = (f"{n or 'no'} channels" for n in (before[0], now))
         raise LibraryError(
@@ -271,7 +271,7 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
     """
     labels = batch.values.get("object", [None] * len(batch.ids))
     present = {label: find_object(store, label) for label in set(labels)}
-    now = {name: known[1] if known else name for name, known in present.items()}
+    now = {name: match[1] if match else name for name, match in present.items()}
     names = Names(store)
     maybe: dict[bytes, tuple[bytes, str | None]] = {}
     for row, label in enumerate(labels):

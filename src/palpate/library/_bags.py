@@ -37,7 +37,7 @@ from ..touches import Touches, TouchesError, shows_frame
 from ..touches import frame_of_message as _frame_of_message
 from ._store import LibraryError
 
-MAX_BYTES = 4 * 2**30
+MAX_BYTES = 4 * 2**30  # as of Touches.load
 _room = threading.local()  # how much the bag that is read may still unpack to
 
 
@@ -72,8 +72,8 @@ def read_bag(
         It is no bag, unpacks to too much, lacks the topic, or a message is no image.
     """
     for plugged in _readers(Path(path)):
-        found: Touches = plugged.read(Path(path), topic, object, max_bytes)
-        return found
+        touches: Touches = plugged.read(Path(path), topic, object, max_bytes)
+        return touches
     highlevel = needed("rosbags.highlevel", "ros", "Reading ROS bags")
     typesys = needed("rosbags.typesys", "ros", "Reading ROS bags")
     types = typesys.get_typestore(typesys.Stores.LATEST)
@@ -107,8 +107,8 @@ def read_bag(
 
 def is_recording(path: Path) -> bool:
     """Tell whether `read_bag` is for a file or folder, by its name and its files."""
-    told = path.suffix.lower() in (".mcap", ".db3", ".bag")
-    return told or (path / "metadata.yaml").is_file() or bool(_readers(path))
+    by_name = path.suffix.lower() in (".mcap", ".db3", ".bag")
+    return by_name or (path / "metadata.yaml").is_file() or bool(_readers(path))
 
 
 def _readers(path: Path) -> list[Any]:
@@ -175,7 +175,7 @@ def _chosen_topic(reader: Any, topic: str | None) -> str:
         return able[0]
     listed = ", ".join(f"{n} of {kind}" for n, kind in sorted(kinds.items())) or "none"
     raise LibraryError(
-        f"topic (--topic) must be one of the bag ({listed}), got {topic!r}."
+        f"topic must be one of the bag ({listed}), got {topic!r}."
         f"{did_you_mean(topic or '', kinds)}"
     )
 

@@ -74,7 +74,7 @@ def history(store: Store) -> list[Change]:
         if not is_sound([time_s, after, action, text], digest):
             raise LibraryError(
                 f"{store.path} must be as it was written, got another change {key}. "
-                "See `palpate library check`."
+                "See `check_library`."
             )
         changes.append(Change(time_s, action, from_json(text), after))
     return changes
@@ -90,23 +90,23 @@ def is_sound(values: Sequence[Any], digest: object) -> bool:
 
 def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
     """Return key and present name of an object, of the one it was merged into."""
-    row = store.one(_FOUND, [name])
+    row = store.first_row(_FOUND, [name])
     return None if row is None else (int(row[0]), str(row[1]))
 
 
-def known_object(store: Store, name: str) -> tuple[int, str]:
+def object_row(store: Store, name: str) -> tuple[int, str]:
     is_name = isinstance(name, str) and is_unicode(name)
-    found = find_object(store, name) if is_name else None
-    if found is None and is_name and (spelling := one_spelling(name)):
-        found = find_object(store, spelling)
-    if found is None:
-        known = [r[0] for r in store.rows("SELECT name FROM objects ORDER BY name")]
-        listed = ", ".join(map(repr, known[:20])) + ", ..." * (len(known) > 20)
+    row = find_object(store, name) if is_name else None
+    if row is None and is_name and (spelling := one_spelling(name)):
+        row = find_object(store, spelling)
+    if row is None:
+        names = [r[0] for r in store.rows("SELECT name FROM objects ORDER BY name")]
+        listed = ", ".join(map(repr, names[:20])) + ", ..." * (len(names) > 20)
         raise LibraryError(
             f"object must be one in the library ({listed or 'it has none'}), got "
-            f"{name!r}.{did_you_mean(name, known)}"
+            f"{name!r}.{did_you_mean(name, names)}"
         )
-    return found
+    return row
 
 
 def chosen_ids(
@@ -120,23 +120,23 @@ def chosen_ids(
             "SELECT lower(hex(t.id)) FROM touches t "
             "JOIN objects o ON o.id = t.object "
             f"WHERE coalesce(o.merged_into, o.id) = ? AND t.retraction {state}",
-            known_object(store, name)[:1],
+            object_row(store, name)[:1],
         )
         return [row[0] for row in rows]
     chosen = [ids] if isinstance(ids, str) else list(ids or [])
     for key in chosen:
-        if not store.one("SELECT 1 FROM touches WHERE id = ?", [id_bytes(key)]):
+        if not store.first_row("SELECT 1 FROM touches WHERE id = ?", [id_bytes(key)]):
             raise LibraryError(
                 f"ids must be of touches in the library, got {key!r}. "
-                "See `palpate library list`."
+                "See `TouchLibrary.list`."
             )
     return chosen
 
 
 def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
     old, new = content["old"], content["new"]
-    key, _ = known_object(store, old)
-    if store.one("SELECT id FROM objects WHERE name = ?", [new]):
+    key, _ = object_row(store, old)
+    if store.first_row("SELECT id FROM objects WHERE name = ?", [new]):
         raise LibraryError(
             f"The new name must not be taken, got {new!r}. To make two objects one, "
             f"merge {old!r} into it."
@@ -145,8 +145,8 @@ def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
 
 
 def _merge(store: Store, change: int, content: dict[str, Any]) -> int:
-    source, _ = known_object(store, content["source"])
-    into, _ = known_object(store, content["into"])
+    source, _ = object_row(store, content["source"])
+    into, _ = object_row(store, content["into"])
     if source == into:
         raise LibraryError(
             f"Objects to merge must be two, got {content['source']!r} and "

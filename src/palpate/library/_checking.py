@@ -31,7 +31,7 @@ from ._store import (
     from_json,
 )
 
-_SHOWN = 20
+_SHOWN = 20  # ids of a problem that are listed
 LEFT_OUT = "left out"
 _LEFT_OUT = "SELECT 1 FROM arrays WHERE digest = ? AND content = ?"
 
@@ -51,7 +51,7 @@ class Problem(NamedTuple):
 
 
 class CheckReport(NamedTuple):
-    """What a check found; `ok` when nothing is wrong that a repair has not seen."""
+    """The result of a check; `ok` when nothing is wrong that a repair has not seen."""
 
     ok: bool
     n_touches: int
@@ -175,8 +175,8 @@ def _identity(tables: Tables, row: StoredTouch, stored: Image) -> bytes:
     """Return the id that follows from what a touch is and was called."""
     [values] = plain_values([row])
     wide = wide_values(tables, row, stored) if stored.more is not None else {}
-    apart = wide_identity({name: value[None] for name, value in wide.items()}, 0)
-    return identity(row.image, {**values, "object": row.label}, apart)
+    wide_part = wide_identity({name: value[None] for name, value in wide.items()}, 0)
+    return identity(row.image, {**values, "object": row.label}, wide_part)
 
 
 def _shown(key: object) -> str:
@@ -193,13 +193,13 @@ def _array_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
         try:
             stored_array(tables, digest)
         except LibraryError as error:
-            known = store.one(_LEFT_OUT, [bytes.fromhex(digest), LOST])
+            left_out = store.first_row(_LEFT_OUT, [bytes.fromhex(digest), LOST])
             sql = "SELECT id FROM touches WHERE recording IN (?) ORDER BY number"
             rows = store.among(sql, [key for key, _ in entries])
             what = (
                 f"{error} {len(rows)} touches are read without their {entries[0][1]}."
             )
-            kind = LEFT_OUT if known else "array"
+            kind = LEFT_OUT if left_out else "array"
             yield Problem(kind, what, [_shown(row[0]) for row in rows])
 
 
@@ -230,8 +230,8 @@ def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]
         what = f"{tally.n_changes} changes must be there, got {len(rows)} or others."
         yield Problem("missing", what, [])
     sql = "SELECT lower(hex(id)), retraction FROM touches WHERE retraction IS NOT NULL"
-    known = dict(store.rows(sql))
-    if odd := sorted(key for key, _ in known.items() ^ retracted.items()):
+    recorded = dict(store.rows(sql))
+    if odd := sorted(key for key, _ in recorded.items() ^ retracted.items()):
         what = "Touches must be retracted as the changes say, got others."
         yield Problem("change", what, list(dict.fromkeys(odd)))
 

@@ -1,4 +1,4 @@
-"""What a touch is made of in the database: cells, and bytes for longer values.
+"""The parts of a touch in the database: cells, and bytes for longer values.
 
 Short values (numbers and text, at most `WIDE` numbers a touch) are cells; longer ones
 (a press as thirty frames) are bytes beside the image. Images are kept without loss: a
@@ -32,14 +32,14 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-_LEVEL = 1
-_ID_BYTES = 16
-_MAX_HEADER = 2**14
-_MAX_ARRAY = 2**30
+_LEVEL = 1  # of Zstandard: the fastest
+_ID_BYTES = 16  # of SHA-256: two touches of 10^12 share one in 10^14
+_MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
+_MAX_ARRAY = 2**30  # bytes of an array in the database
 _PLAIN_KINDS = "biufcSUMm"
 PICTURE = "picture"  # a form of images: the file it came in
 _PLAIN, _PACKED = "plain", "packed"
-WIDE = 16
+WIDE = 16  # values; longer columns stand beside the row
 CELLS = (
     *("object", "category", "session", "episode", "sensor", "order"),
     *("time_s", "force_n", "press", "frame", "source_path"),
@@ -133,10 +133,10 @@ def batch_of(touches: Touches, recording: dict[str, Any], added_s: float) -> Bat
             values[name] = _cells(name, array)
     images = np.ascontiguousarray(touches.images)
     digests = [image_digest(image) for image in images]
-    known = [(n, values[n]) for n in IDENTITY if n in values]
-    apart = [wide_identity(wide, row) for row in range(len(images))]
+    plain = [(n, values[n]) for n in IDENTITY if n in values]
+    wide_parts = [wide_identity(wide, row) for row in range(len(images))]
     ids = [
-        identity(d, {n: cells[row] for n, cells in known}, apart[row])
+        identity(d, {n: cells[row] for n, cells in plain}, wide_parts[row])
         for row, d in enumerate(digests)
     ]
     files = touches.files
@@ -154,7 +154,7 @@ def batch_of(touches: Touches, recording: dict[str, Any], added_s: float) -> Bat
     keys = {n: image_digest(array) for n, array in arrays.items()}
     recording = {**recording, "whole": {n: key.hex() for n, key in keys.items()}}
     by_key: dict[bytes, Array | None] = {keys[n]: a for n, a in arrays.items()}
-    parts = layout, values, stored, digests, ids, apart, recording, by_key
+    parts = layout, values, stored, digests, ids, wide_parts, recording, by_key
     return Batch(*parts, added_s)
 
 
@@ -168,16 +168,16 @@ def image_digest(image: Array) -> bytes:
 
 def identity(digest: bytes, cells: dict[str, Any], wide: bytes) -> bytes:
     """Return the id of a touch: of its image, plain `cells`, and of `wide` columns."""
-    known = {n: cells[n] for n in IDENTITY if n in cells}
-    whole = {n: whole_numbers(c) for n, c in known.items() if c is not None}
+    plain = {n: cells[n] for n in IDENTITY if n in cells}
+    whole = {n: whole_numbers(c) for n, c in plain.items() if c is not None}
     content = digest + b"\0" + canonical(whole).encode() + wide
     return hashlib.sha256(content).digest()[:_ID_BYTES]
 
 
 def wide_identity(wide: dict[str, Array], row: int) -> bytes:
     """Return what wide columns add to what an id follows from."""
-    known = [name for name in IDENTITY if name in wide]
-    return b"".join(b"\0" + n.encode() + wide[n][row].tobytes() for n in known)
+    names = [name for name in IDENTITY if name in wide]
+    return b"".join(b"\0" + n.encode() + wide[n][row].tobytes() for n in names)
 
 
 def whole_numbers(cell: Any) -> Any:

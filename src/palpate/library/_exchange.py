@@ -48,7 +48,7 @@ from ._store import LibraryError, room_for
 
 TACTILE = "observation.tactile"
 _LEROBOT_VERSION = "v3.0"
-_FRAMES_PER_SECOND = 1
+_FRAMES_PER_SECOND = 1  # a touch is a frame, and has its own time
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
 _KEYS = ("object", "category", "session", "episode", "sensor")
@@ -90,7 +90,7 @@ def export_touches(
             if by is None:
                 _WRITERS[kind](partial, picked)
             else:
-                _write_parts(picked, by, partial, _made)
+                _write_parts(picked, by, partial, _opened)
             flush_all(partial)
             partial.replace(path)
             flush_folder(path.absolute().parent)
@@ -137,7 +137,7 @@ def _to_store(picked: Picked, url: str, by: str | None) -> int:
     return len(picked)
 
 
-def _made(name: str) -> Any:
+def _opened(name: str) -> Any:
     """Open a file to write, in folders that are made."""
     path = Path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -197,11 +197,11 @@ def _described(tables: Tables, key: int) -> dict[str, Any]:
     """Return what a Parquet file says of a recording."""
     recording = tables.recording(key)
     whole = {n: read_array(tables, n, digest) for n, digest in recording.whole.items()}
-    known = {n: array for n, array in whole.items() if array is not None}
+    present = {n: array for n, array in whole.items() if array is not None}
     if recording.geometry is not None:
-        known["geometry"] = np.array(recording.geometry)
+        present["geometry"] = np.array(recording.geometry)
     names = ("sensor", "kind", "unit", "pitch_mm")
-    return {"whole": known, **{name: getattr(recording, name) for name in names}}
+    return {"whole": present, **{name: getattr(recording, name) for name in names}}
 
 
 def _write_lerobot(path: Path, picked: Picked) -> None:
@@ -216,7 +216,7 @@ def _write_lerobot(path: Path, picked: Picked) -> None:
     groups: dict[tuple[Any, ...], list[int]] = {}
     for *key, number in picked.tables.store.among(sql, numbers.tolist()):
         groups.setdefault(tuple(key), []).append(number)
-    rows = (np.searchsorted(numbers, some) for some in groups.values())
+    rows = (np.searchsorted(numbers, members) for members in groups.values())
     episodes = _parts(picked, rows)
     _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
     _write_meta(pa, path / "meta", dataset)
@@ -246,7 +246,7 @@ def _write_tables(path: Path, tables: Iterator[Any], **options: Any) -> None:
 
 
 class _Dataset:
-    """What a LeRobotDataset says of its episodes, gathered one by one."""
+    """The metadata of a LeRobotDataset's episodes, gathered one by one."""
 
     def __init__(self, whole: dict[str, Array]) -> None:
         self.whole = whole
@@ -272,8 +272,8 @@ class _Dataset:
             wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
             if feature["dtype"] == "image":  # as readers see it: 0 to 1, by channel
                 wide = wide.reshape(-1, feature["shape"][2]) / 255
-            known, filled = ~np.isnan(wide), np.nan_to_num(wide)
-            sums = np.stack([known.sum(0), filled.sum(0), (filled**2).sum(0)])
+            is_there, filled = ~np.isnan(wide), np.nan_to_num(wide)
+            sums = np.stack([is_there.sum(0), filled.sum(0), (filled**2).sum(0)])
             most = np.fmax.reduce([-wide.T, wide.T], axis=2)  # NaN only where all are
             before = self._spread.get(name, (0 * sums, most))
             self._spread[name] = before[0] + sums, np.fmax(before[1], most)
@@ -329,13 +329,13 @@ def _lerobot_frames(
     elif images.ndim == 3:  # policies take pictures of three channels alone
         images = np.repeat(images[..., np.newaxis], 3, axis=3)
     columns = {TACTILE: images, **_moves(touches)}
-    known = touches.columns
+    extra = touches.columns
     for feature in _MEASURED:
-        if (values := known.get(feature.removeprefix("observation."))) is not None:
+        if (values := extra.get(feature.removeprefix("observation."))) is not None:
             flat = values.reshape(n_touches, -1).astype(np.float32)
             columns[feature] = flat[:, 0] if flat.shape[1] == 1 else flat
-    columns |= {n: known[n].astype(np.str_) for n in _TEXTS if n in known}
-    columns |= {n: known[n].astype(np.float64) for n in _NUMBERS if n in known}
+    columns |= {n: extra[n].astype(np.str_) for n in _TEXTS if n in extra}
+    columns |= {n: extra[n].astype(np.float64) for n in _NUMBERS if n in extra}
     return {
         **columns,
         "timestamp": (time_s - time_s[0]).astype(np.float32),

@@ -18,8 +18,8 @@ from ._changes import (
     checked_name,
     chosen_ids,
     history,
-    known_object,
     make_change,
+    object_row,
 )
 from ._checking import CheckReport, check_store
 from ._exchange import export_touches
@@ -31,20 +31,20 @@ from ._rows import (
     StoredTouch,
     Tables,
     packed_images,
-    read_one,
     rows_at,
+    touch_row,
 )
 from ._store import (
     COUNT_NAME,
     FILE_NAME,
-    LibraryError,
     Store,
     is_unicode,
+    make_folder,
     warn_of_network,
 )
-from ._where import objects_asked
+from ._where import objects_named
 
-MAX_BYTES = 64 * 2**30
+MAX_BYTES = 64 * 2**30  # of all images read at once; larger is refused
 Sensors = list[SensorDescription]
 Ids = list[str]  # inside the class, `list` is a method
 Changes = list[Change]
@@ -87,8 +87,7 @@ class TouchLibrary:
                 f"{self.folder} once held {n_touches} more touches and {n_changes} "
                 "more changes: its log was damaged, a disk lost what it had "
                 "acknowledged, or an older file took its place. Add them again, or put "
-                "a backup back; "
-                "`palpate library check --repair` accepts it as it is.",
+                "a backup back; `repair_library` accepts it as it is.",
                 stacklevel=3,
             )
 
@@ -103,12 +102,7 @@ class TouchLibrary:
         """
         place = Path(folder)
         if create:
-            try:
-                place.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise LibraryError(
-                    f"{place} must be a folder that can be made, got: {error.strerror}."
-                ) from error
+            make_folder(place)
             is_new = not (place / FILE_NAME).is_file()
             Store(place, create=True).close()  # several programs may try at once
             if is_new:
@@ -191,9 +185,9 @@ class TouchLibrary:
             each["sensor"] = sensor.checked().name
             whole = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
             whole["geometry"] = None if touches.geometry else sensor.geometry
-        known = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
-        known |= {n: np.array(v) for n, v in whole.items() if v is not None}
-        labelled = touches.with_columns(**known) if known else touches
+        new = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
+        new |= {n: np.array(v) for n, v in whole.items() if v is not None}
+        labelled = touches.with_columns(**new) if new else touches
         return _adding.add_touches(self._store, labelled, sensor, progress)
 
     def objects(self) -> list[ObjectRow]:
@@ -263,8 +257,8 @@ class TouchLibrary:
 
     def refuse_unknown(self, where: str | None) -> None:
         """Refuse a filter `object = NAME` of a name that no object has, or had."""
-        for name in objects_asked(where or ""):
-            known_object(self._store, name)
+        for name in objects_named(where or ""):
+            object_row(self._store, name)
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
@@ -273,9 +267,9 @@ class TouchLibrary:
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
-        row = read_one(self._tables, id)
+        row = touch_row(self._tables, id)
         [packed] = packed_images(self._tables, [row])
-        return packed.one(0)
+        return packed.image_at(0)
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
@@ -383,13 +377,13 @@ class TouchLibrary:
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
-        _, now = known_object(self._store, old)
+        _, now = object_row(self._store, old)
         make_change(self._store, "rename", old=now, new=checked_name(new))
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
-        _, source = known_object(self._store, source)
-        _, into = known_object(self._store, into)
+        _, source = object_row(self._store, source)
+        _, into = object_row(self._store, into)
         make_change(self._store, "merge", source=source, into=into)
 
     def retract(
@@ -409,8 +403,8 @@ class TouchLibrary:
         if not isinstance(reason, str) or not reason.strip() or not is_unicode(reason):
             raise ValueError(f"reason must be a text, got {reason!r}. Say why.")
         chosen = chosen_ids(self._store, ids, object, "IS NULL")
-        known = {"ids": chosen, "object": object, "reason": reason}
-        return make_change(self._store, "retract", **known)
+        content = {"ids": chosen, "object": object, "reason": reason}
+        return make_change(self._store, "retract", **content)
 
     def restore(
         self, ids: str | Iterable[str] | None = None, *, object: str | None = None

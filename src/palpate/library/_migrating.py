@@ -37,11 +37,11 @@ from ._content import (
     wide_identity,
 )
 from ._repairing import enter_all
-from ._store import FILE_NAME, OLD_VERSIONS, LibraryError, Store
+from ._store import FILE_NAME, OLD_VERSIONS, LibraryError, Store, make_folder
 
 _BEGUN = ".migrating.sqlite"
-_AT_ONCE = 256
-_MAX_HEADER = 2**14
+_AT_ONCE = 256  # touches in one transaction
+_MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
 _ROWS = (
     "SELECT t.number, t.id, given.name, "
     + ", ".join(f't."{name}"' for name in CELLS[1:])
@@ -60,7 +60,7 @@ _STATE = (
 
 
 class MigrationReport(NamedTuple):
-    """What became of an old library: how much is in the new one, and what is not.
+    """The result of a migration: how much is in the new library, and what is not.
 
     `lost` are ids of touches whose image is missing or altered in the old library,
     `lost_arrays` names what whole recordings have lost likewise, such as "no_contact";
@@ -108,12 +108,7 @@ def migrate_library(
         tempfile.TemporaryDirectory() as scratch,
         closing(_Old(old, scratch)) as source,
     ):
-        try:
-            new.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise LibraryError(
-                f"{new} must be a folder that can be made, got: {error.strerror}."
-            ) from error
+        make_folder(new)
         with closing(Store(new, create=True, name=_BEGUN)) as store:
             source.refuse_others(store)
             with Progress(source.n_touches, "Migrating", progress) as bar:
@@ -164,9 +159,9 @@ class _Old:
 
     def refuse_others(self, store: Store) -> None:
         """Refuse to go on with a migration of another library."""
-        known = store.rows("SELECT number, id FROM touches ORDER BY number")
+        entered = store.rows("SELECT number, id FROM touches ORDER BY number")
         ids = dict(self._rows("SELECT number, id FROM touches"))
-        if any(ids.get(number) != key for number, key in known):
+        if any(ids.get(number) != key for number, key in entered):
             raise LibraryError(
                 f"{store.folder} must be where the migration of {self.folder} was "
                 "begun, got touches of another library. Give another folder."
@@ -175,7 +170,7 @@ class _Old:
     def enter_rest(self, store: Store, bar: Progress) -> None:
         """Enter touches and changes in their order, but for those in `store`."""
         number = store.count("SELECT max(number) FROM touches")
-        last_s = store.one("SELECT max(time_s) FROM changes")
+        last_s = store.first_row("SELECT max(time_s) FROM changes")
         done_s = (last_s and last_s[0]) or 0.0
         waiting = [change for change in self._changes if change.time_s > done_s]
         enter_all(store, self._touches_after(number, bar), waiting)
@@ -198,12 +193,12 @@ class _Old:
             raise LibraryError(
                 f"{self.folder} must be one whose changes explain its touches, got "
                 f"another name or retraction of touch {odd}. Look at it with "
-                "`palpate library check` of the palpate that made it."
+                "`check_library` of the palpate that made it."
             )
 
     def n_unknown_files(self) -> int:
-        known = {name.hex() for (name,) in self._rows("SELECT name FROM files")}
-        return sum(p.stem not in known for p in self.folder.glob("images/*/*.npy"))
+        listed = {name.hex() for (name,) in self._rows("SELECT name FROM files")}
+        return sum(p.stem not in listed for p in self.folder.glob("images/*/*.npy"))
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         try:
@@ -211,7 +206,7 @@ class _Old:
         except sqlite3.Error as error:
             raise LibraryError(
                 f"{self.folder} must be a sound library, got: {error}. Repair it with "
-                "the palpate that made it: `palpate library check --repair`."
+                "the palpate that made it: `repair_library`."
             ) from error
 
     def _read_changes(self) -> Iterator[Change]:

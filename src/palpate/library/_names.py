@@ -1,4 +1,4 @@
-"""What objects were called and are called, from the recorded changes of names."""
+"""Former and present names of objects, from the recorded changes of names."""
 
 from bisect import bisect_left
 from typing import NamedTuple
@@ -24,15 +24,16 @@ class Names:
             "SELECT time_s, after, action, content, digest FROM changes "
             "WHERE action IN ('rename', 'merge') ORDER BY id"
         )
-        self.known: list[_Change] = []
+        self.changes: list[_Change] = []
         for *values, digest in rows:
             _, after, action, text = values
             names = ("old", "new") if action == "rename" else ("source", "into")
             # Of a damaged one nothing is known: touches that it named are refused.
             if digest_of(values) == digest:
                 content = from_json(text)
-                self.known.append(_Change(after, action, *(content[n] for n in names)))
-        self._after = [change.after for change in self.known]
+                old, new = (content[name] for name in names)
+                self.changes.append(_Change(after, action, old, new))
+        self._after = [change.after for change in self.changes]
         self._labels: dict[tuple[str | None, int], str | None] = {}
 
     def now(self, label: str | None, number: int) -> str | None:
@@ -46,7 +47,7 @@ class Names:
         key = label, place
         if key not in self._labels:
             name, since = label, number
-            for after, action, old, new in self.known:
+            for after, action, old, new in self.changes:
                 if old == name and (after >= since or action == "merge"):
                     name, since = new, 0
             self._labels[key] = name
@@ -55,7 +56,7 @@ class Names:
     def former(self, name: str | None) -> list[str]:
         """Return what the object that now has this name has been called."""
         names: list[str] = []
-        for _, _, old, new in reversed(self.known):
+        for _, _, old, new in reversed(self.changes):
             if new == name or new in names:
                 names.append(old)
         return names

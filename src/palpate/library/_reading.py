@@ -43,9 +43,9 @@ from ._rows import (
 )
 from ._store import FEATURES, LibraryError, room_for
 
-IN_MEMORY = 256 * 2**20
-NO_LIMIT = 2**62
-_TASKS_PER_FILE = 16
+IN_MEMORY = 256 * 2**20  # bytes of images; more are mapped to a file
+NO_LIMIT = 2**62  # SQLite counts with 63 bits
+_TASKS_PER_FILE = 16  # of features, written when they are done
 _ID = "S16"  # a last byte of zero is no matter among equals
 Encode = Callable[[Touches], Floats]
 
@@ -59,15 +59,15 @@ def common_kind(
     if not kinds:
         raise LibraryError(
             "The selection must hold at least one touch, got none. "
-            "See `palpate library list`, and widen the filter."
+            "See `TouchLibrary.list`, and widen the filter."
         )
     if len(kinds) > 1:
         listed = "; ".join(f"{' x '.join(map(str, s))} {dtype}" for s, dtype in kinds)
         mixed = len({len(shape) for shape, _ in kinds}) > 1
-        one = "n_channels is null" if mixed else f"n_rows = {kinds[0][0][0]}"
+        condition = "n_channels is null" if mixed else f"n_rows = {kinds[0][0][0]}"
         raise LibraryError(
             f"Touches must have one image size and type, got {listed}. Choose one with "
-            f'a filter, for example "sensor = NAME" or "{one}".'
+            f'a filter, for example "sensor = NAME" or "{condition}".'
         )
     for name in ("channels", "pads"):
         if len({_entries(r.whole).get(name) for r in recordings}) > 1:
@@ -181,10 +181,10 @@ class Picked:
         """Return what is the same for all touches; warn of arrays lost or altered."""
         recordings = [self.tables.recording(key) for key in self._recordings]
         geometries = {recording.geometry for recording in recordings}
-        known = sorted(geometry for geometry in geometries if geometry is not None)
-        if len(known) > 1:
+        names = sorted(geometry for geometry in geometries if geometry is not None)
+        if len(names) > 1:
             raise LibraryError(
-                f"Touches must have one geometry, got {', '.join(known)}. Choose one "
+                f"Touches must have one geometry, got {', '.join(names)}. Choose one "
                 'with a filter, for example "geometry = array".'
             )
         entries = [_entries(recording.whole) for recording in recordings]
@@ -234,7 +234,7 @@ def read_array(tables: Tables, entry: str, digest: str) -> Array | None:
     except LibraryError as error:
         warnings.warn(
             f"{error} Touches are read without their {entry}, {digest[:12]}; adding "
-            "them again brings it back. `palpate library check` lists them.",
+            "them again brings it back. `check_library` lists them.",
             stacklevel=2,
         )
         return None
@@ -243,7 +243,7 @@ def read_array(tables: Tables, entry: str, digest: str) -> Array | None:
 def stored_array(tables: Tables, digest: str) -> Array:
     """Return an array of whole recordings by its digest, which is compared."""
     sql = "SELECT content FROM arrays WHERE digest = ?"
-    row = tables.store.one(sql, [bytes.fromhex(digest)])
+    row = tables.store.first_row(sql, [bytes.fromhex(digest)])
     got = "none"
     if row is not None and row[0] != LOST:
         got = "altered bytes"
@@ -256,10 +256,10 @@ def stored_array(tables: Tables, digest: str) -> Array:
     )
 
 
-def _columns_of(known: dict[int, list[Column]]) -> dict[str, list[Column]]:
+def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
     """Return all forms of each column; those of unlike shapes are refused."""
     columns: dict[str, list[Column]] = {}
-    for column in (column for layout in known.values() for column in layout):
+    for column in (column for layout in layouts.values() for column in layout):
         alike = columns.setdefault(column.name, [])
         if alike and alike[0].shape != column.shape:
             raise LibraryError(
@@ -321,7 +321,7 @@ class Selection(Labelled):
 
     @property
     def whole(self) -> dict[str, Array]:
-        """What describes all of the touches alike, by name; see `Touches`."""
+        """Arrays that describe all of the touches alike, by name; see `Touches`."""
         return self._picked.whole()
 
     def __getitem__(self, rows: ArrayLike) -> Selection:
@@ -354,12 +354,12 @@ class Selection(Labelled):
             raise ValueError(f"key must be letters and digits, got {key!r}.")
         cache = self._picked.tables.store.folder / FEATURES / key
         ids = np.array(self._picked.ids(), _ID)
-        known_ids, known = _cached(cache)
-        missing = np.flatnonzero(~np.isin(ids, known_ids))
+        cached_ids, cached = _cached(cache)
+        missing = np.flatnonzero(~np.isin(ids, cached_ids))
         if len(missing):
             self._encode_new(cache, encode, missing, ids[missing])
-            known_ids, known = _cached(cache)
-        return known[np.searchsorted(known_ids, ids)]
+            cached_ids, cached = _cached(cache)
+        return cached[np.searchsorted(cached_ids, ids)]
 
     def _encode_new(
         self, cache: Path, encode: Encode, rows: Indices, ids: Array
@@ -412,14 +412,14 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
     for path in sorted(cache.glob("*.npz")):
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-                some_ids, some = kept["ids"], kept["x"]
-            if some_ids.dtype != _ID or len(some) != len(some_ids) or some.ndim != 2:
+                ids_in, values = kept["ids"], kept["x"]
+            if ids_in.dtype != _ID or len(values) != len(ids_in) or values.ndim != 2:
                 raise ValueError("no features")
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             path.unlink(missing_ok=True)
             continue
-        ids.append(some_ids)
-        features.append(some)
+        ids.append(ids_in)
+        features.append(values)
     joined_ids = np.concatenate(ids)
     order = np.argsort(joined_ids, kind="stable")
     joined = np.concatenate(features) if features else np.empty((0, 0))

@@ -1,4 +1,4 @@
-"""What is whole of a damaged library kept in a new database; copies of a whole one."""
+"""A new database of what is whole of a damaged library; copies of a whole one."""
 
 import os
 import secrets
@@ -39,7 +39,7 @@ _N_PAGES = slice(28, 32)  # of a header, by the format of SQLite's files
 
 
 class RepairReport(NamedTuple):
-    """What a repair did.
+    """The result of a repair.
 
     `rebuilt` tells whether a new database was made, of the `n_touches` and `n_changes`
     that were whole; `lost` names touches that were not, and `n_changes_lost` counts
@@ -137,32 +137,32 @@ def _unlink(path: Path) -> None:
 
 def _rebuild(folder: Path, old: Store, progress: bool | None) -> RepairReport:
     """Make a new database, and only then set the old one aside."""
-    made = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
+    rebuilt = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
     away = folder / DAMAGED / f"{int(time.time() * 1e6)}"
     lost: list[str] = []
     try:
-        with closing(Store(folder, create=True, name=made.name)) as new:
+        with closing(Store(folder, create=True, name=rebuilt.name)) as new:
             changes, n_lost = _readable_changes(old)
             with Progress(_n_known(old), "Keeping touches", progress) as bar:
                 n_lost += enter_all(new, _readable_touches(old, lost, bar), changes)
             tally = new.tally()
             new.rows("PRAGMA wal_checkpoint(TRUNCATE)")
         old.close()
-        _exchange(folder / FILE_NAME, made, away)
+        _exchange(folder / FILE_NAME, rebuilt, away)
     except OSError as error:
         raise LibraryError(
             f"{folder} must have room for a new database, got: {error}. Free space and "
             "repair again."
         ) from error
     finally:
-        _unlink(made)
+        _unlink(rebuilt)
     with closing(Store(folder)) as new:
         new.accept()
     counts = tally.n_touches, tally.n_changes
     return RepairReport(True, *counts, lost, n_lost, str(away / FILE_NAME))
 
 
-def _exchange(path: Path, made: Path, away: Path) -> None:
+def _exchange(path: Path, rebuilt: Path, away: Path) -> None:
     """Put the database `made` in the place of another, which is kept in `away`.
 
     At every moment there is one of both in the place. A log is taken from there first:
@@ -178,7 +178,7 @@ def _exchange(path: Path, made: Path, away: Path) -> None:
     for log in moved:
         log.replace(away / log.name)
     try:
-        made.replace(path)
+        rebuilt.replace(path)
     except OSError:
         for log in moved:
             (away / log.name).replace(log)
@@ -205,8 +205,7 @@ def enter_all(
     """
     waiting = deque(changes)
     n_lost = 0
-    for known, batch in touches:
-        numbers, rest = known, batch
+    for numbers, rest in touches:
         while waiting and waiting[0].after < numbers[-1]:
             place = bisect_left(numbers, waiting[0].after + 1)
             if place:
@@ -235,7 +234,7 @@ def _readable_changes(old: Store) -> tuple[list[Change], int]:
     for key in range(1, _n_known(old, "changes", "id") + 1):
         row = None
         with suppress(DatabaseDamaged):
-            row = old.one(
+            row = old.first_row(
                 "SELECT time_s, after, action, content, digest FROM changes "
                 "WHERE id = ?",
                 [key],

@@ -44,8 +44,8 @@ from ._store import (
 
 Numbers = NDArray[np.int64]
 LOST = b""  # an array that a repair did not find whole
-_SHOWN = 20
-_BYTES_AT_ONCE = 64 * 2**20
+_SHOWN = 20  # ids of a message that are listed
+_BYTES_AT_ONCE = 64 * 2**20  # of images, some MiB in memory
 _RECORDED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
 _SIZES = ("n_rows", "n_cols", "n_channels", "dtype", "whole")
 FROM = (
@@ -66,7 +66,7 @@ _INSERT = (
 
 
 class Recording(NamedTuple):
-    """What is the same for all touches of a recording."""
+    """A recording: entries that are the same for all of its touches."""
 
     digest: bytes
     sensor: str | None
@@ -116,13 +116,13 @@ class Tables:
         if key not in self._recordings:
             columns = ", ".join((*_RECORDED, *_SIZES))
             sql = f"SELECT digest, {columns} FROM recordings WHERE id = ?"
-            row = self.store.one(sql, [key])
+            row = self.store.first_row(sql, [key])
             if row is None or digest_of(row[1:]) != row[0]:
                 raise self._damaged("recordings", key)
             n_rows, n_cols, n_channels, dtype, whole = row[6:]
             shape = tuple(n for n in (n_rows, n_cols, n_channels) if n is not None)
-            known = (*row[:6], shape, np.dtype(dtype), from_json(whole))
-            self._recordings[key] = Recording._make(known)
+            fields = (*row[:6], shape, np.dtype(dtype), from_json(whole))
+            self._recordings[key] = Recording._make(fields)
         return self._recordings[key]
 
     def layout(self, key: int) -> list[Column]:
@@ -130,7 +130,8 @@ class Tables:
 
     def _layout(self, key: int) -> tuple[str, list[Column]]:
         if key not in self._layouts:
-            row = self.store.one("SELECT columns FROM layouts WHERE id = ?", [key])
+            sql = "SELECT columns FROM layouts WHERE id = ?"
+            row = self.store.first_row(sql, [key])
             try:
                 text = str(row[0]) if row else ""
                 self._layouts[key] = text, Column.all_of(text)
@@ -181,12 +182,12 @@ def rows_at(
         rows = stored_touches(tables.store, where, piece)
         names = tables.names()
         sound = [row for row in rows if tables.is_sound(row, names)]
-        known = {row.number for row in sound}
-        bad += [_key_of(rows, number) for number in piece if number not in known]
+        intact = {row.number for row in sound}
+        bad += [_key_of(rows, number) for number in piece if number not in intact]
         if bad and damaged == "raise":
             raise LibraryError(
                 f"Rows of touches must be as they were written, got others: "
-                f"{_listed(bad)}. `palpate library check --repair` keeps the rest; "
+                f"{_listed(bad)}. `repair_library` keeps the rest; "
                 'damaged="skip" leaves them out.'
             )
         yield sound
@@ -226,15 +227,15 @@ def _listed(keys: Sequence[str]) -> str:
     return f"{', '.join(keys[:_SHOWN])}{more}"
 
 
-def read_one(tables: Tables, key: str) -> StoredTouch:
+def touch_row(tables: Tables, key: str) -> StoredTouch:
     """Return the row of the touch with this id."""
-    number = tables.store.one(
+    number = tables.store.first_row(
         "SELECT number FROM touches WHERE id = ?", [id_bytes(key)]
     )
     if number is None:
         raise LibraryError(
             f"id must be that of a touch in the library, got {key!r}. "
-            "See `palpate library list`."
+            "See `TouchLibrary.list`."
         )
     [[row]] = rows_at(tables, number)
     return row
@@ -267,10 +268,10 @@ class Packed(NamedTuple):
         """Return images, (n_touches, *image_shape); each is compared first."""
         images = np.empty((len(self.images), *self.shape), self.dtype)
         for place in range(len(images)):
-            images[place] = self.one(place)
+            images[place] = self.image_at(place)
         return images
 
-    def one(self, place: int) -> Array:
+    def image_at(self, place: int) -> Array:
         """Return one image, compared with its digest, and its file or frames too."""
         stored = self.images[place]
         image_sha256, content = self.digests[place]
@@ -284,7 +285,7 @@ class Packed(NamedTuple):
                     return image
         raise LibraryError(
             f"Touch {self.keys[place]}: its image must be as it was added, got {got}. "
-            "`palpate library check --repair` keeps all others."
+            "`repair_library` keeps all others."
         )
 
 
@@ -303,14 +304,14 @@ def packed_images(
     recording = tables.recording(rows[0].recording)
     step = n_at_once(recording.image_shape, recording.dtype)
     for start in range(0, len(rows), step):
-        some = rows[start : start + step]
+        part = rows[start : start + step]
         sql = "SELECT number, form, image, more FROM images WHERE number IN (?)"
-        numbers = [row.number for row in some]
+        numbers = [row.number for row in part]
         kept = {n: _image(*rest) for n, *rest in tables.store.among(sql, numbers)}
         yield Packed(
-            [row.key.hex() for row in some],
-            [(row.image, row.content) for row in some],
-            [kept.get(row.number) for row in some],
+            [row.key.hex() for row in part],
+            [(row.image, row.content) for row in part],
+            [kept.get(row.number) for row in part],
             recording.image_shape,
             recording.dtype,
         )
@@ -379,9 +380,9 @@ def write_rows(
             tuple(column[place] for column in cells),
         )
         digests.append(_row_digest(row, layout_text, described["digest"]))
-        known = row.number, row.key, row.label, objects.get(row.label or "")
+        identity = row.number, row.key, row.label, objects.get(row.label or "")
         kept = row.layout, row.recording, row.added_s, row.image, row.content
-        rows.append((*known, *kept, digests[-1], row.extra, *row.cells[1:]))
+        rows.append((*identity, *kept, digests[-1], row.extra, *row.cells[1:]))
     store.run_many(_INSERT, rows)
     images = zip(taken, batch.images, strict=True)
     store.run_many(
@@ -394,14 +395,14 @@ def write_rows(
 def enter_array(store: Store, digest: bytes, array: Array | None) -> None:
     """Enter an array where it lacks, or its place where it is lost."""
     sql = "SELECT 1 FROM arrays WHERE digest = ? AND content <> ?"
-    if not store.one(sql, [digest, LOST]):
+    if not store.first_row(sql, [digest, LOST]):
         content = LOST if array is None else packed_array(array)
         store.run("INSERT OR REPLACE INTO arrays VALUES (?, ?)", [digest, content])
 
 
 def _row_digest(row: StoredTouch, layout: str, recording: bytes) -> bytes:
-    known = row.key, row.label, *row.cells[1:], row.extra, row.added_s
-    return digest_of((*known, row.image, row.content, layout, recording))
+    identity = row.key, row.label, *row.cells[1:], row.extra, row.added_s
+    return digest_of((*identity, row.image, row.content, layout, recording))
 
 
 def plain_cells(batch: Batch) -> tuple[list[list[Any]], list[str | None]]:
@@ -422,5 +423,5 @@ def _recording_row(recording: dict[str, Any]) -> dict[str, Any]:
 
 
 def _object_key(store: Store, name: str) -> int:
-    row = store.one("SELECT id FROM objects WHERE name = ?", [name])
+    row = store.first_row("SELECT id FROM objects WHERE name = ?", [name])
     return store.insert("objects", {"name": name}) if row is None else int(row[0])

@@ -27,13 +27,13 @@ T = TypeVar("T")
 FILE_NAME, COUNT_NAME = "library.sqlite", "library.count"
 FEATURES = "features"
 VERSION = 3  # 1 and 2 had images in files of their own
-OLD_VERSIONS = (1, 2)
-PATIENCE_S = 60.0
-_PATIENCE_ALONE_S = 2.0
+OLD_VERSIONS = (1, 2)  # migrate_library reads them
+PATIENCE_S = 60.0  # for another program that writes
+_PATIENCE_ALONE_S = 2.0  # where the file is opened for this program alone
 AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
 _TOGETHER = 32  # so many callers share a transaction
 _APPLICATION = 0x70616C70  # "palp"
-PAGE_BYTES = 8192
+PAGE_BYTES = 8192  # of SQLite; twice its default, since images are long
 _MOUNTS = Path("/proc/self/mounts")
 _NETWORK = ("nfs", "cifs", "smb", "afs", "ncpfs", "ceph", "lustre", "fuse.sshfs")
 
@@ -120,7 +120,7 @@ class OtherVersion(LibraryError):
 
 
 class Tally(NamedTuple):
-    """How many touches and changes there are, and the chains over their digests."""
+    """Numbers of touches and changes, and the chains over their digests."""
 
     n_touches: int
     touches: bytes
@@ -160,7 +160,7 @@ class Store:
         if not create and not self.path.is_file():
             raise LibraryError(
                 f"{folder} must be a library of touches, got no {name} in it. Make one "
-                "with `palpate library add`."
+                "with `TouchLibrary.add`."
             )
         try:
             self._open(create, locking="EXCLUSIVE" if alone else "NORMAL")
@@ -189,7 +189,7 @@ class Store:
         with self._lock, self._explained:
             return self._connection.execute(sql, values).fetchall()
 
-    def one(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
+    def first_row(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
         return next(iter(self.rows(sql, values)), None)
 
     def count(self, sql: str, values: Sequence[Any] = ()) -> int:
@@ -204,7 +204,7 @@ class Store:
         return rows
 
     def tally(self) -> Tally:
-        row = self.one("SELECT n_touches, touches, n_changes, changes FROM tally")
+        row = self.first_row("SELECT n_touches, touches, n_changes, changes FROM tally")
         if row is None:
             raise DatabaseDamaged(
                 f"{self.path} must be a sound database, got no count of its touches. "
@@ -246,12 +246,13 @@ class Store:
 
     def lasting_key(self, table: str, values: dict[str, Any], unique: str) -> int:
         """Return the key of a row that never changes; it is entered where it lacks."""
-        known = table, values[unique]
-        if known not in self._lasting:
+        row_name = table, values[unique]
+        if row_name not in self._lasting:
             sql = f"SELECT rowid FROM {table} WHERE {unique} = ?"
-            row = self.one(sql, [values[unique]])
-            self._lasting[known] = self.insert(table, values) if row is None else row[0]
-        return self._lasting[known]
+            row = self.first_row(sql, [values[unique]])
+            key = self.insert(table, values) if row is None else row[0]
+            self._lasting[row_name] = key
+        return self._lasting[row_name]
 
     def insert(self, table: str, values: dict[str, Any]) -> int:
         """Insert one row within a job and return its key."""
@@ -327,7 +328,7 @@ class Store:
             line = "{:20d} {:20d}\n".format(*counts)
             os.pwrite(self._count, line.encode(), 0)
 
-    def _commit_waiting(self, own: "_Ticket[Any]") -> None:
+    def _commit_waiting(self, ours: "_Ticket[Any]") -> None:
         """Run the jobs that wait, in one transaction; each knows its outcome then."""
         tickets: list[_Ticket[Any]] = []
         try:
@@ -336,12 +337,12 @@ class Store:
                 self._waiting.popleft()
             with self._lock, self._transaction():
                 for ticket in tickets:
-                    self._run_one(ticket)
+                    self._run_ticket(ticket)
         except Exception as error:
             for ticket in tickets:
                 ticket.fail(error)
         except BaseException:  # an interrupt concerns the job of this thread alone
-            again = [t for t in tickets if t is not own and t not in self._waiting]
+            again = [t for t in tickets if t is not ours and t not in self._waiting]
             self._waiting.extendleft(reversed(again))
             raise
         for ticket in tickets:
@@ -349,7 +350,7 @@ class Store:
         with suppress(LibraryError):
             self.note_count()
 
-    def _run_one(self, ticket: "_Ticket[Any]") -> None:
+    def _run_ticket(self, ticket: "_Ticket[Any]") -> None:
         self.run("SAVEPOINT job")
         try:
             ticket.run()
@@ -438,7 +439,7 @@ class Store:
         if application == _APPLICATION and version in OLD_VERSIONS:
             raise OtherVersion(
                 f"{self.folder} is a library of format {version}, of palpate 0.2 or "
-                f"older. `palpate library migrate {self.folder} NEW` makes one of "
+                f"older. `migrate_library({self.folder}, NEW)` makes one of "
                 "today of it; the old one stays as it is."
             )
         if version != VERSION or application != _APPLICATION:
@@ -454,7 +455,7 @@ class Store:
         with self._transaction():
             # Where there are some, another process was faster, or it is another
             # database.
-            if not self.one("SELECT 1 FROM sqlite_master"):
+            if not self.first_row("SELECT 1 FROM sqlite_master"):
                 for statement in _TABLES.split(";"):
                     self.run(statement)
                 self.run(f"PRAGMA application_id = {_APPLICATION}")
@@ -527,9 +528,19 @@ def warn_of_network(folder: Path) -> None:
         warnings.warn(
             f"{folder} lies on a network file system ({kind}), where SQLite's locks "
             "cannot be trusted: let one machine alone use the library, or keep it on a "
-            "disk of that machine and `palpate library export` it for others.",
+            "disk of that machine and `TouchLibrary.export` it for others.",
             stacklevel=4,
         )
+
+
+def make_folder(place: Path) -> None:
+    """Make the folder of a library where there is none, or explain."""
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LibraryError(
+            f"{place} must be a folder that can be made, got: {error.strerror}."
+        ) from error
 
 
 @contextmanager
@@ -554,11 +565,11 @@ _FIXES = {
     "SQLITE_NOMEM": "Free memory and try again.",
 }
 REPAIR = (
-    "It is damaged; `palpate library check --repair` keeps what can be read, and the "
-    "damaged file as well."
+    "It is damaged; `repair_library` keeps what can be read, and the damaged file as "
+    "well."
 )
 _WAIT = "Another program has been writing for a minute; wait, or end it."
-_CHECK = "Check that the folder may be written to, and run `palpate library check`."
+_CHECK = "Check that the folder may be written to, and call `check_library`."
 
 
 class _Explained:

@@ -40,8 +40,8 @@ _INTEGER = re.compile("[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf", re.I)
 _EQUAL, _UNEQUAL, _ORDERED = ("=", "=="), ("!=", "<>"), ("<", "<=", ">", ">=")
 _NAMED = [("object", sign) for sign in _EQUAL]
-_LONGEST = 10_000
-_DEEPEST = 50
+_LONGEST = 10_000  # letters; a filter is written by hand
+_DEEPEST = 50  # brackets; Python's own stack holds them
 _DEEPEST_SQL = 30  # SQLite's parser holds 100 symbols, up to three for each bracket
 
 
@@ -62,11 +62,11 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
     """Return a filter as SQL; `extra` names further columns that some touches have."""
     if len(text) > _LONGEST:
         raise LibraryError(
-            f"--where must have at most {_LONGEST} characters, got {len(text)}."
+            f"where must have at most {_LONGEST} characters, got {len(text)}."
         )
     if not is_unicode(text):
         raise LibraryError(
-            f"--where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
+            f"where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
             "the encoding of the terminal."
         )
     parser = _Parser(normalize("NFC", text), extra)  # as names of objects are spelt
@@ -75,13 +75,13 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
     steps = ((letter == "(") - (letter == ")") for letter in condition.sql)
     if max(accumulate(steps)) > _DEEPEST_SQL:
         raise LibraryError(
-            f"--where must nest less deeply, got {text[:80]!r}. Join comparisons by "
+            f"where must nest less deeply, got {text[:80]!r}. Join comparisons by "
             "`in (...)`, or leave out brackets."
         )
     return condition
 
 
-def objects_asked(text: str) -> list[str]:
+def objects_named(text: str) -> list[str]:
     """Return the names that a filter wants objects to have (`object = NAME`)."""
     tokens = [token.text for token in _tokens(text)]
     threes = zip(tokens, tokens[1:], tokens[2:], strict=False)
@@ -97,7 +97,7 @@ class _Parser:
         self._next = 0
 
     def either(self, depth: int) -> Condition:
-        return self._joined("or", partial(self._joined, "and", self._one), depth)
+        return self._joined("or", partial(self._joined, "and", self._operand), depth)
 
     def end(self) -> None:
         if self._next < len(self._tokens):
@@ -112,9 +112,9 @@ class _Parser:
         sql = _balanced(word.upper(), [p.sql for p in parts])
         return Condition(sql, [v for p in parts for v in p.values])
 
-    def _one(self, depth: int) -> Condition:
+    def _operand(self, depth: int) -> Condition:
         if depth > _DEEPEST:
-            raise LibraryError(f"--where must nest at most {_DEEPEST} brackets deep.")
+            raise LibraryError(f"where must nest at most {_DEEPEST} brackets deep.")
         negated = False
         while self._take("not"):
             negated = not negated
@@ -152,7 +152,7 @@ class _Parser:
         token = self._literal()
         if token.text.lower() == "nan" and not token.quoted:
             raise LibraryError(
-                f"--where must compare with a number or a text, got {token.text!r} "
+                f"where must compare with a number or a text, got {token.text!r} "
                 'after a column. Write "is null" for values that are not known.'
             )
         return Condition(f"({column} {operator} ?)", [*bound, _value(token)])
@@ -165,7 +165,7 @@ class _Parser:
             return "json_extract(t.extra, ?)", [f'$."{token.text}"']
         names = ", ".join([*COLUMNS, *sorted(self._extra)])
         raise LibraryError(
-            f"--where must name columns of the library ({names}), got {token.text!r}."
+            f"where must name columns of the library ({names}), got {token.text!r}."
         )
 
     def _literal(self, wanted: str = "a number, a word or a quoted text") -> _Token:
@@ -194,7 +194,7 @@ class _Parser:
         token = self._current()
         got = "its end" if token is None else repr(token.text)
         return LibraryError(
-            f"--where {self._text!r} must go on with {wanted}, got {got}. Write "
+            f"where must go on with {wanted}, got {got} in {self._text!r}. Write "
             'for example "object = mug and force_n > 0.5".'
         )
 
@@ -203,20 +203,20 @@ def _tokens(text: str) -> list[_Token]:
     tokens, place = [], 0
     text = text.rstrip()
     while place < len(text):
-        found = _TOKENS.match(text, place)
-        if found is None:
+        match = _TOKENS.match(text, place)
+        if match is None:
             raise LibraryError(
-                f"--where {text!r} must be a filter, got {text[place:][:20]!r} in it. "
+                f"where must be a filter, got {text[place:][:20]!r} in {text!r}. "
                 "Put texts with odd characters between quotes."
             )
-        kind = str(found.lastgroup)
+        kind = str(match.lastgroup)
         quoted = kind in ("single", "double")
-        literal = found[kind]
+        literal = match[kind]
         if quoted:
             quote = "'" if kind == "single" else '"'
             literal = literal.replace(2 * quote, quote)
         tokens.append(_Token(literal, quoted, kind == "op"))
-        place = found.end()
+        place = match.end()
     return tokens
 
 

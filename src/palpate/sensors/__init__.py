@@ -20,13 +20,13 @@ from ._contract import Reading as Reading
 from ._contract import channels_of as channels_of
 from ._detector import ContactError as ContactError
 from ._detector import DetectedTouch as DetectedTouch
-from ._detector import SensorMemory as SensorMemory
 from ._detector import TouchDetector
-from ._detector import baseline_warning as baseline_warning
-from ._detector import gain_warning as gain_warning
 from ._framing import BinaryFraming, LineFraming
 from ._framing import write_binary as write_binary
 from ._framing import write_line as write_line
+from ._health import SensorMemory as SensorMemory
+from ._health import baseline_warning as baseline_warning
+from ._health import gain_warning as gain_warning
 from ._health import sensor_health as sensor_health
 from ._played import ReplaySensor
 from ._played import SimulatedStream as SimulatedStream

@@ -40,10 +40,10 @@ class _Option(NamedTuple):
 
 
 def _shape(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,5})\s*[xX×]\s*(\d{1,5})", text.strip())
-    if found is None:
+    match = re.fullmatch(r"(\d{1,5})\s*[xX×]\s*(\d{1,5})", text.strip())
+    if match is None:
         raise ValueError
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 def _whole(text: str) -> tuple[int, ...]:
@@ -116,7 +116,7 @@ _READ: dict[str, tuple[Callable[[str], Any], str]] = {
     "tuple[int, int]": (_shape, "rows x columns such as 16x16"),
     "bool": (_YES_NO.__getitem__, "yes or no"),
 }
-_NAMES = {o.keyword: n for known in _OPTIONS.values() for n, o in known.items()}
+_NAMES = {o.keyword: n for options in _OPTIONS.values() for n, o in options.items()}
 
 
 def open_sensor(address: str, **options: Any) -> LiveSensor:
@@ -157,14 +157,14 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
             f"sim:OBJECT"
             f"{more}, got {address!r}."
         )
-    given = _written(address, kind, written)
+    arguments = _written(address, kind, written)
     for keyword, value in options.items():
         if value is not None:
-            given[keyword] = _agreed(address, kind, given, keyword, value)
+            arguments[keyword] = _agreed(address, kind, arguments, keyword, value)
     place = re.sub("%3f", "?", place, flags=re.IGNORECASE)
     if driver is None:
-        return _made(kind, place, given)
-    sensor = driver(place, **given)
+        return _sensor_of(kind, place, arguments)
+    sensor = driver(place, **arguments)
     if not isinstance(sensor, LiveSensor):
         raise AddressError(
             f"The driver of {kind} sensors must return a LiveSensor, got "
@@ -174,7 +174,7 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
 
 
 class RosPlace(NamedTuple):
-    """Where beliefs are published, and whether services are offered beside them."""
+    """A name to publish beliefs under, and whether services are offered beside them."""
 
     prefix: str
     domain: int = 0
@@ -194,21 +194,21 @@ def ros_place(address: str) -> RosPlace:
     kind, _, place = base.partition(":")
     if kind != "ros" or not re.fullmatch(r"/?\w+(/\w+)*", place):
         raise AddressError(f"It must be like ros:/palpate?domain=0, got {address!r}.")
-    return RosPlace(f"/{place.strip('/')}", **_written(address, "--publish", written))
+    return RosPlace(f"/{place.strip('/')}", **_written(address, "publishing", written))
 
 
 def _written(address: str, kind: str, written: str) -> dict[str, Any]:
     """Return the options in an address, by the arguments they are for."""
-    given: dict[str, Any] = {}
+    arguments: dict[str, Any] = {}
     for part in filter(None, written.split("&")):
         name, _, text = part.partition("=")
         option = _options(kind).get(name)
         if option is None:
             _refuse(address, kind, f"{name!r} is no option")
-        if option.keyword in given:
+        if option.keyword in arguments:
             _refuse(address, kind, f"{name} must be given once, got it twice")
-        given[option.keyword] = _read(address, kind, name, unquote(text))
-    return given
+        arguments[option.keyword] = _read(address, kind, name, unquote(text))
+    return arguments
 
 
 def _driver(kind: str) -> Callable[..., Any] | None:
@@ -227,18 +227,19 @@ def _driver(kind: str) -> Callable[..., Any] | None:
 
 def _options(kind: str) -> dict[str, _Option]:
     """Return the options of a kind of sensor; a driver's are its own parameters."""
-    if kind == "--publish":
+    if kind == "publishing":
         return _PUBLISHED
     if kind in _OPTIONS:
         return _OPTIONS[kind]
-    found = {}
+    options = {}
     for name, parameter in inspect.signature(_driver(kind) or dict).parameters.items():
-        told = parameter.annotation
-        written = told if isinstance(told, str) else inspect.formatannotation(told)
+        annotation = parameter.annotation
+        is_text = isinstance(annotation, str)
+        written = annotation if is_text else inspect.formatannotation(annotation)
         read = _READ.get(written.removesuffix(" | None"))
         if read is not None and parameter.kind is inspect.Parameter.KEYWORD_ONLY:
-            found[_NAMES.get(name, name)] = _Option(name, *read)
-    return found
+            options[_NAMES.get(name, name)] = _Option(name, *read)
+    return options
 
 
 def desk_of(sensor: object) -> PlayedSensor | None:
@@ -249,21 +250,21 @@ def desk_of(sensor: object) -> PlayedSensor | None:
 
 
 def _agreed(
-    address: str, kind: str, given: dict[str, Any], keyword: str, value: Any
+    address: str, kind: str, arguments: dict[str, Any], keyword: str, value: Any
 ) -> Any:
     name = _NAMES.get(keyword, None if kind in _OPTIONS else keyword)
     if name is None:  # not for addresses; the sensor itself knows or refuses it
         return value
     if name not in _options(kind):
-        raise AddressError(f"--{name} says nothing to a {kind} sensor.")
+        raise AddressError(f"`{name}` says nothing to a {kind} sensor.")
     if isinstance(value, str):
         value = _read(address, kind, name, value)
     if keyword == "image_shape" and value != "auto":
         value = tuple(value)
-    if keyword in given and given[keyword] != value:
+    if keyword in arguments and arguments[keyword] != value:
         raise AddressError(
-            f"{name}={_shown(given[keyword])} in {address!r} and --{name} "
-            f"{_shown(value)} contradict each other. Leave one of them out."
+            f"{name}={_shown(arguments[keyword])} in {address!r} and "
+            f"`{name}={_shown(value)}` contradict each other. Leave one of them out."
         )
     return value
 
@@ -289,35 +290,36 @@ def _shown(value: Any) -> str:
     return "x".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def _made(kind: str, place: str, given: dict[str, Any]) -> LiveSensor:
-    desk, shape = given.pop("place", None), given.get("image_shape")
+def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
+    desk, shape = arguments.pop("place", None), arguments.get("image_shape")
     sensor: LiveSensor
     if kind == "camera":
-        sensor = CameraSensor(place, **given)
+        sensor = CameraSensor(place, **arguments)
     elif kind == "ros":
-        sensor = RosSensor(place, **given)
+        sensor = RosSensor(place, **arguments)
     elif kind == "sim":
-        sensor = SimulatedStream(place, **given)
+        sensor = SimulatedStream(place, **arguments)
     elif kind == "replay":
-        given.pop("image_shape", None)
-        sensor = ReplaySensor(Path(place), **given)
+        arguments.pop("image_shape", None)
+        sensor = ReplaySensor(Path(place), **arguments)
     elif shape is None:
         raise AddressError(
             "shape must be given for a serial array, got none. Say how many rows and "
-            f"columns it has: serial:{place}?shape=16x16, or --shape 16x16; "
-            "--shape auto listens to it."
+            f"columns it has: serial:{place}?shape=16x16, or `shape=16x16`; "
+            "`shape=auto` listens to it."
         )
     else:
         if shape == "auto":
-            listened = find_array(place, *([given["baud"]] if "baud" in given else []))
-            given |= {name: v for name, v in listened.items() if name not in given}
-            given["image_shape"] = shape = listened["image_shape"]
-        sensor = SerialArraySensor(place, **given)
+            speed = {"baud": arguments["baud"]} if "baud" in arguments else {}
+            listened = find_array(place, **speed)
+            shape = listened["image_shape"]
+            arguments = {**listened, **arguments, "image_shape": shape}
+        sensor = SerialArraySensor(place, **arguments)
     if shape is not None and kind != "camera" and sensor.image_shape[:2] != shape:
         (n_rows, n_cols), (asked_rows, asked_cols) = sensor.image_shape[:2], shape
         raise AddressError(
             f"shape must be that of the {sensor.name}, {n_rows} x {n_cols}, got "
-            f"{asked_rows} x {asked_cols}. Leave it (--shape) out."
+            f"{asked_rows} x {asked_cols}. Leave `shape` out."
         )
     if desk is not None and isinstance(sensor, PlayedSensor):
         sensor.place(desk)

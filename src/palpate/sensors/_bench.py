@@ -15,7 +15,7 @@ from .._types import Array, Floats
 from ..simulation import DomeCamera, PlacedObject, SensorPose
 from ._contract import SensorError
 
-_SAME_LINE_MM = 1e-6
+_SAME_LINE_MM = 1e-6  # rounding of a pose on the same line
 # Forces at which contact is solved; between them it is interpolated in logarithms.
 _FORCES_N = 0.03 * 2.5 ** np.arange(7)
 _LEAST_MM = 1e-3
@@ -137,9 +137,9 @@ class SimulatedBench:
         low, high = np.asarray(self._first.bounds_mm)
         reach = float(np.linalg.norm(high - low)) / 2 + 2 * self._slide_mm
         camera = self.camera
-        housing = float(np.hypot(camera.sleeve_mm, camera.membrane_radius_mm))
+        radius_mm = float(np.hypot(camera.sleeve_mm, camera.membrane_radius_mm))
         away = np.asarray(pose.position_mm) - (low + high) / 2
-        return bool(np.linalg.norm(away) > reach + housing + _CLEAR_MM)
+        return bool(np.linalg.norm(away) > reach + radius_mm + _CLEAR_MM)
 
     def frame(self, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Return what the camera in the dome sees now, with noise if `rng`."""

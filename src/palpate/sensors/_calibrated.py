@@ -8,11 +8,11 @@ import numpy as np
 from .._types import Array, Floats
 from ._contract import Frame, LiveSensor, Reading, SensorError
 
-_TICK_S = 0.3
+_TICK_S = 0.3  # between looks at whether to stop
 
 
 class Calibration(Protocol):
-    """What turns images into those of another unit, such as `TaxelCalibration`."""
+    """A map of images to those of another unit, such as `TaxelCalibration`."""
 
     image_shape_: tuple[int, int]
 

@@ -97,8 +97,8 @@ class CameraSensor(LiveSensor):
         super().__init__(f"camera {camera}", unit, shape, np.uint8)
         self.camera = camera
         self.rate_hz = check_positive("rate_hz", rate_hz)
-        given = {"exposure": exposure, "gain": gain}
-        self.kept = {n: check_number(n, v) for n, v in given.items() if v is not None}
+        levels = {"exposure": exposure, "gain": gain}
+        self.kept = {n: check_number(n, v) for n, v in levels.items() if v is not None}
         if fourcc is not None and not (len(fourcc) == 4 and fourcc.isascii()):
             raise ValueError(
                 f"fourcc must be four letters such as MJPG, got {fourcc!r}."
@@ -149,9 +149,9 @@ class CameraSensor(LiveSensor):
                 "colour out."
             )
         if picture.shape[:2] != self.picture_shape:
-            asked, got = self.picture_shape, picture.shape[:2]
+            wanted, got = self.picture_shape, picture.shape[:2]
             raise SensorError(
-                f"The camera {self.camera!r} must give {asked[0]} rows x {asked[1]} "
+                f"The camera {self.camera!r} must give {wanted[0]} rows x {wanted[1]} "
                 f"columns, got {got[0]} x {got[1]}. Ask for shape={got[0]}x{got[1]}."
             )
 
@@ -166,10 +166,10 @@ class CameraSensor(LiveSensor):
             "gain": (None, 0, cv2.CAP_PROP_GAIN),
         }
         settled = {name: capture.get(control[2]) for name, control in controls.items()}
-        self.kept, given, self.fixed = settled | self.kept, self.kept, {}
+        self.kept, previous, self.fixed = settled | self.kept, self.kept, {}
         for name, (automatic, off, level) in controls.items():
-            known = capture.get(level if automatic is None else automatic) != _ABSENT
-            if not known and name in ("focus", "gain") and name not in given:
+            is_there = capture.get(level if automatic is None else automatic) != _ABSENT
+            if not is_there and name in ("focus", "gain") and name not in previous:
                 continue  # nothing there that could change
             value = self.kept[name]
             obeys = automatic is None or capture.set(automatic, off)
@@ -209,15 +209,15 @@ class CameraSensor(LiveSensor):
 def _checked_crop(
     crop: Sequence[int] | None, shape: Sequence[int]
 ) -> tuple[int, int, int, int]:
-    given = (0, 0, *shape) if crop is None else tuple(crop)
-    if len(given) == 4:
-        row, col, n_rows, n_cols = map(int, given)
+    window = (0, 0, *shape) if crop is None else tuple(crop)
+    if len(window) == 4:
+        row, col, n_rows, n_cols = map(int, window)
         within = row + n_rows <= shape[0] and col + n_cols <= shape[1]
         if min(row, col) >= 0 and min(n_rows, n_cols) > 0 and within:
             return row, col, n_rows, n_cols
     raise ValueError(
         "crop must be first row, first column, rows, columns within "
-        f"{shape[0]} x {shape[1]}, got {','.join(map(str, given))}. Take less of them."
+        f"{shape[0]} x {shape[1]}, got {','.join(map(str, window))}. Take less of them."
     )
 
 
@@ -231,8 +231,8 @@ def camera_names() -> list[tuple[str, str]]:
     """
     what = "Choosing a camera by its name (a path such as /dev/video0 needs nothing)"
     listed = needed("cv2_enumerate_cameras", "camera", what).enumerate_cameras()
-    found = {str(info.path or info.index): info.name for info in listed}
-    return [(name, path) for path, name in found.items()]
+    names = {str(info.path or info.index): info.name for info in listed}
+    return [(name, path) for path, name in names.items()]
 
 
 def find_camera(camera: str) -> str:

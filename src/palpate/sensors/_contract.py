@@ -427,8 +427,8 @@ def _check_promises(sensor: LiveSensor) -> None:
     _say(isinstance(sensor.unit, str) and sensor.unit != "", "unit must be a text")
     _say(isinstance(sensor.name, str) and sensor.name != "", "name must be a text")
     _say(isinstance(sensor.dtype, np.dtype), "dtype must be a numpy dtype")
-    known = (None, *GEOMETRIES)
-    _say(sensor.geometry in known, f"geometry must be one of {known}")
+    geometries = (None, *GEOMETRIES)
+    _say(sensor.geometry in geometries, f"geometry must be one of {geometries}")
 
 
 def _check_frames(sensor: LiveSensor, n_frames: int) -> None:

@@ -128,11 +128,11 @@ class DdsReader:
         if not self._waitset.wait(int(wait_s * 1e9)):
             return []
         samples = self._reader.take(N=DEPTH)
-        return [one.raw for one in samples if hasattr(one, "raw")]
+        return [sample.raw for sample in samples if hasattr(sample, "raw")]
 
     @property
     def n_publishers(self) -> int:
-        """How many publishers it is matched with now."""
+        """Number of publishers it is matched with now."""
         return len(self._reader.get_matched_publications())
 
     @property
@@ -212,14 +212,14 @@ def _large_buffers() -> Iterator[None]:
 @cache
 def dds_type(kind: str) -> Any:
     """Return a type of Cyclone DDS, made of rosbags' fields, that carries bytes."""
-    made = _struct.__wrapped__(kind)
-    made.serialize = lambda self, **_: self.raw
-    made.deserialize = staticmethod(lambda data, **_: _carried(made, data))
-    return made
+    struct = _struct.__wrapped__(kind)
+    struct.serialize = lambda self, **_: self.raw
+    struct.deserialize = staticmethod(lambda data, **_: _carried(struct, data))
+    return struct
 
 
-def _carried(made: Any, data: bytes) -> Any:
-    sample = made.__new__(made)
+def _carried(struct: Any, data: bytes) -> Any:
+    sample = struct.__new__(struct)
     sample.raw = bytes(data)
     return sample
 

@@ -1,29 +1,24 @@
-"""Where a touch begins and ends in a stream of frames; whether the sensor has changed.
+"""Beginning and end of touches in a stream of frames.
 
 A frame is compared with the frame of no contact (the baseline). Its change is the root
 mean square of the difference over the taxels that work and their colours, in the
 sensor's unit. A touch begins where the change rises above one limit and ends where it
 falls below a lower one, so that a change near a limit does not make many touches of
 one.
-
-`SensorMemory` is what is remembered of a sensor: its frame of no contact, how much its
-touches change it, and, for arrays, how strongly each taxel answers. All of it can be
-kept in a model file.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import islice
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 from scipy import ndimage
 
-from .._checks import ARRAY_SIDE, check_count, check_option, check_positive, size_said
+from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
 from .._types import Array, Floats
 from ..touches import Touches
 from ._contract import Frame, SensorError, as_kind, channels_of
@@ -39,11 +34,7 @@ _IDLE_S, _STUCK_S = 2.0, 20.0
 _STEADY_NOISES = 3.0
 # An array is pressed where neighbours read so many spreads and steps above the others.
 _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 8.0, 8.0, 4
-MOST_TAXELS = 4096
-_ENOUGH_TOUCHES = 10
 _LEAST_NOISES, _N_LIMITS = 3.0, 60
-_BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
-_NAMED = 3
 _MAX_PIXELS = 50_000_000  # of a film
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
@@ -247,37 +238,37 @@ class TouchDetector:
         SensorError
             The film cannot be read to its end, or holds no touch.
         """
-        given = source if isinstance(source, Touches) else None
+        recorded = source if isinstance(source, Touches) else None
         place = Path(str(source))
-        frames = _film(place, colour) if given is None else _frames_of(given)
-        if self.baseline is None and given is not None:
-            self._set_baseline(given.no_contact)
+        frames = _film(place, colour) if recorded is None else _frames_of(recorded)
+        if self.baseline is None and recorded is not None:
+            self._set_baseline(recorded.no_contact)
         if self.baseline is None:
             self.take_baseline([frame.image for frame in islice(frames, n_rest)])
-        found: list[DetectedTouch | None] = []
+        ended: list[DetectedTouch | None] = []
         changes: list[float] = []
         last: Frame | None = None
         for last in frames:
-            found.append(self.update(last))
+            ended.append(self.update(last))
             changes.append(self.change)
         if last is not None and self.touching:
-            found.append(self._ended(last.time_s))
-        touches = [touch for touch in found if touch is not None]
+            ended.append(self._ended(last.time_s))
+        touches = [touch for touch in ended if touch is not None]
         self.note = self._better_limit(np.array(changes), len(touches))
         if not touches:
             raise SensorError(
-                f"The stream must hold a touch, got {len(found)} frames without one: "
+                f"The stream must hold a touch, got {len(ended)} frames without one: "
                 f"none changed by {self.begin:.3g} for {self._min_frames} frames. Give "
                 f"its frame of no contact, or lower `begin`. {self.note}".strip()
             )
-        known = None if given is None else given.channels
+        channels = None if recorded is None else recorded.channels
         return Touches(
             np.stack([touch.image for touch in touches]),
             time_s=np.array([touch.began_s for touch in touches]),
             duration_s=np.array([t.ended_s - t.began_s for t in touches]),
             order=np.arange(len(touches)),
             no_contact=self.baseline,
-            channels=known or channels_of(touches[0].image.shape),
+            channels=channels or channels_of(touches[0].image.shape),
         )
 
     def baseline_offer(self, now_s: float) -> str:
@@ -499,94 +490,3 @@ def _rms(difference: Floats) -> float:
     """Root mean square over taxels that are not NaN; 0 where all are."""
     alive = difference[~np.isnan(difference)]
     return float(np.sqrt(np.mean(np.square(alive)))) if alive.size else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class SensorMemory:
-    """What touches tell of the sensor that made them.
-
-    `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
-    touches of their root mean square difference from it. `response` is the mean over
-    touches of the share that each taxel has in a touch's change, over channels,
-    `response_var` the variance of that mean, both (n_rows, n_cols), or (0, 0) for
-    sensors of over 4096 taxels.
-    """
-
-    no_contact: Floats
-    touch_change: float
-    response: Floats
-    response_var: Floats
-    n_touches: int
-
-    @classmethod
-    def of(cls, images: Iterable[Array], no_contact: Array) -> Self:
-        """Remember the sensor that made these touches, each (n_rows, n_cols)."""
-        baseline = np.asarray(no_contact, dtype=np.float64)
-        changes, shares = [], []
-        for image in images:
-            size = np.abs(image - baseline)
-            changes.append(float(np.sqrt(np.nanmean(size**2))))
-            size = size.reshape(*size.shape[:2], -1).mean(axis=2)
-            shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
-            if baseline.size > MOST_TAXELS:
-                shares.clear()
-        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
-        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
-        return cls(baseline, float(np.median(changes)), response, spread, len(changes))
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> Self:
-        """Return what `to_dict` gave."""
-        names = ("no_contact", "response", "response_var")
-        arrays = {name: np.asarray(stored[name], np.float64) for name in names}
-        change, n_touches = float(stored["touch_change"]), int(stored["n_touches"])
-        return cls(**arrays, touch_change=change, n_touches=n_touches)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return arrays and plain values, for a model file."""
-        return dict(vars(self))
-
-
-def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
-    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
-    if memory.no_contact.shape != no_contact.shape:
-        known, found = map(size_said, (memory.no_contact.shape, no_contact.shape))
-        what = f"The model learnt from a sensor of {known}, this one has {found}."
-        return f"{what} Learn again with this sensor."
-    off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
-    if off <= _BASELINE_TOLERANCE * memory.touch_change:
-        return ""
-    share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
-    return (
-        f"At rest the sensor differs from when the model learnt by {share} of what a "
-        "touch changes. Check how it is mounted and lit, or learn again."
-    )
-
-
-def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
-    """Return a sentence if taxels answer otherwise than they did, else nothing.
-
-    Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
-    touches differs by a factor of 2, up or down, and by 4 standard errors.
-    """
-    few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
-    if few or not memory.response.size or memory.response.shape != now.response.shape:
-        return ""
-    before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
-    error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
-    sure = np.abs(after - before) > _SURE_SD * error
-    far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
-    taxels = np.argwhere(sure & far)
-    if not len(taxels):
-        return ""
-    return (
-        "Taxels answer otherwise than when the model learnt: "
-        f"{taxels_said(taxels.tolist(), _NAMED)}. "
-        "They may be damaged or loose; calibrate, or learn again."
-    )
-
-
-def taxels_said(places: Sequence[Sequence[int]], most: int) -> str:
-    """Return where taxels lie, the first few of them."""
-    said = ", ".join(f"row {row} column {col}" for row, col in places[:most])
-    return said + f" and {len(places) - most} more" * (len(places) > most)

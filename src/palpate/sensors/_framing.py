@@ -1,4 +1,4 @@
-"""How a pressure array writes frames on a serial line: as lines, or as bytes.
+"""Frames of a pressure array on a serial line: written as lines, or as bytes.
 
 **Lines**, which any microcontroller can print and people can read. One frame is one
 line: all taxels row after row, separated by commas, spaces or tabs; numbers as
@@ -75,8 +75,8 @@ class LineFraming:
         if len(self._begun) > self._longest:
             self._begun = b""
             self.n_damaged += 1
-        found = [self._frame(line.strip()) for line in lines if line.strip()]
-        return [frame for frame in found if frame is not None]
+        frames = [self._frame(line.strip()) for line in lines if line.strip()]
+        return [frame for frame in frames if frame is not None]
 
     def _frame(self, line: bytes) -> NDArray[np.float32] | None:
         """Return the frame at the end of a line; count those it has the rest of."""

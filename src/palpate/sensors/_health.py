@@ -1,24 +1,131 @@
-"""How a sensor does while nothing touches it: what is wrong, and the figures.
+"""The health of a sensor: at rest, and beside what is remembered of it.
 
-Limits are those of `TouchDetector`: what moves rest by less than half of the change at
-which a touch begins does no harm. Noise is told from neighbouring frames, so that drift
-is none. Crosstalk here is noise that rows or columns share; what a press on one taxel
-does to others only a press can tell.
+`SensorMemory` is its frame of no contact, how much touches change it, and, for arrays,
+how strongly each taxel answers. All of it can be kept in a model file. Of a sensor that
+nothing touches, `sensor_health` tells what is wrong, and the figures: limits are
+those of `TouchDetector`: what moves rest by less than half of the change at which a
+touch begins does no harm. Noise is told from neighbouring frames, so that drift is
+none. Crosstalk here is noise that rows or columns share; what a press on one taxel does
+to others only a press can tell.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from .._checks import size_said
 from .._types import Array, Floats
-from . import _detector
 from ._contract import Frame, SensorError
-from ._detector import MOST_TAXELS, ContactError, SensorMemory
+from ._detector import ContactError, TouchDetector
 
+# Parts of the frames whose means show drift, frames of a baseline, taxels named of each
+# kind, and pairs of frames for crosstalk.
 _PARTS, _REST, _NAMED, _PAIRS = 12, 10, 5, 400
+# Bad is noise so many times the typical one, this share of noise in common, a frame in
+# a hundred so many times as late as usual, this share of frames lost.
 _HOT, _SHARED, _LATE, _LOST = 6.0, 0.3, 3.0, 0.01
+# With more, a sensor is a camera: single taxels are nothing to name.
+MOST_TAXELS = 4096
+# Rest that is off by more than this share of a touch's change spoils touches.
+_BASELINE_TOLERANCE = 0.25
+# A taxel is named where its share differs by this factor, and by so many standard
+# errors: of 4,096 taxels a normal chance would name one in four checks.
+_GAIN_TOLERANCE, _SURE_SD = 2.0, 4.0
+_ENOUGH_TOUCHES, _NAMED_AFTER = 10, 3
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMemory:
+    """Figures of a sensor, from touches that it made.
+
+    `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
+    touches of their root mean square difference from it. `response` is the mean over
+    touches of the share that each taxel has in a touch's change, over channels,
+    `response_var` the variance of that mean, both (n_rows, n_cols), or (0, 0) for
+    sensors of over 4096 taxels.
+    """
+
+    no_contact: Floats
+    touch_change: float
+    response: Floats
+    response_var: Floats
+    n_touches: int
+
+    @classmethod
+    def of(cls, images: Iterable[Array], no_contact: Array) -> Self:
+        """Remember the sensor that made these touches, each (n_rows, n_cols)."""
+        baseline = np.asarray(no_contact, dtype=np.float64)
+        changes, shares = [], []
+        for image in images:
+            size = np.abs(image - baseline)
+            changes.append(float(np.sqrt(np.nanmean(size**2))))
+            size = size.reshape(*size.shape[:2], -1).mean(axis=2)
+            shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
+            if baseline.size > MOST_TAXELS:
+                shares.clear()
+        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
+        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
+        return cls(baseline, float(np.median(changes)), response, spread, len(changes))
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Self:
+        """Return what `to_dict` gave."""
+        names = ("no_contact", "response", "response_var")
+        arrays = {name: np.asarray(stored[name], np.float64) for name in names}
+        change, n_touches = float(stored["touch_change"]), int(stored["n_touches"])
+        return cls(**arrays, touch_change=change, n_touches=n_touches)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return arrays and plain values, for a model file."""
+        return dict(vars(self))
+
+
+def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
+    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
+    if memory.no_contact.shape != no_contact.shape:
+        learnt, present = map(size_said, (memory.no_contact.shape, no_contact.shape))
+        what = f"The model learnt from a sensor of {learnt}, this one has {present}."
+        return f"{what} Learn again with this sensor."
+    off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
+    if off <= _BASELINE_TOLERANCE * memory.touch_change:
+        return ""
+    share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
+    return (
+        f"At rest the sensor differs from when the model learnt by {share} of what a "
+        "touch changes. Check how it is mounted and lit, or learn again."
+    )
+
+
+def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
+    """Return a sentence if taxels answer otherwise than they did, else nothing.
+
+    Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
+    touches differs by a factor of 2, up or down, and by 4 standard errors.
+    """
+    few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
+    if few or not memory.response.size or memory.response.shape != now.response.shape:
+        return ""
+    before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
+    error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
+    sure = np.abs(after - before) > _SURE_SD * error
+    far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
+    taxels = np.argwhere(sure & far)
+    if not len(taxels):
+        return ""
+    return (
+        "Taxels answer otherwise than when the model learnt: "
+        f"{taxels_listed(taxels.tolist(), _NAMED_AFTER)}. "
+        "They may be damaged or loose; calibrate, or learn again."
+    )
+
+
+def taxels_listed(places: Sequence[Sequence[int]], most: int) -> str:
+    """Return where taxels lie, the first few of them."""
+    listed = ", ".join(f"row {row} column {col}" for row, col in places[:most])
+    return listed + f" and {len(places) - most} more" * (len(places) > most)
 
 
 def sensor_health(
@@ -37,93 +144,125 @@ def sensor_health(
             f"A check needs {2 * _PARTS} frames, got {len(frames)}. Watch for longer."
         )
     stack = np.stack([frame.image for frame in frames])
-    whole, array = stack.dtype.kind in "iu", stack.ndim == 3
-    array = array and stack[0].size <= MOST_TAXELS
-    detector, findings = _detector.TouchDetector(), []
-    detector.step = max(step, 1.0) if whole else step
+    is_array = stack.ndim == 3 and stack[0].size <= MOST_TAXELS
+    detector, findings = TouchDetector(), []
+    detector.step = max(step, 1.0) if stack.dtype.kind in "iu" else step
     try:
         detector.take_baseline(list(stack[:_REST]))
     except ContactError as error:
         findings.append(str(error))
     n_touched = sum(detector.update(frame) is not None for frame in frames)
-    rest = stack.mean(axis=0, dtype=np.float64)
-    squares = np.zeros(rest.shape)
-    for before, after in pairwise(image.astype(np.float64) for image in stack):
-        squares += (after - before) ** 2
-    noise = np.sqrt(squares / (len(stack) - 1) / 2)
-    typical = float(np.nanmedian(noise))
+    rest, noise = stack.mean(axis=0, dtype=np.float64), _noise(stack)
     parts = np.array_split(stack, _PARTS)
     means = [part.mean(axis=0, dtype=np.float64) for part in parts]
-    by_chance = float(np.nanmean(noise**2)) * (1 / len(parts[0]) + 1 / len(parts[-1]))
-    moved = float(np.nanmean((means[-1] - means[0]) ** 2)) - by_chance
-    drift, limit = max(moved, 0.0) ** 0.5, detector.end
-    most = np.iinfo(stack.dtype).max if whole else np.inf
-    at_top = np.mean(stack == most, axis=0)
-    # Where numbers are coarser than the noise, a taxel that stands still may be well.
-    fine = typical >= max(detector.step / 2, 1e-300)
-    full, still = at_top > 0.5, (noise == 0) & fine
-    loud = (noise > max(_HOT * typical, detector.step)) & (typical > 0)
-    saturated = np.argwhere(full & array).tolist()
-    dead = np.argwhere((np.isnan(rest) | (still & ~full)) & array).tolist()
-    hot = np.argwhere(loud & array).tolist()
-    by_row, by_col = _shared(stack[: _PAIRS + 1], noise) if array else (0.0, 0.0)
-    gaps_ms = np.diff([frame.time_s for frame in frames]) * 1000
-    usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
-    lost = 1 - len(frames) / (frames[-1].number - frames[0].number + 1)
-    if memory is not None and memory.no_contact.shape == rest.shape:
-        findings += filter(None, [_detector.baseline_warning(memory, rest)])
-    n_s = frames[-1].time_s - frames[0].time_s
-    told = {
-        f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
-        f"{_named(dead)} never change: dead or unplugged.": dead,
-        f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
-        f"Rest drifted by {drift:.3g} in {n_s:.0f} s; a touch ends at {limit:.3g}. "
-        "Let it warm up, or take the baseline often.": drift > limit,
-        f"Rows share {by_row:.0%} and columns {by_col:.0%} of their noise: crosstalk, "
-        "or an unsteady supply.": max(by_row, by_col) > _SHARED,
-        f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
-        f"{usual_ms:.0f}: something holds it up.": late_ms > _LATE * usual_ms,
-        f"{lost:.1%} of the frames are lost.": lost > _LOST,
+    figures = {
+        **_times(frames),
+        "noise": float(np.nanmedian(noise)),
+        "drift": _drift(parts, means, noise),
+        "drift_limit": detector.end,
+        **_shared(stack[: _PAIRS + 1] if is_array else stack[:0], noise),
     }
+    taxels: dict[str, list[list[int]]] = {"dead": [], "hot": [], "saturated": []}
+    if is_array:
+        taxels = _bad_taxels(stack, rest, noise, detector.step)
+    if memory is not None and memory.no_contact.shape == rest.shape:
+        findings += filter(None, [baseline_warning(memory, rest)])
     if n_touched:  # whatever else there is may come of it
         findings.append(
             f"Rest left its baseline {n_touched} times and came back: something "
             "touched it. Leave it alone and check again."
         )
     else:
-        findings += [said for said, wrong in told.items() if wrong]
-    figures = {
+        findings += _findings(figures, taxels, frames[-1].time_s - frames[0].time_s)
+    levels = [float(np.nanmean(mean - means[0])) for mean in means]
+    report = {"ok": not findings, "findings": findings, "figures": figures, **taxels}
+    return {**report, "levels": levels, "rest": rest, "noise": noise}
+
+
+def _findings(
+    figures: dict[str, Any], taxels: dict[str, list[list[int]]], duration_s: float
+) -> list[str]:
+    """Return a sentence for all that is beyond its limit."""
+    dead, hot, saturated = taxels["dead"], taxels["hot"], taxels["saturated"]
+    drift, limit = figures["drift"], figures["drift_limit"]
+    by_row, by_col = figures["shared_by_rows"], figures["shared_by_columns"]
+    late_ms, usual_ms = figures["interval_99_ms"], 1000 / (figures["rate_hz"] or np.inf)
+    signs = {
+        f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
+        f"{_named(dead)} never change: dead or unplugged.": dead,
+        f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
+        f"Rest drifted by {drift:.3g} in {duration_s:.0f} s; a touch ends at "
+        f"{limit:.3g}. Let it warm up, or take the baseline often.": drift > limit,
+        f"Rows share {by_row:.0%} and columns {by_col:.0%} of their noise: crosstalk, "
+        "or an unsteady supply.": max(by_row, by_col) > _SHARED,
+        f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
+        f"{usual_ms:.0f}: something holds it up.": late_ms > _LATE * usual_ms,
+        f"{figures['lost']:.1%} of the frames are lost.": figures["lost"] > _LOST,
+    }
+    return [finding for finding, is_wrong in signs.items() if is_wrong]
+
+
+def _times(frames: Sequence[Frame]) -> dict[str, Any]:
+    gaps_ms = np.diff([frame.time_s for frame in frames]) * 1000
+    usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
+    return {
         "frames": len(frames),
         "rate_hz": 1000 / usual_ms if usual_ms else None,
         "interval_99_ms": late_ms,
-        "lost": lost,
-        "noise": typical,
-        "drift": drift,
-        "drift_limit": limit,
-        "shared_by_rows": by_row,
-        "shared_by_columns": by_col,
+        "lost": 1 - len(frames) / (frames[-1].number - frames[0].number + 1),
     }
-    levels = [float(np.nanmean(mean - means[0])) for mean in means]
-    taxels = {"dead": dead, "hot": hot, "saturated": saturated}
-    found = {"ok": not findings, "findings": findings, "figures": figures, **taxels}
-    return {**found, "levels": levels, "rest": rest, "noise": noise}
+
+
+def _noise(stack: Array) -> Floats:
+    """Return the noise of each taxel, from neighbouring frames."""
+    squares = np.zeros(stack.shape[1:])
+    for before, after in pairwise(image.astype(np.float64) for image in stack):
+        squares += (after - before) ** 2
+    return np.asarray(np.sqrt(squares / (len(stack) - 1) / 2))
+
+
+def _drift(parts: list[Array], means: list[Floats], noise: Floats) -> float:
+    """Return how far rest moved from the first part to the last, beyond noise."""
+    by_chance = float(np.nanmean(noise**2)) * (1 / len(parts[0]) + 1 / len(parts[-1]))
+    moved = float(np.nanmean((means[-1] - means[0]) ** 2)) - by_chance
+    return float(max(moved, 0.0) ** 0.5)
+
+
+def _bad_taxels(
+    stack: Array, rest: Floats, noise: Floats, step: float
+) -> dict[str, list[list[int]]]:
+    """Return (row, column) of taxels of an array that are dead, hot or saturated."""
+    typical = float(np.nanmedian(noise))
+    most = np.iinfo(stack.dtype).max if stack.dtype.kind in "iu" else np.inf
+    is_full = np.mean(stack == most, axis=0) > 0.5
+    # Where numbers are coarser than the noise, a taxel that stands still may be well.
+    is_still = (noise == 0) & (typical >= max(step / 2, 1e-300))
+    is_loud = (noise > max(_HOT * typical, step)) & (typical > 0)
+    masks = {
+        "dead": np.isnan(rest) | (is_still & ~is_full),
+        "hot": is_loud,
+        "saturated": is_full,
+    }
+    return {name: np.argwhere(mask).tolist() for name, mask in masks.items()}
 
 
 def _named(places: list[list[int]]) -> str:
-    return f"{len(places)} taxels ({_detector.taxels_said(places, _NAMED)})"
+    return f"{len(places)} taxels ({taxels_listed(places, _NAMED)})"
 
 
-def _shared(stack: Array, noise: Floats) -> tuple[float, float]:
+def _shared(stack: Array, noise: Floats) -> dict[str, float]:
     """Return the mean correlation of the noise of taxels in a row, and in a column.
 
     The variance of a mean of n equal variances is theirs times (1 + (n - 1) rho) / n.
     """
+    shares = {"shared_by_rows": 0.0, "shared_by_columns": 0.0}
+    if not len(stack):
+        return shares
     changes = np.diff(stack.astype(np.float64), axis=0)
     scaled = np.nan_to_num(changes / np.where(noise > 0, noise, np.inf))
     variance = max(float(np.mean(scaled**2)), 1e-300)
-    found = []
-    for axis in (2, 1):
+    for axis, name in zip((2, 1), shares, strict=True):
         n = scaled.shape[axis]
         ratio = n * float(np.mean(scaled.mean(axis=axis) ** 2)) / variance
-        found.append((ratio - 1) / (n - 1) if n > 1 else 0.0)
-    return found[0], found[1]
+        shares[name] = (ratio - 1) / (n - 1) if n > 1 else 0.0
+    return shares

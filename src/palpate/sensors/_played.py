@@ -31,9 +31,9 @@ from ..simulation import (
 from ..touches import Touches, TouchesError
 from ._contract import LiveSensor, SensorError, as_kind
 
-_LONGEST_WAIT_S = 0.2
+_LONGEST_WAIT_S = 0.2  # between looks at whether to stop
 _UNLABELLED = "recording"
-_NOISE_FRAMES = 8
+_NOISE_FRAMES = 8  # drawn once, in turn
 _NAMES = {"dome": "dome camera", "gel": "gel camera", "array": "pressure array"}
 # Quiet pictures differ by under a tenth of what pictures that differ much do (90 % of
 # the pairs differ less). They are of at least half of the objects; of one object a
@@ -211,7 +211,7 @@ class ReplaySensor(PlayedSensor):
             if self._rest is None:
                 raise SensorError(
                     "The recording must show what touching nothing looks like, got "
-                    "touches alone. Give the picture of it as no_contact."
+                    "touches alone. Give the picture of it as `no_contact`."
                 )
         super().__init__(
             f"replay of {source}",
@@ -306,7 +306,7 @@ class SimulatedStream(PlayedSensor):
         noise = self._rng.normal(scale=noise_sd, size=size)
         self._noise = np.rint(noise).astype(np.int16)
         self._pool: ThreadPoolExecutor | None = None
-        self._made: tuple[str, Future[Array]] | None = None
+        self._next: tuple[str, Future[Array]] | None = None
         super().__init__(
             f"simulated {_NAMES[kind]}",
             "grey level",
@@ -328,28 +328,28 @@ class SimulatedStream(PlayedSensor):
     def _close(self) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
-        self._pool = self._made = None
+        self._pool = self._next = None
 
     def _next_touch(self, name: str) -> Array | None:
         assert self._pool is not None
-        if self._made is None or self._made[0] != name:
-            self._made = name, self._pool.submit(self._touched, name)
-        future = self._made[1]
+        if self._next is None or self._next[0] != name:
+            self._next = name, self._pool.submit(self._touched, name)
+        future = self._next[1]
         if not future.done():
             return None
-        self._made = name, self._pool.submit(self._touched, name)
+        self._next = name, self._pool.submit(self._touched, name)
         return future.result()
 
     def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
         how: Any = {"random_state": seed}
         if not isinstance(self._device, PressureArray):
-            made = simulation.simulate_touches(
+            touches = simulation.simulate_touches(
                 name, 1, self._device, drift=False, **how
             )
         else:
-            made = simulation.simulate_presses(name, 1, array=self._device, **how)
-        return np.asarray(made.images[0])
+            touches = simulation.simulate_presses(name, 1, array=self._device, **how)
+        return np.asarray(touches.images[0])
 
     def _with_noise(self, image: Array) -> Array:
         noise = self._noise[self._number % _NOISE_FRAMES]

@@ -16,8 +16,8 @@ from ._ros_types import MAX_MESSAGE, Header, RosNode, RosReader, read_message
 from ._zenoh import ZenohNode
 
 VIA = ("dds", "zenoh")
-_TICK_S = 0.2
-_MATCH_S = 1.0
+_TICK_S = 0.2  # between looks at whether to stop
+_MATCH_S = 1.0  # until publisher and reader have met
 _HEADERS = 4096  # of the newest frames
 
 
@@ -113,7 +113,7 @@ class RosSensor(LiveSensor):
         """Wait for a publisher of the topic; return the kind of its messages."""
         while True:
             seen = node.publishers(self.topic)
-            kinds = sorted({one.kind for one in seen if one.topic == self.topic})
+            kinds = sorted({p.kind for p in seen if p.topic == self.topic})
             able = [kind for kind in kinds if shows_frame(kind)]
             if len(kinds) == 1 and able:
                 return kinds[0]
@@ -123,7 +123,7 @@ class RosSensor(LiveSensor):
                     f"cloud or an array, got {', '.join(kinds)}. Name another topic."
                 )
             if time.monotonic() > end_s:
-                others = ", ".join(sorted({one.topic for one in seen})) or "none"
+                others = ", ".join(sorted({p.topic for p in seen})) or "none"
                 raise SensorError(
                     f"Nobody publishes {self.topic} in domain {self.domain} (waited "
                     f"{self._wait_s:g} s; topics seen: {others}). Start its publisher, "
@@ -158,11 +158,11 @@ class RosSensor(LiveSensor):
 
     def _learn(self, first: Reading) -> None:
         """Take size and type of the first frame, or explain that they are others."""
-        asked, frame = self._asked_shape, first.image
-        if asked is not None and frame.shape != tuple(asked):
+        expected, frame = self._asked_shape, first.image
+        if expected is not None and frame.shape != tuple(expected):
             raise SensorError(
                 f"{self.topic} gives frames of {frame.shape[0]} x {frame.shape[1]}, "
-                f"shape asks for {asked[0]} x {asked[1]}. Leave shape out."
+                f"shape asks for {expected[0]} x {expected[1]}. Leave shape out."
             )
         self._asked_shape = self.image_shape = frame.shape
         self.dtype = frame.dtype

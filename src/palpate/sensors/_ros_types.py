@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 from .._extras import needed
 
 WHAT = "A topic of ROS 2"
-MAX_MESSAGE = 2**26
+MAX_MESSAGE = 2**26  # bytes: 64 MiB hold any image
 DEPTH = 64  # messages that may wait
 STRING, CLASSIFICATION = "std_msgs/msg/String", "vision_msgs/msg/Classification"
 TRIGGER, SET_BOOL = "std_srvs/srv/Trigger", "std_srvs/srv/SetBool"
@@ -35,7 +35,7 @@ class Endpoint(NamedTuple):
 
 
 class Header(NamedTuple):
-    """When (`sec`, `nanosec`) and where a message was made."""
+    """Time (`sec`, `nanosec`) and frame of a message."""
 
     sec: int
     nanosec: int
@@ -152,4 +152,4 @@ def classification(header: Header, shares: dict[str, float]) -> Any:
     stamp = types["builtin_interfaces/msg/Time"](header.sec, header.nanosec)
     head = types["std_msgs/msg/Header"](stamp, header.frame_id)
     kind = types["vision_msgs/msg/ObjectHypothesis"]
-    return types[CLASSIFICATION](head, [kind(*one) for one in shares.items()])
+    return types[CLASSIFICATION](head, [kind(*share) for share in shares.items()])

@@ -19,10 +19,10 @@ from ._contract import LiveSensor, SensorError
 from ._framing import _HEAD, _TYPES, SYNC, BinaryFraming, LineFraming
 
 FRAMINGS = ("line", "binary")
-_WAIT_S = 0.1
+_WAIT_S = 0.1  # for bytes, before looking whether to stop
 # Without a frame for so long, so many bytes tell why; so long an array that is found by
 # itself may take to write (many start again when their port is opened).
-_SILENT_S, _MOST_TOLD, _LISTEN_S = 1.0, 2**16, 5.0
+_SILENT_S, _MOST_UNREAD, _LISTEN_S = 1.0, 2**16, 5.0
 _FIXES = {
     errno.EACCES: "You may not use it: join the group that owns it (often dialout).",
     errno.EBUSY: "Another program uses it; close that.",
@@ -88,7 +88,7 @@ class SerialArraySensor(LiveSensor):
         self.checksum = checksum
         self._framing = self._new_framing()
         self._serial: Any = None
-        self._told, self._read_s, self._fresh = b"", 0.0, True
+        self._unread, self._read_s, self._fresh = b"", 0.0, True
 
     def _new_framing(self) -> LineFraming | BinaryFraming:
         if self.framing == "line":
@@ -105,7 +105,7 @@ class SerialArraySensor(LiveSensor):
     def _open(self) -> None:
         self._serial = _open_port(self.port, self.baud)
         self._framing = self._new_framing()
-        self._told, self._read_s, self._fresh = b"", time.monotonic(), True
+        self._unread, self._read_s, self._fresh = b"", time.monotonic(), True
 
     def _grab(self) -> Sequence[Array]:
         try:
@@ -132,13 +132,13 @@ class SerialArraySensor(LiveSensor):
         """Say in `lost` why no frames come though bytes do."""
         now_s = time.monotonic()
         if good:
-            self._told, self._read_s, self.lost = b"", now_s, ""
+            self._unread, self._read_s, self.lost = b"", now_s, ""
             return
-        self._told = (self._told + data)[-_MOST_TOLD:]
+        self._unread = (self._unread + data)[-_MOST_UNREAD:]
         if data and now_s - self._read_s > _SILENT_S:
             self._read_s = now_s
             how = self.framing, self.image_shape, self.dtype.name, self.checksum
-            self.lost = why_no_frame(self._told, *how)
+            self.lost = why_no_frame(self._unread, *how)
 
     def _close(self) -> None:
         if self._serial is not None:
@@ -148,24 +148,25 @@ class SerialArraySensor(LiveSensor):
 
 def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
     """Return how an array writes, as arguments of `SerialArraySensor`, by listening."""
-    told, data, opened = None, b"", _open_port(port, baud)
+    looks, data, opened = None, b"", _open_port(port, baud)
     try:
         end_s = time.monotonic() + _LISTEN_S
-        while (told is None or not told.framing) and time.monotonic() < end_s:
+        while (looks is None or not looks.framing) and time.monotonic() < end_s:
             data += opened.read(max(1, opened.in_waiting))
-            told = told_by(data[-_MOST_TOLD:])
+            looks = layout_of(data[-_MOST_UNREAD:])
     finally:
         opened.close()
-    if told is not None and told.shape is not None:
-        found = {"image_shape": told.shape, "framing": told.framing}
-        line = told.framing == "line"
-        return found | ({"checksum": told.checksum} if line else {"dtype": told.dtype})
-    if told is None:
-        unclear = "Nothing whole came: check its cable, or give --shape."
-    elif not told.framing:
-        unclear = "Its bytes are neither lines nor frames: check --baud."
+    if looks is not None and looks.shape is not None:
+        arguments = {"image_shape": looks.shape, "framing": looks.framing}
+        line = looks.framing == "line"
+        checked = {"checksum": looks.checksum}
+        return arguments | (checked if line else {"dtype": looks.dtype})
+    if looks is None:
+        unclear = "Nothing whole came: check its cable, or give `shape`."
+    elif not looks.framing:
+        unclear = "Its bytes are neither lines nor frames: check `baud`."
     else:
-        unclear = f"Its lines have {told.n_values} values: {told.shapes}."
+        unclear = f"Its lines have {looks.n_values} values: {looks.shapes}."
     raise SensorError(f"shape=auto did not find what {port} writes. {unclear}")
 
 
@@ -178,14 +179,14 @@ def _open_port(port: str, baud: int) -> Any:
         if fix is None:
             from serial.tools.list_ports import comports
 
-            there = ", ".join(found.device for found in comports())
+            there = ", ".join(port_info.device for port_info in comports())
             fix = f"There are: {there}." if there else "No serial port is plugged in."
         raise SensorError(f"The serial port {port} cannot be opened. {fix}") from error
 
 
 @dataclass(frozen=True)
-class BytesTold:
-    """How an array writes: `framing` "line" or "binary", or "" where bytes are neither.
+class BytesLayout:
+    """The writing of frames: `framing` "line" or "binary", "" where bytes are neither.
 
     Of lines `n_values` and whether they have a `checksum`, of binary frames `dtype`;
     `shape` (n_rows, n_cols) is None where a line may be of several.
@@ -201,14 +202,14 @@ class BytesTold:
     def shapes(self) -> str:
         """Return what to write for the shape: the squarest that fits, and its turn."""
         if self.shape is not None:
-            return f"--shape {self.shape[0]}x{self.shape[1]}"
+            return f"`shape={self.shape[0]}x{self.shape[1]}`"
         n = self.n_values
         short = next(s for s in range(isqrt(n), 0, -1) if n % s == 0)
         both = dict.fromkeys((f"{short}x{n // short}", f"{n // short}x{short}"))
-        return " or ".join(f"--shape {one}" for one in both)
+        return " or ".join(f"`shape={sides}`" for sides in both)
 
 
-def told_by(data: bytes) -> BytesTold | None:
+def layout_of(data: bytes) -> BytesLayout | None:
     """Return what bytes tell, None while there are too few."""
     return _binary(data) or _lines(data)
 
@@ -217,28 +218,28 @@ def why_no_frame(
     data: bytes, framing: str, shape: tuple[int, int], dtype: str, checksum: bool | None
 ) -> str:
     """Return why bytes are no frames as they are read, and the fix; or nothing."""
-    told = told_by(data)
-    if told is None:
+    seen = layout_of(data)
+    if seen is None:
         return ""
-    if not told.framing:
+    if not seen.framing:
         return (
-            "The bytes look neither like lines nor like frames: check --baud, or say "
-            "--framing binary."
+            "The bytes look neither like lines nor like frames: check `baud`, or say "
+            "`framing=binary`."
         )
-    if told.framing != framing:
-        looks = "binary" if told.framing == "binary" else "lines"
-        return f"The bytes look like {looks}: --framing {told.framing}."
+    if seen.framing != framing:
+        looks = "binary" if seen.framing == "binary" else "lines"
+        return f"The bytes look like {looks}: `framing={seen.framing}`."
     expected = shape[0] * shape[1]
-    if told.n_values != expected or told.shape not in (None, shape):
-        return f"{told.n_values} values, expected {expected}: {told.shapes}."
+    if seen.n_values != expected or seen.shape not in (None, shape):
+        return f"{seen.n_values} values, expected {expected}: {seen.shapes}."
     if framing == "binary":
-        return f"Taxels are {told.dtype}, expected {dtype}: dtype={told.dtype}."
-    if not told.checksum and checksum is not False:
-        return "The lines have no checksum: --no-checksum."
+        return f"Taxels are {seen.dtype}, expected {dtype}: `dtype={seen.dtype}`."
+    if not seen.checksum and checksum is not False:
+        return "The lines have no checksum: `checksum=no`."
     return ""
 
 
-def _binary(data: bytes) -> BytesTold | None:
+def _binary(data: bytes) -> BytesLayout | None:
     """Return what the first frame in bytes says whose checksum is right."""
     start = data.find(SYNC)
     while 0 <= start <= len(data) - len(SYNC) - _HEAD.size:
@@ -247,25 +248,25 @@ def _binary(data: bytes) -> BytesTold | None:
             shape = n_rows, n_cols
             if BinaryFraming(shape, _CODES[code]).feed(data[start:]):
                 n_values = n_rows * n_cols
-                return BytesTold("binary", n_values, True, _CODES[code], shape)
+                return BytesLayout("binary", n_values, True, _CODES[code], shape)
         start = data.find(SYNC, start + 1)
     return None
 
 
-def _lines(data: bytes) -> BytesTold | None:
+def _lines(data: bytes) -> BytesLayout | None:
     """Return what whole lines say: the first and the last piece may be cut."""
     if len(data) > 64 and not _TEXT.fullmatch(data.replace(b"\n", b"")[-64:]):
-        return BytesTold("")
+        return BytesLayout("")
     lines = [line.strip() for line in data.split(b"\n")[1:-1] if line.strip()]
     if len(lines) < _LINES:
         return None
     counts = Counter(map(_values, lines))
     (n_values, checksum), _ = counts.most_common(1)[0]
     if not n_values:
-        return BytesTold("")
+        return BytesLayout("")
     side = isqrt(n_values)
     shape = (side, side) if side**2 == n_values else None
-    return BytesTold("line", n_values, checksum, shape=shape)
+    return BytesLayout("line", n_values, checksum, shape=shape)
 
 
 def _values(line: bytes) -> tuple[int, bool]:

@@ -35,7 +35,7 @@ from ._ros_types import (
 _ROUTER = "tcp/localhost:7447"
 _TOKENS = "@ros2_lv"
 _QUALITY = f"::,{DEPTH}:,:,:,,"  # reliable, volatile, the last 64
-_RECENT_S = 2.0
+_RECENT_S = 2.0  # after its last message a publisher counts as there
 _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 
@@ -169,8 +169,8 @@ class ZenohReader:
 
     @property
     def n_publishers(self) -> int:
-        """How many have told of themselves, or 1 where one sent a moment ago."""
-        n_tokens = sum(one == self._endpoint for one in _publishers(self._tokens))
+        """Number of publishers with a token, or 1 where one sent a moment ago."""
+        n_tokens = sum(p == self._endpoint for p in _publishers(self._tokens))
         return n_tokens or int(time.monotonic() - self._last_s < _RECENT_S)
 
     def _put(self, sample: Any) -> None:
@@ -258,7 +258,7 @@ def _renamed(fields: Any, old: str, new: str) -> Any:
     if isinstance(fields, str):
         return fields.replace(old, new)
     if isinstance(fields, (tuple, list)):
-        return type(fields)(_renamed(one, old, new) for one in fields)
+        return type(fields)(_renamed(field, old, new) for field in fields)
     return fields
 
 

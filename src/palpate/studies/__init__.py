@@ -27,8 +27,8 @@ def run_study(name: str, **options: Any) -> dict[str, Any]:
     ValueError
         There is no such study, or it has no such option; the message lists them.
     """
-    one: Study = STUDIES[check_option("study", name, STUDIES)]
-    return one.run(**options)
+    study: Study = STUDIES[check_option("study", name, STUDIES)]
+    return study.run(**options)
 
 
 __all__ = ["STUDIES", "run_study"]

@@ -1,4 +1,4 @@
-"""What the papers' studies have in common: a plan, touches, a run, a result for people.
+"""The frame of every study: a plan, touches, a run, and a result for people.
 
 A study's subpackage, imported when the study is first used, has what differs from paper
 to paper: its `PLAN`, a class; `measure(plan, data, work)`, which returns `rows`,
@@ -61,7 +61,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Work:
-    """How the tasks of a study are done: by so many processes, with a bar or not."""
+    """The way tasks of a study are done: by so many processes, with a bar or not."""
 
     workers: int = -1
     progress: bool | None = None
@@ -76,13 +76,13 @@ class Work:
         )
 
 
-def fitted(model: Any, *known: Any) -> Any:
+def fitted(model: Any, *training: Any) -> Any:
     """Return `model.fit(*known)`, converged or not."""
     from sklearn.exceptions import ConvergenceWarning
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
-        return model.fit(*known)
+        return model.fit(*training)
 
 
 def on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -128,17 +128,17 @@ class Study:
         no sense, or a folder without the recorded touches.
         """
         if plan is None:
-            made: type[Plan] = self._subpackage.PLAN
-            known = ["data", "quick", "workers", "progress", "plan"]
-            known += [field.name for field in fields(made)]
+            plan_class: type[Plan] = self._subpackage.PLAN
+            options = ["data", "quick", "workers", "progress", "plan"]
+            options += [field.name for field in fields(plan_class)]
             for option in changes:
-                if option not in known:
+                if option not in options:
                     raise ValueError(
                         f"options of the study {self.name} must be among "
-                        f"{', '.join(known)}, got {option!r}. Leave it out."
+                        f"{', '.join(options)}, got {option!r}. Leave it out."
                     )
             changes["seed"] = seed
-            plan = made.quick(**changes) if quick else made(**changes)
+            plan = plan_class.quick(**changes) if quick else plan_class(**changes)
         if workers != -1:
             check_count("workers", workers)
         started = time.perf_counter()
@@ -158,18 +158,18 @@ class Study:
         """Write tables and pictures as one `.html` that loads nothing else."""
         from ..evaluation import check_report_path, html_table, plots, report_page
 
-        one = self._subpackage
+        subpackage = self._subpackage
         target = check_report_path(path)
-        sections = [f"<h1>{escape(one.TITLE)}</h1>"]
-        sections.append(f"<p>{escape(one.introduction(result))}</p>")
-        for name, figure in one.pictures(result).items():
-            what, _, more = one.CAPTIONS[name].partition("\n")
+        sections = [f"<h1>{escape(subpackage.TITLE)}</h1>"]
+        sections.append(f"<p>{escape(subpackage.introduction(result))}</p>")
+        for name, figure in subpackage.pictures(result).items():
+            what, _, more = subpackage.CAPTIONS[name].partition("\n")
             drawn = f"<div>{plots.svg(figure, what)}</div>"
             below = f"<figcaption><b>{escape(what)}.</b> {escape(more)}</figcaption>"
             inches = f"style='--inches:{figure.get_figwidth():g}'"
             sections.append(f"<figure {inches}>{drawn}{below}</figure>")
         sections += [html_table(*table) for table in self.tables(result)]
-        write_text(target, report_page(one.TITLE, sections))
+        write_text(target, report_page(subpackage.TITLE, sections))
         return target
 
     def write_pictures(self, folder: str | Path, result: dict[str, Any]) -> list[Path]:
@@ -209,26 +209,26 @@ def recorded_touches(data: str | Path | None, archive: Archive) -> Touches | str
     path = where(data) / place
     if path.is_file():
         return Touches.load(path)
-    fetch = f"palpate data fetch {archive.place.parts[0]}"
+    name = archive.place.parts[0]
     if data is not None:
         raise ValueError(
-            f"--data must name a folder that holds {place}, got {data}. Type `{fetch} "
-            f"--data {data}`, or leave --data out."
+            f"data must name a folder that holds {place}, got {data}. Call "
+            f"`fetch({name})` with that folder, or leave `data` out."
         )
     return (
         f"The rows of {what} ({place.stem}) are left out: {where()} has no {place}. "
-        f"Type `{fetch}`, or name their folder with --data or PALPATE_DATA."
+        f"Call `fetch({name})`, or name their folder with `data` or PALPATE_DATA."
     )
 
 
 def labels(touches: Touches, column: str = "object") -> NDArray[np.str_]:
     """Return the object, or category, of every touch; refuse touches without."""
-    found: NDArray[np.str_] | None = getattr(touches, column)
-    if found is None:
+    column_labels: NDArray[np.str_] | None = getattr(touches, column)
+    if column_labels is None:
         raise ValueError(
             f"The touches must have a column {column!r}, got {touches!r}. Label them."
         )
-    return found
+    return column_labels
 
 
 def coded(touches: Touches, column: str = "object") -> Codes:
@@ -288,8 +288,8 @@ def cell(row: Row | None, digits: int = 1, between: str = " ± ") -> str:
 
 def paper(row: Row | None, frame: str = "{}") -> str:
     """Return the paper's figure in a frame such as " ({})", or nothing."""
-    known = None if row is None else row["paper"]
-    return "" if known is None else frame.format(f"{known:g}")
+    figure = None if row is None else row["paper"]
+    return "" if figure is None else frame.format(f"{figure:g}")
 
 
 def with_paper(row: Row | None, digits: int = 1) -> str:
@@ -306,8 +306,8 @@ def pivot(
 ) -> list[list[str]]:
     """Return lines: a combination of the entries `keys`, then a cell per column."""
     rows, columns, lines = list(rows), list(columns), []
-    for known in different(rows, *keys):
-        mine = held(rows, **dict(zip(keys, known, strict=True)))
-        cells = [show(pick(mine, **column)) for column in columns]
-        lines.append([*(names.get(key, key) for key in known), *cells])
+    for values in different(rows, *keys):
+        rows_of_line = held(rows, **dict(zip(keys, values, strict=True)))
+        cells = [show(pick(rows_of_line, **column)) for column in columns]
+        lines.append([*(names.get(key, key) for key in values), *cells])
     return lines

@@ -26,11 +26,11 @@ from . import _columns
 from ._columns import PLAIN_KINDS, Arrays, TouchesError, belongs_to_whole
 
 _WHOLE_NAMES = "set_whole_names"
-_MAX_MEMBERS = 1000
-_MAX_HEADER = 2**14
+_MAX_MEMBERS = 1000  # of an archive; ours have some twenty
+_MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
 _READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-_MAX_ZIP_END = 22 + 2**16
-_MAX_CODE_POINT = 0x10FFFF
+_MAX_ZIP_END = 22 + 2**16  # its last record, with the longest comment
+_MAX_CODE_POINT = 0x10FFFF  # of Unicode
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # one date for all, so equal touches give equal files
 # bzip2 and LZMA inflate a whole block at a time, whatever limit they are given.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -113,8 +113,8 @@ def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
             f"{_mib(n_bytes)} MiB. Raise max_bytes if you trust the file."
         )
     members = [_described(archive, info) for info in infos]
-    arrays = {one.info.filename.removesuffix(".npy"): one for one in members}
-    wide = [name for name, one in arrays.items() if len(one.shape) in (3, 4)]
+    arrays = {member.info.filename.removesuffix(".npy"): member for member in members}
+    wide = [name for name, member in arrays.items() if len(member.shape) in (3, 4)]
     if "images" not in arrays and len(wide) == 1:  # plain arrays that others wrote
         arrays["images"] = arrays.pop(wide[0])
         labels = {"label", "labels", "y"} & set(arrays)

@@ -24,7 +24,7 @@ class BadPicture(NamedTuple):
 
 @dataclass
 class PictureCheck:
-    """What was seen in the pictures of a folder.
+    """The findings in the pictures of a folder.
 
     Attributes
     ----------
@@ -74,31 +74,31 @@ def check_pictures(
 
     with ThreadPoolExecutor(n_cores()) as pool:
         seen = dict(zip(names, pool.map(look, names), strict=True))
-    headers = Counter(one.header for one in seen.values() if one.header)
-    found = PictureCheck()
+    headers = Counter(picture.header for picture in seen.values() if picture.header)
+    check = PictureCheck()
     if not headers:
         usual = None
     else:
         usual = headers.most_common(1)[0][0]
-        found.usual = str(usual)
+        check.usual = str(usual)
     first: dict[bytes, str] = {}
-    for name, one in seen.items():
-        if one.header is None:
-            found.bad.append(BadPicture(name, one.problem, _fix(one.problem)))
-        elif one.header != usual:
+    for name, picture in seen.items():
+        if picture.header is None:
+            check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
+        elif picture.header != usual:
             fix = "convert it, or keep the two kinds in folders of their own"
-            found.bad.append(BadPicture(name, f"{one.header}, not {usual}", fix))
+            check.bad.append(BadPicture(name, f"{picture.header}, not {usual}", fix))
         else:
-            found.turned += one.orientation > 1
-            found.flat += [name] * one.flat
-            if (copy := first.setdefault(one.digest, name)) != name:
-                found.same.append((name, copy))
-    return found
+            check.turned += picture.orientation > 1
+            check.flat += [name] * picture.flat
+            if (copy := first.setdefault(picture.digest, name)) != name:
+                check.same.append((name, copy))
+    return check
 
 
 def _fix(problem: str) -> str:
     if "grey where colour" in problem:
-        return "leave out --colour, or take it out"
+        return "leave out `colour`, or take it out"
     if "pixels" in problem and "more than" in problem:
         return "make it smaller"
     return "save it again as 8-bit JPEG or PNG, or take it out"
@@ -106,7 +106,7 @@ def _fix(problem: str) -> str:
 
 def without_bad(names: Sequence[str], bad: Sequence[BadPicture]) -> list[str]:
     """Return the pictures that can be used; refuse a folder that has none."""
-    gone = {one.picture for one in bad}
+    gone = {odd.picture for odd in bad}
     kept = [name for name in names if name not in gone]
     if not kept:
         raise TouchesError(

@@ -1,4 +1,4 @@
-"""What a set of touches may hold: checked, picked from, joined and summarised.
+"""Columns of a set of touches: checked, picked from, joined and summarised.
 
 A name decides first: the names in `WHOLE` and those beginning with `set_` belong to
 the whole set; the names in `COLUMNS` are columns and must have one row per touch. Any
@@ -71,20 +71,20 @@ def checked_images(images: ArrayLike) -> Array:
 
 
 def sorted_out(
-    given: Mapping[str, Any], images: Array, whole_names: Collection[str] = ()
+    values: Mapping[str, Any], images: Array, whole_names: Collection[str] = ()
 ) -> tuple[Arrays, Arrays]:
-    """Split `given` into checked columns and checked entries of the whole set.
+    """Split `values` into checked columns and checked entries of the whole set.
 
     None counts as absent. `whole_names` are arrays of no settled name that belong
     to the whole set even where their length happens to be the number of touches.
     """
     columns: Arrays = {}
     whole: Arrays = {}
-    for given_name, value in given.items():
+    for given_name, value in values.items():
         if value is None:
             continue
         name = FORMER.get(given_name, given_name)
-        if name != given_name and given.get(name) is not None:
+        if name != given_name and values.get(name) is not None:
             raise TouchesError(
                 f"{name} must be given once, got {given_name} as well, which is its "
                 "former name. Leave that out."
@@ -179,7 +179,7 @@ def picked_rows(index: Any, n_touches: int) -> slice | Array:
 def joined_images(parts: Sequence[Array]) -> Array:
     for number, part in enumerate(parts):
         if part.shape[1:] != parts[0].shape[1:]:
-            first, other = (size_said(one.shape[1:]) for one in (parts[0], part))
+            first, other = (size_said(a.shape[1:]) for a in (parts[0], part))
             raise TouchesError(
                 f"images must all be {first} like set 0, got {other} in set {number}. "
                 "Resize or crop them first."
@@ -226,11 +226,11 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
                     f"{name} must be the same in every set, got none in set {lacking}. "
                     f"Add it there, or drop it with touches.without({name!r})."
                 )
-            one, first = part[name], parts[0][name]
-            numbers = one.dtype.kind in "fc" and first.dtype.kind in "fc"
+            entry, first = part[name], parts[0][name]
+            numbers = entry.dtype.kind in "fc" and first.dtype.kind in "fc"
             # Kinds first: numpy before 2.1 cannot compare texts with numbers.
-            alike = _kind(one) == _kind(first)
-            if not alike or not np.array_equal(one, first, equal_nan=numbers):
+            alike = _kind(entry) == _kind(first)
+            if not alike or not np.array_equal(entry, first, equal_nan=numbers):
                 drop = f"Drop it with touches.without({name!r}), or keep"
                 keep = "Keep" if name == "channels" else drop
                 raise TouchesError(
@@ -268,14 +268,14 @@ def _checked_labels(name: str, array: Array) -> Array:
             f"{name} must not be empty, got an empty label at touch {empty.argmax()}. "
             "Label that touch or leave it out."
         )
-    given = text.tolist()
-    spelt = {label: one_spelling(label) for label in set(given)}
+    texts = text.tolist()
+    spelt = {label: one_spelling(label) for label in set(texts)}
     for label, spelling in spelt.items():
         if spelling is None:
             raise _unprintable(name, label)
     if all(label == spelling for label, spelling in spelt.items()):
         return text
-    return np.array([spelt[label] for label in given], dtype=np.str_)
+    return np.array([spelt[label] for label in texts], dtype=np.str_)
 
 
 def _unprintable(name: str, text: str) -> TouchesError:
@@ -319,16 +319,16 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
 
 
 def _checked_names(name: str, array: Array) -> Array:
-    given = array.tolist()
+    listed = array.tolist()
     try:
         text = np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
     except UnicodeDecodeError:
         text = np.empty(0)
-    names = [str(one).strip() for one in text.tolist()] if text.ndim == 1 else []
+    names = [str(name).strip() for name in text.tolist()] if text.ndim == 1 else []
     if text.dtype.kind != "U" or not all(names) or not 0 < len(set(names)) == len(text):
         raise TouchesError(
             f"{name} must be different texts in a list, none of them empty, got "
-            f"{given!r}. Name each once."
+            f"{listed!r}. Name each once."
         )
     return text
 
@@ -398,8 +398,8 @@ def _refuse_odd_levels(name: str, images: Array) -> None:
         return
     step = max(1, _TAXELS_AT_ONCE // max(1, images[0].size))
     for start in range(0, len(images), step):
-        some = images[start : start + step]
-        bad = np.isinf(some).reshape(len(some), -1).any(axis=1)
+        part = images[start : start + step]
+        bad = np.isinf(part).reshape(len(part), -1).any(axis=1)
         if bad.any():
             where = "" if name == "no_contact" else f" in touch {start + bad.argmax()}"
             raise TouchesError(

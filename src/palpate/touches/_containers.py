@@ -23,7 +23,7 @@ from ._columns import Arrays, TouchesError, belongs_to_whole
 CONTAINERS = (".h5", ".hdf5", ".zarr", ".tif", ".tiff", ".mat", ".bmp", ".webp")
 RAW = (".raw", ".bin", ".dat")
 _LABELS = ("label", "labels", "y")
-_MAX_ARRAYS = 1000
+_MAX_ARRAYS = 1000  # of a file; as many as members of an archive
 _MAX_RANK = 5  # of what is read: channels, and frames of presses
 _PLAIN = "biufSU"
 

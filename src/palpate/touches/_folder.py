@@ -47,10 +47,10 @@ def folder_arrays(
     """
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if skip_bad:
-        found = _checked(root, names, pattern, max_pixels, colour)
-        names = without_bad(names, found.bad)
-        if found.bad:
-            warnings.warn(_left_out(found.bad, root, len(names)), stacklevel=4)
+        check = _checked(root, names, pattern, max_pixels, colour)
+        names = without_bad(names, check.bad)
+        if check.bad:
+            warnings.warn(_left_out(check.bad, root, len(names)), stacklevel=4)
     try:
         columns = {} if pattern is None else _from_names(names, pattern)
         if "object" not in columns:
@@ -96,10 +96,10 @@ def check_folder(
             f"{root} must hold pictures to be looked at, got {Path(names[0]).suffix} "
             "files. What is wrong with one of these is said when they are read."
         )
-    found = _checked(root, names, pattern, max_pixels, colour)
+    check = _checked(root, names, pattern, max_pixels, colour)
     others = [Path(name).suffix.lower() or "no ending" for name in _files(root)]
     others = [ending for ending in others if ending not in PICTURES]
-    return found, {ending: others.count(ending) for ending in sorted({*others})}
+    return check, {ending: others.count(ending) for ending in sorted({*others})}
 
 
 def holds_pictures(root: Path) -> bool:
@@ -136,12 +136,12 @@ def _checked(
     colour: bool,
 ) -> PictureCheck:
     """Look at every picture, and at whether it gets a label like the others."""
-    found = check_pictures(root, names, max_pixels=max_pixels, colour=colour)
-    known = {one.picture for one in found.bad}
-    fix = "move it to the folder of its object, or give it as --no-contact"
+    check = check_pictures(root, names, max_pixels=max_pixels, colour=colour)
+    are_bad = {bad.picture for bad in check.bad}
+    fix = "move it to the folder of its object, or give it as `no_contact`"
     if pattern is not None:
         pairs = zip(names, matched(pattern, names), strict=True)
-        odd = {n: "not named like the others" for n, one in pairs if one is None}
+        odd = {n: "not named like the others" for n, match in pairs if match is None}
     elif (root / _LABELS).is_file():
         odd = {}
     else:
@@ -149,13 +149,13 @@ def _checked(
             n: f"{where}, unlike the others"
             for n, where in odd_depths(names)[0].items()
         }
-    found.bad += [BadPicture(n, why, fix) for n, why in odd.items() if n not in known]
-    found.bad.sort(key=lambda one: _natural_order(one.picture))
-    return found
+    check.bad += [BadPicture(n, why, fix) for n, why in odd.items() if n not in are_bad]
+    check.bad.sort(key=lambda bad: _natural_order(bad.picture))
+    return check
 
 
 def _left_out(bad: Sequence[BadPicture], root: Path, n_kept: int) -> str:
-    first = "; ".join(f"{one.picture} is {one.problem}" for one in bad[:3])
+    first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:3])
     more = "" if len(bad) <= 3 else f"; and {len(bad) - 3} more"
     n = f"{len(bad)} picture{'s' * (len(bad) > 1)}"
     return f"{n} of {len(bad) + n_kept} in {root} left out: {first}{more}."
@@ -196,17 +196,17 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
             f"{nearest_path(root) or 'Check the path.'}"
         )
     try:
-        found = _files(root)
+        files = _files(root)
         kinds_of_files = (PICTURES, _OTHERS, TABLES)
-        pictures = next(filter(None, (_of_kinds(found, k) for k in kinds_of_files)), [])
+        pictures = next(filter(None, (_of_kinds(files, k) for k in kinds_of_files)), [])
         pictures = [name for name in pictures if name != _LABELS]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
         raise _pictures.refusal(Path(error.filename or root), error) from error
     if not pictures:
-        kinds = sorted({Path(name).suffix or "no ending" for name in found})
-        got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
+        kinds = sorted({Path(name).suffix or "no ending" for name in files})
+        got = f"{len(files)} files of {', '.join(kinds[:5])}" if files else "no files"
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
         if films := [kind for kind in kinds if kind.lower() in _pictures.FILMS]:
             hint += f" Films ({films[0]}) are read one by one, each for its object."
@@ -224,7 +224,7 @@ def _of_kinds(names: Sequence[str], endings: tuple[str, ...]) -> list[str]:
 
 def _files(root: Path) -> list[str]:
     """Return all files below `root` but hidden ones, following symbolic links."""
-    found: list[str] = []
+    below: list[str] = []
     seen: dict[tuple[int, int], str] = {}
     for folder, folders, files in os.walk(root, onerror=_raised, followlinks=True):
         status = Path(folder).stat()
@@ -236,8 +236,8 @@ def _files(root: Path) -> list[str]:
             )
         folders[:] = [name for name in folders if not name.startswith(".")]
         here = Path(folder).relative_to(root)
-        found += [(here / n).as_posix() for n in files if not n.startswith(".")]
-    return found
+        below += [(here / n).as_posix() for n in files if not n.startswith(".")]
+    return below
 
 
 def _raised(error: OSError) -> None:

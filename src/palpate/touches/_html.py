@@ -11,10 +11,10 @@ from .._extras import needed
 from .._types import Array
 from ._pictures import RGB
 
-PICTURES = 8
-SIDE_PX = 96
-_NAMES = 12
-_LETTERS = 60
+PICTURES = 8  # shown of a set
+SIDE_PX = 96  # of each
+_NAMES = 12  # listed
+_LETTERS = 60  # of each name
 _DEAD = (60, 60, 220)  # blue, green, red
 _EVEN = "display:inline-block;margin:2px;text-align:center;vertical-align:top"
 
@@ -76,11 +76,11 @@ def touches_axes(
         low, high = np.nanmin(shown), np.nanmax(shown)
         shown = (shown - low) / max(high - low, 1e-12)
     labels = columns.get("object", np.full(n_shown, ""))
-    for one in axes.flat:
-        one.set_axis_off()
-    for one, image, label in zip(axes.flat, shown, labels, strict=False):
-        one.imshow(image, cmap="gray", interpolation="nearest")
-        one.set_title(_cut(label)[:16], fontsize=8)
+    for place in axes.flat:
+        place.set_axis_off()
+    for place, image, label in zip(axes.flat, shown, labels, strict=False):
+        place.imshow(image, cmap="gray", interpolation="nearest")
+        place.set_title(_cut(label)[:16], fontsize=8)
     return np.asarray(axes)
 
 

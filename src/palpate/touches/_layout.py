@@ -1,4 +1,4 @@
-"""What the folders above pictures mean: given as levels, or found out.
+"""The meaning of folders above pictures: given as levels, or found out.
 
 Unnamed levels are read as `object`, or as `category/object`. Three layouts that people
 have would make wrong objects of that, in silence: the parts of a set (`train/mug`), a
@@ -37,8 +37,8 @@ def levels_pattern(levels: str) -> str:
     """
     names = levels.split("/")
     words = [name for name in names if name != SKIPPED and name[:1] != KEPT]
-    known = all(word.isidentifier() for word in words) and KEPT not in names
-    if not known or "object" not in words or len(set(words)) < len(words):
+    are_words = all(word.isidentifier() for word in words) and KEPT not in names
+    if not are_words or "object" not in words or len(set(words)) < len(words):
         raise TouchesError(
             "levels must name each level of folders by a word, once, one of them "
             f"object, got {levels!r}. Write category/object, object/session, or "

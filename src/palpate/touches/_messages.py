@@ -80,8 +80,8 @@ def _picture(message: Any, where: str) -> Array:
     n_rows, n_cols, step = int(message.height), int(message.width), int(message.step)
     encoding = str(message.encoding)
     if encoding not in _GREY and encoding not in _COLOUR:
-        known = ", ".join([*_GREY, *_COLOUR])
-        raise TouchesError(f"{where} must be encoded as {known}, got {encoding!r}.")
+        encodings = ", ".join([*_GREY, *_COLOUR])
+        raise TouchesError(f"{where} must be encoded as {encodings}, got {encoding!r}.")
     n_channels = 1 if encoding in _GREY else 4 if "a" in encoding else 3
     order = ">" if message.is_bigendian else "<"
     dtype = np.dtype(order + _GREY.get(encoding, "u1"))

@@ -15,7 +15,7 @@ from ._columns import WHOLE, TouchesError
 POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
 TAKEN = (*WHOLE, *POSITIONS, "images", "source_path")
 _EXAMPLE = r"(?P<object>[a-z]+)_(?P<n>\d+)"
-_MOST_S = 10.0
+_MOST_S = 10.0  # seconds; some patterns would never end
 # The file name is searched first, then the path relative to the folder.
 _MATCH = """
 import json, re, sys
@@ -59,11 +59,11 @@ def compiled(name_pattern: object) -> re.Pattern[str]:
 
 def matched(pattern: re.Pattern[str], names: Sequence[str]) -> list[Groups | None]:
     """Return the groups of each name, None where it does not match."""
-    asked = json.dumps([pattern.pattern, list(names)]).encode()
+    question = json.dumps([pattern.pattern, list(names)]).encode()
     try:
         done = subprocess.run(
             [sys.executable, "-I", "-S", "-c", _MATCH],
-            input=asked,
+            input=question,
             capture_output=True,
             timeout=_MOST_S,
             check=True,

@@ -32,9 +32,9 @@ from ._columns import Arrays, TouchesError
 from ._pictures import RGB, decode_bytes, png_bytes
 
 ENDINGS = (".parquet", ".pq")
-FORMAT = 2
-_ROWS_AT_ONCE = 512
-_BYTES_AT_ONCE = 64 * 2**20
+FORMAT = 2  # 1 had one recording alone
+_ROWS_AT_ONCE = 512  # of which memory holds
+_BYTES_AT_ONCE = 64 * 2**20  # as many images at once
 _IMAGE, _RECORDING = "image", "recording"
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL)
 _PART = re.compile(r"([^/=]+)=([^/]*)")
@@ -135,12 +135,12 @@ def _files(path: str | PathLike[str], stack: ExitStack) -> Iterator[tuple[str, A
     url = url_of(path)
     if url is None:
         place = Path(path)
-        found = [place]
+        paths = [place]
         if place.is_dir():
-            found = [p for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]
-        for one in found:
-            with one.open("rb") as stream:
-                yield str(one), stream
+            paths = [p for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]
+        for file in paths:
+            with file.open("rb") as stream:
+                yield str(file), stream
         return
     fsspec = needed("fsspec.core", "parquet", "Reading from a store")
     try:
@@ -214,8 +214,8 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
             f"{name} must say of itself in JSON what it holds, got: {error!r}. Write "
             "it anew."
         ) from error
-    known: dict[str, Any] = about
-    return known
+    entries: dict[str, Any] = about
+    return entries
 
 
 def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:

@@ -4,7 +4,7 @@ Headers are read first, so that the size is known before anything is decoded. Pi
 tests a PNG's checksums; OpenCV decodes it. A JPEG has no checksum, but libjpeg
 complains of much damage and of a missing end: simplejpeg tells, where OpenCV and Pillow
 fill in grey. Most single flipped bits among its coefficients still give a wrong picture
-that nothing can tell; docs/explanation/architecture.md has figures.
+that nothing can tell; docs/contributing/testing.md has figures.
 
 Pictures are turned upright as their Exif orientation says, like every viewer does: a
 camera that was turned meanwhile writes it. Colour becomes its luma (ITU-R BT.601)
@@ -62,11 +62,11 @@ _AT_ONCE = 8
 
 
 class PictureError(Exception):
-    """What was found instead of a picture, for the middle of a message."""
+    """A file is no picture; the text is for the middle of a message."""
 
 
 class Header(NamedTuple):
-    """What must be the same for all pictures of a set, upright.
+    """Format, size and depth: the same for all pictures of a set, upright.
 
     `colour` counts only where colours are asked for; it is False elsewhere.
     """
@@ -193,9 +193,9 @@ def _decode_into(out: Array, path: Path, header: Header) -> bytes:
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
             data = file.read()
-        found, orientation = _read_header(BytesIO(data))
-        if (found := found.checked(header.colour)) != header:
-            raise PictureError(f"{found} after {header}: the file changed meanwhile")
+        now, orientation = _read_header(BytesIO(data))
+        if (now := now.checked(header.colour)) != header:
+            raise PictureError(f"{now} after {header}: the file changed meanwhile")
         _levels(data, header, orientation, out)
         return data
     except (OSError, PictureError) as error:
@@ -255,11 +255,11 @@ def refusal(path: Path, error: OSError | PictureError) -> TouchesError:
 
 def _opened(path: Path, n_pixels: int) -> IO[bytes]:
     """Open a file that is one (a pipe would block) and not absurdly large."""
-    found = path.stat()
-    if not stat.S_ISREG(found.st_mode):
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
         raise PictureError("something that is not a file")
-    if found.st_size > _MORE_BYTES + _BYTES_PER_PIXEL * n_pixels:
-        raise PictureError(f"a file of {found.st_size} bytes")
+    if status.st_size > _MORE_BYTES + _BYTES_PER_PIXEL * n_pixels:
+        raise PictureError(f"a file of {status.st_size} bytes")
     return path.open("rb")
 
 
@@ -435,9 +435,9 @@ def _next_marker(stream: IO[bytes]) -> int:
     """Return the next marker's code; several 0xFF may stand before it."""
     first = code = stream.read(1)
     while code == b"\xff":
-        some = stream.read(64)
-        rest = some.lstrip(b"\xff")
-        code = rest[:1] or some[-1:]
+        chunk = stream.read(64)
+        rest = chunk.lstrip(b"\xff")
+        code = rest[:1] or chunk[-1:]
         if stream.seek(min(0, 1 - len(rest)), SEEK_CUR) > _MORE_BYTES:
             raise PictureError("a JPEG with more than 32 MiB before its pixels")
     if not code:

@@ -26,9 +26,9 @@ from ._folder import PICTURES, folder_arrays, no_contact_picture
 from ._parquet import is_parquet, parquet_parts
 from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
-MAX_PIXELS = 50_000_000
-MAX_BYTES = 4 * 2**30
-_LINE = 88
+MAX_PIXELS = 50_000_000  # of one picture: any camera's
+MAX_BYTES = 4 * 2**30  # of all images, 4 GiB: what a laptop holds
+_LINE = 88  # columns of a terminal
 
 
 class Episode(NamedTuple):
@@ -152,11 +152,11 @@ class Touches(Labelled):
         pad_names: ArrayLike | None = None,
         **columns: ArrayLike | None,
     ) -> None:
-        given = {"object": object, "category": category, **columns}
-        given.update(no_contact=no_contact, geometry=geometry)
-        given.update(channels=channels, pads=pads, pad_names=pad_names)
+        by_name = {"object": object, "category": category, **columns}
+        by_name.update(no_contact=no_contact, geometry=geometry)
+        by_name.update(channels=channels, pads=pads, pad_names=pad_names)
         self._images = _columns.checked_images(images)
-        self._columns, self._whole = _columns.sorted_out(given, self._images)
+        self._columns, self._whole = _columns.sorted_out(by_name, self._images)
         check_layout(self._images, self._columns, self._whole)
         self._files = None
 
@@ -223,30 +223,21 @@ class Touches(Labelled):
         place = Path(path)
         ending = place.suffix.lower()
         plain = name_pattern is None and not colour
-        if ending in (*CONTAINERS, *RAW) and place.exists() and plain:
-            if ending in RAW:
-                arrays = raw_arrays(place, shape, dtype, max_bytes, channels)
-            else:
-                arrays = container_arrays(place, max_bytes, max_pixels)
-                if channels:
-                    arrays["channels"] = np.array(channels)
-            read = cls(**arrays)
+        if ending in CONTAINERS and place.exists() and plain:
+            arrays = container_arrays(place, max_bytes, max_pixels)
+            if channels:
+                arrays["channels"] = np.array(channels)
+            return cls(**arrays)._with_rest(no_contact, max_pixels)
+        if ending in RAW and place.exists() and plain:
+            read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
             return read._with_rest(no_contact, max_pixels)
-        if dtype is not None:
-            raise TouchesError(
-                f"dtype must be left out but for {', '.join(RAW)}, got {dtype!r} with "
-                f"{place}. Other files say themselves what they hold."
-            )
+        why = "Other files say themselves what they hold."
+        _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             how = (name_pattern, levels, no_contact, colour, skip_bad)
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
-        if levels is not None or skip_bad:
-            given = f"levels {levels!r}" if levels is not None else "skip_bad"
-            raise TouchesError(
-                f"{given} must be left out but for a folder, got it with {place}. "
-                f"{nearest_path(place)}".rstrip()
-            )
+        _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
         if ending in (*TABLES, *TEXTS) and place.is_file() and plain:
             if ending != ".npy":
                 read = cls(**csv_arrays(place, shape, max_bytes, channels))
@@ -255,26 +246,11 @@ class Touches(Labelled):
                 read = cls(array[None] if array.ndim == 2 else array)
             return read._with_rest(no_contact, max_pixels)
         if ending != ".npz":
-            if not place.exists():
-                raise TouchesError(
-                    f"{place} must be a file or folder of touches, got nothing there. "
-                    f"{nearest_path(place) or 'Check the path.'}"
-                )
-            kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
-            raise TouchesError(
-                f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
-                "without options for others, got another kind of file. Convert it."
-            )
-        if name_pattern is not None:
-            raise TouchesError(
-                f"name_pattern must be left out for an archive, got {name_pattern!r} "
-                f"with {place}. Archives carry their labels."
-            )
-        if colour:
-            raise TouchesError(
-                f"colour must be left out for an archive, got {colour!r} with {place}. "
-                "Archives carry the names of their channels."
-            )
+            raise _no_touches(place)
+        why = "Archives carry their labels and the names of their channels."
+        _left_out(
+            place, "for an archive", why, name_pattern=name_pattern, colour=colour
+        )
         touches = cls._of(*read_archive(place, max_bytes))
         return touches._with_rest(no_contact, max_pixels)
 
@@ -405,7 +381,7 @@ class Touches(Labelled):
 
     @property
     def touch_id(self) -> NDArray[np.str_] | None:
-        """Where each touch lies in a library, shape (n_touches,), or None."""
+        """Id of each touch in a library, shape (n_touches,), or None."""
         return self._columns.get("touch_id")
 
     @property
@@ -415,13 +391,13 @@ class Touches(Labelled):
 
     @property
     def geometry(self) -> str | None:
-        """How taxels lie ("dome", "array", "plane" or "none"), or None."""
+        """Arrangement of taxels ("dome", "array", "plane" or "none"), or None."""
         geometry = self._whole.get("geometry")
         return None if geometry is None else str(geometry)
 
     @property
     def channels(self) -> tuple[str, ...] | None:
-        """What the last axis of images holds, in its order, or None without one."""
+        """Names of the last axis of images, in its order, or None without one."""
         names = self._whole.get("channels")
         return None if names is None else tuple(names.tolist())
 
@@ -432,7 +408,7 @@ class Touches(Labelled):
 
     @property
     def pad_names(self) -> tuple[str, ...] | None:
-        """What the pads are called, or None."""
+        """Names of the pads, or None."""
         names = self._whole.get("pad_names")
         return None if names is None else tuple(names.tolist())
 
@@ -457,9 +433,9 @@ class Touches(Labelled):
         size = " x ".join(map(str, self._images.shape[1:]))
         counted = {"object": "objects", "category": "categories", "session": "sessions"}
         kinds = [
-            f"{n} {one if n == 1 else many}"
-            for one, many in counted.items()
-            if one in self._columns and (n := len(np.unique(self._columns[one])))
+            f"{n} {column if n == 1 else many}"
+            for column, many in counted.items()
+            if column in self._columns and (n := len(np.unique(self._columns[column])))
         ]
         line = f"<Touches: {len(self)} of {size} {self._images.dtype}; "
         line += ", ".join(kinds) or "no labels"
@@ -623,6 +599,29 @@ class TouchSource(Protocol):
     def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
         """Return features of all touches, made by `encode` or kept under `key`."""
         ...
+
+
+def _left_out(place: Path, where: str, why: str, **options: Any) -> None:
+    """Refuse options that say nothing to a kind of file."""
+    for name, value in options.items():
+        if value is not None and value is not False:
+            raise TouchesError(
+                f"{name} must be left out {where}, got {value!r} with {place}. "
+                f"{why or nearest_path(place)}".rstrip()
+            )
+
+
+def _no_touches(place: Path) -> TouchesError:
+    if not place.exists():
+        return TouchesError(
+            f"{place} must be a file or folder of touches, got nothing there. "
+            f"{nearest_path(place) or 'Check the path.'}"
+        )
+    kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
+    return TouchesError(
+        f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
+        "without options for others, got another kind of file. Convert it."
+    )
 
 
 def read_parquet(

@@ -34,10 +34,10 @@ CAPTIONS = {
     "On the second half: bars are randomised fivefold cross-validation, black lines "
     "folds that leave a whole recording out; dotted, the paper's best, 96.4 %.",
 }
-SIGNIFICANT = 0.05
+SIGNIFICANT = 0.05  # the usual level; beside it Holm's
 SHAPES = ("corner", "cylinder", "edge", "flat", "flat-to-edge", "nothing", "point")
-LIFTS = (0.12, -0.12)
-_TICKS = (1, 2, 5, 10, 30, 100, 1000)
+LIFTS = (0.12, -0.12)  # two variants side by side on one line
+_TICKS = (1, 2, 5, 10, 30, 100, 1000)  # of an axis in logarithms
 # Of a larger set so many touches are looked at for repeated ones.
 _MOST_ALIKE = 1000
 
@@ -48,27 +48,27 @@ def measure(
     pins, dome = (recorded_touches(data, archive) for archive in (TACTIP, BATHTIP))
     sets = list(stated.simulated_shapes(plan))
     if not isinstance(pins, str):
-        some, upright = pins[:: plan.recorded_step], plan.recorded_upright
-        sets += stated.recorded_shapes(some, plan.seed, upright=upright)
+        thinned, upright = pins[:: plan.recorded_step], plan.recorded_upright
+        sets += stated.recorded_shapes(thinned, plan.seed, upright=upright)
     rows, paired = _shapes_rows(sets, plan, work)
-    duplicates = {one.data: near_duplicates(one.images["image"]) for one in sets}
+    duplicates = {s.data: near_duplicates(s.images["image"]) for s in sets}
     if not isinstance(dome, str):
         seen = judging.recording(dome[:: plan.recorded_step])
         rows_at = np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int)
         duplicates[DATA] = near_duplicates(seen.images["image"][np.unique(rows_at)])
         tasks = [(seen.only(v), v, e, plan) for e in plan.encodings for v in VARIANTS]
-        for some in work.done(judging.judge_unseen, tasks, "judging unseen objects"):
-            rows += some
+        for more in work.done(judging.judge_unseen, tasks, "judging unseen objects"):
+            rows += more
         names = [(seen, name) for name in plan.candidates]
-        made = work.done(candidate_features, names, "encoding")
-        features = dict(zip(plan.candidates, made, strict=True))
+        encoded = work.done(candidate_features, names, "encoding")
+        features = dict(zip(plan.candidates, encoded, strict=True))
         folds = [(seen, features, k, plan) for k in range(plan.fold_limit)]
         rows += compared_rows(work.done(compare_fold, folds, "choosing an encoding"))
     return {
         "rows": rows,
         "paired": paired,
         "duplicates": duplicates,
-        "skipped": [one for one in (pins, dome) if isinstance(one, str)],
+        "skipped": [reason for reason in (pins, dome) if isinstance(reason, str)],
     }
 
 
@@ -79,40 +79,40 @@ def _shapes_rows(
     keys = [(s, e, v) for s in sets for e in plan.encodings for v in VARIANTS]
     tasks = [(s.only(v), v, e, plan) for s, e, v in keys]
     judged: list[Judged] = work.done(judging.judge, tasks, "judging encodings")
-    found = {(s.data, e, v): one for (s, e, v), one in zip(keys, judged, strict=True)}
+    judged_by = {(s.data, e, v): j for (s, e, v), j in zip(keys, judged, strict=True)}
     paired: list[Row] = []
-    for data, encoding in dict.fromkeys(key[:2] for key in found):
-        image, derivative = (found[data, encoding, v].folds for v in VARIANTS)
+    for data, encoding in dict.fromkeys(key[:2] for key in judged_by):
+        image, derivative = (judged_by[data, encoding, v].folds for v in VARIANTS)
         for kind in CLASSIFIERS:
-            known: Row = {"data": data, "encoding": encoding, "classifier": kind}
+            facts: Row = {"data": data, "encoding": encoding, "classifier": kind}
             test = judging.corrected_t_test(image[kind] - derivative[kind])
             figures = zip(("difference", "error", "p"), test, strict=True)
-            paired.append({**known, **dict(figures)})
+            paired.append({**facts, **dict(figures)})
     for row, p in zip(paired, holm([row["p"] for row in paired]), strict=True):
         row["p_together"] = p
-    return [row for one in judged for row in one.rows], paired
+    return [row for judgement in judged for row in judgement.rows], paired
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
     rows = result["rows"]
-    made = [_table_2(shared.held(rows, table="Table 2", q=2))]
+    shown = [_table_2(shared.held(rows, table="Table 2", q=2))]
     fig_3 = shared.held(rows, table="Fig. 3")
     for folds in ("randomised", "grouped"):
         for data in shared.unique(row["data"] for row in fig_3):
             title = f"Fig. 3: {data}, {folds} folds, per cent right"
-            made.append(_accuracies(title, shared.held(fig_3, data=data, folds=folds)))
+            shown.append(_accuracies(title, shared.held(fig_3, data=data, folds=folds)))
     title = "Category of unseen objects, one touch, per cent right over folds"
-    made.append(_accuracies(title, shared.held(rows, table="unseen")))
-    made += [_best(shared.held(rows, table="best")), _paired(result["paired"])]
+    shown.append(_accuracies(title, shared.held(rows, table="unseen")))
+    shown += [_best(shared.held(rows, table="best")), _paired(result["paired"])]
     shares = [[data, f"{share:.1f}"] for data, share in result["duplicates"].items()]
     title = "Touches that another one of the set nearly repeats (correlation > 0.99)"
-    return [*made, (title, ["data", "share, %"], shares)]
+    return [*shown, (title, ["data", "share, %"], shares)]
 
 
 def _table_2(rows: Sequence[Row]) -> Table:
-    known = shared.different(rows, "data", "variant")
-    columns = [{"data": data, "variant": variant} for data, variant in known]
-    heads = [f"{data}, {variant}" for data, variant in known]
+    sets = shared.different(rows, "data", "variant")
+    columns = [{"data": data, "variant": variant} for data, variant in sets]
+    heads = [f"{data}, {variant}" for data, variant in sets]
     title = (
         "Table 2: Davies-Bouldin index, q = 2, smaller is better (paper in brackets)"
     )
@@ -133,25 +133,25 @@ def _best(rows: Sequence[Row]) -> Table:
     lengths = shared.unique(row["after"] for row in rows)
     lines = []
     for encoding in shared.unique(row["encoding"] for row in rows):
-        mine = shared.held(rows, encoding=encoding)
-        found = [shared.pick(mine, after=k) for k in lengths]
-        folds = [f"{value:.0f}" for value in mine[0]["folds_right"]]
-        lines.append([encoding, *map(shared.cell, found), " ".join(folds)])
+        of_encoding = shared.held(rows, encoding=encoding)
+        figures = [shared.pick(of_encoding, after=k) for k in lengths]
+        folds = [f"{value:.0f}" for value in of_encoding[0]["folds_right"]]
+        lines.append([encoding, *map(shared.cell, figures), " ".join(folds)])
     heads = [f"after {k}" for k in lengths] + ["each fold, after 1"]
     title = "Category of unseen objects, kernel ridge unless said, per cent right"
     return title, ["encoding", *heads], lines
 
 
 def _paired(paired: Sequence[Row]) -> Table:
-    """Where image and derivative differ, all tests together."""
+    """Return the differences between image and derivative, all tests together."""
     lines = []
     for data in shared.unique(row["data"] for row in paired):
-        mine = shared.held(paired, data=data)
-        alone = sum(row["p"] < SIGNIFICANT for row in mine)
-        differ = [row for row in mine if row["p_together"] < SIGNIFICANT]
+        of_data = shared.held(paired, data=data)
+        alone = sum(row["p"] < SIGNIFICANT for row in of_data)
+        differ = [row for row in of_data if row["p_together"] < SIGNIFICANT]
         better = sum(row["difference"] > 0 for row in differ)
-        mean = sum(row["difference"] for row in mine) / len(mine)
-        counts = [len(mine), alone, len(differ), better]
+        mean = sum(row["difference"] for row in of_data) / len(of_data)
+        counts = [len(of_data), alone, len(differ), better]
         lines.append([data, f"{mean:+.1f}", *map(str, counts)])
     heads = ["image less derivative, mean", "pairs", "p < 0.05", "after Holm"]
     heads.append("of these image better")
@@ -189,15 +189,15 @@ def _indices(rows: Sequence[Row]) -> Any:
     reach = [r["ours"] for r in rows] + [r["paper"] for r in rows if r["paper"]]
     for place, data in zip(axes, sets, strict=True):
         for variant, colour, lift in zip(VARIANTS, plots.COLOURS, LIFTS, strict=False):
-            some = shared.held(rows, data=data, variant=variant)
-            points = [(r, encodings.index(r["encoding"]) + lift) for r in some]
+            of_variant = shared.held(rows, data=data, variant=variant)
+            points = [(r, encodings.index(r["encoding"]) + lift) for r in of_variant]
             for key, face, label in (
                 ("ours", colour, variant),
                 ("paper", "none", f"{variant}, paper"),
             ):
-                known = [(r[key], y) for r, y in points if r[key]]
-                if known:
-                    x, y = zip(*known, strict=True)
+                points_at = [(r[key], y) for r, y in points if r[key]]
+                if points_at:
+                    x, y = zip(*points_at, strict=True)
                     place.plot(x, y, "o", mec=colour, mfc=face, label=label)
         place.set_xscale("log")
         place.set_xticks(_TICKS, [f"{tick:g}" for tick in _TICKS])
@@ -234,11 +234,11 @@ def _panel(place: Any, rows: Sequence[Row], encodings: Sequence[str]) -> None:
     for number, (kind, colour) in enumerate(looks):
         last = number == len(CLASSIFIERS) - 1
         for folds in ("randomised", "grouped"):
-            found = shared.held(rows, classifier=kind, folds=folds)
-            at = np.array([encodings.index(r["encoding"]) for r in found])
-            x, y = at - 0.4 + (number + 0.5) * width, [r["ours"] for r in found]
+            panel = shared.held(rows, classifier=kind, folds=folds)
+            at = np.array([encodings.index(r["encoding"]) for r in panel])
+            x, y = at - 0.4 + (number + 0.5) * width, [r["ours"] for r in panel]
             if folds == "randomised":
-                bars = [r["sd"] or 0.0 for r in found]
+                bars = [r["sd"] or 0.0 for r in panel]
                 place.bar(x, y, width, yerr=bars, color=colour, label=kind)
             else:
                 label = "grouped folds" if last else None

@@ -35,7 +35,7 @@ from . import plan as stated
 from .plan import CANDIDATES, CLASSIFIERS, Corradi2014Plan, Images, Shapes
 
 SENSORS = ("simulated", "simulated-pins")
-N_FOLDS = 5
+N_FOLDS = 5  # as in the paper
 Counts = tuple[int, ...]
 # From training and test touches, numbers of components and a seed to per cent right.
 Right = Callable[[Codes, Codes, Counts, int], list[float]]
@@ -53,22 +53,22 @@ _KNOWN = {"data": DATA, "unit": "per cent"}
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """Touches encoded once for all folds: as they train, and as they are asked.
+    """Touches encoded once for all folds: as they train, and as they test.
 
     Features (n_touches, n_features) by number of components; of `principal` ones, which
     each fold learns, the features before them under the number 0.
     """
 
-    known: dict[int, Floats]
-    asked: dict[int, Floats]
+    train: dict[int, Floats]
+    test: dict[int, Floats]
     principal: bool
 
     def features(
         self, train: Codes, test: Codes, counts: Counts
     ) -> dict[int, tuple[Floats, Floats]]:
         if not self.principal:
-            return {n: (self.known[n][train], self.asked[n][test]) for n in counts}
-        old, new = self.known[0][train], self.asked[0][test]
+            return {n: (self.train[n][train], self.test[n][test]) for n in counts}
+        old, new = self.train[0][train], self.test[0][test]
         mean = old.mean(axis=0)
         # Principal directions of any variance, (n_features, n or fewer).
         centred = old - mean
@@ -92,29 +92,32 @@ class Encoded:
         seed: int,
     ) -> list[float]:
         """Return the per cent that a classifier names, for each of the numbers."""
-        found = []
+        percents = []
         for old, new in self.features(train, test, counts).values():
             named = answers(kind, old, codes[train], new, seed)
-            found.append(float(100 * (named == codes[test]).mean()))
-        return found
+            percents.append(float(100 * (named == codes[test]).mean()))
+        return percents
 
 
-def encode(name: str, known: Images, asked: Images | None, counts: Counts) -> Encoded:
-    """Encode images, and as they look when `asked` if different, for all counts."""
+def encode(
+    name: str, train_images: Images, test_images: Images | None, counts: Counts
+) -> Encoded:
+    """Encode images, and as `test_images` show them if different, for all counts."""
     if name == "scaled-pixels":
-        encoders = {n: encoder_named(name, n).fit(known) for n in counts}
+        encoders = {n: encoder_named(name, n).fit(train_images) for n in counts}
     else:
         options = {"side": PCA_SIDE} if name == "oriented-pca" else {}
-        encoders = {0: encoder_named(PRINCIPAL.get(name, name), **options).fit(known)}
+        encoder = encoder_named(PRINCIPAL.get(name, name), **options)
+        encoders = {0: encoder.fit(train_images)}
 
     def features(images: Images) -> dict[int, Floats]:
-        every = {n: encoder.transform(images) for n, encoder in encoders.items()}
+        by_count = {n: encoder.transform(images) for n, encoder in encoders.items()}
         if name in PRINCIPAL or name == "scaled-pixels":
-            return every
-        return {n: every[0][:, :n] for n in counts}
+            return by_count
+        return {n: by_count[0][:, :n] for n in counts}
 
-    old = features(known)
-    new = old if asked is None else features(asked)
+    old = features(train_images)
+    new = old if test_images is None else features(test_images)
     return Encoded(old, new, name in PRINCIPAL)
 
 
@@ -144,13 +147,13 @@ class Judged:
 def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Judged:
     """Choose on the first half and report on the second."""
     counts = plan.counts(name)
-    asked = None if shapes.asked is None else shapes.asked[variant]
-    encoded = encode(name, shapes.images[variant], asked, counts)
-    known = {"data": shapes.data, "encoding": name, "variant": variant}
+    test_images = None if shapes.test_images is None else shapes.test_images[variant]
+    encoded = encode(name, shapes.images[variant], test_images, counts)
+    facts = {"data": shapes.data, "encoding": name, "variant": variant}
     first, second = (np.flatnonzero(shapes.half == h) for h in (0, 1))
     rows, folds = [], {}
-    if asked is None:
-        rows += list(_table_2(encoded, shapes, known, counts))
+    if test_images is None:
+        rows += list(_table_2(encoded, shapes, facts, counts))
     for kind in CLASSIFIERS:
         right = partial(encoded.right, kind, shapes.codes)
         # The network is the slowest by far: every other number.
@@ -166,10 +169,10 @@ def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Jud
         folds[kind] = tests[..., 0]
         # Per cent right of each recording, learnt from the others.
         grouped, group = [], shapes.groups[second]
-        for held in (group == one for one in np.unique(group)):
+        for held in (group == number for number in np.unique(group)):
             grouped += right(second[~held], second[held], (chosen,), plan.seed)
-        for one in _fig_3(known, kind, folds[kind].mean(axis=1), np.array(grouped)):
-            rows.append({**one, "n_components": chosen})
+        for figures in _fig_3(facts, kind, folds[kind].mean(axis=1), np.array(grouped)):
+            rows.append({**figures, "n_components": chosen})
     return Judged(rows, folds)
 
 
@@ -196,33 +199,33 @@ def holm(p_values: list[float]) -> list[float]:
 
 
 def _table_2(
-    encoded: Encoded, shapes: Shapes, known: Row, counts: tuple[int, ...]
+    encoded: Encoded, shapes: Shapes, facts: Row, counts: tuple[int, ...]
 ) -> Iterator[Row]:
     """Indices on the second half, the count being the best on the first."""
     first, second = (np.flatnonzero(shapes.half == h) for h in (0, 1))
-    name, variant = known["encoding"], known["variant"]
+    name, variant = facts["encoding"], facts["variant"]
     by_sensor = zip(
         SENSORS, stated.TABLE_2.get(name, {}).get(variant, ()), strict=False
     )
-    paper = dict(by_sensor).get(known["data"])
+    paper = dict(by_sensor).get(facts["data"])
     both = encoded.features(first, second, counts)
     for q, beside in ((2, paper), (1, None)):
         indices = [davies_bouldin(both[n][0], shapes.codes[first], q) for n in counts]
         chosen = counts[int(np.argmin(indices))]
         index = davies_bouldin(both[chosen][1], shapes.codes[second], q)
         shown = f"{name}, {variant}, q = {q}"
-        more = {**known, "table": "Table 2", "unit": "index", "q": q}
+        more = {**facts, "table": "Table 2", "unit": "index", "q": q}
         yield row(shown, index, None, beside, **more, n_components=chosen)
 
 
-def _fig_3(known: Row, kind: str, runs: Floats, grouped: Floats) -> Iterator[Row]:
-    name, variant = known["encoding"], known["variant"]
+def _fig_3(facts: Row, kind: str, runs: Floats, grouped: Floats) -> Iterator[Row]:
+    name, variant = facts["encoding"], facts["variant"]
     paper = (
-        stated.BEST.get((name, kind, variant)) if known["data"] == "simulated" else None
+        stated.BEST.get((name, kind, variant)) if facts["data"] == "simulated" else None
     )
-    alike = {**known, "table": "Fig. 3", "unit": "per cent", "classifier": kind}
-    asked = (("randomised", runs, paper, len(runs)), ("grouped", grouped, None, 1))
-    for folds, values, beside, n_runs in asked:
+    alike = {**facts, "table": "Fig. 3", "unit": "per cent", "classifier": kind}
+    protocols = (("randomised", runs, paper, len(runs)), ("grouped", grouped, None, 1))
+    for folds, values, beside, n_runs in protocols:
         shown = f"{name}, {kind}, {variant}, {folds} folds"
         yield mean_row(shown, values, beside, **alike, folds=folds, runs=n_runs)
 
@@ -231,12 +234,12 @@ def _random_folds(
     right: Right, codes: Codes, rows: Codes, counts: Counts, runs: int, seed: int
 ) -> Floats:
     """Return per cent right, shape (n_runs, 5, n_counts)."""
-    found = []
+    percents = []
     for run in range(runs):
         folds = StratifiedKFold(N_FOLDS, shuffle=True, random_state=1000 * seed + run)
         for train, test in folds.split(rows, codes[rows]):
-            found.append(right(rows[train], rows[test], counts, run))
-    return np.array(found).reshape(runs, N_FOLDS, len(counts))
+            percents.append(right(rows[train], rows[test], counts, run))
+    return np.array(percents).reshape(runs, N_FOLDS, len(counts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,8 +260,8 @@ def recording(touches: Touches) -> Recording:
     codes, objects = coded(touches, "category"), coded(touches)
     fold = np.zeros(len(codes), dtype=np.intp)
     for category in np.unique(codes):
-        mine = codes == category
-        fold[mine] = np.unique(objects[mine], return_inverse=True)[1]
+        members = codes == category
+        fold[members] = np.unique(objects[members], return_inverse=True)[1]
     return Recording(stated.variants(stated.rim_discs(touches)), codes, objects, fold)
 
 
@@ -271,15 +274,15 @@ def judge_unseen(
 
     def judged(kind: str, k: int) -> tuple[float, int]:
         """Return per cent right on fold `k`, and the count chosen without it."""
-        known, test = np.flatnonzero(seen.fold != k), np.flatnonzero(seen.fold == k)
+        others, test = np.flatnonzero(seen.fold != k), np.flatnonzero(seen.fold == k)
         # The network takes the machines' count: it would be chosen for minutes.
         chooser = "SVMs" if kind == "network" else kind
-        left_out = seen.fold[known] == (k + 1) % (seen.fold.max() + 1)
-        held = known[left_out][:: 2 * plan.thinning]
-        rest = known[~left_out][:: 4 * plan.thinning]
+        left_out = seen.fold[others] == (k + 1) % (seen.fold.max() + 1)
+        held = others[left_out][:: 2 * plan.thinning]
+        rest = others[~left_out][:: 4 * plan.thinning]
         shares = encoded.right(chooser, seen.codes, rest, held, counts, plan.seed)
         chosen = counts[int(np.argmax(shares))]
-        train = known[:: 2 * plan.thinning]
+        train = others[:: 2 * plan.thinning]
         (share,) = encoded.right(kind, seen.codes, train, test, (chosen,), plan.seed)
         return share, chosen
 
@@ -287,8 +290,8 @@ def judge_unseen(
     for kind in CLASSIFIERS:
         folds = [judged(kind, k) for k in range(plan.fold_limit)]
         right, chosen = zip(*folds, strict=True)
-        one = {"table": "unseen", "encoding": name, "variant": variant}
-        kept: Row = {**_KNOWN, **one, "classifier": kind, "n_components": list(chosen)}
+        kept: Row = {**_KNOWN, "table": "unseen", "encoding": name, "variant": variant}
+        kept |= {"classifier": kind, "n_components": list(chosen)}
         rows.append(mean_row(f"{name}, {kind}, {variant}", np.array(right), **kept))
     return rows
 
@@ -314,18 +317,18 @@ def compare_fold(
     Returns `chosen`, `inner` (per cent of inner folds) and `right`, after each number
     of touches, also of the foundation as its paper has it.
     """
-    test, known = np.flatnonzero(seen.fold == k), np.flatnonzero(seen.fold != k)
-    train, thin = known[:: plan.thinning], known[:: 2 * plan.thinning]
+    test, train_rows = np.flatnonzero(seen.fold == k), np.flatnonzero(seen.fold != k)
+    train, thin = train_rows[:: plan.thinning], train_rows[:: 2 * plan.thinning]
     inner, right = {}, {}
     for name, parts in features.items():
         posterior = partial(_log_posterior, seen, name, parts)
         right[name] = _right_after(seen, posterior(train, test), test)
         # Share right on left-out objects among the known ones, after one touch.
         shares = []
-        for held in np.unique(seen.fold[known])[: plan.fold_limit]:
-            asked = seen.fold[thin] == held
-            said = posterior(thin[~asked], thin[asked])
-            shares.append(_right_after(seen, said, thin[asked])[0])
+        for held in np.unique(seen.fold[train_rows])[: plan.fold_limit]:
+            held_out = seen.fold[thin] == held
+            log_posterior = posterior(thin[~held_out], thin[held_out])
+            shares.append(_right_after(seen, log_posterior, thin[held_out])[0])
         inner[name] = float(np.mean(shares))
     # The foundation's own classifier.
     old, new = _zernike_pca(features[FOUNDATION][0], train, test)
@@ -350,9 +353,9 @@ def compared_rows(results: list[dict[str, Any]]) -> list[Row]:
     chosen = [result["chosen"] for result in results]
     for name, right in after.items():
         for length, folds in zip(LENGTHS, right.T, strict=True):
-            known = {**_KNOWN, "table": "best", "encoding": name, "after": length}
-            known |= {"folds_right": folds.tolist(), "chosen": chosen}
-            rows.append(mean_row(f"{name}, after {length}", folds, **known))
+            facts = {**_KNOWN, "table": "best", "encoding": name, "after": length}
+            facts |= {"folds_right": folds.tolist(), "chosen": chosen}
+            rows.append(mean_row(f"{name}, after {length}", folds, **facts))
     return rows
 
 
@@ -375,8 +378,8 @@ def _log_posterior(
 def _zernike_pca(moments: Floats, train: Codes, test: Codes) -> tuple[Floats, Floats]:
     """Components that hold 95 % of the training touches' variance."""
     encoded = Encoded({0: moments}, {0: moments}, principal=True)
-    every = moments.shape[1]
-    old, new = encoded.features(train, test, (every,))[every]
+    n_moments = moments.shape[1]
+    old, new = encoded.features(train, test, (n_moments,))[n_moments]
     share = np.cumsum(old.var(axis=0)) / old.var(axis=0).sum()
     kept = int(np.searchsorted(share, 0.95)) + 1
     return old[:, :kept], new[:, :kept]
@@ -387,10 +390,10 @@ def _right_after(seen: Recording, log_posterior: Floats, test: Codes) -> list[fl
     single = 100 * (log_posterior.argmax(axis=1) == seen.codes[test]).mean()
     rng = np.random.default_rng(0)
     right = []
-    for one in np.unique(seen.objects[test]):
-        rows = np.flatnonzero(seen.objects[test] == one)
+    for number in np.unique(seen.objects[test]):
+        rows = np.flatnonzero(seen.objects[test] == number)
         for _ in range(N_ORDERS):
             drawn = rng.permutation(rows)[: LENGTHS[1]]
-            said = log_posterior[drawn].sum(axis=0).argmax()
-            right.append(said == seen.codes[test[rows[0]]])
+            answer = log_posterior[drawn].sum(axis=0).argmax()
+            right.append(answer == seen.codes[test[rows[0]]])
     return [float(single), float(100 * np.mean(right))]

@@ -1,4 +1,4 @@
-"""What the Corradi 2014 study measures: sizes, touches, and the paper's figures."""
+"""The plan of the Corradi 2014 study: sizes, touches, and the paper's figures."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -36,6 +36,7 @@ PAPER_ENCODINGS = tuple(TABLE_2)
 VARIANTS = ("image", "derivative")
 CLASSIFIERS = ("1-NN", "network", "SVMs", "naive Bayes")
 
+# Numbers of features that are tried; Zernike moments end with a whole order.
 HU = (1, 2, 3, 4, 5, 6, 7)
 MOMENTS = (3, 8, 15, 24, 35, 48, 71)
 PRINCIPAL = (2, 4, 7, 11, 16, 22, 30, 40)
@@ -64,8 +65,8 @@ CANDIDATES: dict[str, tuple[Part, ...]] = {
 Images = Singles
 
 TACTIP = Archive(Path("tactip4") / "tactip4.npz", "a real dome with pins")
-SIZE = 128
-N_GROUPS = 5
+SIZE = 128  # pixels of a disc
+N_GROUPS = 5  # parts of a recording, left out in turn
 # Two touches whose standardised discs correlate above this show the same picture.
 SAME = 0.99
 
@@ -119,31 +120,34 @@ class Corradi2014Plan(Plan):
 
     def counts(self, encoding: str) -> tuple[int, ...]:
         """Numbers of components to try, always with the largest."""
-        known = COUNTS[encoding]
-        return tuple(reversed(known[::-1][:: self.choice_step]))
+        tried = COUNTS[encoding]
+        return tuple(reversed(tried[::-1][:: self.choice_step]))
 
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
     """One set of touches, cut to standardised discs; `data` is its name in the rows.
 
-    `images` (n_touches, n, n) are those of each variant, `asked` the same as they look
-    when they test, None if no different. Of each touch, `codes` are labels, `groups`
-    recordings or blocks of one (0 to 4 in each half), and `half` is 0 where it
-    chooses, 1 where it is reported.
+    `images` (n_touches, n, n) are those of each variant, `test_images` the same as they
+    look when they test, None if no different. Of each touch, `codes` are labels,
+    `groups` recordings or blocks of one (0 to 4 in each half), and `half` is 0 where
+    it chooses, 1 where it is reported.
     """
 
     data: str
     images: dict[str, Images]
-    asked: dict[str, Images] | None
+    test_images: dict[str, Images] | None
     codes: Codes
     groups: Codes
     half: Codes
 
     def only(self, variant: str) -> "Shapes":
         """Return the same touches without the other variant's images."""
-        asked = None if self.asked is None else {variant: self.asked[variant]}
-        return replace(self, images={variant: self.images[variant]}, asked=asked)
+        test = (
+            None if self.test_images is None else {variant: self.test_images[variant]}
+        )
+        images = {variant: self.images[variant]}
+        return replace(self, images=images, test_images=test)
 
 
 def simulated_shapes(plan: Corradi2014Plan) -> Iterator[Shapes]:
@@ -187,8 +191,8 @@ def recorded_shapes(
     turned = repose(touches.images, angle, edges="nearest", interpolation="cubic")
     # Cubic interpolation overshoots beside the pins; a camera's levels do not.
     shown = np.clip(turned, touches.images.min(), touches.images.max())
-    asked = variants(_frame_discs(shown))
-    yield Shapes("tactip4, test turned", standing, asked, codes, groups, half)
+    test_images = variants(_frame_discs(shown))
+    yield Shapes("tactip4, test turned", standing, test_images, codes, groups, half)
 
 
 def variants(discs: Images) -> dict[str, Images]:

@@ -85,45 +85,45 @@ def measure(
         skipped.append(recorded)
     else:
         sets.append(stated.recorded_objects(recorded))
-    tasks = [task for objects in sets for task in episodes.known_tasks(plan, objects)]
+    tasks = [task for objects in sets for task in episodes.learnt_tasks(plan, objects)]
     if plan.later and not isinstance(recorded, str):
         tasks += episodes.later_tasks(plan, recorded)
-    done = work.done(call, [(one,) for one in tasks], "learning and recognising")
-    answered = [one for some in done for one in some]
+    done = work.done(call, [(task,) for task in tasks], "learning and recognising")
+    answered = [answer for answers in done for answer in answers]
     presets = (MAIN, DEFAULT) if plan.later else (MAIN,)
     rows, unseen = episodes.experiment_rows(answered, plan), {}
-    for one in sets:
-        found = {p: episodes.unseen_beliefs(plan, one, p) for p in presets}
-        rows += episodes.unseen_rows(found, one)
-        unseen[one.data] = {
+    for objects in sets:
+        beliefs = {p: episodes.unseen_beliefs(plan, objects, p) for p in presets}
+        rows += episodes.unseen_rows(beliefs, objects)
+        unseen[objects.data] = {
             p: {name: curve.round(4).tolist() for name, curve in curves.items()}
-            for p, curves in found.items()
+            for p, curves in beliefs.items()
         }
     if plan.later and not isinstance(recorded, str):
         beside, skipped = beside_tasks(plan, recorded, data)
-        done = work.done(call, [(one,) for one in beside], "sight beside touch")
-        rows += [row for some in done for row in some]
-    every, last = sets[-1].every or sets[0].known, sets[-1].data
-    rows += shared.on_one_thread(episodes.timing_rows, every, last, plan.timed)
-    confusion = {one.data: episodes.confusions(answered, one, plan) for one in sets}
+        done = work.done(call, [(task,) for task in beside], "sight beside touch")
+        rows += [row for beside_rows in done for row in beside_rows]
+    timed, last = sets[-1].recorded or sets[0].learnt, sets[-1].data
+    rows += shared.on_one_thread(episodes.timing_rows, timed, last, plan.timed)
+    confusion = {o.data: episodes.confusions(answered, o, plan) for o in sets}
     return {"rows": rows, "confusion": confusion, "unseen": unseen, "skipped": skipped}
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
     rows = result["rows"]
-    made = [
+    shown = [
         _curves(experiment, data, shared.held(rows, table=experiment, data=data))
         for experiment in _TITLES
         for data in shared.unique(row["data"] for row in rows)
     ]
-    made += [_mixtures(rows), _pairs(result["confusion"])]
-    made.append(_unseen(shared.held(rows, table="unseen")))
+    shown += [_mixtures(rows), _pairs(result["confusion"])]
+    shown.append(_unseen(shared.held(rows, table="unseen")))
     timed = []
     for row in shared.held(rows, table="timings"):
         what = row["name"].removesuffix(", ms")
         timed.append([what, shared.paper(row) or "-", f"{row['ours']:.3g}"])
     columns = ["what", "paper (MATLAB)", "ours"]
-    return [*made, ("Milliseconds, one thread", columns, timed)]
+    return [*shown, ("Milliseconds, one thread", columns, timed)]
 
 
 def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
@@ -135,17 +135,17 @@ def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
     ]
     names = shared.unique(row["recogniser"] for row in rows)
     for name in sorted(names, key=lambda name: _FIRST.get(name, len(_FIRST))):
-        found = [shared.pick(rows, recogniser=name, touches=k) for k in counts]
-        lines.append([name, *(shared.cell(row, 0, "±") for row in found)])
+        curve = [shared.pick(rows, recogniser=name, touches=k) for k in counts]
+        lines.append([name, *(shared.cell(row, 0, "±") for row in curve)])
     title = f"{_TITLES[experiment]}, {DATA_NAMES[data]}: right after so many touches, %"
     return title, ["recogniser", *map(str, counts)], lines if rows else []
 
 
 def _mixtures(rows: Sequence[Row]) -> Table:
-    some = [row for row in rows if "singular" in row]
+    mixtures = [row for row in rows if "singular" in row]
     lines = []
-    for data, name in shared.different(some, "data", "recogniser"):
-        (row, *_) = shared.held(some, data=data, recogniser=name)
+    for data, name in shared.different(mixtures, "data", "recogniser"):
+        (row, *_) = shared.held(mixtures, data=data, recogniser=name)
         numbers = [f"{row[key]:.0f}" for key in ("n_features", "parameters")]
         lines.append([name, DATA_NAMES[data], *numbers, f"{row['singular']:.0f}"])
     columns = ["recogniser", "data", "features", "numbers to learn", "singular, %"]
@@ -155,8 +155,8 @@ def _mixtures(rows: Sequence[Row]) -> Table:
 def _pairs(confusion: dict[str, Any]) -> Table:
     lines = [
         [DATA_NAMES[data], k, *pair["objects"], f"{pair['share']:.1f}"]
-        for data, found in confusion.items()
-        for k, pairs in found["pairs"].items()
+        for data, by_touches in confusion.items()
+        for k, pairs in by_touches["pairs"].items()
         for pair in pairs
     ]
     columns = ["data", "touches", "object", "object", "taken for each other, %"]
@@ -179,10 +179,10 @@ def _strongest(row: Row | None) -> str:
 
 def pictures(result: dict[str, Any]) -> Figures:
     rows = result["rows"]
-    known = shared.held(rows, table="ten objects")
+    ten_objects = shared.held(rows, table="ten objects")
     sides = [
-        (shared.held(known, data=data), PAPER, f"{DATA_NAMES[data]} touches")
-        for data in shared.unique(row["data"] for row in known)
+        (shared.held(ten_objects, data=data), PAPER, f"{DATA_NAMES[data]} touches")
+        for data in shared.unique(row["data"] for row in ten_objects)
     ]
     drawn = {
         "accuracy": _accuracy(sides, 4.6, legend_of=-1),
@@ -191,10 +191,10 @@ def pictures(result: dict[str, Any]) -> Figures:
     }
     category = shared.held(rows, table="category")
     if category:
-        known = shared.held(rows, table="all objects")
-        every = (known, LATER_OBJECTS, "all recorded objects")
+        all_objects = shared.held(rows, table="all objects")
+        later = (all_objects, LATER_OBJECTS, "all recorded objects")
         unseen = (category, LATER_CATEGORY, "category of objects never touched")
-        drawn["later"] = _accuracy([every, unseen], 4.2, legend_of=0)
+        drawn["later"] = _accuracy([later, unseen], 4.2, legend_of=0)
     return drawn
 
 
@@ -206,18 +206,18 @@ def _accuracy(
     figure, axes = plots.panels(1, len(sides), (4.4 * len(sides), height))
     for place, (rows, figures, title) in zip(axes[0], sides, strict=True):
         for name, (colour, line, width) in _STYLES.items():
-            found = shared.held(rows, recogniser=name)
-            if not found:
+            curve = shared.held(rows, recogniser=name)
+            if not curve:
                 continue
-            touches = [row["touches"] for row in found]
-            mean = np.array([row["ours"] for row in found])
+            touches = [row["touches"] for row in curve]
+            mean = np.array([row["ours"] for row in curve])
             place.plot(touches, mean, line, color=colour, lw=width, label=name)
             if name in _FIRST:
-                sd = np.array([row["sd"] or 0.0 for row in found])
+                sd = np.array([row["sd"] or 0.0 for row in curve])
                 low, high = np.clip(mean - sd, 0, 100), np.clip(mean + sd, 0, 100)
                 place.fill_between(touches, low, high, color=colour, alpha=0.12, lw=0)
-        known = zip(*figures.items(), strict=True)
-        place.plot(*known, "D", mec=plots.INK, mfc="none", ms=7, label="published")
+        published = zip(*figures.items(), strict=True)
+        place.plot(*published, "D", mec=plots.INK, mfc="none", ms=7, label="published")
         most = max((row["touches"] for row in rows), default=1)
         ticks = [1, *range(5, most + 1, 5)]
         place.set(xlabel="touches", ylim=(0, 101), xticks=ticks)
@@ -230,12 +230,12 @@ def _accuracy(
 
 
 def _confusion(confusion: dict[str, Any]) -> Any:
-    n_columns = max(len(found["after"]) for found in confusion.values())
+    n_columns = max(len(matrices["after"]) for matrices in confusion.values())
     size = (4.5 * n_columns, 4.2 * len(confusion))
     figure, axes = plots.panels(len(confusion), n_columns, size)
-    for line, (data, found) in zip(axes, confusion.items(), strict=True):
-        names = [name.replace("_", " ") for name in found["names"]]
-        for place, (k, matrix) in zip(line, found["after"].items(), strict=True):
+    for line, (data, matrices) in zip(axes, confusion.items(), strict=True):
+        names = [name.replace("_", " ") for name in matrices["names"]]
+        for place, (k, matrix) in zip(line, matrices["after"].items(), strict=True):
             plots.draw_confusion(place, np.array(matrix), names, 7)
             place.spines[["top", "right"]].set_visible(True)
             place.set_title(f"{DATA_NAMES[data]}, after {k} touches", fontsize=9)
@@ -243,11 +243,11 @@ def _confusion(confusion: dict[str, Any]) -> Any:
 
 
 def _beliefs(result: dict[str, Any]) -> Any:
-    found = {data: one[MAIN] for data, one in result["unseen"].items()}
-    n_columns = max(len(curves) for curves in found.values())
-    size = (2.5 * n_columns, 2.7 * len(found))
-    figure, axes = plots.panels(len(found), n_columns, size)
-    for line, (data, curves) in zip(axes, found.items(), strict=True):
+    beliefs_of = {data: by_preset[MAIN] for data, by_preset in result["unseen"].items()}
+    n_columns = max(len(curves) for curves in beliefs_of.values())
+    size = (2.5 * n_columns, 2.7 * len(beliefs_of))
+    figure, axes = plots.panels(len(beliefs_of), n_columns, size)
+    for line, (data, curves) in zip(axes, beliefs_of.items(), strict=True):
         names = result["confusion"][data]["names"]
         for place, (thing, curve) in zip(line, curves.items(), strict=False):
             # The three strongest beliefs by name, the others thin.

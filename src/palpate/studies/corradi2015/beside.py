@@ -57,7 +57,7 @@ def read_photographs(path: str | Path) -> Photographs:
 
 
 def sight(
-    touches: Touches, photographs: Photographs, asked: Plan
+    touches: Touches, photographs: Photographs, protocol: Plan
 ) -> dict[str, dict[int, Floats]]:
     """Recognise by touch, by one photograph and by both: `right[sense][k]`, by object.
 
@@ -68,10 +68,10 @@ def sight(
     both = touches[np.isin(labels(touches), photographs.object)]
     shown = np.isin(photographs.object, labels(both))
     seen = Photographs(photographs.words[shown], photographs.object[shown])
-    rng = np.random.default_rng(asked.seed)
+    rng = np.random.default_rng(protocol.seed)
     right: dict[str, dict[int, list[float]]] = {sense: {} for sense in SENSES}
-    for fold in split_touches(both, SPLIT_FOR[asked.label]):
-        for sense, k, hits in _fused(fold, seen, asked, rng):
+    for fold in split_touches(both, SPLIT_FOR[protocol.label]):
+        for sense, k, hits in _fused(fold, seen, protocol, rng):
             right[sense].setdefault(k, []).append(float(np.mean(hits)))
     return {
         sense: {k: np.array(shares) for k, shares in curve.items()}
@@ -79,16 +79,18 @@ def sight(
     }
 
 
-def moved(touches: Touches, asked: Plan) -> dict[str, dict[str, Any]]:
+def moved(touches: Touches, protocol: Plan) -> dict[str, dict[str, Any]]:
     """Learn all objects, and the moved ones on one side of their move alone.
 
     The rim's column only says when the camera moved. Returns, for each of `WAYS`, what
     `evaluate` says of the moved objects' touches on the other side.
     """
     early = before_the_move(touches)
-    mine = np.isin(labels(touches), MOVED)
+    jumped = np.isin(labels(touches), MOVED)
     return {
-        way: evaluate(touches[~mine | side], touches[mine & ~side], plan=asked)[0]
+        way: evaluate(touches[~jumped | side], touches[jumped & ~side], plan=protocol)[
+            0
+        ]
         for way, side in zip(WAYS, (early, ~early), strict=True)
     }
 
@@ -119,10 +121,10 @@ def jump_of(centres: NDArray[Any]) -> int:
     """Return where centres break into two levels, nearest to their medians."""
     n = len(centres)
     at = range(n // 8, n - n // 8)
-    return at[int(np.argmin([_apart(centres[:k]) + _apart(centres[k:]) for k in at]))]
+    return at[int(np.argmin([_spread(centres[:k]) + _spread(centres[k:]) for k in at]))]
 
 
-def _apart(centres: NDArray[Any]) -> float:
+def _spread(centres: NDArray[Any]) -> float:
     return float(np.linalg.norm(centres - np.median(centres, axis=0), axis=1).sum())
 
 
@@ -157,73 +159,73 @@ def sight_rows(
 ) -> list[Row]:
     """Return rows of touch, a photograph and both, beside the first author's."""
     rows = []
-    for sense, curve in sight(touches, photographs, _asked(plan, label)).items():
+    for sense, curve in sight(touches, photographs, _protocol(plan, label)).items():
         for k, shares in curve.items():
-            known = {"recogniser": sense, "touches": k, "objects": len(shares)}
+            facts = {"recogniser": sense, "touches": k, "objects": len(shares)}
             paper = LATER_SIGHT[label, sense].get(k)
             mean, sd = shares.mean(), spread(shares)
-            rows.append(_row(SIGHT[label], known, paper, mean, sd))
+            rows.append(_row(SIGHT[label], facts, paper, mean, sd))
     return rows
 
 
 def moved_rows(plan: Corradi2015Plan, touches: Touches) -> list[Row]:
     """Return rows of `default`, and of the controls, on the move's other side."""
     rows = []
-    for way, figures in moved(touches, _asked(plan)).items():
+    for way, figures in moved(touches, _protocol(plan)).items():
         curves = {DEFAULT: figures["accuracy"], **figures["controls"]}
         for name, curve in curves.items():
             for k, share in (curve or {}).items():
                 n_objects = figures["n_objects"][k]
-                known = {"recogniser": name, "touches": int(k), "objects": n_objects}
+                facts = {"recogniser": name, "touches": int(k), "objects": n_objects}
                 sd = figures["accuracy_sd"][k] if name == DEFAULT else None
-                rows.append(_row(MOVES[way], known, None, share, sd))
+                rows.append(_row(MOVES[way], facts, None, share, sd))
     return rows
 
 
-def _asked(plan: Corradi2015Plan, label: Label = "object") -> Plan:
+def _protocol(plan: Corradi2015Plan, label: Label = "object") -> Plan:
     return Plan(label=label, touches=plan.touches, orders=plan.orders, seed=plan.seed)
 
 
 def _row(
-    table: str, known: Row, paper: float | None, share: float, sd: float | None
+    table: str, kept: Row, paper: float | None, share: float, sd: float | None
 ) -> Row:
     """Return a row in per cent; the deviation is that of objects."""
-    shown = after_touches(table, known["recogniser"], known["touches"])
+    shown = after_touches(table, kept["recogniser"], kept["touches"])
     deviation = None if sd is None else float(100 * sd)
-    facts = {"data": "bathtip", "table": table, **known}
+    facts = {"data": "bathtip", "table": table, **kept}
     return row(shown, 100 * share, deviation, paper, **facts)
 
 
 def _fused(
-    fold: Fold, seen: Photographs, asked: Plan, rng: np.random.Generator
+    fold: Fold, seen: Photographs, protocol: Plan, rng: np.random.Generator
 ) -> Iterator[tuple[str, int, list[bool]]]:
     """Yield sense, number of touches and what was right, object by object."""
     kinds = {
         name: kind
         for part in (fold.train, fold.test)
-        for name, kind in zip(labels(part), labels(part, asked.label), strict=True)
+        for name, kind in zip(labels(part), labels(part, protocol.label), strict=True)
     }
     kind_of = np.array([kinds[name] for name in seen.object])
     # Objects: half of the photographs; categories: those of the known objects.
     learnt = np.isin(seen.object, labels(fold.train))
-    if asked.label == "object":
+    if protocol.label == "object":
         learnt = np.arange(len(kind_of)) % 2 == 0
-    recogniser = ObjectRecogniser(label=asked.label).fit(fold.train)
+    recogniser = ObjectRecogniser(label=protocol.label).fit(fold.train)
     recogniser.learn_modality("sight", seen.words[learnt], kind_of[learnt])
     rows = recogniser.log_likelihood(fold.test)
     for name in np.unique(labels(fold.test)):
-        mine = np.flatnonzero(fold.test.object == name)
+        members = np.flatnonzero(fold.test.object == name)
         pool = np.flatnonzero((seen.object == name) & ~learnt)
         hits: dict[tuple[str, int], list[bool]] = {}
-        for _ in range(asked.orders):
-            order, photograph = rng.permutation(mine), seen.words[rng.choice(pool)]
+        for _ in range(protocol.orders):
+            order, photograph = rng.permutation(members), seen.words[rng.choice(pool)]
             alone = recogniser.start().update_sense("sight", photograph).best
             hits.setdefault(("sight", 0), []).append(alone == kinds[name])
-            for k in (k for k in asked.touches if k <= len(mine)):
+            for k in (k for k in protocol.touches if k <= len(members)):
                 belief = recogniser.start()
                 belief.update_from_log_likelihood(rows[order[:k]])
                 hits.setdefault(("touch", k), []).append(belief.best == kinds[name])
                 both = belief.update_sense("sight", photograph).best
                 hits.setdefault(("both", k), []).append(both == kinds[name])
-        for (sense, k), found in hits.items():
-            yield sense, k, found
+        for (sense, k), rights in hits.items():
+            yield sense, k, rights

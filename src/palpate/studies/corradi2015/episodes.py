@@ -31,7 +31,8 @@ IDLE = {name: f"idle, {name}" for name in (MAIN, DEFAULT)}
 _CONTROLS: dict[str, Recogniser] = {
     name: known_by.Nuisance(name) for name in ("disc centre", "brightness")
 }
-LATER_TOUCHES = 20
+LATER_TOUCHES = 20  # the most that the paper asks for
+# Touches after which the confusion, and the belief about a stranger, are shown.
 CONFUSED_AFTER = (5, 15)
 UNSEEN_AFTER = (1, 5, 10, 30)
 _FIGURES: dict[tuple[str, str], dict[int, float]] = {
@@ -76,46 +77,47 @@ class Compared:
 
     def __call__(self) -> list[Answered]:
         alone = only_idle(self.partition, self.encoded.idle)
-        found = []
-        for name, one in self.compared.items():
-            found.append(self._answered(name, self.partition, one))
+        answers = []
+        for name, recogniser in self.compared.items():
+            answers.append(self._answered(name, self.partition, recogniser))
             if name == MAIN and alone is not None:
-                found.append(self._answered(IDLE[MAIN], alone, one))
+                answers.append(self._answered(IDLE[MAIN], alone, recogniser))
         if self.label is not None:
             recogniser = ObjectRecogniser(DEFAULT, label=self.label)
             recogniser.fit(self.touches[self.partition.train])
             for name, part in {DEFAULT: self.partition, IDLE[DEFAULT]: alone}.items():
                 if part is not None:
-                    found.append(self._answered(name, part, recogniser))
-        return found
+                    answers.append(self._answered(name, part, recogniser))
+        return answers
 
     def _answered(
-        self, name: str, partition: Partition, one: Recogniser | ObjectRecogniser
+        self, name: str, partition: Partition, recogniser: Recogniser | ObjectRecogniser
     ) -> Answered:
         facts: dict[str, float] = {}
-        if isinstance(one, ObjectRecogniser):
-            scores = preset_beliefs(one, self.touches, partition.episodes)
+        if isinstance(recogniser, ObjectRecogniser):
+            scores = preset_beliefs(recogniser, self.touches, partition.episodes)
         else:
-            values = self.encoded.features[one.features]
+            values = self.encoded.features[recogniser.features]
             train = values[partition.train], self.encoded.codes[partition.train]
-            scores = one.scores(*train, values[partition.episodes])
-            facts = one.facts(*train) if isinstance(one, Mixtures) else facts
+            scores = recogniser.scores(*train, values[partition.episodes])
+            if isinstance(recogniser, Mixtures):
+                facts = recogniser.facts(*train)
         answers: Codes = scores.argmax(axis=-1)
-        known = (self.experiment, self.data, name)
-        return Answered(*known, answers, partition.truth, facts)
+        origin = (self.experiment, self.data, name)
+        return Answered(*origin, answers, partition.truth, facts)
 
 
-def known_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
+def learnt_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
     """Recognise the ten objects in every partition."""
-    encoded = Encoder(objects.known)(objects.known)
-    made = partial(Compared, "ten objects", objects.data, objects.known, encoded)
+    encoded = Encoder(objects.learnt)(objects.learnt)
+    compared = partial(Compared, "ten objects", objects.data, objects.learnt, encoded)
     sizes = (plan.n_train, plan.n_test, plan.few_train)
     for number in range(plan.partitions):
         partition = draw_partition(encoded.codes, *sizes, (plan.seed, 0, number))
-        yield made(partition, recognisers(plan))
+        yield compared(partition, recognisers(plan))
         if number < plan.default_partitions:
-            yield made(partition, _CONTROLS)
-            yield made(partition, {}, "object")
+            yield compared(partition, _CONTROLS)
+            yield compared(partition, {}, "object")
 
 
 def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
@@ -127,16 +129,16 @@ def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
         for number in range(plan.later_partitions)
     ]
     by_category, folds = category_folds(plan, touches, encoded)
-    asked: list[tuple[str, Label, Any, Any]]
-    asked = [("all objects", "object", encoded, one) for one in partitions]
-    asked += [("category", "category", by_category, fold) for fold in folds]
-    for experiment, label, features, partition in asked:
-        made = partial(Compared, experiment, "bathtip", touches, features, partition)
-        yield made({MAIN: Densities()})
+    comparisons: list[tuple[str, Label, Any, Any]]
+    comparisons = [("all objects", "object", encoded, p) for p in partitions]
+    comparisons += [("category", "category", by_category, fold) for fold in folds]
+    for experiment, label, features, partition in comparisons:
+        part = partial(Compared, experiment, "bathtip", touches, features, partition)
+        yield part({MAIN: Densities()})
         first = experiment == "category" or partition is partitions[0]
         if first and plan.default_partitions:
-            yield made(_CONTROLS)
-            yield made({}, label)
+            yield part(_CONTROLS)
+            yield part({}, label)
 
 
 def recognisers(plan: Corradi2015Plan) -> dict[str, Recogniser]:
@@ -160,8 +162,8 @@ def category_folds(
     category_of = of_touch[np.unique(encoded.codes, return_index=True)[1]]
     members = [np.flatnonzero(category_of == c) for c in range(len(categories))]
     folds = []
-    for fold in range(min(len(some) for some in members)):
-        left_out = [some[fold] for some in members]
+    for fold in range(min(len(numbers) for numbers in members)):
+        left_out = [numbers[fold] for numbers in members]
         rows = np.flatnonzero(np.isin(encoded.codes, left_out))
         codes = np.unique(encoded.codes[rows], return_inverse=True)[1]
         seed = (plan.seed, 2, fold)
@@ -176,7 +178,7 @@ def unseen_beliefs(
     plan: Corradi2015Plan, objects: Objects, preset: PresetName
 ) -> dict[str, Floats]:
     """Return the mean posterior (n_touches, n_known) for each object never learnt."""
-    recogniser = ObjectRecogniser(preset, random_state=plan.seed).fit(objects.known)
+    recogniser = ObjectRecogniser(preset, random_state=plan.seed).fit(objects.learnt)
     codes = coded(objects.unseen)
     longest = min(plan.n_test, int(np.bincount(codes).min()))
     episodes, which = draw_orders(codes, longest, plan.orders, (plan.seed, 3))
@@ -208,13 +210,13 @@ def draw_orders(
 ) -> tuple[Codes, Codes]:
     """Draw orders of the touches of every object: rows of episodes, their codes."""
     rng = np.random.default_rng(seed)
-    known = range(codes.max() + 1)
+    labels_drawn = range(codes.max() + 1)
     episodes = [
         rng.permutation(np.flatnonzero(codes == code))[:n_touches]
-        for code in known
+        for code in labels_drawn
         for _ in range(n_orders)
     ]
-    return np.stack(episodes), np.repeat(np.arange(len(known)), n_orders)
+    return np.stack(episodes), np.repeat(np.arange(len(labels_drawn)), n_orders)
 
 
 def only_idle(partition: Partition, idle: Bools | None) -> Partition | None:
@@ -233,7 +235,7 @@ def preset_beliefs(
     """Return the posterior after each touch, (n_episodes, n_touches, n_labels)."""
     rows, places = np.unique(episodes, return_inverse=True)
     log_likelihood = recogniser.log_likelihood(touches[rows])
-    found = []
+    posteriors = []
     for episode in places.reshape(episodes.shape):
         belief = recogniser.start(strangers=0)
         after = []
@@ -241,31 +243,31 @@ def preset_beliefs(
             belief.update_from_log_likelihood(log_likelihood[touch])
             posterior = belief.posterior
             after.append([posterior[name] for name in recogniser.classes_.tolist()])
-        found.append(after)
-    return np.array(found)
+        posteriors.append(after)
+    return np.array(posteriors)
 
 
 def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list[Row]:
     """Return the rows of every experiment, data, recogniser and number of touches."""
     together: dict[tuple[str, str, str], list[Answered]] = {}
-    for one in answered:
-        together.setdefault(one[:3], []).append(one)
+    for answer in answered:
+        together.setdefault(answer[:3], []).append(answer)
     rows = []
-    for (experiment, data, name), some in together.items():
-        known = {"data": data, "table": experiment, "recogniser": name}
-        names = some[0].facts
-        facts = {n: float(np.mean([one.facts[n] for one in some])) for n in names}
+    for (experiment, data, name), answers in together.items():
+        origin = {"data": data, "table": experiment, "recogniser": name}
+        names = answers[0].facts
+        facts = {n: float(np.mean([a.facts[n] for a in answers])) for n in names}
         if name in IDLE.values():
             # Of all touches without contact, however they fell.
-            right = np.concatenate([one.answers[:, 0] == one.truth for one in some])
+            right = np.concatenate([a.answers[:, 0] == a.truth for a in answers])
             curve = np.array([[right.mean()]])
         else:
-            curve = accuracy(some)
+            curve = accuracy(answers)
         for k in plan.touches:
             if k <= curve.shape[1]:
                 paper = _FIGURES.get((experiment, name), {}).get(k)
                 shown = after_touches(experiment, name, k)
-                sizes = {**known, "touches": k, "partitions": len(some), **facts}
+                sizes = {**origin, "touches": k, "partitions": len(answers), **facts}
                 rows.append(mean_row(shown, 100 * curve[:, k - 1], paper, **sizes))
     return rows
 
@@ -277,15 +279,15 @@ def after_touches(table: str, recogniser: str, k: int) -> str:
 def accuracy(answered: Iterable[Answered]) -> Floats:
     """Return the share right, (n_partitions, n_touches)."""
     return np.array(
-        [(one.answers == one.truth[:, np.newaxis]).mean(axis=0) for one in answered]
+        [(a.answers == a.truth[:, np.newaxis]).mean(axis=0) for a in answered]
     )
 
 
 def confusion(answered: Iterable[Answered], k: int, n_labels: int) -> Floats:
     """Return the share of each answer (columns) after k touches per label."""
     counts = np.zeros((n_labels, n_labels))
-    for one in answered:
-        np.add.at(counts, (one.truth, one.answers[:, k - 1]), 1)
+    for answer in answered:
+        np.add.at(counts, (answer.truth, answer.answers[:, k - 1]), 1)
     return np.asarray(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1))
 
 
@@ -293,10 +295,10 @@ def confusions(
     answered: Iterable[Answered], objects: Objects, plan: Corradi2015Plan
 ) -> dict[str, Any]:
     """Return shares of answers (columns) per object (rows), and the worst pairs."""
-    mine = [a for a in answered if a[:3] == ("ten objects", objects.data, MAIN)]
-    names = np.unique(labels(objects.known)).tolist()
+    of_main = [a for a in answered if a[:3] == ("ten objects", objects.data, MAIN)]
+    names = np.unique(labels(objects.learnt)).tolist()
     after = sorted({min(k, plan.n_test) for k in CONFUSED_AFTER})
-    matrices = {str(k): confusion(mine, k, len(names)) for k in after}
+    matrices = {str(k): confusion(of_main, k, len(names)) for k in after}
     return {
         "names": names,
         "after": {k: matrix.round(4).tolist() for k, matrix in matrices.items()},
@@ -319,16 +321,16 @@ def unseen_rows(
     beliefs: Mapping[PresetName, dict[str, Floats]], objects: Objects
 ) -> list[Row]:
     """Return which known object each unseen one is taken for, after some touches."""
-    known = np.unique(labels(objects.known)).tolist()
-    every = [(p, *one) for p, curves in beliefs.items() for one in curves.items()]
+    names = np.unique(labels(objects.learnt)).tolist()
+    curve_of = [(p, n, c) for p, curves in beliefs.items() for n, c in curves.items()]
     rows = []
-    for (preset, name, curve), k in product(every, UNSEEN_AFTER):
+    for (preset, name, curve), k in product(curve_of, UNSEEN_AFTER):
         if k > len(curve):
             continue
         belief = curve[k - 1]
         order = np.argsort(-belief, kind="stable")[:3].tolist()
-        share = {known[i]: float(100 * belief[i]) for i in order}
-        best = known[order[0]]
+        share = {names[i]: float(100 * belief[i]) for i in order}
+        best = names[order[0]]
         shown = after_touches(f"{name} taken for {best}", preset, k)
         facts: Row = {"data": objects.data, "table": "unseen", "recogniser": preset}
         facts |= {"unseen": name, "touches": k, "beliefs": share}
@@ -338,8 +340,8 @@ def unseen_rows(
 
 def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
     """Return CPU milliseconds, medians, one touch at a time."""
-    some = touches[: min(len(touches), max(sizes))]
-    encoder, images = Encoder(some, bags=False), some.images
+    timed = touches[: min(len(touches), max(sizes))]
+    encoder, images = Encoder(timed, bags=False), timed.images
     discs = encoder.crop.transform(images)
     moments = encoder.moments.fit(discs)
     values = moments.transform(discs)
@@ -350,7 +352,7 @@ def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
     def alone(i: int) -> object:
         return moments.transform(discs[i : i + 1])
 
-    disc, frame = (" x ".join(map(str, one.shape[1:])) for one in (discs, images))
+    disc, frame = (" x ".join(map(str, array.shape[1:])) for array in (discs, images))
     rows = [
         _timed(f"Zernike moments of a disc, {disc}", PAPER_MS["encode", 0], alone),
         _timed(f"rim, disc and moments of an image, {frame}", None, whole),

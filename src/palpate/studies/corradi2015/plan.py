@@ -1,4 +1,4 @@
-"""What the Corradi 2015 study measures: sizes, touches, and the paper's figures.
+"""The plan of the Corradi 2015 study: sizes, touches, and the paper's figures.
 
 Each feature is computed once for all partitions. What it learns from touches (principal
 components, clusters) is learnt later, from the training touches of each partition. Only
@@ -23,7 +23,7 @@ from ...simulation import HOUSEHOLD, UNSEEN, simulate_touches
 from ...touches import Touches
 from .._study import Codes, Plan, labels
 
-N_KNOWN = 10
+N_KNOWN = 10  # as in the paper
 # Share right in per cent after so many touches, as the text of the paper gives it.
 PAPER: dict[int, float] = {15: 87.0, 30: 95.0}
 PAPER_CLUSTERS: dict[int, float] = {30: 70.0}
@@ -104,12 +104,12 @@ class Corradi2015Plan(Plan):
 
 @dataclass(frozen=True)
 class Objects:
-    """Touches to learn, others never learnt, and `every` recorded object if any."""
+    """Touches to learn, others never learnt, and of all `recorded` objects if any."""
 
     data: str
-    known: Touches
+    learnt: Touches
     unseen: Touches
-    every: Touches | None = None
+    recorded: Touches | None = None
 
 
 def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
@@ -121,17 +121,17 @@ def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
         random_state=plan.seed,
         n_jobs=workers,
     )
-    known = np.isin(labels(touches), [thing.name for thing in HOUSEHOLD])
-    return Objects("simulated", touches[known], touches[~known])
+    is_learnt = np.isin(labels(touches), [thing.name for thing in HOUSEHOLD])
+    return Objects("simulated", touches[is_learnt], touches[~is_learnt])
 
 
 def recorded_objects(touches: Touches) -> Objects:
     """Take the first object of each category, and the second of five, by name."""
     objects, category = labels(touches), labels(touches, "category")
     names = {kind: np.unique(objects[category == kind]) for kind in np.unique(category)}
-    known = [members[0] for members in names.values()]
+    first = [members[0] for members in names.values()]
     unseen = [names[kind][1] for kind in UNSEEN_CATEGORIES]
-    chosen = [np.isin(objects, some) for some in (known, unseen)]
+    chosen = [np.isin(objects, members) for members in (first, unseen)]
     return Objects("bathtip", touches[chosen[0]], touches[chosen[1]], touches)
 
 
@@ -156,8 +156,8 @@ class Encoder:
         self.moments: Any = clone(encoder.encodings["Zernike-PCA"][0])
         # Without a frame of no contact, the median disc.
         if touches.no_contact is None:
-            some = self.crop.transform(touches.images)
-            discs = standardise_discs(np.median(some, axis=0)[np.newaxis])
+            shown = self.crop.transform(touches.images)
+            discs = standardise_discs(np.median(shown, axis=0)[np.newaxis])
         else:
             frame = np.asarray(touches.no_contact)[np.newaxis]
             discs = self._discs(frame, self.crop.rims(frame))
@@ -189,8 +189,8 @@ def polar_fourier(discs: Singles) -> Floats:
     col = (half + radius[:, None] * np.cos(angle)).astype(np.float32)
     row = (half + radius[:, None] * np.sin(angle)).astype(np.float32)
     rings = np.stack([cv2.remap(d, col, row, cv2.INTER_LINEAR) for d in discs])
-    found = np.abs(np.fft.rfft(rings, axis=2))[:, :, :N_FREQUENCIES] / N_ANGLES
-    return np.asarray(found.reshape(len(discs), -1), dtype=np.float64)
+    magnitudes = np.abs(np.fft.rfft(rings, axis=2))[:, :, :N_FREQUENCIES] / N_ANGLES
+    return np.asarray(magnitudes.reshape(len(discs), -1), dtype=np.float64)
 
 
 def moment_normalised(pressed: Singles) -> Floats:

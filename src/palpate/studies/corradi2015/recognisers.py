@@ -46,7 +46,7 @@ class Densities:
 
 @dataclass(frozen=True)
 class _Clustered:
-    """What counts touches in so many k-means clusters as recognise best."""
+    """Base of recognisers that count touches in the best number of k-means clusters."""
 
     clusters: Sequence[int]
     seed: int = 0
@@ -102,28 +102,28 @@ class Mixtures:
 
     def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
         principal = principal_components(train)
-        known = principal.transform(train)
-        lift = 1e-3 * float(known.var(axis=0).mean())
+        values = principal.transform(train)
+        lift = 1e-3 * float(values.var(axis=0).mean())
         flat = principal.transform(_flat(episodes))
-        found = []
+        log_likelihoods = []
         for code in range(codes.max() + 1):
-            mixture = _mixture(known[codes == code], self.components, lift, self.seed)
-            found.append(mixture.score_samples(flat))
-        return _added_up(np.stack(found, axis=1), episodes, 0.0)
+            mixture = _mixture(values[codes == code], self.components, lift, self.seed)
+            log_likelihoods.append(mixture.score_samples(flat))
+        return _added_up(np.stack(log_likelihoods, axis=1), episodes, 0.0)
 
     def facts(self, train: Floats, codes: Codes) -> dict[str, float]:
         """Return numbers of features and parameters, and per cent singular unlifted."""
-        known = principal_components(train).transform(train)
+        values = principal_components(train).transform(train)
         singular = []
         for code in range(codes.max() + 1):
             try:
-                model = _mixture(known[codes == code], self.components, 0.0, self.seed)
+                model = _mixture(values[codes == code], self.components, 0.0, self.seed)
                 spectra = np.linalg.eigvalsh(model.covariances_)
                 flat = spectra[:, 0] <= _SINGULAR * spectra[:, -1]
                 singular.append(bool(flat.any()))
             except ValueError:
                 singular.append(True)
-        n = known.shape[1]
+        n = values.shape[1]
         each = n + n * (n + 1) // 2
         return {
             "n_features": n,
@@ -158,8 +158,8 @@ class Nuisance:
     features: str
 
     def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
-        said = control_log_likelihood(train, codes, None, _flat(episodes))
-        return _added_up(said, episodes, 0.01)
+        log_likelihood = control_log_likelihood(train, codes, None, _flat(episodes))
+        return _added_up(log_likelihood, episodes, 0.01)
 
 
 Recogniser = Densities | ClusterBayes | Mixtures | BagOfTouches | Nuisance

@@ -70,27 +70,27 @@ def _methods(title: str, rows: Sequence[Row]) -> Table:
     columns = shared.different(rows, "data", "protocol")
     lines = []
     for name, scaling in shared.different(rows, "name", "features"):
-        mine = shared.held(rows, name=name, features=scaling)
+        of_method = shared.held(rows, name=name, features=scaling)
         # Where nothing is chosen there is one row, which stands for both protocols.
         shown = [
-            shared.pick(mine, data=data, protocol=protocol)
-            or shared.pick(mine, data=data)
+            shared.pick(of_method, data=data, protocol=protocol)
+            or shared.pick(of_method, data=data)
             for data, protocol in columns
         ]
         lines.append(
-            [name, scaling, shared.paper(mine[0]) or "-", *map(shared.cell, shown)]
+            [name, scaling, shared.paper(of_method[0]) or "-", *map(shared.cell, shown)]
         )
     heads = [f"{DATA_NAMES[data]}, {protocol}" for data, protocol in columns]
     return title, ["method", "features", "paper", *heads], lines
 
 
 def _class_sets(rows: Sequence[Row]) -> Table:
-    some = [r for r in rows if r["table"].startswith("Fig") and "condition" not in r]
-    most = max((row["n"] for row in some if row.get("n")), default=0)
+    figs = [r for r in rows if r["table"].startswith("Fig") and "condition" not in r]
+    most = max((row["n"] for row in figs if row.get("n")), default=0)
     encodings = ("FD", "GE", "FD+GE", "sorted pixels", "raw pixels")
     columns = [{"encoding": e, "n": most if "FD" in e else None} for e in encodings]
     keys = ["data", "classes", "features"]
-    lines = shared.pivot(some, keys, columns, _beside_paper, DATA_NAMES)
+    lines = shared.pivot(figs, keys, columns, _beside_paper, DATA_NAMES)
     title = f"Figs 12-14: 3-NN, n = {most} (paper in brackets)"
     return title, [*keys, *encodings], lines
 
@@ -101,11 +101,11 @@ def _beside_paper(row: Row | None) -> str:
 
 
 def _counts(rows: Sequence[Row]) -> Table:
-    some = [row for row in rows if row["table"] in ("Fig. 12", "Fig. 14")]
-    counts = shared.unique(row["n"] for row in some)
+    of_counts = [row for row in rows if row["table"] in ("Fig. 12", "Fig. 14")]
+    counts = shared.unique(row["n"] for row in of_counts)
     keys = ["data", "classes", "encoding", "features"]
     mean = partial(shared.cell, between="")
-    lines = shared.pivot(some, keys, [{"n": n} for n in counts], mean, DATA_NAMES)
+    lines = shared.pivot(of_counts, keys, [{"n": n} for n in counts], mean, DATA_NAMES)
     heads = [*keys, *(f"n = {n}" for n in counts)]
     return "Figs 12 and 14: 3-NN against the number of descriptors", heads, lines
 
@@ -113,10 +113,10 @@ def _counts(rows: Sequence[Row]) -> Table:
 def _conditions(
     title: str, head: str, key: str, rows: Sequence[Row], table: str
 ) -> Table:
-    some = shared.held(rows, table=table)
+    of_table = shared.held(rows, table=table)
     lines = []
-    for value in shared.unique(row[key] for row in some):
-        here = shared.held(some, **{key: value})
+    for value in shared.unique(row[key] for row in of_table):
+        here = shared.held(of_table, **{key: value})
         cells = [
             shared.cell(shared.pick(here, encoding=encoding, features=scaling))
             for encoding, scaling, *_ in CURVES

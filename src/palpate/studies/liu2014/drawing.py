@@ -1,4 +1,4 @@
-"""What the figures of Liu et al. (2014) show, of simulated presses and of our rows."""
+"""The figures of Liu et al. (2014), drawn of simulated presses and of our rows."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ from .. import _study as shared
 from .._study import Row, labels
 from .plan import CLASS_SETS, PAPER_LOAD_KGF, Liu2014Plan, simulated_presses
 
-STAGES_SHOWN, WAVES_KEPT = 3, 3
+STAGES_SHOWN, WAVES_KEPT = 3, 3  # what a picture has room for
 LEVELS, LINE = "cividis", plots.COLOURS[1]
 # Encoding, scaling, name, colour and line of the curves over load and cover.
 CURVES = (
@@ -43,7 +43,7 @@ def load_and_cover(plan: Liu2014Plan) -> Any:
         side, bar = sides[number // 2], number % 2
         line[0].set_ylabel(("bar10", "bar35")[bar], fontsize=9)
         touches = [simulated_presses(bars, *how) for how in side.values()]
-        presses = [one.images[[bar * plan.n_presses]] for one in touches]
+        presses = [pressed.images[[bar * plan.n_presses]] for pressed in touches]
         look = {"cmap": LEVELS, "vmin": 0, "vmax": max(map(np.max, presses))}
         for place, title, press in zip(line, side, presses, strict=False):
             place.imshow(press[0], extent=(0, 1, 1, 0), **look)
@@ -104,20 +104,20 @@ def boundaries(touches: Touches) -> Any:
 
 def class_sets(rows: Sequence[Row]) -> Any:
     """Draw Figs 12 to 14 of rows of simulated presses, the paper's figures hollow."""
-    known = shared.held(rows, data="simulated")
-    scalings = shared.unique(row["features"] for row in known)
+    simulated = shared.held(rows, data="simulated")
+    scalings = shared.unique(row["features"] for row in simulated)
     figure, axes = plots.panels(3, len(scalings), (4.9, 7.2), sharey=True)
     for line, (table, what) in zip(axes, _FEATURES.items(), strict=True):
         for place, scaling in zip(line, scalings, strict=True):
             place.set_title(f"{table}: {what}, {scaling}", fontsize=9)
             place.set(ylim=(0, 104), xlabel="descriptors")
-            some = shared.held(known, table=table, features=scaling)
+            of_table = shared.held(simulated, table=table, features=scaling)
             for at, name in enumerate(CLASS_SETS):
-                mine = shared.held(some, classes=name)
-                found = [{**row, "n": row["n"] or at} for row in mine]
+                of_class_set = shared.held(of_table, classes=name)
+                at_counts = [{**row, "n": row["n"] or at} for row in of_class_set]
                 look = {"color": plots.COLOURS[at], "marker": _MARKS[at], "lw": 1.3}
-                _curve(place, found, "n", label=name, **look)
-                beside = [(r["n"], r["paper"]) for r in found if r["paper"]]
+                _curve(place, at_counts, "n", label=name, **look)
+                beside = [(r["n"], r["paper"]) for r in at_counts if r["paper"]]
                 place.plot(*zip(*beside, strict=True), mfc="none", ms=9, ls="", **look)
         line[0].set_ylabel("3-NN right, %")
     for place in axes[1]:
@@ -133,11 +133,11 @@ def conditions(rows: Sequence[Row]) -> Any:
     figure, axes = plots.panels(2, 2, (4.9, 5.2), sharex="col", sharey="row")
     sides = (("Fig. 5", "load_kgf", "load, kgf"), ("Fig. 6", "cover_mm", "cover, mm"))
     for (above, below), (table, key, label) in zip(axes.T, sides, strict=True):
-        some = shared.held(rows, table=table)
+        of_table = shared.held(rows, table=table)
         for encoding, scaling, name, colour, style in CURVES:
-            found = shared.held(some, encoding=encoding, features=scaling)
-            _curve(above, found, key, label=name, color=colour, fmt=style, lw=1.3)
-        ours = shared.held(some, encoding="FD+GE")
+            curve = shared.held(of_table, encoding=encoding, features=scaling)
+            _curve(above, curve, key, label=name, color=colour, fmt=style, lw=1.3)
+        ours = shared.held(of_table, encoding="FD+GE")
         for entry, name, colour in _OVERLAP:
             points = np.array(shared.different(ours, key, entry)).reshape(-1, 2).T
             below.plot(*points, "o-", ms=4, lw=1.3, color=colour, label=name)
@@ -167,7 +167,7 @@ def _edges(touches: Touches, row: int) -> list[Floats]:
     x, y = touches.columns["position_mm"][row].tolist()
     loops = part.placed(x, y, float(touches.columns["angle_deg"][row]))
     pitch, middle = float(touches.whole["set_pitch_mm"]), [[n_cols - 1], [n_rows - 1]]
-    return [np.vstack([one, one[:1]]).T / pitch + np.array(middle) / 2 for one in loops]
+    return [np.vstack([o, o[:1]]).T / pitch + np.array(middle) / 2 for o in loops]
 
 
 def _images(n_rows: int, n_columns: int, side: float) -> tuple[Any, Any]:

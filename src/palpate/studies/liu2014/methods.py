@@ -16,7 +16,7 @@ incomplete, heavy ones distort them, thin covers break them up, thick ones blur 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
@@ -81,7 +81,7 @@ class GaussianSVM(Method):
 
     def machines(self, train: Floats) -> list[Any]:
         unit = median_distance(train)
-        grid = [(one["C"], 0.5 / (one["width"] * unit) ** 2) for one in self.settings]
+        grid = [(s["C"], 0.5 / (s["width"] * unit) ** 2) for s in self.settings]
         return [SVC(C=C, gamma=gamma) for C, gamma in grid]
 
 
@@ -121,7 +121,7 @@ class Fused(Method):
 
     def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
         unit = median_distance(train)
-        found = []
+        answers_of = []
         for width in self.widths:
             options: Setting = {"sigma": width * unit, "scaling": self.scaling}
             fusion = KernelPCA(max(self.components), **options).fit(train)
@@ -129,8 +129,8 @@ class Fused(Method):
             # Fewer components are the first columns of the most.
             for kept in self.components:
                 both = old[:, :kept], codes, new[:, :kept]
-                found.append(self.classifier.answers(*both))
-        return np.concatenate(found)
+                answers_of.append(self.classifier.answers(*both))
+        return np.concatenate(answers_of)
 
 
 @dataclass(frozen=True)
@@ -175,10 +175,10 @@ class Twofold:
         """Choose a setting on the training touches; test labels are only compared."""
         right = np.zeros(len(method.settings))
         if len(right) > 1:
-            known, inner = features[train], codes[train]
+            train_features, inner = features[train], codes[train]
             folds = StratifiedKFold(self.inner_folds, shuffle=True, random_state=seed)
-            for learnt, held in folds.split(known, inner):
-                answers = self._answers(method, known, inner, learnt, held)
+            for learnt, held in folds.split(train_features, inner):
+                answers = self._answers(method, train_features, inner, learnt, held)
                 right += (answers == inner[held]).sum(axis=1)
         answers = self._answers(method, features, codes, train, test)
         shares = (answers == codes[test]).mean(axis=1)
@@ -187,11 +187,11 @@ class Twofold:
     def _answers(
         self, method: Method, features: Floats, codes: Codes, train: Codes, test: Codes
     ) -> Codes:
-        known, asked = features[train], features[test]
+        old, new = features[train], features[test]
         if self.scaled:
-            scale = StandardScaler().fit(known)
-            known, asked = scale.transform(known), scale.transform(asked)
-        return method.answers(known, codes[train], asked)
+            scale = StandardScaler().fit(old)
+            old, new = scale.transform(old), scale.transform(new)
+        return method.answers(old, codes[train], new)
 
 
 def nested_figure(settings: Sequence[Setting], runs: Runs) -> Row:
@@ -226,8 +226,8 @@ def _pooled(run: Sequence[Half], settings: Sequence[int]) -> float:
 def median_distance(touches: Floats) -> float:
     """Return the median distance of touches that differ; 1 when none do."""
     distance = pdist(touches)
-    apart = distance[distance > 0]
-    return float(np.median(apart)) if len(apart) else 1.0
+    above_zero = distance[distance > 0]
+    return float(np.median(above_zero)) if len(above_zero) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +241,7 @@ class Job:
 
     @property
     def work(self) -> float:
-        """How long a run takes, in no unit."""
+        """The length of a run, in no unit."""
         return float(len(self.method.settings) * self.row["n_classes"] ** 2)
 
     def run(self, plan: Liu2014Plan, number: int) -> list[Half]:
@@ -286,9 +286,9 @@ def study_jobs(plan: Liu2014Plan, touches: Touches, data: str) -> list[Job]:
 
 def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
     """Press all parts at every load, then under every cover; 3-NN names them."""
-    asked = [(f"{load:g} kgf", load, stated.PAPER_COVER_MM) for load in plan.loads_kgf]
-    asked += [(f"cover {mm:g} mm", stated.PAPER_LOAD_KGF, mm) for mm in plan.covers_mm]
-    for number, (condition, load, cover) in enumerate(asked):
+    setups = [(f"{load:g} kgf", load, stated.PAPER_COVER_MM) for load in plan.loads_kgf]
+    setups += [(f"cover {mm:g} mm", stated.PAPER_LOAD_KGF, mm) for mm in plan.covers_mm]
+    for number, (condition, load, cover) in enumerate(setups):
         table = "Fig. 5" if number < len(plan.loads_kgf) else "Fig. 6"
         touches = stated.simulated_presses(plan, load, cover)
         encoded = encode(touches.images, PAPER_PARTITIONS, plan.n)
@@ -311,8 +311,8 @@ def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
         compared = {"FD+GE": encoded.features("FD+GE", plan.n), **_pixels(touches)}
         for encoding, features in compared.items():
             name = f"{encoding} k-NN, {condition}"
-            known = {"name": name, "encoding": encoding, **row}
-            yield from _jobs(known, features, coded(touches), Neighbours())
+            facts = {"name": name, "encoding": encoding, **row}
+            yield from _jobs(facts, features, coded(touches), Neighbours())
 
 
 def _table_2(
@@ -333,8 +333,8 @@ def _table_2(
     features = encoded.features("FD+GE", plan.n)
     for name, method in methods.items():
         row = {"name": name + suffix, "table": "Table 2", "paper": paper.get(name)}
-        known = {**row, **_WHOLE, "n": plan.n, "partitions": partitions}
-        yield from _jobs(known, features, codes, method)
+        facts = {**row, **_WHOLE, "n": plan.n, "partitions": partitions}
+        yield from _jobs(facts, features, codes, method)
 
 
 def _equal_grids(plan: Liu2014Plan, encoded: Encoded, codes: Codes) -> Iterator[Job]:
@@ -349,8 +349,8 @@ def _equal_grids(plan: Liu2014Plan, encoded: Encoded, codes: Codes) -> Iterator[
     features = encoded.features("FD+GE", plan.n)
     for name, method in methods.items():
         row = {"name": f"{name}, {len(costs)} settings", "table": "equal grids"}
-        known = {**row, **_WHOLE, "n": plan.n, "partitions": PAPER_PARTITIONS}
-        yield from _jobs(known, features, codes, Fused(method, (width,), (kept,)))
+        facts = {**row, **_WHOLE, "n": plan.n, "partitions": PAPER_PARTITIONS}
+        yield from _jobs(facts, features, codes, Fused(method, (width,), (kept,)))
 
 
 def _controls(plan: Liu2014Plan, touches: Touches) -> Iterator[Job]:
@@ -361,9 +361,9 @@ def _controls(plan: Liu2014Plan, touches: Touches) -> Iterator[Job]:
         "SVM": GaussianSVM(plan.svm_widths, plan.svm_costs),
     }
     for encoding, features in {**_pixels(touches), "centroid moments": moments}.items():
-        known = {"table": "controls", "encoding": encoding, "classes": "all"}
+        facts = {"table": "controls", "encoding": encoding, "classes": "all"}
         for name, method in methods.items():
-            row = {"name": f"{encoding} {name}", **known}
+            row = {"name": f"{encoding} {name}", **facts}
             yield from _jobs(row, features, coded(touches), method)
 
 
@@ -377,15 +377,14 @@ def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[
     part = touches.columns.get("part")
     sets = {"all": np.ones(len(touches), dtype=bool)}
     if part is not None:
-        sets = {name: np.isin(part, some) for name, some in plan.class_sets.items()}
-    asked = [(classes, *one) for classes in sets for one in compared]
-    for classes, figure, encoding, count in asked:
-        held, known = sets[classes], stated.FIGURES.get((encoding, classes))
+        sets = {name: np.isin(part, parts) for name, parts in plan.class_sets.items()}
+    for classes, (figure, encoding, count) in product(sets, compared):
+        held, published = sets[classes], stated.FIGURES.get((encoding, classes))
         shown = "" if count is None else f", n = {count}"
         row = {
             "name": f"{encoding} k-NN{shown}, {classes}",
             "table": figure,
-            "paper": known if count in (None, PAPER_N) else None,
+            "paper": published if count in (None, PAPER_N) else None,
             "encoding": encoding,
             "classes": classes,
             "n": count,
@@ -401,8 +400,8 @@ def _jobs(row: Row, features: Floats, codes: Codes, method: Method) -> Iterator[
     """Yield the same for z-scored and for raw features."""
     sizes = {"n_classes": len(np.unique(codes)), "n_touches": len(codes)}
     for scaling in stated.SCALINGS:
-        known: Row = {"paper": None, **sizes, "features": scaling}
-        yield Job({**known, **row}, features, codes, method)
+        facts: Row = {"paper": None, **sizes, "features": scaling}
+        yield Job({**facts, **row}, features, codes, method)
 
 
 def _pixels(touches: Touches) -> dict[str, Floats]:

@@ -1,4 +1,4 @@
-"""What the Liu 2014 study measures: its sizes, its presses, and the paper's figures.
+"""The plan of the Liu 2014 study: sizes, presses, and the paper's figures.
 
 Presses are simulated, or real ones re-posed. Pieces of the cleaned image, and how far
 it agrees with where the part lay, tell how load and cover break images up or blur them.
@@ -23,6 +23,7 @@ from .._study import Archive, Codes, Plan
 
 PROTOCOLS = ("both", "nested", "paper")
 SCALINGS = ("z-scored", "raw")
+# The paper's: descriptors, partitions of a side, load and cover of its tables.
 PAPER_N = 40
 PAPER_PARTITIONS = 2
 PAPER_LOAD_KGF = 4.0
@@ -136,7 +137,7 @@ class Liu2014Plan(Plan):
             name: tuple(number for number in numbers if number in self.parts)
             for name, numbers in CLASS_SETS.items()
         }
-        return {name: some for name, some in held.items() if len(some) > 1}
+        return {name: parts for name, parts in held.items() if len(parts) > 1}
 
 
 @dataclass(frozen=True)
@@ -202,8 +203,8 @@ def reposed_presses(touches: Touches, seed: int) -> Touches:
 def count_pieces(binary: Bools) -> Codes:
     """Return the number of 8-connected pieces of each image, shape (n_touches,)."""
     images = binary.astype(np.uint8)
-    found = [cv2.connectedComponents(image, connectivity=8)[0] - 1 for image in images]
-    return np.array(found, dtype=np.intp)
+    counts = [cv2.connectedComponents(image, connectivity=8)[0] for image in images]
+    return np.array(counts, dtype=np.intp) - 1
 
 
 def overlap(binary: Bools, footprint: Bools) -> Floats:

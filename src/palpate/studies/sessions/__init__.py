@@ -33,7 +33,7 @@ WAYS = {
 CEILING = "the last quarter of the same sessions"
 ALARM = "alarm"
 PAIRS, MOVED = "pairs of others known", "after the camera jumped"
-N_ALARM_TOUCHES = 10
+N_ALARM_TOUCHES = 10  # a first handful of a session
 TITLE = "Taught in some sessions, asked in another"
 CAPTIONS = {"sessions": "Right after one touch, each session left out, in per cent"}
 
@@ -84,15 +84,15 @@ def measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[str
         for name, touches, its_ways in _recorded(plan, folder):
             sources[name], ways[name] = touches, its_ways
     else:
-        why = f"no {folder}; see --data" if plan.recorded else "a first look"
+        why = f"no {folder}; see `data`" if plan.recorded else "a first look"
         skipped = [f"Recorded touches are left out: {why}."]
     tasks = [
         (plan, name, touches, way)
         for name, touches in sources.items()
         for way in ways[name]
     ]
-    found = work.done(_rows_of, tasks, "Sessions")
-    return {"rows": [one for rows in found for one in rows], "skipped": skipped}
+    rows_of_tasks = work.done(_rows_of, tasks, "Sessions")
+    return {"rows": [row for rows in rows_of_tasks for row in rows], "skipped": skipped}
 
 
 def _recorded(
@@ -125,19 +125,19 @@ def _recorded(
 def _rows_of(plan: SessionsPlan, data: str, touches: Touches, way: str) -> list[Row]:
     if way == ALARM:
         return _alarm(plan, data, touches)
-    asked = Asked(touches=plan.touches, orders=plan.orders, seed=plan.seed)
+    protocol = Asked(touches=plan.touches, orders=plan.orders, seed=plan.seed)
     beside = {CEILING: _ceiling, PAIRS: _pairs_known, MOVED: _moved}
     if way in beside:
-        return beside[way](asked, data, touches)
-    asked = replace(asked, remount=way)
-    figures, trials = evaluate(touches, split="session", plan=asked)
+        return beside[way](protocol, data, touches)
+    protocol = replace(protocol, remount=way)
+    figures, trials = evaluate(touches, split="session", plan=protocol)
     rows = []
     for k in plan.touches:
         scores = [t.episodes.scores(k) for t in trials]
-        shares = [one.accuracy.mean() for one in scores if one is not None]
+        shares = [score.accuracy.mean() for score in scores if score is not None]
         if shares:
-            known = {"log_loss": figures["log_loss"][str(k)]}
-            rows.append({**_row(data, WAYS.get(way, way), k, shares), **known})
+            losses = {"log_loss": figures["log_loss"][str(k)]}
+            rows.append({**_row(data, WAYS.get(way, way), k, shares), **losses})
     if way == "none":
         for name, curve in figures["controls"].items():
             for k, share in (curve or {}).items():
@@ -145,23 +145,23 @@ def _rows_of(plan: SessionsPlan, data: str, touches: Touches, way: str) -> list[
     return rows
 
 
-def _ceiling(asked: Asked, data: str, touches: Touches) -> list[Row]:
+def _ceiling(protocol: Asked, data: str, touches: Touches) -> list[Row]:
     """Ask the last quarter of each session; where it is too short, person by person."""
     assert touches.session is not None
     each = [touches[touches.session == name] for name in np.unique(touches.session)]
-    fewest = min(int(np.bincount(coded(one)).min()) for one in each)
+    fewest = min(int(np.bincount(coded(session)).min()) for session in each)
     if fewest < 4 and touches.subject is None:
         return []
     split = "last" if fewest > 3 else "subject"
-    after = [evaluate(one, split=split, plan=asked)[0]["accuracy"] for one in each]
+    after = [evaluate(s, split=split, plan=protocol)[0]["accuracy"] for s in each]
     return [
-        _row(data, CEILING, k, [one[str(k)] for one in after])
-        for k in asked.touches
-        if all(str(k) in one for one in after)
+        _row(data, CEILING, k, [accuracy[str(k)] for accuracy in after])
+        for k in protocol.touches
+        if all(str(k) in accuracy for accuracy in after)
     ]
 
 
-def _pairs_known(asked: Asked, data: str, touches: Touches) -> list[Row]:
+def _pairs_known(protocol: Asked, data: str, touches: Touches) -> list[Row]:
     """Ask half of the people in one session, of the others all sessions are known."""
     people = np.unique(np.asarray(touches.subject), return_inverse=True)[1]
     names: Any = touches.session
@@ -172,31 +172,32 @@ def _pairs_known(asked: Asked, data: str, touches: Touches) -> list[Row]:
     ]
     rows = []
     for way in ("none", "recentre"):
-        plan = replace(asked, remount=way)
-        found = [evaluate(touches[~t], touches[t], plan=plan)[0] for t in tests]
-        for k in map(str, asked.touches):
-            shares = [one["accuracy"][k] for one in found if k in one["accuracy"]]
+        plan = replace(protocol, remount=way)
+        figures = [evaluate(touches[~t], touches[t], plan=plan)[0] for t in tests]
+        curves = [figure["accuracy"] for figure in figures]
+        for k in map(str, protocol.touches):
+            shares = [curve[k] for curve in curves if k in curve]
             if shares:
                 rows.append(_row(data, f"{PAIRS}, {WAYS[way]}", int(k), shares))
     return rows
 
 
-def _moved(asked: Asked, data: str, touches: Touches) -> list[Row]:
+def _moved(protocol: Asked, data: str, touches: Touches) -> list[Row]:
     """Ask about objects on the other side of the jump, among all the others."""
     rows = []
     asked_of: list[tuple[Label, str]]
     asked_of = [("object", "none"), ("object", "recentre"), ("category", "none")]
     for label, way in asked_of:
-        found = moved(touches, replace(asked, remount=way, label=label))
-        for k in map(str, asked.touches):
-            shares = [one["accuracy"][k] for one in found.values()]
+        results = moved(touches, replace(protocol, remount=way, label=label))
+        for k in map(str, protocol.touches):
+            shares = [result["accuracy"][k] for result in results.values()]
             rows.append(_row(data, f"{label} {MOVED}, {WAYS[way]}", int(k), shares))
     return rows
 
 
 def _alarm(plan: SessionsPlan, data: str, touches: Touches) -> list[Row]:
     """Ask about ten touches of the session left out, and of those that were taught."""
-    found: dict[str, list[float]] = {"area": [], "false alarms": [], "caught": []}
+    rates: dict[str, list[float]] = {"area": [], "false alarms": [], "caught": []}
     for fold in split_touches(touches, "session"):
         n_taught = 3 * int(np.bincount(coded(fold.train)).min()) // 4
         if n_taught < 2:
@@ -205,16 +206,16 @@ def _alarm(plan: SessionsPlan, data: str, touches: Touches) -> list[Row]:
         taught, same = split_by_count(fold.train, n_taught, plan.seed)
         recogniser = ObjectRecogniser(random_state=plan.seed).fit(taught)
         checks: list[list[MountingCheck]] = [[], []]
-        for side, some in zip(checks, (same, fold.test), strict=True):
+        for side, touches_of_side in zip(checks, (same, fold.test), strict=True):
             for _ in range(plan.draws):
-                ten = rng.permutation(len(some))[:N_ALARM_TOUCHES]
-                side.append(recogniser.check_mounting(some[ten]))
-        found["area"].append(roc_area(*([c.distance for c in side] for side in checks)))
+                ten = rng.permutation(len(touches_of_side))[:N_ALARM_TOUCHES]
+                side.append(recogniser.check_mounting(touches_of_side[ten]))
+        rates["area"].append(roc_area(*([c.distance for c in side] for side in checks)))
         for name, side in zip(("false alarms", "caught"), checks, strict=True):
-            found[name].append(float(np.mean([check.changed for check in side])))
+            rates[name].append(float(np.mean([check.changed for check in side])))
     return [
         _row(data, f"{ALARM}: {name}", N_ALARM_TOUCHES, shares)
-        for name, shares in found.items()
+        for name, shares in rates.items()
     ]
 
 
@@ -225,14 +226,14 @@ def _row(data: str, way: str, k: int, shares: list[float]) -> Row:
 
 def tables(result: dict[str, Any]) -> list[Table]:
     """Return a table for each source of touches, figures in per cent."""
-    made = []
+    shown = []
     for data in shared.unique(row["data"] for row in result["rows"]):
-        mine = shared.held(result["rows"], data=data)
-        counts = sorted({row["touches"] for row in mine})
+        of_data = shared.held(result["rows"], data=data)
+        counts = sorted({row["touches"] for row in of_data})
         after = [{"touches": k} for k in counts]
-        lines = shared.pivot(mine, ["way"], after, shared.cell)
-        made.append((data, ["what is done", *(f"after {k}" for k in counts)], lines))
-    return made
+        lines = shared.pivot(of_data, ["way"], after, shared.cell)
+        shown.append((data, ["what is done", *(f"after {k}" for k in counts)], lines))
+    return shown
 
 
 def pictures(result: dict[str, Any]) -> Figures:

@@ -1,0 +1,63 @@
+"""Messages of the library in the words of the verb that was typed."""
+
+import numpy as np
+import pytest
+
+from palpate.library import LibraryError, TouchLibrary
+from palpate.touches import Touches
+
+
+@pytest.fixture
+def folder(tmp_path):
+    touches = Touches(np.ones((1, 4, 4)), object=["mug"])
+    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
+        library.add(touches)
+    return tmp_path / "lab"
+
+
+def test_a_name_is_an_argument_in_python_and_an_option_when_typed(folder, palpate):
+    with (
+        TouchLibrary.open(folder) as library,
+        pytest.raises(LibraryError, match=r"^where must name columns"),
+    ):
+        library.touches("objekt = 3")
+    done = palpate("library", "list", folder, "--where", "objekt = 3")
+    assert done.returncode == 1
+    assert done.stderr.startswith("palpate: --where must name columns")
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (
+            ["learn", "LIB", "-o", "x.palpate", "--where", "order = 9"],
+            "got none. See `palpate library list`, and widen the filter.",
+        ),
+        (["library", "list", "GONE"], "Make one with `palpate library add`."),
+        (["library", "list", "LIB", "--where", "order = ("], "--where must go on"),
+    ],
+)
+def test_functions_are_verbs(folder, palpate, words, text):
+    places = {"LIB": str(folder), "GONE": str(folder / "gone")}
+    done = palpate(*(places.get(word, word) for word in words))
+    assert done.returncode == 1
+    assert text in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("address", "text"),
+    [
+        ("serial:/dev/nowhere", "or --shape 16x16; --shape auto listens to it."),
+        ("sim:bar10?shape=4x4", "10 x 10, got 4 x 4. Leave --shape out."),
+        ("camera:0?baud=9", "'baud' is no option"),
+    ],
+)
+def test_options_of_a_sensor_are_named_as_they_are_typed(palpate, address, text):
+    done = palpate("live", "none.palpate", "--sensor", address, "--json")
+    assert text in done.stdout.replace("\\n", " ")
+
+
+def test_what_a_verb_does_not_know_stays_as_it_is(palpate, tmp_path):
+    done = palpate("learn", tmp_path / "gone.npz", "-o", tmp_path / "m.palpate")
+    assert "--" not in done.stderr
+    assert "gone.npz must be" in done.stderr
