@@ -13,7 +13,7 @@ CLIENTS_VENV ?= .venv-clients
 LOOK_VENV ?= .venv-look
 # The oldest Python that pyproject.toml promises, and the newest that is there.
 OLDEST_PYTHON ?= python3.11
-NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell command -v python3.$(minor))) python3)
+NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell python3.$(minor) -c "import sys; print(sys.executable)" 2> /dev/null)) python3)
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
