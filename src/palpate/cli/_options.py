@@ -89,7 +89,7 @@ ModelPath = Annotated[
     Path,
     argument(
         "MODEL",
-        "A model file (.palpate), or a ready one by name: sim-array, sim-dome, sim-gel.",
+        "A model file (.palpate), or a ready one: sim-array, sim-dome or sim-gel.",
     ),
 ]
 MaxModelMb = Annotated[

@@ -45,8 +45,8 @@ def serve(
     model: Annotated[
         Path | None,
         option(
-            "Model file to start from; learning writes it. Default: model.palpate in the "
-            "library. A ready one by name, sim-dome, is copied there."
+            "Model file to start from; learning writes it. Default: model.palpate in "
+            "the library. A ready one by name, such as sim-dome, is copied there."
         ),
     ] = None,
     library: Annotated[
