@@ -15,6 +15,7 @@ from ..touches import Touches
 
 _PACKAGE = Path(__file__).parents[1]
 _MADE_BY = (
+    "datasets",
     "simulation",
     "touches",
     "images",

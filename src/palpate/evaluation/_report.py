@@ -198,6 +198,8 @@ def decision_table(
 def bound_said(decision: dict[str, Any]) -> str:
     """Return what the episodes that ended say of new objects, as a sentence."""
     n_named = decision["right"] + decision["wrong"]
+    if not n_named:
+        return "No episode was long enough to end with a name."
     counts = f"{decision['wrong']} of {n_named} names were wrong"
     error, n_objects = decision["error"], decision["n_objects"]
     if decision["can_be_verified"]:
