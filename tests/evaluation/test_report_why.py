@@ -152,4 +152,4 @@ def test_confused_pairs_are_of_two_objects_the_most_confused_first(result, tmp_p
 def test_what_the_episodes_say_of_new_objects_is_a_sentence(right, n_objects, sentence):
     """Where log(0.05) / log(0.99) = 299 objects without a mistake would show 1 %."""
     decision = {"right": right, "wrong": 0, "error": 0.01, "n_objects": n_objects}
-    assert bound_said({**decision, "can_be_verified": False}) == sentence
+    assert bound_said({**decision, "can_be_verified": False}) == f"{sentence}."
