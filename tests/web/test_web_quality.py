@@ -61,7 +61,7 @@ def test_touches_that_have_nothing_in_common_are_a_root_of_two_apart():
 
 
 def test_the_opposite_of_many_touches_stays_on_the_map():
-    """A dark picture among bright ones lies 5/3 from their middle; the map ends at 1."""
+    """A dark picture among bright ones is 5/3 from their middle; the map ends at 1."""
     pressure = pressed(8, 8) - REST
     places = told([*[REST + pressure] * 5, REST - pressure]).map()
     xs = [one["x"] for one in places]
