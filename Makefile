@@ -14,7 +14,7 @@ LOOK_VENV ?= .venv-look
 POLICY_VENV ?= .venv-policy
 # The oldest Python that pyproject.toml promises, and the newest that is there.
 OLDEST_PYTHON ?= python3.11
-NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell command -v python3.$(minor))) python3)
+NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell python3.$(minor) -c "import sys; print(sys.executable)" 2> /dev/null)) python3)
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1

@@ -31,11 +31,11 @@ def oldest(project: dict) -> Iterator[str]:
 
 
 def pin(requirement: str) -> str:
-    """Turn `name>=1.2,<2` into `name==1.2`; every dependency must name its oldest."""
-    found = re.fullmatch(r"([\w.-]+)>=([\w.]+)(,<[\w.]+)?", requirement)
+    """Turn `name>=1.2,<2; where` into `name==1.2; where`; each must name its oldest."""
+    found = re.fullmatch(r"([\w.-]+)>=([\w.]+)(,<[\w.]+)?(;.+)?", requirement)
     if found is None:
         raise SystemExit(f"{requirement!r} in pyproject.toml must be `name>=version`.")
-    return f"{found[1]}=={found[2]}"
+    return f"{found[1]}=={found[2]}{found[4] or ''}"
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@ What is taken for what
 ======================
 
 One press of each part, and the name it gets. Rows are what was pressed, columns what it
-was taken for. Sizes of one shape are the hard part.
+was taken for. Shapes of one size are the hard part, more than sizes of one shape.
 """
 
 import matplotlib.pyplot as plt

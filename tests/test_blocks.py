@@ -128,6 +128,7 @@ def run_pages():
 def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / ".cache"))  # ready models
     monkeypatch.setenv("PATH", f"{_commands(tmp_path)}{os.pathsep}{os.environ['PATH']}")
     names = {"__name__": "__main__"}
     begun = time.monotonic()

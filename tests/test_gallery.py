@@ -1,5 +1,6 @@
 """What the gallery says of its pictures holds for the numbers that are drawn."""
 
+import re
 import runpy
 from pathlib import Path
 
@@ -94,3 +95,90 @@ def test_two_senses_are_better_than_each(run):
         for what, belief in names["beliefs"].items()
     }
     assert sure["both"] > max(sure["touch"], sure["sight"])
+
+
+def test_the_mug_is_what_it_ends_with(run):
+    names = run("02_belief")
+    mug = [step[names["names"].index("mug")] for step in names["steps"]]
+    assert names["belief"].best == "mug"
+    assert mug[-1] > max(mug[:2])  # one touch says little
+
+
+def test_the_trace_favours_narrow_kernels_and_is_right_less_often(run):
+    names = run("06_mkl")
+    narrow, right = [], []
+    for axis in names["axes"]:
+        weights = np.array([bar.get_height() for bar in axis.patches])
+        narrow.append(weights[names["sigmas"] <= names["median"] / 2].sum())
+        right.append(float(axis.get_title().split()[1].rstrip("%")))
+    assert narrow[0] > narrow[1]
+    assert right[0] < right[1]
+
+
+def test_shapes_of_one_size_are_harder_than_sizes_of_one_shape(run):
+    """A name is a shape, then its size and hole: "hexagon13-hole8"."""
+    names = run("08_confusion")
+    wrong = names["named"] != names["asked"].object
+    pairs = zip(names["asked"].object[wrong], names["named"][wrong], strict=True)
+    parts = [[re.fullmatch(r"([a-z]+)(.+)", one) for one in pair] for pair in pairs]
+    of_shape = np.mean([one[1] == other[1] for one, other in parts])
+    of_size = np.mean([one[2] == other[2] for one, other in parts])
+    assert of_size > 1.5 * of_shape
+
+
+def test_a_shifted_camera_changes_nothing_afterwards(run):
+    names = run("09_rim")
+    rims, discs = names["rims"], names["discs"].reshape(3, -1)
+    # Found to half a pixel of what the picture was shifted by.
+    np.testing.assert_allclose(rims.row - rims.row[0], [0, 7, -8], atol=0.5)
+    np.testing.assert_allclose(rims.col - rims.col[0], [0, -9, 6], atol=0.5)
+    assert np.corrcoef(discs)[0].min() > 0.97
+
+
+def test_the_alarm_is_quiet_at_first_and_loud_at_the_end(run):
+    names = run("13_alarm")
+    assert names["away"][0] <= names["usual"] < names["away"][-1]
+    assert names["check"].changed
+
+
+def test_each_press_in_the_film_is_one_touch_at_its_peak(run):
+    names = run("17_detector")
+    assert len(names["found"]) == len(names["presses"]) == 3
+    assert (names["change"][names["peaks"]] > names["detector"].begin).all()
+    # Twelve frames of rest, then nine of a press and eight of rest: peaks at the fifth.
+    np.testing.assert_allclose(names["peaks"], [16, 33, 50], atol=1)
+
+
+def test_what_is_kept_comes_back_and_twice_is_once(run):
+    names = run("18_library")
+    assert len(names["everything"]) == 20  # ten presses of the disc on each day
+    assert len(names["discs"]) == len(names["back"]) == 10
+    np.testing.assert_array_equal(names["back"].images, names["discs"].images)
+
+
+def test_a_pose_is_where_the_part_lies_by_its_standard_deviations(run):
+    """Within four of them, of 15 numbers: chance leaves one in a thousand outside.
+
+    Angles count from a learnt press: what two presses of a part differ by is true.
+    """
+    names = run("22_pose")
+    asked, found = names["asked"], names["found"]
+    true = asked.columns["position_mm"]
+    away_mm = np.stack([found.x_mm, found.y_mm], axis=1) - true
+    assert (np.abs(away_mm) < 4 * found.sd_mm[:, None]).all()
+    turn = 360 / asked.columns["symmetry"][::2]
+    wrong_deg = np.diff((found.angle_deg - asked.columns["angle_deg"]).reshape(3, 2))
+    wrong_deg = (wrong_deg[:, 0] + turn / 2) % turn - turn / 2
+    sd_deg = np.hypot(*found.sd_deg.reshape(3, 2).T)
+    assert (np.abs(wrong_deg) < 4 * sd_deg).all()
+
+
+@pytest.mark.realdata
+def test_clouds_of_the_disc_lie_apart(run):
+    """The nearest of the clouds' middles names more than chance by far."""
+    names = run("40_recorded_dome")
+    rims, labels = names["rims"], names["touches"].object
+    places = np.stack([rims.row, rims.col], axis=1)
+    middles = [np.median(places[labels == name], axis=0) for name in names["some"]]
+    away = np.linalg.norm(places[:, None] - np.array(middles), axis=2)
+    assert np.mean(names["some"][away.argmin(axis=1)] == labels) > 0.5  # chance: 0.1

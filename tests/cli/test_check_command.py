@@ -46,6 +46,34 @@ def odd(tmp_path):
     return root
 
 
+def test_pictures_in_colour_are_told_unless_colour_is_read(palpate, tmp_path):
+    rng = np.random.default_rng(0)
+    for name, step in {"gel": 90, "grey": 0}.items():
+        for number in range(4):
+            grey = rng.integers(40, 160, (12, 16, 1))
+            levels = np.concatenate([grey, grey + step, grey], axis=2)
+            put(
+                tmp_path / name / f"a{number % 2}" / f"{number}.jpg",
+                levels.astype("u1"),
+            )
+
+    def noted(*words):
+        found = json.loads(palpate("check", *words, "--json").stdout)
+        return any("--colour" in note for note in found["notes"])
+
+    assert noted(tmp_path / "gel")
+    assert not noted(tmp_path / "gel", "--colour")
+    assert not noted(tmp_path / "grey")
+
+
+def test_levels_that_fit_no_picture_are_the_fault_not_the_pictures(palpate, odd):
+    done = palpate(
+        "learn", odd, "--skip-bad", "--levels", "-/object", "-o", "m.palpate"
+    )
+    assert done.returncode != 0
+    assert "Fix: give --levels or a --name-pattern as these paths are." in done.stderr
+
+
 def test_every_bad_picture_is_in_one_list_with_its_fix(palpate, odd):
     done = palpate("check", odd, "--json")
     assert done.returncode == 1

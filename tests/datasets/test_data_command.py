@@ -2,13 +2,17 @@
 
 import json
 import sys
+from operator import itemgetter
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from palpate.cli import main
+from palpate.cli.serve import _own
 from palpate.datasets import card, names, where
+from palpate.simulation import simulate_presses
 
 from .conftest import zipped
 
@@ -133,3 +137,48 @@ def test_two_commands_make_the_demo(palpate, sources, tmp_path, monkeypatch):
                              "3-NN", "--json")  # fmt: skip
     assert code == 0, err
     assert "bathtip50" in out
+
+
+def test_a_ready_model_is_made_once_and_recognises_its_sensor(
+    palpate, tmp_path, monkeypatch
+):
+    """The noiseless presses of its own parts, drawn anew, after three of each."""
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
+    older = tmp_path / "cache" / "models" / "sim-array-0.palpate"
+    older.parent.mkdir(parents=True)
+    older.write_bytes(b"of other code")
+    assert "sim-array       to make" in palpate("data", "list")[1]
+    code, out, err = palpate("data", "fetch", "sim-array")
+    assert code == 0, err
+    path = Path(out.strip())
+    assert [*older.parent.iterdir()] == [path]  # what other code made is taken away
+    assert "sim-array       there" in palpate("data", "list")[1]
+    made = path.stat().st_mtime_ns
+    new = tmp_path / "new.npz"
+    simulate_presses(["bar10", "disc13"], 3, random_state=5).save(new)
+    code, out, err = palpate("recognise", "sim-array", new, "--json")
+    assert code == 0, err
+    episodes = json.loads(out)["episodes"]
+    best = [
+        max(e["beliefs"][-1]["posterior"].items(), key=itemgetter(1)) for e in episodes
+    ]
+    assert [name for name, _ in best] == ["bar10", "disc13"]
+    assert path.stat().st_mtime_ns == made
+    code, _, err = palpate("data", "fetch", "sim-arrow")
+    assert code != 0
+    assert "'sim-array'" in err
+
+
+def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
+    palpate, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
+    path = tmp_path / "kept.palpate"
+    path.write_bytes(b"a model")
+    desk = tmp_path / "desk"
+    copy = _own(path, Path("sim-dome"), desk)
+    assert copy == desk / "model.palpate"
+    assert copy.read_bytes() == b"a model"
+    with pytest.raises(ValueError, match=r"--model must be left out where .*desk has"):
+        _own(path, Path("sim-dome"), desk)
+    assert _own(path, Path("sim-dome"), None) == _own(path, path, desk) == path

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from palpate import Touches
 from palpate.evaluation import (
     Plan,
+    bound_said,
     decide_episodes,
     evaluate,
     explained_episodes,
@@ -130,3 +131,25 @@ def test_confused_pairs_are_of_two_objects_the_most_confused_first(result, tmp_p
     for true, taken, share in pairs:
         row, col = names.index(true), names.index(taken)
         assert int(share) == pytest.approx(100 * confusion[row, col], abs=0.51)
+
+
+@pytest.mark.parametrize(
+    ("right", "n_objects", "sentence"),
+    [
+        (
+            20,
+            1,
+            "0 of 20 names were wrong; 1 object cannot prove 1 %, about 300 would",
+        ),
+        (
+            40,
+            2,
+            "0 of 40 names were wrong; 2 objects cannot prove 1 %, about 300 would",
+        ),
+        (0, 0, "No episode ended with a name"),
+    ],
+)
+def test_what_the_episodes_say_of_new_objects_is_a_sentence(right, n_objects, sentence):
+    """Where log(0.05) / log(0.99) = 299 objects without a mistake would show 1 %."""
+    decision = {"right": right, "wrong": 0, "error": 0.01, "n_objects": n_objects}
+    assert bound_said({**decision, "can_be_verified": False}) == f"{sentence}."

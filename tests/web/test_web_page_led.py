@@ -146,6 +146,11 @@ def test_a_touch_of_the_episode_is_looked_at_alone(page, taught, serving, drawn)
         page.keyboard.press("Escape")
         expect(page.locator(".menu ul")).to_be_hidden()
         expect(page.locator(".menu summary")).to_be_focused()
+        page.locator("#strip .look").click()
+        taught.begin_episode()  # the picture that was pressed is gone
+        expect(page.locator("#strip li")).to_have_count(0)
+        page.keyboard.press("Escape")
+        expect(page.locator("#belief")).to_be_focused()
 
 
 def test_an_interrupted_lesson_is_offered(page, make_session, serving, tmp_path):

@@ -60,6 +60,14 @@ def test_touches_that_have_nothing_in_common_are_a_root_of_two_apart():
     assert (alone["x"], alone["y"]) == (0, 0)
 
 
+def test_the_opposite_of_many_touches_stays_on_the_map():
+    """A dark picture among bright ones is 5/3 from their middle; the map ends at 1."""
+    pressure = pressed(8, 8) - REST
+    places = told([*[REST + pressure] * 5, REST - pressure]).map()
+    xs = [one["x"] for one in places]
+    assert_allclose(np.abs(xs), [0.2] * 5 + [1.0], atol=1e-6)
+
+
 def test_a_touch_that_is_undone_is_compared_no_more():
     variety = told([pressed(8, 8), pressed(32, 50), pressed(8, 8)])
     variety.drop(0)

@@ -85,7 +85,13 @@ TouchesPath = Annotated[
         "a bag of ROS or a LeRobotDataset.",
     ),
 ]
-ModelPath = Annotated[Path, argument("MODEL", "A model file (.palpate).")]
+ModelPath = Annotated[
+    Path,
+    argument(
+        "MODEL",
+        "A model file (.palpate), or a ready one: sim-array, sim-dome or sim-gel.",
+    ),
+]
 MaxModelMb = Annotated[
     float,
     option(
@@ -153,6 +159,15 @@ Calibration = Annotated[
         "before anything else. Give the same to `learn` and `recognise`.",
     ),
 ]
+
+
+def model_file(model: Path) -> Path:
+    """Return the file of a model; a ready one's name, where no file has it, is made."""
+    from .. import datasets
+
+    if model.exists() or str(model) not in datasets.READY:
+        return model
+    return datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
 
 
 @dataclass(frozen=True)

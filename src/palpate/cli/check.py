@@ -107,6 +107,10 @@ def _notes(pictures: "PictureCheck | None", others: dict[str, int]) -> list[str]
     if pictures.turned:
         turned = counted(pictures.turned, "picture")
         notes.append(f"{turned} turned upright, as the camera noted (Exif)")
+    if pictures.coloured:
+        notes.append(
+            "in colour and read in grey: --colour, if colour tells, as on a gel"
+        )
     if pictures.flat:
         flat = counted(len(pictures.flat), "picture")
         notes.append(f"{flat} of one grey level all over, such as {pictures.flat[0]}")

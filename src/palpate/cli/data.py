@@ -13,13 +13,15 @@ data = typer.Typer(
     no_args_is_help=True,
     help="Fetch touches that others published, and read what is known of them.",
 )
-Name = Annotated[str, argument("NAME", "A set; see `palpate data list`.")]
+Name = Annotated[
+    str, argument("NAME", "A set or ready model; see `palpate data list`.")
+]
 
 
 @data.command("list")
 def list_sets(data: RecordedData = None, as_json: AsJson = False) -> None:
-    """List the sets, and whether they are there or can be fetched."""
-    from ..datasets import card, names, where
+    """List sets and ready models, and whether they are there or can be fetched."""
+    from ..datasets import READY, cached, card, names, ready_file, where
 
     here, rows = where(data), []
     for description in map(card, names()):
@@ -28,7 +30,12 @@ def list_sets(data: RecordedData = None, as_json: AsJson = False) -> None:
         row = {key: description[key] for key in ("name", "what", "licence")}
         rows.append(row | {"state": state})
     lines = [f"{row['name']:16s}{row['state']:10s}{row['what']}" for row in rows]
-    answer(as_json, {"folder": str(here), "sets": rows}, *lines)
+    models = []
+    for name, (_, what) in READY.items():
+        state = "there" if ready_file(name, data or cached()).is_file() else "to make"
+        models.append({"name": name, "what": f"model: {what}", "state": state})
+    lines += [f"{one['name']:16s}{one['state']:10s}{one['what']}" for one in models]
+    answer(as_json, {"folder": str(here), "sets": rows, "models": models}, *lines)
 
 
 @data.command()
@@ -39,14 +46,15 @@ def fetch(
     mirror: Annotated[str | None, option("URL in place of https://HOST.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Fetch a set once, check it, and make its touch archive; prints the path."""
+    """Fetch a set once, check it, and make its touch archive; prints the path.
+
+    Or make a ready model of a simulated sensor: sim-array, sim-dome, sim-gel.
+    """
     from .. import datasets
 
-    description = datasets.card(name)
-    say(
-        f"{description['source']['page']}\nLicence: {description['licence']}",
-        file=sys.stderr,
-    )
+    if name in datasets.names():
+        source, licence = (datasets.card(name)[key] for key in ("source", "licence"))
+        say(f"{source['page']}\nLicence: {licence}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as noted, stages() as stage:
         warnings.simplefilter("always", UserWarning)
         path = datasets.fetch(name, folder=data, mirror=mirror, progress=stage)

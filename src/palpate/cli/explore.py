@@ -142,7 +142,7 @@ def recognise(
     from ..recognition import ObjectRecogniser
 
     found = _one_object(thing, unit)
-    recogniser = ObjectRecogniser.load(model)
+    recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
     stand = exploration.put_down(
         found,

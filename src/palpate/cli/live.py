@@ -18,6 +18,7 @@ from ._options import (
     Refusal,
     Strangers,
     grouped,
+    model_file,
     option,
 )
 from ._output import belief_line, print_json, say
@@ -58,7 +59,7 @@ def live(
     chosen = options.open(sensor)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
-    session = LiveSession(chosen, model=model, library=library, **how)
+    session = LiveSession(chosen, model=model_file(model), library=library, **how)
     events: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def listen(event: Any) -> None:

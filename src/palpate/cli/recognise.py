@@ -42,7 +42,7 @@ def recognise(
 
     with stages() as stage, working.started():
         stage(f"reading {model}")
-        recogniser = ObjectRecogniser.load(model)
+        recogniser = ObjectRecogniser.load(_options.model_file(model))
         stage(f"reading {touches}")
         tested = _options.calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")

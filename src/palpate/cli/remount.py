@@ -43,7 +43,7 @@ def remount(
         if unlabelled:
             named = {"object", "category"} & set(session.columns)
             session = session.without(*named)
-        recogniser = ObjectRecogniser.load(model)
+        recogniser = ObjectRecogniser.load(_options.model_file(model))
         stage(f"getting used to {len(session)} touches")
         same_shape = session.images.shape[1:] == tuple(recogniser.encoder_.image_shape_)
         check = recogniser.check_mounting(session) if same_shape else None
@@ -83,7 +83,7 @@ def learn_nuisance(
     with stages() as stage:
         stage(f"reading {touches}")
         met = reading.touches(touches)
-        recogniser = ObjectRecogniser.load(model)
+        recogniser = ObjectRecogniser.load(_options.model_file(model))
         stage(f"learning from {len(met)} touches")
         n_differences = recogniser.learn_nuisance(met)
         written = recogniser.save(output)

@@ -1,6 +1,7 @@
 """`palpate serve`: a sensor on the desk, taught and asked in the browser."""
 
 import re
+import shutil
 import sys
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -13,6 +14,7 @@ from ._options import (
     Refusal,
     Strangers,
     grouped,
+    model_file,
     option,
 )
 from ._output import print_json, say
@@ -43,8 +45,8 @@ def serve(
     model: Annotated[
         Path | None,
         option(
-            "Model file to start from; learning writes it. Default: "
-            "model.palpate in the library."
+            "Model file to start from; learning writes it. Default: model.palpate in "
+            "the library. A ready one by name, such as sim-dome, is copied there."
         ),
     ] = None,
     library: Annotated[
@@ -85,6 +87,7 @@ def serve(
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
     addresses = sensor or []
+    model = model and _own(model_file(model), model, library)
     chosen: list[Any] = [options.open(address) for address in addresses] or [None]
     folders = [library] if len(addresses) < 2 else _folders(addresses, library, model)
     chosen_token = None if token is None else checked_token(token)
@@ -116,6 +119,21 @@ def _of(address: str | None, number: int, n_sensors: int) -> str | None:
         return address
     place, mark, options = address.partition("?")
     return f"{place}/{number}{mark}{options}"
+
+
+def _own(path: Path, asked: Path, library: Path | None) -> Path:
+    """Return the model file to start from: of a ready one a copy, to be learnt on."""
+    if path == asked or library is None:
+        return path
+    copy = library / "model.palpate"
+    if copy.exists() or (library / "library.sqlite").exists():
+        raise ValueError(
+            f"--model must be left out where {library} has touches or a model of its "
+            f"own, got {asked}. Name a --library that is not there yet."
+        )
+    library.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(path, copy)
+    return copy
 
 
 def _folders(

@@ -37,6 +37,7 @@ from .._extras import needed
 from .._types import Array
 from ..touches import Touches
 from ._convert import LONGEST_PATH, Made, Member, converted, digest
+from ._ready import READY, make_ready
 
 _CARDS = files(__package__) / "cards"
 _CACHES = {"win32": "AppData/Local", "darwin": "Library/Caches"}
@@ -67,14 +68,14 @@ def where(folder: str | Path | None = None) -> Path:
     It is `folder`; by default what PALPATE_DATA names, else the cache: what
     PALPATE_DATA_HOME names, else `palpate` in the caches of this computer.
     """
-    named_folders = (
-        folder,
-        os.environ.get("PALPATE_DATA"),
-        os.environ.get("PALPATE_DATA_HOME"),
-    )
-    for named in named_folders:
-        if named:
-            return Path(named)
+    named = folder or os.environ.get("PALPATE_DATA")
+    return Path(named) if named else cached()
+
+
+def cached() -> Path:
+    """Return the folder for what can be made or fetched again."""
+    if home := os.environ.get("PALPATE_DATA_HOME"):
+        return Path(home)
     caches = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
     usual = Path.home() / _CACHES.get(sys.platform, ".cache")
     return Path(os.environ.get(caches) or usual) / "palpate"
@@ -89,12 +90,15 @@ def fetch(
 ) -> Path:
     """Fetch a set from its public source, if it is not there; return its archive.
 
+    Or return the file of a ready model of a simulated sensor, made where it is not
+    there.
+
     Parameters
     ----------
     name : str
-        One of `names()`.
+        One of `names()`; or "sim-array", "sim-dome" or "sim-gel", a model.
     folder : path, optional
-        Where it goes; see `where`.
+        Where it goes; see `where`. A model goes to the cache, whatever PALPATE_DATA is.
     mirror : str, optional
         What stands for `https://HOST` in the source's address. Default:
         PALPATE_DATA_MIRROR, if it names anything.
@@ -104,8 +108,12 @@ def fetch(
     Warns where no SHA-256 was known, and where arrays are not those behind the figures.
     Raises ValueError for another name, or a source that has changed, is damaged or too
     large; OSError where it cannot be reached or the folder not be written; ImportError
-    without pooch. Nothing half done is left.
+    without pooch, or for a model without the simulation's packages. Nothing half done
+    is left.
     """
+    if name in READY:
+        return make_ready(name, Path(folder) if folder else cached(), progress)
+    check_option("name", name, (*names(), *READY))
     description, here = card(name), where(folder)
     outputs: list[Path] = [here / place for place in description["makes"]]
     if all(place.exists() for place in outputs):

@@ -200,6 +200,8 @@ def decision_table(
 def bound_said(decision: dict[str, Any]) -> str:
     """Return what the episodes that ended say of new objects, as a sentence."""
     n_named = decision["right"] + decision["wrong"]
+    if not n_named:
+        return "No episode ended with a name."
     counts = f"{decision['wrong']} of {n_named} names were wrong"
     error, n_objects = decision["error"], decision["n_objects"]
     if decision["can_be_verified"]:
@@ -209,8 +211,8 @@ def bound_said(decision: dict[str, Any]) -> str:
         )
     n_needed = ceil(log(0.05) / log1p(-error))
     return (
-        f"{counts}; {n_objects} objects cannot prove {100 * error:g} %, about "
-        f"{about(n_needed)} would."
+        f"{counts}; {n_objects} object{'s' * (n_objects != 1)} cannot prove "
+        f"{100 * error:g} %, about {about(n_needed)} would."
     )
 
 

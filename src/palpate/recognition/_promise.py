@@ -34,12 +34,11 @@ class Promise(NamedTuple):
     n_units: int
 
     def __str__(self) -> str:
+        objects = f"{self.n_units} object{'s' * (self.n_units != 1)}"
         if self.bound <= self.level:
-            return (
-                f"{self.n_units} objects left out can show an error of {self.level:g}."
-            )
+            return f"{objects} left out can show an error of {self.level:g}."
         return (
-            f"{self.n_units} objects cannot prove an error of {100 * self.level:g} %, "
+            f"{objects} cannot prove an error of {100 * self.level:g} %, "
             f"about {about(self.n_needed)} would."
         )
 

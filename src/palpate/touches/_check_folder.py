@@ -13,6 +13,8 @@ import numpy as np
 from ._columns import TouchesError
 from ._pictures import Header, PictureError, checked_picture, n_cores
 
+_GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
+
 
 class BadPicture(NamedTuple):
     """A picture that cannot be used: its path in the folder, why, and the fix."""
@@ -38,6 +40,8 @@ class PictureCheck:
         Pictures of one level all over.
     same : list of (str, str)
         Pictures that are a copy of another one.
+    coloured : bool
+        Whether the first that can be used shows colours, where it was read in grey.
     """
 
     bad: list[BadPicture] = field(default_factory=list)
@@ -45,6 +49,7 @@ class PictureCheck:
     turned: int = 0
     flat: list[str] = field(default_factory=list)
     same: list[tuple[str, str]] = field(default_factory=list)
+    coloured: bool = False
 
 
 class _Seen(NamedTuple):
@@ -93,7 +98,18 @@ def check_pictures(
             check.flat += [name] * picture.flat
             if (copy := first.setdefault(picture.digest, name)) != name:
                 check.same.append((name, copy))
+    if first and not colour:
+        check.coloured = _shows_colour(root / next(iter(first.values())))
     return check
+
+
+def _shows_colour(path: Path) -> bool:
+    """Return whether red, green and blue differ by more than what JPEG does to grey."""
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        levels = np.asarray(picture.convert("RGB"), np.int16)
+    return bool(np.ptp(levels, axis=2).mean() > _GREY_DIFFERS)
 
 
 def _fix(problem: str) -> str:
@@ -111,6 +127,6 @@ def without_bad(names: Sequence[str], bad: Sequence[BadPicture]) -> list[str]:
     if not kept:
         raise TouchesError(
             f"Pictures must be usable, got {len(names)} of which none is: "
-            f"{bad[0].picture} is {bad[0].problem}. Save them again."
+            f"{bad[0].picture} is {bad[0].problem}. Fix: {bad[0].fix}."
         )
     return kept

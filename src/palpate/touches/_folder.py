@@ -142,6 +142,9 @@ def _checked(
     if pattern is not None:
         pairs = zip(names, matched(pattern, names), strict=True)
         odd = {n: "not named like the others" for n, match in pairs if match is None}
+        if len(odd) == len(names):
+            odd = dict.fromkeys(odd, "not named as levels or name_pattern say")
+            fix = "give `levels` or a `name_pattern` as these paths are"
     elif (root / _LABELS).is_file():
         odd = {}
     else:

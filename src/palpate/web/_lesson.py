@@ -74,6 +74,8 @@ class Variety:
         left, spread, _ = np.linalg.svd(changes - changes.mean(0), full_matrices=False)
         places = np.pad(left * spread, ((0, 0), (0, 2)))[:, :2]
         places *= np.where(places[0] < 0, -1, 1)  # the same way round each time
+        # Of opposite touches one alone lies up to 2 from the middle of the others.
+        places /= max(1.0, float(np.abs(places).max()))
         return [
             {"number": start + k + 1, "x": x, "y": y, "like": self.like[start + k]}
             for k, (x, y) in enumerate(places.tolist())

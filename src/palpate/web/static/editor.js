@@ -42,7 +42,7 @@ export async function openStored(id, name, home = null) {
 // A touch of the episode, which is not stored: to be looked at.
 export function openPicture(src, title) {
   touches = [];
-  after = null;
+  after = find("belief");
   text(find("editor-title"), title);
   find("editor-picture").src = src;
   find("editor-picture").alt = title;

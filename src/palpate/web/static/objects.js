@@ -75,8 +75,8 @@ function makeCard(name, manage) {
 function update(card, { name, n_touches: count }, learnt, stored) {
   const state = learnt ? "learnt" : count > 1 ? "not learnt yet" : "too few to learn";
   const [, meta, thumbs] = card.children;
-  const touches = stored ? `${count} touch${count === 1 ? "" : "es"}, ` : "in the model alone, so it cannot be renamed, ";
-  text(meta, touches + state);
+  text(meta, stored ? `${count} touch${count === 1 ? "" : "es"}, ${state}` : `${state}; in the model alone, so it cannot be renamed`);
+  show(thumbs, stored);
   const [renaming, , exporting] = card.querySelectorAll(".row > *");
   if (renaming) {
     renaming.disabled = !stored;
