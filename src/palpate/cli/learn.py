@@ -9,7 +9,7 @@ from ._output import answer, counted, stages
 if TYPE_CHECKING:
     from ..library import Selection
     from ..recognition import ObjectRecogniser
-    from ..touches import Touches
+    from ..touches import ParquetTouches, Touches
 
 
 @_options.grouped
@@ -83,7 +83,9 @@ def learn(
     )
 
 
-def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":
+def _extended(
+    model: Path, training: "Touches | Selection | ParquetTouches"
+) -> "ObjectRecogniser":
     """Return a model that knows the new labels of `training` as well.
 
     Where all labels are known, their touches join those that the model has.
@@ -116,7 +118,7 @@ def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser
     return recogniser
 
 
-def _held(training: "Touches | Selection") -> "Touches":
+def _held(training: "Touches | Selection | ParquetTouches") -> "Touches":
     from ..touches import Touches
 
     if isinstance(training, Touches):

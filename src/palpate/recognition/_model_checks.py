@@ -56,11 +56,11 @@ class Budget:
         if not document.isascii() or n_values > 1_000_000 + self.n_bytes / 50:
             raise ValueError(f"{n_values} values are too many for its size")
 
-    def check_texts(self, items: Sequence[Any]) -> None:
-        """Refuse texts that would take too much memory."""
+    def check_texts(self, items: Sequence[Any], n_repeated: int = 0) -> None:
+        """Refuse texts that would take too much memory, some `n_repeated` times."""
         longest = max(map(len, items), default=0)
-        self.text += 4 * longest * len(items)
-        if longest > 1000 or self.text > 32 * MB + self.n_bytes / 2:
+        self.text += 4 * longest * (len(items) + n_repeated)
+        if longest > 1000 or self.text > 32 * MB + self.n_bytes:
             raise ValueError(f"{len(items)} texts of up to {longest} letters")
 
     def array(self, name: str, shape: list[int]) -> Array:
