@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from ..library import Selection, TouchLibrary
     from ..touches import ParquetTouches, Touches
 
+    # Touches to learn from, held or read as they are needed.
+    Labelled = Touches | Selection | ParquetTouches
+
 _NOT_OF_STREAMS = ("where", "name_pattern", "levels", "shape")
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
@@ -247,7 +250,7 @@ class Reading:
         return chain([next(parts)], parts)
 
     @contextmanager
-    def selection(self, path: Path) -> "Iterator[Touches | Selection | ParquetTouches]":
+    def selection(self, path: Path) -> "Iterator[Labelled]":
         """Read touches to learn from; of a library or Parquet as they are needed."""
         from ..touches import ParquetTouches, is_parquet
 
@@ -347,9 +350,7 @@ class Reading:
             "max_pixels": self._max_pixels,
         }
 
-    def read_as(
-        self, path: Path, touches: "Touches | Selection | ParquetTouches"
-    ) -> str:
+    def read_as(self, path: Path, touches: "Labelled") -> str:
         """Return how the folders above pictures were understood, if nobody said it."""
         given = self.levels is not None or self.name_pattern is not None
         if given or not path.is_dir() or (path / "labels.csv").is_file():

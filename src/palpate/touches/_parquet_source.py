@@ -7,7 +7,7 @@ read themselves; so every machine must reach them by the same path or address.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from copy import copy
 from functools import partial
 from os import PathLike
