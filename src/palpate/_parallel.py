@@ -216,4 +216,6 @@ def _unpacked(function: bytes, sender: str) -> Callable[..., Any]:
 
 
 def _called(function: Callable[..., Any], arguments: bytes) -> Any:
-    return function(*pickle.loads(arguments))
+    """Do a task on a worker, one of several on its machine."""
+    with on_one_thread():
+        return function(*pickle.loads(arguments))
