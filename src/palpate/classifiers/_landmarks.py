@@ -32,6 +32,8 @@ from .._types import Array, Bools, Floats, Indices
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
 TOUCHES_AT_ONCE, TOUCHES_A_TASK = 2000, 20_000
+# Tasks that fewer touches are cut into, so that few workers share them evenly.
+_LEAST_TASKS = 8
 # Keeps the landmarks' own kernel positive definite, where two of them are the same.
 _JITTER = 1e-8
 # What is less adds nothing, and products of it would be slow (subnormal numbers).
@@ -112,10 +114,9 @@ class LandmarkRegression:
     def _take_in(self, centred: Floats, codes: Indices, sign: float) -> None:
         """Take touches into the sums (sign 1), or out of them (-1)."""
         order = np.argsort(codes, kind="stable")  # few labels in each block
-        tasks = [
-            order[first : first + TOUCHES_A_TASK]
-            for first in range(0, len(order), TOUCHES_A_TASK)
-        ]
+        share = max(-(-len(order) // _LEAST_TASKS), TOUCHES_AT_ONCE)
+        size = min(share, TOUCHES_A_TASK)
+        tasks = [order[k : k + size] for k in range(0, len(order), size)]
         parts = results_of(
             partial(_sums, self._landmarks),
             len(tasks),
