@@ -379,7 +379,7 @@ def _met_elsewhere(memory: Memory) -> Array:
     """Return which touches are of an object that another session met too."""
     codes = np.searchsorted(memory.classes, memory.labels)
     n_sessions = _n_sessions(memory.labels, memory.sessions)
-    return (memory.sessions != "") & (n_sessions[codes] > 1)
+    return np.asarray((memory.sessions != "") & (n_sessions[codes] > 1))
 
 
 def _n_sessions(names: Array, sessions: Array) -> Indices:
