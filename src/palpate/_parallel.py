@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import lru_cache
-from importlib.metadata import version
 from threading import Lock
 from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
+from . import __version__
 from ._extras import needed
 from ._progress import Progress
 
@@ -145,7 +145,7 @@ def _sent(
 
     at_once = 2 * _n_threads(client)
     # As a task it is sent once, and made again where the worker that has it dies.
-    shared = submitted(_unpacked, dumps(function), version("palpate"))
+    shared = submitted(_unpacked, dumps(function), __version__)
     waiting: deque[Any] = deque()
     for number in numbers:
         waiting.append(submitted(_called, shared, dumps(tuple(arguments(number)))))
@@ -206,10 +206,10 @@ def _cluster_lost(client: Any, what: str) -> OSError:
 
 def _unpacked(function: bytes, sender: str) -> Callable[..., Any]:
     """Return a function on a worker, which must have the sender's palpate."""
-    if version("palpate") != sender:
+    if __version__ != sender:
         raise RuntimeError(
             f"All workers of the Dask cluster must have palpate {sender}, got one with "
-            f"{version('palpate')}. Install the same everywhere."
+            f"{__version__}. Install the same everywhere."
         )
     unpacked: Callable[..., Any] = pickle.loads(function)
     return unpacked

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 import sys
 import time
@@ -14,7 +15,7 @@ import pytest
 from joblib import Parallel, delayed, parallel_config
 from numpy.testing import assert_allclose
 
-from palpate import ObjectRecogniser, Touches, _parallel
+from palpate import ObjectRecogniser, Touches, __version__, _parallel
 from palpate._parallel import results_of
 from palpate.classifiers import _kernel_ridge, _landmarks
 from palpate.cli import main
@@ -141,6 +142,13 @@ def test_a_task_that_kills_its_workers_is_not_tried_for_ever(
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)
     with pytest.raises(OSError, match="must fit into the memory of one worker"):
         list(results_of(_dies, 1, lambda n: (n,)))
+
+
+def test_a_worker_with_another_palpate_is_refused():
+    function = pickle.dumps(len)
+    assert _parallel._unpacked(function, __version__) is len
+    with pytest.raises(RuntimeError, match=r"must have palpate 0\.0\.1, got one with"):
+        _parallel._unpacked(function, "0.0.1")
 
 
 def _marked(folder, touches):
