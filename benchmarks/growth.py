@@ -3,11 +3,17 @@
     python benchmarks/growth.py                # measures, writes growth.json, draws
     python benchmarks/growth.py --picture DIR  # draws what was measured
     python benchmarks/growth.py --shop [N]     # N of the rows of very many, into it
+    python benchmarks/growth.py --spread       # two workers beside one process, into it
 
 Of very many objects, each has two faces, a recorded touch and noise of its own each;
 half of the touches met are of either. Asked are 1,000 touches of them, beside a
 nearest-mean classifier of scaled features; one object more is learnt and one forgotten,
 and the model is written and read.
+
+What is spread over a cluster is encoding pictures of 120 x 120 from Parquet, and the
+sums of 2,000 landmarks: in this process, then by two Dask workers of one thread, in
+turn. By the clock that takes two idle cores; CPU time of the busier worker says what
+they would take there.
 
 Each size is learnt in a process of its own, on one thread, until one takes longer than
 `LONGEST_S` of CPU time. Objects and touches are those of `default` on vectors of 71
@@ -33,7 +39,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "growth.json"
-N_FEATURES, LONGEST_S, N_ASKED = 71, 240, 20
+N_FEATURES, LONGEST_S, N_ASKED, N_ROUNDS = 71, 240, 20, 2
 KERNELS = 10_000
 # Objects and touches of each, of a shop and of a fleet.
 SHOP = [(10_000, 5), (10_000, 20), (100, 10_000)]
@@ -60,16 +66,17 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, metavar="FOLDER")
     parser.add_argument("--one", nargs=3, type=int, help=argparse.SUPPRESS)
     parser.add_argument("--shop", nargs="?", type=int, const=len(SHOP))
+    parser.add_argument("--spread", action="store_true")
     parser.add_argument("--one-shop", nargs=2, type=int, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.one_shop:
         print(json.dumps(shop(*asked.one_shop)))
         return
     if asked.shop:
-        rows = [in_a_process("--one-shop", size) for size in SHOP[: asked.shop]]
-        known = json.loads(RESULTS.read_text(encoding="utf-8"))
-        text = json.dumps(known | {"shop": {"rows": rows}}, indent=1) + "\n"
-        RESULTS.write_text(text, encoding="utf-8")
+        keep("shop", [in_a_process("--one-shop", s) for s in SHOP[: asked.shop]])
+        return
+    if asked.spread:
+        keep("spread", spread())
         return
     if asked.one:
         print(json.dumps(learnt(*asked.one)))
@@ -78,6 +85,13 @@ def main() -> None:
         rows = {way: measured(way, 3 if asked.quick else None) for way in WAYS}
         RESULTS.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     draw(asked.picture or HERE.parent / "docs" / "images")
+
+
+def keep(name: str, rows: list[dict[str, Any]]) -> None:
+    """Write rows beside what was measured before."""
+    before = json.loads(RESULTS.read_text(encoding="utf-8"))
+    text = json.dumps(before | {name: {"rows": rows}}, indent=1) + "\n"
+    RESULTS.write_text(text, encoding="utf-8")
 
 
 def measured(way: str, most: int | None) -> dict[str, Any]:
@@ -172,6 +186,70 @@ def shop(n_objects: int, n_each: int) -> dict[str, float]:
     return row
 
 
+def spread() -> list[dict[str, Any]]:
+    """Do what is spread in this process and by two workers; return times of rounds."""
+    from distributed import Client, LocalCluster
+    from joblib import parallel_config
+
+    options = {"threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": ":0"}
+    rows = []
+    with (
+        TemporaryDirectory() as folder,
+        LocalCluster(2, **options) as cluster,
+        Client(cluster) as client,
+    ):
+        for name, work in spread_parts(Path(folder)).items():
+            with parallel_config("dask"):
+                work()  # workers import what they need
+            for _ in range(N_ROUNDS):
+                with parallel_config("sequential"):
+                    wall, cpu = timed(work)
+                before = client.run(time.process_time)
+                with parallel_config("dask"):
+                    wall_spread, _ = timed(work)
+                after = client.run(time.process_time)
+                busy = [after[worker] - before[worker] for worker in after]
+                row = {"part": name, "one_s": wall, "one_cpu_s": cpu}
+                row |= {"two_s": wall_spread, "two_cpu_s": sorted(busy)}
+                rows.append(row)
+                print(row, flush=True)
+    return rows
+
+
+def spread_parts(folder: Path) -> dict[str, Any]:
+    """Return what is spread, by name, as functions."""
+    from palpate.classifiers._landmarks import LandmarkRegression, Landmarks
+    from palpate.library import TouchLibrary
+    from palpate.recognition import ObjectRecogniser, _learning
+    from palpate.touches import ParquetTouches
+
+    touches = pictures(20, 100, 120)
+    with TouchLibrary.open(folder / "library", create=True) as library:
+        library.add(touches)
+        library.export(folder / "touches.parquet")
+    source = ParquetTouches(folder / "touches.parquet")
+    few = touches[:: len(touches) // 200]
+    learnt = ObjectRecogniser().fit(few).learnt()
+    vectors = np.random.default_rng(0).normal(size=(60_000, N_FEATURES))
+    codes = np.arange(len(vectors)) % 10
+    marks = vectors[:: len(vectors) // 2000]
+    landmarks = Landmarks(marks, (marks**2).sum(axis=1), 0.5 / (2 * N_FEATURES))
+    return {
+        "encoding": lambda: _learning.encoded(learnt.encoder, learnt.contact, source),
+        "sums": lambda: LandmarkRegression(landmarks, 0.03).learn(vectors, codes, 10),
+    }
+
+
+def timed(work: Any) -> tuple[float, float]:
+    """Return seconds by the clock and of CPU of this process."""
+    from palpate._parallel import on_one_thread
+
+    begun, cpu = time.perf_counter(), time.process_time()
+    with on_one_thread():
+        work()
+    return time.perf_counter() - begun, time.process_time() - cpu
+
+
 def with_faces(n_objects: int, n_each: int) -> tuple[Any, Any]:
     """Draw touches of objects of two faces to learn, and 1,000 to ask about."""
     from palpate import Touches
@@ -256,7 +334,7 @@ def draw(folder: Path) -> None:
 
     plt.style.use(str(HERE.parent / "docs" / "palpate.mplstyle"))
     kept = json.loads(RESULTS.read_text(encoding="utf-8"))
-    kept.pop("shop", None)
+    kept = {way: kept[way] for way in WAYS}
     figure, axes = plt.subplots(1, 3, figsize=(10.8, 3.6), layout="constrained")
     for axis, (key, label) in zip(axes, FIGURES.items(), strict=True):
         for (way, found), marker in zip(kept.items(), "os^", strict=True):

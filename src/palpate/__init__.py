@@ -9,8 +9,10 @@ cheap.
 
 import lazy_loader
 
+from ._version import __version__
+
 __getattr__, _names, _ = lazy_loader.attach_stub(__name__, __file__)
-__version__ = "0.2.0"
+
 __all__ = [
     "Belief",
     "Evidence",

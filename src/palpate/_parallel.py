@@ -1,18 +1,27 @@
 """Many tasks at once, with a bar on standard error; one thread where more only wait."""
 
+import pickle
 import sys
+import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from threading import Lock
 from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
+from ._extras import needed
 from ._progress import Progress
+from ._version import __version__
 
-_MOST_LOSSES = 3  # of workers; more is no accident
+# A Dask cluster is given up after so long without a worker or a scheduler, or when its
+# scheduler was lost more often than this; how often it is asked.
+LONGEST_ABSENCE_S, _MOST_LOSSES, _ASKED_EACH_S = 60.0, 3, 1.0
+# Dask warns of larger tasks; ours hold the images they encode.
+_LARGE_TASK = {"distributed.admin.large-graph-warning-threshold": "1GB"}
 _lock = Lock()
 # How many now keep OpenCV on one thread, and how many threads it had before.
 _keepers, _usual = 0, 1
@@ -83,21 +92,130 @@ def results_of(
 ) -> Iterator[Any]:
     """Yield `function(*arguments(number))` of every task, in their order.
 
-    joblib keeps arguments of more than 1 kB on one worker of a Dask cluster alone, and
-    when that dies all tasks that need them are cancelled: these are sent again, up to
-    three times.
+    Under `joblib.parallel_config("dask")` on its cluster, else in `n_jobs` processes.
     """
     from joblib import Parallel, delayed
+    from joblib.parallel import get_active_backend
 
-    done = 0
-    for n_losses in range(_MOST_LOSSES + 1):
-        run = Parallel(n_jobs=n_jobs, return_as="generator")
-        rest = range(done, n_tasks)
+    client = getattr(get_active_backend()[0], "client", None)
+    if client is not None:
+        yield from _results_of_cluster(client, function, n_tasks, arguments)
+        return
+    run = Parallel(n_jobs=n_jobs, return_as="generator")
+    yield from run(delayed(function)(*arguments(n)) for n in range(n_tasks))
+
+
+def _results_of_cluster(
+    client: Any,
+    function: Callable[..., Any],
+    n_tasks: int,
+    arguments: Callable[[int], Iterable[Any]],
+) -> Iterator[Any]:
+    """Yield the results of tasks that Dask's scheduler holds until they are done.
+
+    joblib would keep arguments of more than 1 kB on one worker alone, and cancel what
+    needs them when that dies. Here Dask does the tasks of a dead worker again. They are
+    sent again only where the scheduler itself was lost.
+    """
+    done = n_losses = 0
+    while done < n_tasks:
         try:
-            for result in run(delayed(function)(*arguments(n)) for n in rest):
+            for result in _sent(client, function, range(done, n_tasks), arguments):
                 done += 1
                 yield result
-            return
-        except CancelledError:
-            if n_losses == _MOST_LOSSES:
-                raise
+        except CancelledError as error:
+            n_losses += 1
+            if n_losses > _MOST_LOSSES:
+                raise _cluster_lost(client, "lost its scheduler again") from error
+
+
+def _sent(
+    client: Any,
+    function: Callable[..., Any],
+    numbers: Iterable[int],
+    arguments: Callable[[int], Iterable[Any]],
+) -> Iterator[Any]:
+    """Send tasks, two for each thread of the workers at a time; yield their results."""
+    dask: Any = needed("dask", "distributed", "A Dask cluster")
+    dumps = needed("cloudpickle", "distributed", "A Dask cluster").dumps
+
+    def submitted(task: Callable[..., Any], *given: Any) -> Any:
+        with dask.config.set(_LARGE_TASK):
+            return client.submit(task, *given, pure=False)
+
+    at_once = 2 * _n_threads(client)
+    # As a task it is sent once, and made again where the worker that has it dies.
+    shared = submitted(_unpacked, dumps(function), __version__)
+    waiting: deque[Any] = deque()
+    for number in numbers:
+        waiting.append(submitted(_called, shared, dumps(tuple(arguments(number)))))
+        if len(waiting) == at_once:
+            yield _result(client, waiting.popleft())
+    while waiting:
+        yield _result(client, waiting.popleft())
+
+
+def _n_threads(client: Any) -> int:
+    """Return how many threads the workers have; wait for the first one, or give up."""
+    begun = time.monotonic()
+    while time.monotonic() - begun < LONGEST_ABSENCE_S:
+        if client.status == "closed":
+            break
+        if n_threads := _threads_now(client):
+            return n_threads
+        time.sleep(_ASKED_EACH_S)
+    raise _cluster_lost(client, "has had no worker")
+
+
+def _threads_now(client: Any) -> int:
+    """Return how many threads the workers have, 0 where the scheduler is away."""
+    if client.status != "running":
+        return 0
+    with suppress(OSError):
+        return sum(client.nthreads().values())
+    return 0
+
+
+def _result(client: Any, future: Any) -> Any:
+    """Return what a task returned; give up where nobody is left to do it."""
+    distributed: Any = needed("distributed", "distributed", "A Dask cluster")
+    while True:
+        with suppress(TimeoutError):
+            distributed.wait(future, timeout=_ASKED_EACH_S)
+        if not future.done():
+            _n_threads(client)
+            continue
+        try:
+            return future.result()
+        except distributed.KilledWorker as error:
+            raise OSError(
+                "A task must fit into the memory of one worker of the Dask cluster, "
+                f"got workers that died of it: {error} Give workers more memory, or "
+                "start fewer on each machine."
+            ) from error
+
+
+def _cluster_lost(client: Any, what: str) -> OSError:
+    address = getattr(client.scheduler, "address", "")
+    return OSError(
+        f"The Dask cluster {address} must have a scheduler and workers until the end, "
+        f"got one that {what} for {LONGEST_ABSENCE_S:g} s. Nothing was written. Start "
+        "it again, and then this."
+    )
+
+
+def _unpacked(function: bytes, sender: str) -> Callable[..., Any]:
+    """Return a function on a worker, which must have the sender's palpate."""
+    if __version__ != sender:
+        raise RuntimeError(
+            f"All workers of the Dask cluster must have palpate {sender}, got one with "
+            f"{__version__}. Install the same everywhere."
+        )
+    unpacked: Callable[..., Any] = pickle.loads(function)
+    return unpacked
+
+
+def _called(function: Callable[..., Any], arguments: bytes) -> Any:
+    """Do a task on a worker, one of several on its machine."""
+    with on_one_thread():
+        return function(*pickle.loads(arguments))

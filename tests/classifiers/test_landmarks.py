@@ -38,7 +38,7 @@ def refitted_from_scratch(machine, X, labels, groups):
 
 
 @pytest.mark.parametrize("way", ["add", "extend", "forget", "both"])
-def test_changes_are_learnt_by_their_residuals_alone(way):
+def test_changes_are_learnt_by_what_they_add_to_the_sums(way):
     X, labels, groups = drawn(10, 12)
     first = labels != "object 04"
     if way == "extend":

@@ -2,20 +2,25 @@
 
 import json
 import os
+import pickle
 import signal
 import sys
 import time
 from contextlib import suppress
+from functools import partial
+from threading import Thread
 
 import numpy as np
 import pytest
 from joblib import Parallel, delayed, parallel_config
 from numpy.testing import assert_allclose
 
-from palpate import Touches
+from palpate import ObjectRecogniser, Touches, __version__, _parallel
 from palpate._parallel import results_of
+from palpate.classifiers import _kernel_ridge, _landmarks
 from palpate.cli import main
 from palpate.library import TouchLibrary
+from palpate.touches import ParquetTouches, _parquet_source
 
 distributed = pytest.importorskip("distributed")
 
@@ -108,8 +113,8 @@ def _slow_sum(number, block, folder):
 
 
 @pytest.mark.slow
-def test_what_only_a_dead_worker_held_is_sent_again(on_cluster, tmp_path):
-    """Joblib keeps an argument of more than 1 kB on one worker alone."""
+def test_tasks_of_a_dead_worker_are_done_again_whatever_they_hold(on_cluster, tmp_path):
+    """The scheduler holds them, so that no worker is needed for its arguments."""
     blocks = [np.full(1000, number / 1000) for number in range(12)]
     tasks = [(number, block, tmp_path) for number, block in enumerate(blocks)]
     results = results_of(_slow_sum, len(tasks), tasks.__getitem__)
@@ -117,6 +122,143 @@ def test_what_only_a_dead_worker_held_is_sent_again(on_cluster, tmp_path):
     newest = max(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime)
     os.kill(int(newest.name.split(".")[1]), signal.SIGKILL)
     assert [first, *results] == pytest.approx([n**2 + n for n in range(12)])
+
+
+@pytest.mark.slow
+def test_a_task_that_fails_fails_as_here(on_cluster):
+    with pytest.raises(ZeroDivisionError):
+        list(results_of(divmod, 3, lambda n: (1, n)))
+
+
+def _dies(number):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_task_that_kills_its_workers_is_not_tried_for_ever(
+    cluster, on_cluster, monkeypatch
+):
+    """Dask gives up after four, here after one; most often it was the memory."""
+    monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)
+    with pytest.raises(OSError, match="must fit into the memory of one worker"):
+        list(results_of(_dies, 1, lambda n: (n,)))
+
+
+def test_a_worker_with_another_palpate_is_refused():
+    function = pickle.dumps(len)
+    assert _parallel._unpacked(function, __version__) is len
+    with pytest.raises(RuntimeError, match=r"must have palpate 0\.0\.1, got one with"):
+        _parallel._unpacked(function, "0.0.1")
+
+
+def _marked(folder, touches):
+    (folder / f"{os.getpid()}").touch()
+    time.sleep(20)
+    return _spectrum(touches)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", ["workers", "scheduler"])
+def test_a_cluster_that_goes_away_for_good_ends_in_a_sentence(
+    library, tmp_path, monkeypatch, lost
+):
+    """Within the time that is waited for it, and with nothing half done."""
+    monkeypatch.setattr(_parallel, "LONGEST_ABSENCE_S", 3.0)
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    options = {"threads_per_worker": 1, "host": "127.0.0.1", "silence_logs": 50}
+    with distributed.LocalCluster(1, dashboard_address=":0", **options) as brief:
+
+        def leave():
+            while not any(marks.iterdir()):
+                time.sleep(0.05)
+            brief.scale(0) if lost == "workers" else brief.close()
+
+        with distributed.Client(brief.scheduler_address, timeout=2):
+            leaving = Thread(target=leave)
+            leaving.start()
+            begun = time.monotonic()
+            with (
+                parallel_config("dask"),
+                pytest.raises(OSError, match=r"Nothing was written\. Start it again"),
+            ):
+                library.select().features("key", partial(_marked, marks))
+            leaving.join()
+    assert time.monotonic() - begun < 40
+    kept = list((library.folder / "features").rglob("*.npz"))
+    assert kept == []
+
+
+@pytest.fixture
+def parquet(tmp_path):
+    """Touches of 20 objects as Parquet, in row groups of 60."""
+    pq = pytest.importorskip("pyarrow.parquet")
+    rng = np.random.default_rng(0)
+    centres = np.repeat(rng.normal(size=(20, 3, 8)), 30, axis=0)
+    images = centres + 0.4 * rng.normal(size=centres.shape)
+    touches = Touches(
+        images, object=np.repeat([f"part {k}" for k in range(20)], 30), geometry="none"
+    )
+    with TouchLibrary.open(tmp_path / "library", create=True) as made:
+        made.add(touches)
+        made.export(tmp_path / "set.parquet")
+    table = pq.read_table(tmp_path / "set.parquet")
+    pq.write_table(table, tmp_path / "set.parquet", row_group_size=60)
+    return touches, tmp_path / "set.parquet"
+
+
+def _learn(monkeypatch, capsys, *given):
+    monkeypatch.setattr(sys, "argv", ["palpate", "learn", *map(str, given), "--json"])
+    with suppress(SystemExit):
+        main()
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture
+def few_at_once(monkeypatch):
+    """Landmarks from 5,000 targets on, tasks of 100 touches or a row group."""
+    monkeypatch.setattr(_kernel_ridge, "_MOST_TARGETS", 5000)
+    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 100)
+    monkeypatch.setattr(_parquet_source, "_AT_ONCE", 1)
+
+
+@pytest.mark.slow
+def test_the_command_learns_parquet_alike_everywhere(
+    cluster, parquet, few_at_once, tmp_path, monkeypatch, capsys
+):
+    touches, path = parquet
+    places = {"one": [], "cluster": ["--cluster", cluster.scheduler_address]}
+    answers = []
+    for name, place in places.items():
+        output = tmp_path / f"{name}.palpate"
+        learnt = _learn(monkeypatch, capsys, path, "-o", output, *place)
+        assert learnt["n_train_touches"] == len(touches)
+        answers.append(ObjectRecogniser.load(output).log_likelihood(touches[::20]))
+    # The same arithmetic in the same blocks, added in the same order.
+    assert_allclose(answers[1], answers[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_while_parquet_is_learnt_changes_nothing(
+    on_cluster, parquet, few_at_once
+):
+    touches, path = parquet
+    with parallel_config("sequential"):
+        alone = ObjectRecogniser().fit(ParquetTouches(path))
+
+    def kill():
+        while not any(on_cluster.processing().values()):
+            time.sleep(0.01)
+        os.kill(next(iter(on_cluster.run(os.getpid).values())), signal.SIGKILL)
+
+    killing = Thread(target=kill)
+    killing.start()
+    together = ObjectRecogniser().fit(ParquetTouches(path))
+    killing.join()
+    asked = touches[::20]
+    assert_allclose(
+        together.log_likelihood(asked), alone.log_likelihood(asked), rtol=0, atol=1e-6
+    )
 
 
 @pytest.mark.slow

@@ -124,7 +124,7 @@ def test_forged_content_is_refused(tmp_path, model, message):
 
 def test_another_version_is_named(tmp_path):
     path = forged(tmp_path / "b.palpate", HOSTILE, version=99)
-    with pytest.raises(ModelFileError, match="format 99, this palpate reads 4 and 5"):
+    with pytest.raises(ModelFileError, match="format 99, this palpate reads 4 to 6"):
         read_model(path, Box)
 
 

@@ -17,8 +17,7 @@ def _taught(rng, n_each=20):
     codes = np.repeat(np.arange(6), n_each)
     features = CENTRES[codes] + rng.normal(size=(len(codes), 10))
     blocks = np.arange(len(codes)) // 5
-    posterior = np.eye(6)[codes]
-    return Taught(features, codes, blocks, posterior, Parts(np.array([0, 4, 10])))
+    return Taught(features, codes, blocks, Parts(np.array([0, 4, 10])))
 
 
 def _met(rng, codes, offset, taught):

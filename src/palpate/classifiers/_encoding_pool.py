@@ -36,6 +36,9 @@ from ._touch_classifier import (
 TOGETHER = "all together"
 # No machine may say of a touch that an object is less probable than this (nats).
 _LEAST = -30.0
+# Weights follow from at most so many left-out answers, one for each touch and label;
+# more are stored in single precision.
+_MANY_ANSWERS = 1_000_000
 # With fewer landmarks for each label, they cannot tell labels apart.
 LANDMARKS_EACH = 4
 
@@ -132,7 +135,7 @@ class EncodingPool(BayesRule):
     def weighed_by(self, codes: Indices) -> Self:
         """Weigh the machines by left-out touches; `codes` are their labels' columns."""
         every = self.left_out_posteriors()
-        step = -(-codes.size * self.classes_.size // 1_000_000)
+        step = -(-codes.size * self.classes_.size // _MANY_ANSWERS)
         some = np.sort(np.argsort(codes, kind="stable")[::step])
         weights = pool_weights(every[:, some], codes[some])
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
@@ -180,7 +183,22 @@ class EncodingPool(BayesRule):
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        return self.left_out_
+        return np.asarray(self.left_out_, dtype=np.float64)
+
+    def stored(self) -> Self:
+        """Return what a model file holds: of very many touches less precise answers."""
+        if self.left_out_.size <= _MANY_ANSWERS:
+            return self
+        other = copy(self)
+        other.left_out_ = self.left_out_.astype(np.float32)
+        return other
+
+    def resume(self, X: ArrayLike, y: ArrayLike) -> None:
+        """Go on from the touches that were learnt before a model file was written."""
+        for name, part in self._parts(np.asarray(X)).items():
+            machine = self.machines_[name]
+            if isinstance(machine, KernelRidgeClassifier):
+                machine.resume(part, y)
 
     @property
     def left_out_rows(self) -> Indices:

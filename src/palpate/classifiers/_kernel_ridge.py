@@ -11,6 +11,7 @@ without a single further fit.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 from functools import cache
 from typing import Any, NamedTuple, Self
 
@@ -26,7 +27,7 @@ from .._checks import check_count, check_positive, check_squarable
 from .._numbers import exp, log_loss, log_softmax
 from .._types import Array, Floats, Indices
 from ._growing_inverse import GrowingInverse
-from ._landmarks import LandmarkRegression, Landmarks, group_members
+from ._landmarks import LandmarkRegression, Landmarks, Sums, group_members
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -153,6 +154,7 @@ class KernelRidgeClassifier(BayesRule):
     temperature_: float
     bend_: float
     lean_: float
+    sums_: Sums
 
     def __init__(
         self,
@@ -302,9 +304,7 @@ class KernelRidgeClassifier(BayesRule):
             self.mean_ = touches.mean(axis=0)
             centred = touches - self.mean_
             self.touches_ = centred[_thin(codes, min(n_landmarks, len(codes)))]
-            squares = np.einsum("ij,ij->i", self.touches_, self.touches_)
-            landmarks = Landmarks(self.touches_, squares, self.width_ / self.unit_)
-            regression = LandmarkRegression(landmarks, self.ridge_)
+            regression = LandmarkRegression(self._landmarks(), self.ridge_)
             regression.learn(centred, codes, len(self.classes_))
             summed = _Summed(touches, codes, self.classes_, regression)
         self._summed = summed
@@ -409,6 +409,36 @@ class KernelRidgeClassifier(BayesRule):
     def _log_posterior(self, scores: Floats) -> Floats:
         shape = (self.temperature_, self.bend_, 1.0)
         return _log_posterior(shape, scores, self.log_counts_)
+
+    def stored(self) -> Self:
+        """Return what a model file holds: of landmarks, also sums that touches join."""
+        summed: _Summed | None = self.__dict__.get("_summed")
+        if summed is None:
+            return self
+        other = copy(self)
+        other.left_out_scores_ = self.left_out_scores_.astype(np.float32)
+        other.sums_ = summed.regression.sums()
+        return other
+
+    def resume(self, X: ArrayLike, y: ArrayLike) -> None:
+        """Go on from the touches that were learnt before a model file was written.
+
+        Raises
+        ------
+        ValueError
+            The file's sums do not fit to its landmarks.
+        """
+        sums: Sums | None = self.__dict__.pop("sums_", None)
+        if sums is None:
+            return
+        touches, codes = np.asarray(X), np.searchsorted(self.classes_, y)
+        regression = LandmarkRegression(self._landmarks(), self.ridge_)
+        regression.resumed(sums, self.coefficients_.dtype)
+        self._summed = _Summed(touches, codes, self.classes_, regression)
+
+    def _landmarks(self) -> Landmarks:
+        squares = np.einsum("ij,ij->i", self.touches_, self.touches_)
+        return Landmarks(self.touches_, squares, self.width_ / self.unit_)
 
     def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches with the width and ridge already chosen."""

@@ -4,15 +4,13 @@ With more touches than a kernel matrix is for, some of them are landmarks for al
 (Nystroem features [1]_). What is learnt follows from sums over touches: of products of
 their kernels with the landmarks, and of these kernels for each label. So touches pass
 in blocks, in any order and wherever a block lies. No array has a row for each touch and
-a column for each label, and a few touches more or fewer change what was learnt by their
-residuals alone [2]_.
+a column for each label, and a few touches more or fewer change what was learnt by what
+they add to the sums.
 
 References
 ----------
 .. [1] C. K. I. Williams, M. Seeger, "Using the Nystroem method to speed up kernel
    machines", NIPS 13, 2001.
-.. [2] W. W. Hager, "Updating the inverse of a matrix", SIAM Review 31(2), 1989.
-   doi:10.1137/1031049
 """
 
 from __future__ import annotations
@@ -20,7 +18,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
-from typing import Self
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +32,8 @@ from .._types import Array, Bools, Floats, Indices
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
 TOUCHES_AT_ONCE, TOUCHES_A_TASK = 2000, 20_000
+# Tasks that fewer touches are cut into, so that few workers share them evenly.
+_LEAST_TASKS = 8
 # Keeps the landmarks' own kernel positive definite, where two of them are the same.
 _JITTER = 1e-8
 # What is less adds nothing, and products of it would be slow (subnormal numbers).
@@ -40,6 +41,10 @@ _LEAST_EXPONENT = -100.0
 # Single precision is taken where scores of so many touches change by less than this:
 # posteriors by a thousandth of a nat at a temperature of 100.
 N_COMPARED, SAME_SCORE = 500, 1e-5
+
+# Touches at first; products of their kernels with the landmarks, row by row up to the
+# diagonal, (n_marks * (n_marks + 1) / 2,); and sums of kernels, (n_labels, n_marks).
+Sums = tuple[int, Floats, Floats]
 
 
 @dataclass(frozen=True)
@@ -98,27 +103,58 @@ class LandmarkRegression:
 
         In tasks of blocks, wherever `joblib.parallel_config` says.
         """
-        order = np.argsort(codes, kind="stable")  # few labels in each block
-        tasks = [
-            order[first : first + TOUCHES_A_TASK]
-            for first in range(0, len(order), TOUCHES_A_TASK)
-        ]
-        parts = results_of(
-            _sums,
-            len(tasks),
-            lambda n: (self._landmarks, centred[tasks[n]], codes[tasks[n]]),
-        )
         n_marks = len(self._root)
         self._products = np.zeros((n_marks, n_marks))
-        by_label = np.zeros((n_labels, n_marks))
-        for products, present, own in parts:
-            self._products += products
-            by_label[present] += own
-        self.n_first, self._total = len(centred), by_label.sum(axis=0)
+        self._by_label = np.zeros((n_labels, n_marks))
+        self.n_first = len(centred)
+        self._take_in(centred, codes, 1.0)
+        self._plain = self._as_short_as_exact(self._solved(), centred)
+        return self
+
+    def _take_in(self, centred: Floats, codes: Indices, sign: float) -> None:
+        """Take touches into the sums (sign 1), or out of them (-1)."""
+        order = np.argsort(codes, kind="stable")  # few labels in each block
+        share = max(-(-len(order) // _LEAST_TASKS), TOUCHES_AT_ONCE)
+        size = min(share, TOUCHES_A_TASK)
+        tasks = [order[k : k + size] for k in range(0, len(order), size)]
+        parts = results_of(
+            partial(_sums, self._landmarks),
+            len(tasks),
+            lambda n: (centred[tasks[n]], codes[tasks[n]]),
+        )
+        for products, present, by_label in parts:
+            self._products += sign * products
+            self._by_label[present] += sign * by_label
+
+    def _solved(self) -> Floats:
+        """Return the coefficients (n_marks, n_labels) that follow from the sums."""
         self._factorise()
-        outer = solve_triangular(self._root, by_label.T, lower=True)
-        weights = cho_solve(self._factor, outer, overwrite_b=True)
-        self._plain = self._as_short_as_exact(self._of_kernels(weights), centred)
+        outer = solve_triangular(self._root, self._by_label.T, lower=True)
+        return self._of_kernels(cho_solve(self._factor, outer, overwrite_b=True))
+
+    def sums(self) -> Sums:
+        """Return what later touches join, for a model file."""
+        n_marks = len(self._root)
+        lower = self._products[np.tril_indices(n_marks)]
+        return self.n_first, lower, self._by_label
+
+    def resumed(self, sums: Sums, dtype: np.dtype[Any]) -> Self:
+        """Take up sums of a model file; coefficients follow with the next touches.
+
+        Raises
+        ------
+        ValueError
+            They are not of so many landmarks.
+        """
+        self.n_first, lower, self._by_label = sums
+        n_marks = len(self._root)
+        if lower.size != n_marks * (n_marks + 1) // 2 or not np.isfinite(lower).all():
+            raise ValueError(f"sums of {lower.size} products are not of {n_marks}")
+        if self._by_label.shape[1:] != (n_marks,):
+            raise ValueError(f"sums of labels have shape {self._by_label.shape}")
+        self._products = np.zeros((n_marks, n_marks))
+        self._products[np.tril_indices(n_marks)] = lower
+        self._plain = np.empty((n_marks, 0), dtype=dtype)
         return self
 
     def _as_short_as_exact(self, coefficients: Floats, centred: Floats) -> Array:
@@ -142,30 +178,15 @@ class LandmarkRegression:
         of `n_labels`; then `new` touches and their codes among these.
         """
         other = copy(self)
+        other._products = self._products.copy()
+        other._by_label = self._by_label.copy()
         other._take_in(*gone, -1.0)
-        plain = np.zeros((len(self._root), n_labels), dtype=self._plain.dtype)
-        plain[:, places] = other._plain[:, stay]
-        other._plain = plain
+        by_label = np.zeros((n_labels, len(self._root)))
+        by_label[places] = other._by_label[stay]
+        other._by_label = by_label
         other._take_in(*new, 1.0)
+        other._plain = other._solved().astype(self._plain.dtype)
         return other
-
-    def _take_in(self, centred: Floats, codes: Indices, sign: float) -> None:
-        """Take touches in (sign 1) or out (-1); both come to their residuals."""
-        if not len(centred):
-            return
-        kernel = self._landmarks.kernel(centred)
-        features = solve_triangular(self._root, kernel.T, lower=True)
-        through = cho_solve(self._factor, features)
-        inner = features.T @ through
-        inner.flat[:: len(inner) + 1] += sign
-        dtype = self._plain.dtype
-        residual = -(kernel.astype(dtype) @ self._plain)
-        residual[np.arange(len(codes)), codes] += 1
-        change = np.linalg.solve(inner, residual)
-        self._plain = self._plain + (self._of_kernels(through) @ change).astype(dtype)
-        self._products = self._products + sign * (kernel.T @ kernel)
-        self._total = self._total + sign * kernel.sum(axis=0)
-        self._factorise()
 
     def _factorise(self) -> None:
         """Factorise the products of features, with the ridge."""
@@ -186,7 +207,7 @@ class LandmarkRegression:
         For answers less their mean, 1 / n_labels; in single precision where scores stay
         the same.
         """
-        total = solve_triangular(self._root, self._total, lower=True)
+        total = solve_triangular(self._root, self._by_label.sum(axis=0), lower=True)
         of_mean = self._of_kernels(cho_solve(self._factor, total))
         share = (of_mean / self._plain.shape[1]).astype(self._plain.dtype)
         return np.asarray(self._plain - share[:, np.newaxis])
@@ -211,28 +232,40 @@ class LandmarkRegression:
         scores[np.arange(len(rows)), codes[rows]] = 1.0
         is_asked = np.isin(group, group[rows])
         groups = [touches for touches in group_members(group) if is_asked[touches[0]]]
+        groups.sort(key=len)
         for batch in _batches(groups, min(TOUCHES_AT_ONCE, len(self._root))):
-            every = np.concatenate(batch)
-            kernel = self._landmarks.kernel(centred[every])
+            touches = np.concatenate(batch)
+            kernel = self._landmarks.kernel(centred[touches])
             residual = -1 / n_labels - kernel.astype(dtype) @ coefficients
-            residual[np.arange(len(every)), codes[every]] += 1
-            some = solve_triangular(self._root, kernel.T, lower=True).T
-            ends = np.cumsum([len(touches) for touches in batch])
-            through = None
-            if len(some) <= len(self._root):
-                through = cho_solve(self._factor, some.T)
-            for touches, end in zip(batch, ends, strict=True):
-                here = slice(end - len(touches), end)
-                mine, own = some[here], residual[here]
-                told = place[touches] >= 0
-                if through is not None:
-                    hat = np.eye(len(mine)) - mine @ through[:, here]
-                    change = np.linalg.solve(hat, own)[told]
-                else:
-                    others = cho_factor(self._inner - mine.T @ mine)
-                    change = own[told] + mine[told] @ cho_solve(others, mine.T @ own)
-                scores[place[touches[told]]] -= change
+            residual[np.arange(len(touches)), codes[touches]] += 1
+            features = solve_triangular(self._root, kernel.T, lower=True).T
+            changes = self._without(features, residual, [*map(len, batch)])
+            counted = place[touches] >= 0
+            scores[place[touches[counted]]] -= changes[counted]
         return scores
+
+    def _without(self, features: Floats, residual: Array, sizes: list[int]) -> Floats:
+        """Return residuals (n_touches, n_labels) with each group left out in turn.
+
+        Of groups of rising `sizes`, one after another.
+        """
+        changes, end = np.empty(residual.shape), 0
+        through = None
+        # Of larger groups factorising the others' products takes less.
+        if 4 * sizes[-1] <= len(self._root):
+            through = cho_solve(self._factor, features.T)
+        for size in sizes:
+            rows = slice(end, end + size)
+            end += size
+            group, target = features[rows], residual[rows]
+            if through is not None:
+                hat = np.eye(size) - group @ through[:, rows]
+                changes[rows] = np.linalg.solve(hat, target)
+                continue
+            rest = dsyrk(-1.0, group.T, 1.0, self._inner, lower=1)
+            others = cho_factor(rest, lower=True, overwrite_a=True)
+            changes[rows] = target + group @ cho_solve(others, group.T @ target)
+        return changes
 
 
 def _sums(

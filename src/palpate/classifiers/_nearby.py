@@ -8,11 +8,12 @@ make a short list, within which a ridge regression learnt on the spot decides.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from copy import copy
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve
+from scipy.linalg.lapack import dposv
 from scipy.optimize import minimize_scalar
 from sklearn.utils.validation import check_is_fitted
 
@@ -177,9 +178,8 @@ class NearbyTouches(BayesRule):
         squared += squares[:, np.newaxis]
         kernel = exp(-self.scale_ * np.maximum(squared, 0))
         kernel.flat[:: len(kernel) + 1] += self.ridge_
-        own = exp(-self.scale_ * squares)
         # One solution for the touch, instead of one for each label.
-        weights = solve(kernel, own, assume_a="pos")
+        weights = dposv(kernel.T, exp(-self.scale_ * squares), overwrite_a=1)[1]
         sums = np.bincount(of, weights, minlength=len(labels))
         return np.asarray(sums + (1 - weights.sum()) / len(labels))
 
@@ -240,7 +240,7 @@ class NearbyTouches(BayesRule):
         return np.concatenate(parts)
 
     def _squared(self, centred: Singles) -> Singles:
-        squared: Singles = centred @ (-2 * self.touches_.T)
+        squared: Singles = (-2 * centred) @ self.touches_.T
         squared += np.einsum("ij,ij->i", centred, centred)[:, np.newaxis]
         squared += self.squares_
         return np.maximum(squared, 0, out=squared)
@@ -254,16 +254,17 @@ class NearbyTouches(BayesRule):
         """
         exponent = squared / np.float32(-2 * width**2)
         counts = np.diff(self.starts_, append=squared.shape[1])
-        n_told = counts
+        n_stored = counts
         if left_out is not None:
             exponent[left_out] = -np.inf
-            n_told = counts - np.add.reduceat(left_out, self.starts_, axis=1, dtype=int)
+            n_out = np.add.reduceat(left_out, self.starts_, axis=1, dtype=np.int32)
+            n_stored = counts - n_out
         # About the nearest touch of each label, so that none is too far away.
         most = np.maximum.reduceat(exponent, self.starts_, axis=1)
         exponent -= np.repeat(np.where(np.isfinite(most), most, 0), counts, axis=1)
         sums = np.add.reduceat(exp(exponent), self.starts_, axis=1, dtype=np.float64)
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(sums) + most - np.log(np.maximum(n_told, 1)))
+            return np.asarray(np.log(sums) + most - np.log(np.maximum(n_stored, 1)))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
@@ -288,7 +289,13 @@ class NearbyTouches(BayesRule):
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of touches left out with their groups."""
         check_is_fitted(self)
-        return self.left_out_
+        return np.asarray(self.left_out_, dtype=np.float64)
+
+    def stored(self) -> Self:
+        """Return what a model file holds: left-out answers in single precision."""
+        other = copy(self)
+        other.left_out_ = self.left_out_.astype(np.float32)
+        return other
 
     def _log_posterior(self, scores: Floats) -> Floats:
         below = scores - scores.max(axis=1, keepdims=True)

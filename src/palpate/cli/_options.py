@@ -23,7 +23,10 @@ from ._output import say
 
 if TYPE_CHECKING:
     from ..library import Selection, TouchLibrary
-    from ..touches import Touches
+    from ..touches import ParquetTouches, Touches
+
+    # Touches to learn from, held or read as they are needed.
+    Labelled = Touches | Selection | ParquetTouches
 
 _NOT_OF_STREAMS = ("where", "name_pattern", "levels", "shape")
 MOST_SEED = 2**32 - 1
@@ -257,21 +260,34 @@ class Reading:
 
         if topic is not None or not is_parquet(path):
             return iter([self.touches(path, topic)])
-        names = ("name_pattern", "levels", "no_contact", "colour", "where")
-        self.refuse("for Parquet", "It says itself what it holds.", *names)
-        parts = read_parquet(path, max_pixels=int(self.max_megapixels * 1e6))
+        self._refuse_for_parquet()
+        parts = read_parquet(path, max_pixels=self._max_pixels)
         return chain([next(parts)], parts)
 
     @contextmanager
-    def selection(self, path: Path) -> "Iterator[Touches | Selection]":
-        """Read touches to learn from; those of a library as they are needed."""
+    def selection(self, path: Path) -> "Iterator[Labelled]":
+        """Read touches to learn from; of a library or Parquet as they are needed."""
+        from ..touches import ParquetTouches, is_parquet
+
         opened = self._library(path)
+        if opened is None and is_parquet(path):
+            self._refuse_for_parquet()
+            yield ParquetTouches(path, max_pixels=self._max_pixels)
+            return
         if opened is None:
             yield self._recording(path)
             return
         with opened as library:
             library.refuse_unknown(self.where)
             yield library.select(self.where)
+
+    @property
+    def _max_pixels(self) -> int:
+        return int(self.max_megapixels * 1e6)
+
+    def _refuse_for_parquet(self) -> None:
+        names = ("name_pattern", "levels", "no_contact", "colour", "where")
+        self.refuse("for Parquet", "It says itself what it holds.", *names)
 
     def _library(self, path: Path) -> "TouchLibrary | None":
         """Return the library at `path`, if one is there; refuse what is for others."""
@@ -346,10 +362,10 @@ class Reading:
             "shape": None if self.shape is None else _sides(self.shape),
             "dtype": self.dtype,
             "channels": None if self.channels is None else self.channels.split(","),
-            "max_pixels": int(self.max_megapixels * 1e6),
+            "max_pixels": self._max_pixels,
         }
 
-    def read_as(self, path: Path, touches: "Touches | Selection") -> str:
+    def read_as(self, path: Path, touches: "Labelled") -> str:
         """Return how the folders above pictures were understood, if nobody said it."""
         named = self.levels is not None or self.name_pattern is not None
         if named or not path.is_dir() or (path / "labels.csv").is_file():

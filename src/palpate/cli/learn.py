@@ -7,7 +7,6 @@ from . import _options
 from ._output import answer, counted, stages
 
 if TYPE_CHECKING:
-    from ..library import Selection
     from ..recognition import ObjectRecogniser
     from ..touches import Touches
 
@@ -83,7 +82,7 @@ def learn(
     )
 
 
-def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":
+def _extended(model: Path, training: "_options.Labelled") -> "ObjectRecogniser":
     """Return a model that knows the new labels of `training` as well.
 
     Where all labels are known, their touches join those that the model has.
@@ -116,7 +115,7 @@ def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser
     return recogniser
 
 
-def _held(training: "Touches | Selection") -> "Touches":
+def _held(training: "_options.Labelled") -> "Touches":
     from ..touches import Touches
 
     if isinstance(training, Touches):

@@ -40,7 +40,7 @@ _PLAIN_KINDS = "biufcSUMm"
 PICTURE = "picture"  # a form of images: the file it came in
 _PLAIN, _PACKED = "plain", "packed"
 WIDE = 16  # values; longer columns stand beside the row
-CELLS = (
+CELLS: tuple[str, ...] = (
     *("object", "category", "session", "episode", "sensor", "order"),
     *("time_s", "force_n", "press", "frame", "source_path"),
 )

@@ -420,6 +420,10 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
             continue
         ids.append(ids_in)
         features.append(values)
+    if len({values.shape[1] for values in features}) > 1:  # one is of another encoding
+        for path in cache.glob("*.npz"):
+            path.unlink(missing_ok=True)
+        return ids[0], np.empty((0, 0))
     joined_ids = np.concatenate(ids)
     order = np.argsort(joined_ids, kind="stable")
     joined = np.concatenate(features) if features else np.empty((0, 0))

@@ -237,7 +237,7 @@ def choose_encodings(
     features, _ = encoder.fit_encode(cleaned[some], made=of_all)
     pool = EncodingPool(encoder.parts_, together=False)
     pool.fit(features, labels[some], groups=group[some])
-    codes = np.searchsorted(pool.classes_, labels[some])
+    codes = np.searchsorted(pool.classes_, labels[some][pool.left_out_rows])
     left_out = dict(zip(pool.weights_, pool.left_out_posteriors(), strict=True))
     own = {name: said[np.arange(len(codes)), codes] for name, said in left_out.items()}
     figures: dict[str, dict[str, Any]] = {

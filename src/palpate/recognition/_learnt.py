@@ -8,13 +8,11 @@ from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
-from scipy.special import softmax
 
 from .._parallel import on_one_thread
 from .._types import Array, Bools, Indices
 from ..classifiers import TouchClassifier
 from . import _sessions
-from ._calibration import left_out_log_likelihood
 from ._contact import ContactCheck
 from ._memory import Memory
 from ._remounted_encoder import AnyEncoder
@@ -80,12 +78,10 @@ class Learnt:
     def taught(self) -> _sessions.Taught:
         """The training touches that count, for comparing a session with them."""
         memory, counts = self.memory, self.counted
-        said = left_out_log_likelihood(self.classifier)
         return _sessions.Taught(
             memory.features[counts],
             self.codes[counts],
             memory.blocks[counts],
-            softmax(said[counts], axis=1),
             self.parts,
         )
 

@@ -48,6 +48,7 @@ class Budget:
     foreign: Mapping[str, UserEncoding] = field(default_factory=dict)
     objects: int = 0
     text: float = 0.0
+    repeated: float = 0.0
     used: Counter[str] = field(default_factory=Counter)
 
     def check_document(self, document: str) -> None:
@@ -56,11 +57,13 @@ class Budget:
         if not document.isascii() or n_values > 1_000_000 + self.n_bytes / 50:
             raise ValueError(f"{n_values} values are too many for its size")
 
-    def check_texts(self, items: Sequence[Any]) -> None:
-        """Refuse texts that would take too much memory."""
+    def check_texts(self, items: Sequence[Any], n_repeated: int = 0) -> None:
+        """Refuse texts that would take too much memory, some `n_repeated` times."""
         longest = max(map(len, items), default=0)
         self.text += 4 * longest * len(items)
-        if longest > 1000 or self.text > 32 * MB + self.n_bytes / 2:
+        self.repeated += 4 * longest * n_repeated
+        too_many = self.text > 32 * MB + self.n_bytes / 2
+        if longest > 1000 or too_many or self.repeated > 32 * MB + 2 * self.n_bytes:
             raise ValueError(f"{len(items)} texts of up to {longest} letters")
 
     def array(self, name: str, shape: list[int]) -> Array:

@@ -5,7 +5,7 @@ attributes are set from arrays and plain values, and a checksum covers all of it
 A file is a safetensors container whose metadata hold one JSON document.
 
 A file of format 4, written by palpate 0.2, is read too: what tells strangers is learnt
-anew from the training touches that it keeps.
+anew from the training touches that it keeps. Format 6 stores each of many texts once.
 """
 
 import hashlib
@@ -29,7 +29,12 @@ from .. import __version__, classifiers, encodings, images
 from .._checks import nearest_path
 from .._durable import replacing
 from .._types import Array
-from ..classifiers import NearbyTouches, RehearsedMachine
+from ..classifiers import (
+    EncodingPool,
+    KernelRidgeClassifier,
+    NearbyTouches,
+    RehearsedMachine,
+)
 from ..encodings import OnnxEncoding
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
@@ -41,7 +46,9 @@ from ._senses import Modality
 from ._strangers import Curve, StrangerModel
 from ._user_encoding import UserEncoding
 
-FORMAT = 5
+FORMAT = 6
+# Formats that are read, and from how many texts on they are stored once each.
+READ, _MANY_TEXTS = (4, 5, FORMAT), 1000
 
 Tensors = dict[str, Array]
 
@@ -58,6 +65,8 @@ _OWN = (
     TouchEncoder,
     UserEncoding,
 )
+# What has less, or more, in a file than in memory.
+_STORED = (EncodingPool, KernelRidgeClassifier, NearbyTouches, OnnxEncoding)
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
 _NEVER_STORED = ("TouchClassifier",)
@@ -148,7 +157,7 @@ def read_model(
 ) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 
-    Of this format or of format 4, of at most PALPATE_MAX_MODEL_MB (2000); `also` is the
+    Of format 4 or newer, of at most PALPATE_MAX_MODEL_MB (2000); `also` is the
     class of the model itself, beside `KNOWN_CLASSES`, and `encodings` are those of its
     user, by name. Raises `ModelFileError`.
     """
@@ -172,9 +181,9 @@ def read_model(
         budget.check_document(document)
         content = json.loads(document)
         version, model = content["format"], content["model"]
-        if version not in (4, FORMAT):
+        if version not in READ:
             raise ModelFileError(
-                f"{source} has model format {version!r}, this palpate reads 4 and "
+                f"{source} has model format {version!r}, this palpate reads 4 to "
                 f"{FORMAT}. Learn again, or use the palpate that wrote it."
             )
         if version == 4 and isinstance(model, dict):
@@ -311,8 +320,14 @@ def _pack_object(value: object, tensors: Tensors) -> dict[str, Any]:
 
 
 def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
-    if array.dtype.kind in "UO" and all(isinstance(item, str) for item in array.flat):
-        return {"text": array.ravel().tolist(), "shape": list(array.shape)}
+    kind, shape = array.dtype.kind, list(array.shape)
+    if kind == "U" or (kind == "O" and all(isinstance(x, str) for x in array.flat)):
+        if array.size < _MANY_TEXTS:
+            return {"text": array.ravel().tolist(), "shape": shape}
+        names, codes = np.unique(array.astype(str), return_inverse=True)
+        short = codes.ravel().astype(np.min_scalar_type(len(names)))
+        numbers = _pack_array(short, tensors)
+        return {"text": names.tolist(), "numbers": numbers, "shape": shape}
     if array.dtype.kind == "c":
         return {"complex": _pack_array(np.stack([array.real, array.imag]), tensors)}
     if array.dtype.kind not in "biuf":
@@ -329,9 +344,11 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
 
 
 def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    if isinstance(value, Memory):
+        return value.stored(), {}
     if is_dataclass(value):
         return {f.name: getattr(value, f.name) for f in fields(value)}, {}
-    if isinstance(value, OnnxEncoding):
+    if isinstance(value, _STORED):
         value = value.stored()
     learnt = {
         name: item
@@ -356,8 +373,10 @@ def _unpack(node: Any, budget: Budget) -> Any:
         real, imaginary = _unpack(node["complex"], budget)
         return real + 1j * imaginary
     if "text" in node:
-        budget.check_texts(node["text"])
-        return np.array(node["text"], dtype=str).reshape(node["shape"])
+        numbers = _unpack(node["numbers"], budget) if "numbers" in node else None
+        budget.check_texts(node["text"], 0 if numbers is None else len(numbers))
+        texts = np.array(node["text"], dtype=str)
+        return (texts if numbers is None else texts[numbers]).reshape(node["shape"])
     if "list" in node or "tuple" in node:
         kind = list if "list" in node else tuple
         items = node["list"] if kind is list else node["tuple"]

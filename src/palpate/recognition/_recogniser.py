@@ -21,7 +21,13 @@ from .._extras import needed
 from .._numbers import log_softmax
 from .._parallel import on_one_thread, opencv_on_one_thread, results_of
 from .._types import Array, Bools, Floats, Indices
-from ..classifiers import EncodingPool, TouchClassifier, as_groups, check_targets
+from ..classifiers import (
+    EncodingPool,
+    KernelRidgeClassifier,
+    TouchClassifier,
+    as_groups,
+    check_targets,
+)
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from . import _evidence, _memory
@@ -725,6 +731,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
                 model.strangers_ = model._learnt_strangers()
             check_parts(model.judge(), model.encoder_, model.pose_)
+            if isinstance(model.classifier_, EncodingPool | KernelRidgeClassifier):
+                model.classifier_.resume(model.memory_.features, model.memory_.labels)
             if prod(model.encoder_.image_shape_) <= MOST_TRIED:
                 with np.errstate(all="ignore"):
                     blank = model.evidence(model.encoder_.blank_touch())

@@ -81,13 +81,6 @@ def remounted(
                 "not learnt. Remount first, then add it with add_object; or leave the "
                 "labels out to remount without them."
             )
-    n_touches, n_told = len(learnt.memory), len(learnt.classifier.left_out_rows)
-    if n_told < n_touches:
-        raise ValueError(
-            "Remounting compares a session with all that was learnt, each touch left "
-            f"out, got {n_touches} touches of {len(learnt.classes)} objects, of which "
-            f"{n_told} can be. Remount a model of fewer, or learn this session too."
-        )
     encoder, gain = _as_taught(learnt, new, labels)
     other_kind = new.images.shape[1:] != tuple(learnt.encoder.image_shape_)
     contact = learnt.contact
@@ -258,13 +251,9 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     """
     learnt = recogniser.learnt()
     memory = learnt.memory
-    told = memory.sessions != ""
-    per_object = [
-        len(np.unique(memory.sessions[told & (memory.objects == name)])) or 1
-        for name in np.unique(memory.objects)
-    ]
+    per_object = np.maximum(_n_sessions(memory.objects, memory.sessions), 1)
     asked, median = _met_elsewhere(memory), float(np.median(per_object))
-    result: dict[str, Any] = {"least": min(per_object), "median": median}
+    result: dict[str, Any] = {"least": int(per_object.min()), "median": median}
     result["asked"] = int(asked.sum())
     if asked.any():
         said, rows = _said_of_left_out_sessions(learnt, memory.features)
@@ -321,6 +310,9 @@ def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
     may_weigh &= wrapped(learnt.encoder).weighing is None
     if may_weigh:
         loss["weighed"] = _loss_weighed(learnt, centred, asked)
+    loss = {name: one[np.isfinite(one)] for name, one in loss.items()}
+    if not len(loss["plain"]):
+        return learnt, {}
     found = {"log_loss": {name: float(one.mean()) for name, one in loss.items()}}
     worse = loss["centred"] - loss["plain"]
     if worse.mean() > worse.std() / np.sqrt(len(worse)):
@@ -344,9 +336,14 @@ def _weighed_down(learnt: Learnt, differences: Floats) -> Learnt:
 
 
 def _loss(learnt: Learnt, features: Floats, asked: Array) -> Floats:
-    """Return the log loss (nats) of the asked touches, their session left out whole."""
-    said = log_softmax(_said_of_left_out_sessions(learnt, features)[0], axis=1)
-    return -said[np.arange(len(said)), learnt.codes][asked]
+    """Return the log loss (nats) of the asked touches, their session left out whole.
+
+    NaN of those that are not left out, where they are very many.
+    """
+    said, rows = _said_of_left_out_sessions(learnt, features)
+    loss = np.full(len(learnt.memory), np.nan)
+    loss[rows] = -log_softmax(said, axis=1)[np.arange(len(rows)), learnt.codes[rows]]
+    return loss[asked]
 
 
 def _loss_weighed(learnt: Learnt, centred: Floats, asked: Array) -> Floats:
@@ -380,13 +377,17 @@ def _said_of_left_out_sessions(
 
 def _met_elsewhere(memory: Memory) -> Array:
     """Return which touches are of an object that another session met too."""
-    told = memory.sessions != ""
-    met = np.zeros(len(memory), dtype=bool)
-    for name in np.unique(memory.labels):
-        mine = told & (memory.labels == name)
-        if len(np.unique(memory.sessions[mine])) > 1:
-            met |= mine
-    return met
+    codes = np.searchsorted(memory.classes, memory.labels)
+    n_sessions = _n_sessions(memory.labels, memory.sessions)
+    return np.asarray((memory.sessions != "") & (n_sessions[codes] > 1))
+
+
+def _n_sessions(names: Array, sessions: Array) -> Indices:
+    """Return in how many sessions each name was met, the names sorted."""
+    codes = np.unique(names, return_inverse=True)[1]
+    days, day = np.unique(sessions, return_inverse=True)
+    visits = np.unique((codes * len(days) + day)[sessions != ""])
+    return np.bincount(visits // len(days), minlength=codes.max() + 1)
 
 
 def rim_moved(encoder: AnyEncoder, touches: Touches) -> list[str]:

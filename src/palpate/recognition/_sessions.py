@@ -45,14 +45,12 @@ class Parts:
 class Taught:
     """Training touches, for comparing a session with them.
 
-    Of each, the column of its label (`codes`), what it is left out with (`blocks`), and
-    what it is taken for then (`posterior`, (n_touches, n_objects)).
+    Of each, the column of its label (`codes`), and what it is left out with (`blocks`).
     """
 
     features: Floats
     codes: Indices
     blocks: Indices
-    posterior: Floats
     parts: Parts
 
     @cached_property

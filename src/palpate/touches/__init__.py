@@ -19,6 +19,7 @@ from ._parquet import is_parquet as is_parquet
 from ._parquet import parquet_metadata as parquet_metadata
 from ._parquet import parquet_table as parquet_table
 from ._parquet import url_of as url_of
+from ._parquet_source import ParquetTouches as ParquetTouches
 from ._pictures import FILMS as FILMS
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes

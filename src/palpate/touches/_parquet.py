@@ -20,12 +20,12 @@ from itertools import pairwise
 from math import prod
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
 
-from .._checks import ARRAY_SIDE
+from .._checks import ARRAY_SIDE, size_said
 from .._extras import needed
 from .._types import Array
 from ._columns import Arrays, TouchesError
@@ -38,7 +38,9 @@ _BYTES_AT_ONCE = 64 * 2**20  # as many images at once
 _IMAGE, _RECORDING = "image", "recording"
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL)
 _PART = re.compile(r"([^/=]+)=([^/]*)")
-_READING = "Reading Parquet"
+READING = "Reading Parquet"
+# What stores say of a file that changes when it is written anew.
+_STAMPS = ("size", "ETag", "etag", "md5", "mtime", "LastModified", "created")
 
 
 def url_of(path: str | PathLike[str]) -> str | None:
@@ -117,59 +119,186 @@ def parquet_parts(
 
     Raises TouchesError where it is no Parquet, or not one of touches.
     """
-    pq = needed("pyarrow.parquet", "parquet", _READING)
-    pa = needed("pyarrow", "parquet", _READING)
+    pq = needed("pyarrow.parquet", "parquet", READING)
+    pa = needed("pyarrow", "parquet", READING)
     with ExitStack() as stack:
         for name, file in _files(path, stack):
             try:
                 reader = pq.ParquetFile(file)
                 yield from _parts(pa, name, reader, max_bytes, max_pixels)
             except (pa.ArrowException, OSError, OverflowError) as error:
-                raise TouchesError(
-                    f"{name} must be a whole Parquet file, got: {error}. Write it anew."
-                ) from error
+                raise _not_whole(name, error) from error
+
+
+def parquet_files(path: str | PathLike[str]) -> list[str]:
+    """Return the files of a path in their order, each as a path or an address."""
+    url = url_of(path)
+    if url is None:
+        place = Path(path)
+        if not place.is_dir():
+            return [str(place)]
+        return [str(p) for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]
+    system, place_there = _in_store(url)
+    try:
+        if system.isfile(place_there):
+            return [url]
+        listed = [n for n in system.find(place_there) if n.lower().endswith(ENDINGS)]
+    except (ValueError, OSError) as error:
+        raise _no_store(url, error) from error
+    if not listed:
+        raise TouchesError(f"{url} must hold Parquet files, got none there.")
+    return [system.unstrip_protocol(name) for name in sorted(listed)]
+
+
+def _in_store(url: str) -> tuple[Any, str]:
+    """Return the file system of an address, and the place in it."""
+    fsspec = needed("fsspec.core", "parquet", "Reading from a store")
+    try:
+        system, place = fsspec.url_to_fs(url)
+    except (ValueError, ImportError, OSError) as error:
+        raise _no_store(url, error) from error
+    return system, place
+
+
+def _no_store(url: str, error: Exception) -> TouchesError:
+    return TouchesError(f"{url} must be an address that fsspec can open, got: {error}.")
+
+
+def open_parquet(name: str) -> Any:
+    """Open a file, by its path or address, to read."""
+    if url_of(name) is None:
+        return Path(name).open("rb")
+    system, place = _in_store(name)
+    return system.open(place, "rb")
+
+
+def file_stamp(name: str) -> tuple[str, ...]:
+    """Return what changes when a file is written anew: its size, and time or digest."""
+    if url_of(name) is None:
+        status = Path(name).stat()
+        return str(status.st_size), str(status.st_mtime_ns)
+    system, place = _in_store(name)
+    about = system.info(place)
+    return tuple(str(about[key]) for key in _STAMPS if key in about)
 
 
 def _files(path: str | PathLike[str], stack: ExitStack) -> Iterator[tuple[str, Any]]:
     """Yield the files of a path in their order, opened one at a time."""
-    url = url_of(path)
-    if url is None:
-        place = Path(path)
-        paths = [place]
-        if place.is_dir():
-            paths = [p for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]
-        for file in paths:
-            with file.open("rb") as stream:
-                yield str(file), stream
-        return
-    fsspec = needed("fsspec.core", "parquet", "Reading from a store")
-    try:
-        system, place_there = fsspec.url_to_fs(url)
-        names = [place_there]
-        if not system.isfile(place_there):
-            listed = sorted(system.find(place_there))
-            names = [n for n in listed if n.lower().endswith(ENDINGS)]
-    except (ValueError, ImportError, OSError) as error:
-        raise TouchesError(
-            f"{url} must be an address that fsspec can open, got: {error}."
-        ) from error
-    if not names:
-        raise TouchesError(f"{url} must hold Parquet files, got none there.")
-    for name in names:
-        with system.open(name, "rb") as stream:
+    for name in parquet_files(path):
+        with open_parquet(name) as stream:
             yield name, stream
 
 
-def _parts(
-    pa: Any, name: str, reader: Any, max_bytes: int, max_pixels: int
-) -> Iterator[tuple[Arrays, list[bytes] | None]]:
-    about = _about(name, reader.schema_arrow.metadata or {})
+class FileIndex(NamedTuple):
+    """What a file says of its touches before any image is read.
+
+    `columns` have one short value a touch, `kind` is the shape and type of an image
+    (None of pictures, which are decoded to know), `whole` what describes all touches of
+    each recording alike, `n_rows` the touches of each row group.
+    """
+
+    columns: Arrays
+    kind: str | None
+    whole: list[Arrays]
+    n_rows: list[int]
+
+
+def parquet_index(name: str) -> FileIndex:
+    """Read a file's columns of short values, and what it says of itself."""
+    pq = needed("pyarrow.parquet", "parquet", READING)
+    pa = needed("pyarrow", "parquet", READING)
+    try:
+        with open_parquet(name) as stream:
+            reader = pq.ParquetFile(stream)
+            schema, about = _schema_of(name, reader)
+            short = [
+                field.name
+                for field in schema
+                if not isinstance(field.type, pa.BaseExtensionType)
+                and not pa.types.is_nested(field.type)
+                and not pa.types.is_binary(field.type)
+                and field.name not in (_IMAGE, _RECORDING)
+            ]
+            table = reader.read(columns=short).combine_chunks()
+            groups = [
+                reader.metadata.row_group(i) for i in range(reader.num_row_groups)
+            ]
+    except (pa.ArrowException, OSError) as error:
+        raise _not_whole(name, error) from error
+    dtypes = about.get("dtypes", {})
+    columns = {}
+    for column_name in table.column_names:
+        values = pa.chunked_array(table[column_name]).combine_chunks()
+        array = _numpy(pa, name, column_name, values)
+        columns[column_name] = _as_written(array, dtypes.get(column_name, ""))
+    n_rows = [group.num_rows for group in groups]
+    for column_name, value in _named(name).items():
+        columns.setdefault(column_name, np.full(sum(n_rows), value))
+    kind = schema.field(_IMAGE).type
+    is_tensor = isinstance(kind, pa.FixedShapeTensorType)
+    shown = (
+        f"{size_said(tuple(kind.shape))} of {kind.value_type}" if is_tensor else None
+    )
+    numbers = range(len(about.get("recordings", [])))
+    return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)
+
+
+def parquet_rows(
+    name: str,
+    groups: Sequence[int],
+    rows: Array | None,
+    max_bytes: int,
+    max_pixels: int,
+) -> Iterator[Arrays]:
+    """Yield what `Touches` is made of, of some row groups of a file.
+
+    Of all their touches, or of some rows, counted from the first of the groups.
+    """
+    pq = needed("pyarrow.parquet", "parquet", READING)
+    pa = needed("pyarrow", "parquet", READING)
+    try:
+        with open_parquet(name) as stream:
+            reader = pq.ParquetFile(stream)
+            chosen = list(groups), rows
+            for arrays, _ in _parts(pa, name, reader, max_bytes, max_pixels, chosen):
+                yield arrays
+    except (pa.ArrowException, OSError, OverflowError) as error:
+        raise _not_whole(name, error) from error
+
+
+def _not_whole(name: str, error: Exception) -> TouchesError:
+    return TouchesError(
+        f"{name} must be a whole Parquet file, got: {error}. Write it anew."
+    )
+
+
+def _named(name: str) -> dict[str, str]:
+    """Return the columns that the folders of a file's path carry."""
+    return {key: unquote(value) for key, value in _PART.findall(name)}
+
+
+def _schema_of(name: str, reader: Any) -> tuple[Any, dict[str, Any]]:
+    """Return the schema of a file of touches, and what it says of itself."""
     schema = reader.schema_arrow
+    about = _about(name, schema.metadata or {})
     if _IMAGE not in schema.names:
         raise TouchesError(
             f"{name} must have a column {_IMAGE!r} of pictures or tensors, got "
             f"{', '.join(schema.names) or 'no column'}. Rename the one that has them."
         )
+    return schema, about
+
+
+def _parts(
+    pa: Any,
+    name: str,
+    reader: Any,
+    max_bytes: int,
+    max_pixels: int,
+    chosen: tuple[list[int] | None, Array | None] = (None, None),
+) -> Iterator[tuple[Arrays, list[bytes] | None]]:
+    """Yield touches, of the `chosen` row groups and rows, one recording at a time."""
+    _, about = _schema_of(name, reader)
     groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
     largest = max((group.total_byte_size for group in groups), default=0)
     if largest > max_bytes:
@@ -177,10 +306,11 @@ def _parts(
             f"{name} must have row groups of at most {max_bytes} bytes, got {largest}. "
             "Write it in smaller ones, or raise max_bytes."
         )
-    named = {key: unquote(value) for key, value in _PART.findall(name)}
+    named = _named(name)
     n_bytes = largest // max(1, max((group.num_rows for group in groups), default=1))
     size = max(1, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
-    for batch in reader.iter_batches(batch_size=size):
+    batches = reader.iter_batches(batch_size=size, row_groups=chosen[0])
+    for batch in _picked(pa, batches, chosen[1]):
         arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
         for column, value in named.items():
             arrays.setdefault(column, np.full(batch.num_rows, value))
@@ -191,6 +321,20 @@ def _parts(
             part["images"] = part.pop(_IMAGE)
             kept = None if files is None else files[start:stop]
             yield {**part, **_whole(name, about, int(numbers[start]))}, kept
+
+
+def _picked(pa: Any, batches: Iterator[Any], rows: Array | None) -> Iterator[Any]:
+    """Yield batches with some rows alone, counted through all of them."""
+    first = 0
+    for batch in batches:
+        here = rows
+        if rows is not None:
+            here = rows[(rows >= first) & (rows < first + batch.num_rows)] - first
+        first += batch.num_rows
+        if here is None:
+            yield batch
+        elif len(here):
+            yield batch.take(pa.array(here))
 
 
 def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:

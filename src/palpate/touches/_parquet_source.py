@@ -1,0 +1,208 @@
+"""Touches of Parquet that are learnt from without being held, read where workers are.
+
+Labels and other short columns are read at once, images block by block: a block is one
+row group of one file. Workers get no image but the place of some blocks, which they
+read themselves; so every machine must reach them by the same path or address.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from copy import copy
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._parallel import results_of
+from .._types import Array, Floats, Indices
+from ._columns import Arrays, TouchesError
+from ._parquet import file_stamp, parquet_files, parquet_index, parquet_rows, url_of
+from ._touches import MAX_BYTES, MAX_PIXELS, Labelled, Touches
+
+# Touches of one task, where row groups are smaller.
+_AT_ONCE = 512
+
+
+class _Blocks(NamedTuple):
+    """Some row groups of a file, the first of their touches, and how many they have.
+
+    `stamp` is what the file was like when it was opened.
+    """
+
+    name: str
+    stamp: tuple[str, ...]
+    groups: list[int]
+    first: int
+    n_rows: int
+
+
+class ParquetTouches(Labelled):
+    """Touches of Parquet without their images: a `TouchSource`.
+
+    Parameters
+    ----------
+    path : path
+        A file, a folder of them, or an address that fsspec knows.
+    max_bytes, max_pixels
+        As for `read_parquet`.
+
+    Attributes
+    ----------
+    columns : dict of ndarray
+        Columns of short values that all files have, one row per touch.
+    whole : dict of ndarray
+        What describes all of the touches alike.
+
+    Raises
+    ------
+    TouchesError
+        It is no Parquet of touches, or its images differ in size.
+    """
+
+    touch_id = None
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        max_bytes: int = MAX_BYTES,
+        max_pixels: int = MAX_PIXELS,
+    ) -> None:
+        place = path if url_of(path) is not None else Path(path).resolve()
+        names = parquet_files(place)
+        stamps = [file_stamp(name) for name in names]
+        indices = [parquet_index(name) for name in names]
+        kinds = {index.kind: name for name, index in zip(names, indices, strict=True)}
+        kinds.pop(None, None)
+        if len(kinds) > 1:
+            listed = "; ".join(f"{kind} in {name}" for kind, name in kinds.items())
+            raise TouchesError(
+                f"Images must have one size and type, got {listed}. Give the files of "
+                "one sensor."
+            )
+        self._limits = max_bytes, max_pixels
+        files = zip(names, stamps, [index.n_rows for index in indices], strict=True)
+        self._blocks = list(_in_blocks(files))
+        self._columns = _in_all(index.columns for index in indices)
+        self._rows = np.arange(sum(sum(index.n_rows) for index in indices))
+        self._whole = [whole for index in indices for whole in index.whole]
+        if not len(self._rows):
+            raise TouchesError(f"{path} must hold at least one touch, got none.")
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def whole(self) -> Arrays:
+        """What describes all of the touches alike, by name; see `Touches`."""
+        first, *others = self._whole or [{}]
+        return {
+            name: array
+            for name, array in first.items()
+            if all(np.array_equal(other.get(name, ()), array) for other in others)
+        }
+
+    def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
+        """Pick touches by their rows, which must rise; no image is read."""
+        other, places = copy(self), np.arange(len(self))[np.asarray(rows)]
+        if (np.diff(places) <= 0).any():
+            raise TouchesError("rows must rise, got others. Sort them.")
+        other._rows = self._rows[places]
+        other._columns = {name: c[places] for name, c in self._columns.items()}
+        return other
+
+    def touches(self, rows: ArrayLike) -> Touches:
+        """Read the touches in these rows, which rise; workers pick them."""
+        chosen = self[rows]
+        parts = chosen._results(_touches_of)
+        return Touches._joined((part for some in parts for part in some), MAX_BYTES)
+
+    def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
+        """Return what `encode` makes of all touches, (n_touches, n_features).
+
+        Nothing is kept under `key`.
+        """
+        return np.concatenate([*self._results(partial(_encoded, encode))])
+
+    def _results(self, function: Callable[..., Any]) -> Iterator[Any]:
+        """Yield what workers make of the touches, some blocks at a time."""
+        firsts = [blocks.first for blocks in self._blocks]
+        cuts = np.searchsorted(self._rows, [*firsts, self._blocks[-1].first + 2**62])
+        tasks: list[tuple[_Blocks, Indices | None]] = []
+        for blocks, start, stop in zip(self._blocks, cuts, cuts[1:], strict=False):
+            rows = self._rows[start:stop] - blocks.first
+            if len(rows):
+                tasks.append((blocks, None if len(rows) == blocks.n_rows else rows))
+        reading = partial(function, self._limits)
+        return results_of(reading, len(tasks), tasks.__getitem__)
+
+
+def _in_blocks(
+    files: Iterator[tuple[str, tuple[str, ...], list[int]]],
+) -> Iterator[_Blocks]:
+    """Yield the row groups of files, small ones together."""
+    first = 0
+    for name, stamp, counts in files:
+        groups: list[int] = []
+        n_rows = 0
+        for number, count in enumerate(counts):
+            groups.append(number)
+            n_rows += count
+            if n_rows >= _AT_ONCE or number == len(counts) - 1:
+                yield _Blocks(name, stamp, groups, first, n_rows)
+                first += n_rows
+                groups, n_rows = [], 0
+
+
+def _in_all(columns: Iterator[Arrays]) -> Arrays:
+    """Return the columns that all files have, one after another."""
+    held = list(columns)
+    names = [n for n in held[0] if all(n in others for others in held)]
+    return {name: np.concatenate([c[name] for c in held]) for name in names}
+
+
+def _touches_of(
+    limits: tuple[int, int], blocks: _Blocks, rows: Array | None
+) -> list[Touches]:
+    """Read touches of some blocks, wherever this runs."""
+    return list(_read(limits, blocks, rows))
+
+
+def _encoded(
+    encode: Callable[[Touches], Floats],
+    limits: tuple[int, int],
+    blocks: _Blocks,
+    rows: Array | None,
+) -> Floats:
+    """Encode touches of some blocks, wherever this runs."""
+    parts = [encode(touches) for touches in _read(limits, blocks, rows)]
+    return np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
+
+
+def _read(
+    limits: tuple[int, int], blocks: _Blocks, rows: Array | None
+) -> Iterator[Touches]:
+    _refuse_changed(blocks)
+    for arrays in parquet_rows(blocks.name, blocks.groups, rows, *limits):
+        yield Touches(**arrays)
+    _refuse_changed(blocks)
+
+
+def _refuse_changed(blocks: _Blocks) -> None:
+    try:
+        stamp = file_stamp(blocks.name)
+    except FileNotFoundError as error:
+        raise TouchesError(
+            f"{blocks.name} must stay where it is while it is learnt from, on every "
+            "machine that reads it, got nothing there. Give a path or an address that "
+            "all workers reach."
+        ) from error
+    if stamp != blocks.stamp:
+        raise TouchesError(
+            f"{blocks.name} must stay as it is while it is learnt from, got one that "
+            "was written meanwhile. Learn again when it is complete."
+        )

@@ -1,0 +1,201 @@
+"""Parquet is learnt from block by block, here or on workers, and watched meanwhile."""
+
+import os
+import re
+
+import numpy as np
+import pytest
+from joblib import parallel_config
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import ObjectRecogniser, Touches
+from palpate.library import TouchLibrary
+from palpate.touches import ParquetTouches, TouchesError, _parquet_source
+
+pa = pytest.importorskip("pyarrow")
+pq = pytest.importorskip("pyarrow.parquet")
+
+
+def drawn(n_each=40, n_objects=5, shape=(3, 8), seed=0):
+    """Touches of objects about a mean image each."""
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(size=(n_objects, *shape))
+    objects = np.tile(np.arange(n_objects), n_each)
+    images = centres[objects] + 0.3 * rng.normal(size=(len(objects), *shape))
+    names = [f"part {k}" for k in objects]
+    return Touches(images, object=names, order=np.arange(len(names)), geometry="none")
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return touches, and the folder of Parquet that a library of them exports."""
+    touches = drawn()
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(touches, session="monday")
+        library.export(tmp_path / "set.parquet", by="object")
+        inside = library.touches()
+    return inside, tmp_path / "set.parquet"
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(_parquet_source, "_AT_ONCE", 1)
+
+
+def rewrite(path, table, size=16):
+    pq.write_table(table, path, row_group_size=size)
+
+
+def sums(touches):
+    return touches.images.sum(axis=(1, 2))[:, np.newaxis]
+
+
+def test_rows_are_those_of_reading_all_of_it(written, small_blocks):
+    _, path = written
+    for file in path.rglob("*.parquet"):  # several row groups each
+        rewrite(file, pq.read_table(file))
+    whole, source = Touches.load(path), ParquetTouches(path)
+    assert len(source) == len(whole) == 200
+    assert_array_equal(source.object, whole.object)
+    assert_array_equal(source.order, whole.order)
+    rows = np.array([0, 3, 39, 40, 41, 120, 199])
+    picked = source.touches(rows)
+    assert_array_equal(picked.images, whole.images[rows])
+    assert_array_equal(picked.object, whole.object[rows])
+    assert picked.geometry == "none"
+    assert_allclose(source.features("any", sums), sums(whole))
+    some = source[np.flatnonzero(source.object == "part 2")]
+    assert_allclose(some.features("any", sums), sums(whole[whole.object == "part 2"]))
+    with pytest.raises(TouchesError, match="rows must rise"):
+        source.touches([3, 2])
+
+
+@pytest.mark.parametrize("scheme", ["file", "memory"])
+def test_what_is_learnt_is_what_touches_in_memory_teach(written, scheme, tmp_path):
+    pytest.importorskip("fsspec")
+    touches, path = written
+    url = f"file://{path}"
+    if scheme == "memory":
+        url = "memory://learning/set.parquet"
+        with TouchLibrary.open(tmp_path / "library") as library:
+            library.export(url, by="object")
+    with parallel_config("threading", n_jobs=2):
+        source = ParquetTouches(url)
+        from_store = ObjectRecogniser().fit(source)
+    held = ObjectRecogniser().fit(Touches.load(path))
+    asked = drawn(n_each=4, seed=0)
+    # The same touches in the same order: rounding alone.
+    assert_allclose(
+        from_store.log_likelihood(asked), held.log_likelihood(asked), atol=1e-9
+    )
+    assert len(touches) == len(from_store.memory_)
+
+
+def test_pictures_are_decoded_where_they_are_asked_for(tmp_path):
+    images = np.random.default_rng(0).integers(0, 255, (9, 60, 80), dtype=np.uint8)
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(Touches(images, object=["mug", "pen", "cap"] * 3))
+        library.export(tmp_path / "some.parquet")
+    source = ParquetTouches(tmp_path / "some.parquet")
+    assert_array_equal(source.touches([1, 5]).images, images[[1, 5]])
+
+
+def test_a_file_that_changes_while_it_is_read_is_refused(written):
+    _, path = written
+    source = ParquetTouches(path)
+    first = next(iter(sorted(path.rglob("*.parquet"))))
+    table = pq.read_table(first)
+
+    def encode(touches):
+        rewrite(first, table.slice(0, 20))
+        os.utime(first, ns=(1, 1))
+        return sums(touches)
+
+    with pytest.raises(TouchesError, match="written meanwhile"):
+        source.features("any", encode)
+    with pytest.raises(TouchesError, match="written meanwhile"):
+        source.touches([0])
+    first.unlink()
+    with pytest.raises(TouchesError, match="got nothing there"):
+        source.touches([0])
+
+
+def test_a_file_that_comes_later_is_not_in_it(written):
+    _, path = written
+    source = ParquetTouches(path)
+    first = next(iter(sorted(path.rglob("*.parquet"))))
+    rewrite(first.with_name("later.parquet"), pq.read_table(first))
+    assert len(source) == len(source.features("any", sums)) == 200
+    assert len(ParquetTouches(path)) == 240
+
+
+def test_blocks_of_different_sizes_or_types_are_refused_before_learning(written):
+    _, path = written
+    with TouchLibrary.open(path.parent / "other", create=True) as library:
+        library.add(drawn(shape=(4, 4)))
+        library.export(path / "other.parquet")
+    with pytest.raises(TouchesError, match="one size and type, got") as refused:
+        ParquetTouches(path)
+    assert re.search(r"4 x 4.*other\.parquet", str(refused.value))
+
+
+def test_pictures_of_different_sizes_are_refused_by_name(tmp_path):
+    """What pictures measure is known when they are decoded."""
+    rng = np.random.default_rng(0)
+    (tmp_path / "set").mkdir()
+    for side in (60, 70):
+        images = rng.integers(0, 255, (6, side, side), dtype=np.uint8)
+        with TouchLibrary.open(tmp_path / str(side), create=True) as library:
+            library.add(Touches(images, object=["mug", "pen"] * 3))
+            library.export(tmp_path / "set" / f"{side}.parquet")
+    with pytest.raises(ValueError, match="60 x 60"):
+        ObjectRecogniser().fit(ParquetTouches(tmp_path / "set"))
+
+
+def test_other_files_are_refused(tmp_path):
+    pq.write_table(pa.table({"object": ["mug"]}), tmp_path / "a.parquet")
+    with pytest.raises(TouchesError, match="must have a column 'image'"):
+        ParquetTouches(tmp_path / "a.parquet")
+    (tmp_path / "b.parquet").write_bytes(b"PAR1")
+    with pytest.raises(TouchesError, match="whole Parquet file"):
+        ParquetTouches(tmp_path / "b.parquet")
+
+
+def test_a_library_that_changes_while_it_is_read_teaches_what_was_selected(tmp_path):
+    touches = drawn()
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(touches)
+        before = library.select()
+        alone = before.features("before", sums)
+
+        def encode(some):
+            with TouchLibrary.open(tmp_path / "library") as other:
+                other.add(drawn(n_each=1, seed=len(other)))
+                if "part 1" in {row.name for row in other.objects()}:
+                    other.rename_object("part 1", "renamed")
+                    other.retract(object="part 2", reason="test")
+            return sums(some)
+
+        chosen = library.select()
+        names = chosen.object
+        assert_array_equal(chosen.features("during", encode), alone)
+        assert_array_equal(chosen.object, names)
+        assert len(chosen.touches(range(200))) == 200
+        later = library.select()
+    assert len(later) != 200
+    assert "renamed" in later.object
+    assert "part 2" not in later.object
+
+
+def test_kept_features_of_another_encoding_are_made_anew(tmp_path):
+    """A file of another width under this encoding's key is no good."""
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(drawn())
+        chosen = library.select()
+        right = chosen.features("key", sums)
+        cache = tmp_path / "library" / "features" / "key"
+        (kept,) = cache.glob("*.npz")
+        with np.load(kept) as held:
+            ids = held["ids"]
+        np.savez(cache / "other.npz", ids=ids[:50], x=np.zeros((50, 3)))
+        assert_array_equal(chosen.features("key", sums), right)

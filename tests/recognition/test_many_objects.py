@@ -1,0 +1,142 @@
+"""Very many objects: files, sessions and changes where only a part is left out."""
+
+from copy import copy
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import ObjectRecogniser, Touches
+from palpate.classifiers import NearbyTouches, _kernel_ridge, _touch_classifier
+from palpate.recognition import across_sessions
+
+
+def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
+    """Touches of objects about a mean each; a session shifts all of them."""
+    centres = np.random.default_rng(99).normal(size=(n_objects, 3, 8))
+    rng = np.random.default_rng(seed)
+    images = np.repeat(centres, n_each, axis=0)
+    images = images + 0.3 * rng.normal(size=images.shape) + shift
+    names = np.repeat([f"part {k:03d}" for k in range(n_objects)], n_each)
+    sessions = np.full(len(names), session)
+    return Touches(images, object=names, session=sessions, geometry="none")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def very_many():
+    """Some hundred touches are many, and two thousand answers of them too many."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_kernel_ridge, "_MOST_TARGETS", 1000)
+        patch.setattr(_touch_classifier, "MOST_ANSWERS", 2000)
+        yield
+
+
+@cache
+def fitted(n_objects, n_each):
+    return ObjectRecogniser().fit(drawn(n_objects, n_each))
+
+
+def learnt(n_objects, n_each):
+    """Return a recogniser that may be changed."""
+    return copy(fitted(n_objects, n_each))
+
+
+KINDS = pytest.mark.parametrize(
+    ("n_objects", "n_each"), [(12, 30), (501, 2)], ids=["landmarks", "nearby"]
+)
+
+
+def machine_of(recogniser):
+    return next(iter(recogniser.classifier_.machines_.values()))
+
+
+@KINDS
+def test_a_file_of_very_many_answers_alike(tmp_path, n_objects, n_each):
+    model = learnt(n_objects, n_each)
+    is_nearby = isinstance(machine_of(model), NearbyTouches)
+    assert is_nearby == (n_objects > 500)
+    assert len(model.left_out_rows) < n_objects * n_each
+    again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    asked = drawn(n_objects, 1, seed=5)
+    before, after = model.evidence(asked), again.evidence(asked)
+    # What is asked of the classifier is in the file as it was.
+    assert_array_equal(after.log_likelihood, before.log_likelihood)
+    # Remembered features are in single precision: logarithms to 1e-3 nats.
+    assert_allclose(after.log_distances, before.log_distances, atol=1e-3, rtol=0)
+    assert_array_equal(again.memory_.labels, model.memory_.labels)
+    assert again.memory_.features.dtype == np.float64
+    beliefs = [one.start().update(asked[:1]) for one in (model, again)]
+    assert beliefs[1].unknown == pytest.approx(beliefs[0].unknown, abs=1e-3)
+
+
+@KINDS
+def test_an_object_added_after_loading_is_told_as_before_it(
+    tmp_path, n_objects, n_each
+):
+    images = 3 + np.random.default_rng(2).normal(0, 0.3, (n_each + 2, 3, 8))
+    new, asked_last = np.split(images, [n_each])
+    new = Touches(new, geometry="none")
+    model = learnt(n_objects, n_each)
+    again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    marks = machine_of(again)
+    landmarks = getattr(marks, "touches_", None)
+    for one in (model, again):
+        one.add_object("part one more", new)
+    asked = drawn(n_objects, 1, seed=5)
+    assert_allclose(
+        again.log_likelihood(asked), model.log_likelihood(asked), atol=1e-3, rtol=0
+    )
+    if n_objects < 500:  # the sums of the file went on: the same landmarks
+        assert_array_equal(machine_of(again).touches_, landmarks)
+        assert machine_of(again)._summed is not None
+    assert (
+        again.predict(Touches(asked_last, geometry="none")) == "part one more"
+    ).all()
+
+
+def test_sums_that_do_not_fit_are_refused(tmp_path, monkeypatch):
+    model = learnt(12, 30)
+    machine = machine_of(model)
+    regression = copy(machine._summed.regression)
+    regression._by_label = regression._by_label[:, 1:]
+    summed = machine._summed._replace(regression=regression)
+    monkeypatch.setattr(machine, "_summed", summed)
+    path = model.save(tmp_path / "m.palpate")
+    with pytest.raises(ValueError, match="sums of labels have shape"):
+        ObjectRecogniser.load(path)
+
+
+@KINDS
+@pytest.mark.parametrize("labelled", [True, False])
+def test_a_session_is_got_used_to_where_a_part_is_left_out(n_objects, n_each, labelled):
+    model = learnt(n_objects, n_each)
+    other = drawn(n_objects, 2, seed=3, shift=0.6, session="tuesday")
+    before = model.score(other)
+    given = other if labelled else Touches(other.images, geometry="none")
+    model.remount(given)
+    found = model.chosen_["remount"]
+    assert found["labelled"] == labelled
+    assert model.score(drawn(n_objects, 1, seed=4, shift=0.6)) >= before
+
+
+@KINDS
+def test_what_tells_sessions_is_weighed_down_where_a_part_is_left_out(
+    n_objects, n_each
+):
+    model = learnt(n_objects, n_each)
+    days = [
+        drawn(25, 1, seed=day, shift=0.8 * day, session=f"day {day}") for day in (1, 2)
+    ]
+    both = Touches.concatenate(days)
+    assert model.learn_nuisance(both) >= 20
+    assert model.score(drawn(n_objects, 1, seed=7)) > 0.5
+
+
+def test_sessions_of_an_object_are_counted():
+    """Of two sessions of each: half of the left-out touches could be of another."""
+    days = [drawn(12, 15, seed=day, session=f"day {day}") for day in (1, 2)]
+    across = across_sessions(ObjectRecogniser().fit(Touches.concatenate(days)))
+    assert across["least"] == across["median"] == 2
+    assert across["asked"] == 360
+    assert 0 < across["expected"] <= 1
