@@ -468,7 +468,7 @@ def test_evidence_names_what_is_wrong_with_it(start, model):
         assert np.array_equal(one, other)
 
 
-def told(model, *odds):
+def touch_evidence(model, *odds):
     """Evidence of one touch by which things are so many times as probable."""
     n_parts = len(stranger_model(model).weights)
     rows = np.log([odds])
@@ -485,15 +485,20 @@ def told(model, *odds):
 def test_a_decision_stays_until_it_is_as_improbable_as_it_was_probable(start, model):
     episode = Episode(start(), error=0.05)
     # Odds of ball, cup, mug, pen, rod: 1 : 96 : 1 : 1 : 1.
-    assert episode.add(told(model, 1, 96, 1, 1, 1)) == "cup, 96 % after 1 touch"
+    assert (
+        episode.add(touch_evidence(model, 1, 96, 1, 1, 1)) == "cup, 96 % after 1 touch"
+    )
     # 1 : 96 : 400 : 1 : 1, so that the cup has 0.19: less likely, and not ruled out.
-    doubted = episode.add(told(model, 1, 1, 400, 1, 1))
+    doubted = episode.add(touch_evidence(model, 1, 1, 400, 1, 1))
     assert doubted == (
         "cup, 19 % after 2 touches; mug is more probable now: touch again"
     )
     assert (episode.decision, episode.decided_at, episode.withdrawn) == ("cup", 1, [])
     # 1 : 96 : 4000 : 1 : 1, the cup has 0.023.
-    assert episode.add(told(model, 1, 1, 10, 1, 1)) == "mug, 97 % after 3 touches"
+    assert (
+        episode.add(touch_evidence(model, 1, 1, 10, 1, 1))
+        == "mug, 97 % after 3 touches"
+    )
     assert (episode.decision, episode.decided_at) == ("mug", 3)
     assert episode.withdrawn == [
         "cup is withdrawn after touch 3: mug is more probable now"
@@ -504,7 +509,7 @@ def test_unknown_is_withdrawn_when_it_is_less_probable_than_its_refusal(start, m
     episode = Episode(start(strangers=0.5), error=0.01, refusal=0.2)
     belief = episode.belief
     # Cup before all others by 1.5 : 1, what is left to each of the learnt ones.
-    episode.add(told(model, 1, 1.5, 1, 1, 1))
+    episode.add(touch_evidence(model, 1, 1.5, 1, 1, 1))
     for log_shares, decision in (
         ((0.2, 0.8), "unknown"),
         ((0.6, 0.4), "unknown"),
@@ -521,5 +526,5 @@ def test_unknown_is_withdrawn_when_it_is_less_probable_than_its_refusal(start, m
 def test_an_episode_shows_its_sentence(start, model):
     episode = Episode(start(), error=0.05)
     assert repr(episode) == "<Episode: no touch yet: touch it>"
-    episode.add(told(model, 1, 96, 1, 1, 1))
+    episode.add(touch_evidence(model, 1, 96, 1, 1, 1))
     assert repr(episode) == "<Episode: cup, 96 % after 1 touch>"

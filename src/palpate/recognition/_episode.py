@@ -176,8 +176,8 @@ class Episode:
         """Return what is most probable now, of categories where one was named."""
         belief = self.belief
         of_categories = named.level == "category"
-        known = belief.categories if of_categories else belief.posterior
-        shares = {**known, UNKNOWN: belief.unknown}
+        shares = belief.categories if of_categories else belief.posterior
+        shares = {**shares, UNKNOWN: belief.unknown}
         return max(shares, key=lambda name: shares[name])
 
     @property
