@@ -168,8 +168,9 @@ class Episode:
 
         Which of several other things it is need not be sure.
         """
-        is_unknown = named.level == UNKNOWN and self.refusal is not None
-        accepted = self.refusal if is_unknown else self.error
+        accepted = self.error
+        if named.level == UNKNOWN and self.refusal is not None:
+            accepted = self.refusal
         return self.belief.probability(named) <= accepted
 
     def _leader(self, named: Named) -> str:
