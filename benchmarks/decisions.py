@@ -219,8 +219,7 @@ def ended(trial: Trial, error: float, strangers: float) -> dict[str, float]:
         "refused": float(ends.refused.mean()),
         "undecided": float((~ends.decided).mean()),
         "touches": float(ends.touches.mean()),
-        "withdrawn": withdrawn(trial, error, strangers),
-    }
+    } | withdrawn(trial, error, strangers)
     if trial.unknown_episodes is not None:
         new = decide_episodes(trial.unknown_episodes, error, strangers=strangers)
         row["unknown named"] = float((new.decided & ~new.refused).mean())
@@ -237,18 +236,25 @@ def shares_of(episodes: Episodes, strangers: float) -> list[tuple[Floats, Floats
     return result
 
 
-def withdrawn(trial: Trial, error: float, strangers: float) -> float:
-    """Return the share of decisions that later touches would take back."""
-    n_named, n_back = 0, 0
-    for known, unknown in shares_of(trial.episodes, strangers):
+def withdrawn(trial: Trial, error: float, strangers: float) -> dict[str, float]:
+    """Return the share of decisions that later touches would take back.
+
+    Of right ones and of wrong ones, both of all decisions.
+    """
+    n_named, n_back = 0, {True: 0, False: 0}
+    parts = shares_of(trial.episodes, strangers)
+    for (known, unknown), truth in zip(parts, trial.episodes.truth, strict=True):
         every = np.concatenate([known, unknown[..., np.newaxis]], axis=-1)
         sure = every.max(axis=-1) >= 1 - error
         for order in np.flatnonzero(sure.any(axis=1)):
             first = int(sure[order].argmax())
-            leaders = every[order].argmax(axis=-1)
+            named = int(every[order, first].argmax())
             n_named += 1
-            n_back += bool((leaders[first:] != leaders[first]).any())
-    return n_back / max(n_named, 1)
+            n_back[named == truth] += bool((every[order, first:, named] <= error).any())
+    return {
+        "withdrawn right": n_back[True] / max(n_named, 1),
+        "withdrawn wrong": n_back[False] / max(n_named, 1),
+    }
 
 
 def calibration(trial: Trial, strangers: float) -> list[list[float]]:

@@ -239,3 +239,5 @@ def test_a_missing_file_is_named(tmp_path, images):
         OnnxEncoding(tmp_path / "none.onnx").fit(images)
     with pytest.raises(TypeError, match="bytes as an array of uint8"):
         OnnxEncoding(np.ones(3)).fit(images)
+    with pytest.raises(TypeError, match=r"network must be a path .*got bytes"):
+        OnnxEncoding(b"network").fit(images)

@@ -63,7 +63,8 @@ def domes(rng, n_each=6):
 
 @pytest.mark.parametrize("preset", ["default", "corradi2015"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.float64])
-def test_one_update_checks_its_image_once(preset, dtype, rng):
+def test_one_update_does_not_check_touches_again(preset, dtype, rng):
+    """They were checked when they were made; what is none is refused before that."""
     learnt = domes(rng)
     levels = Touches(learnt.images.astype(dtype), **learnt.columns, geometry="dome")
     belief, checks = ObjectRecogniser(preset).fit(levels).start(), []
@@ -77,7 +78,13 @@ def test_one_update_checks_its_image_once(preset, dtype, rng):
         belief.update(levels[3])
     finally:
         sys.setprofile(None)
-    assert len(checks) == 1, checks
+    assert not checks
+    for wrong, message in ((np.nan, "living taxel|NaN"), (np.inf, "infinit|finite")):
+        with pytest.raises(ValueError, match=message):
+            belief.update(np.full((60, 60), wrong))
+    with pytest.raises(ValueError, match="must have 60 x 60"):
+        belief.update(np.ones((60, 61)))
+    assert belief.touches_used == 1
 
 
 def test_update_refuses_levels_that_sums_cannot_hold(rng):

@@ -365,11 +365,27 @@ class KernelRidgeClassifier(BayesRule):
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
+        straight = copy(self)
+        straight.temperature_, straight.bend_ = 1.0, 0.0
+        straight.log_counts_ = np.zeros(())
+        return straight._bent_scores(X)
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats).
+
+        Shape (n_touches, n_classes). The posterior under equal priors, so each
+        row is a likelihood but for a factor that no belief depends on.
+        """
+        return log_softmax(self._bent_scores(X))
+
+    def _bent_scores(self, X: ArrayLike) -> Floats:
         if not hasattr(self, "coefficients_"):  # the check itself takes a while
             check_is_fitted(self)
-        return self._scores(check_squarable("X", as_touches(self, X)))
+        touches = check_squarable("X", as_touches(self, X))
+        return self.log_likelihood_checked(touches)
 
-    def _scores(self, touches: Floats) -> Floats:
+    def log_likelihood_checked(self, touches: Floats) -> Floats:
+        """Do what `log_likelihood` does, but for a constant of each touch."""
         centred = touches - self.mean_
         # One pass over the training touches: their own norms are known.
         squared = (-2 * centred) @ self.touches_.T
@@ -379,19 +395,7 @@ class KernelRidgeClassifier(BayesRule):
         squared *= -self.width_ / self.unit_
         kernel = exp(squared, out=squared).astype(self.coefficients_.dtype, copy=False)
         scores = (kernel @ self.coefficients_).astype(np.float64, copy=False)
-        return np.asarray(scores + 1 / len(self.classes_))
-
-    def log_likelihood(self, X: ArrayLike) -> Floats:
-        """Return log p(touch | object) up to a constant per touch (nats).
-
-        Shape (n_touches, n_classes). The posterior under equal priors, so each
-        row is a likelihood but for a factor that no belief depends on.
-        """
-        return self._log_posterior(self.scores(X))
-
-    def log_likelihood_checked(self, touches: Floats) -> Floats:
-        """Do what `log_likelihood` does, but for a constant of each touch."""
-        scores = self._scores(touches)
+        scores = scores + 1 / len(self.classes_)
         bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
         return np.asarray(bent - self.log_counts_)
 

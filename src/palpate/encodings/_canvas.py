@@ -40,6 +40,9 @@ class CanvasEncoder(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
+        return self._vectors(images)
+
+    def _vectors(self, images: Array) -> Floats:
         shape = images.shape[1:]
         short = min(shape)
         scale = min(max(short, 32), self._most) / short / self._multiple
@@ -207,12 +210,12 @@ class RingPatterns(CanvasEncoder):
             check_number("radii", radius, low=0, high=25)
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
-        shares = self._shares(images)
+        shares = self._vectors(images)
         spread = np.linspace(0, len(images) - 1, _MOVED).astype(int)
         rows = np.unique(spread)
         part, still = images[rows].astype(np.float32), shares[rows]
         changes = np.concatenate(
-            [self._shares(_moved(part, *step)) - still for step in _STEPS]
+            [self._vectors(_moved(part, *step)) - still for step in _STEPS]
         )
         # Flat images change nowhere; their directions would be chance.
         strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
@@ -221,16 +224,13 @@ class RingPatterns(CanvasEncoder):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        return self._steady(self._shares(images))
+        return self._steady(self._vectors(images))
 
     def _steady(self, shares: Floats) -> Floats:
         return np.asarray(shares - shares @ self.unsteady_.T @ self.unsteady_)
 
-    def _shares(self, images: Array) -> Floats:
-        """Roots of the shares of each pattern in each ring, (n_touches, n_features)."""
-        return super().transform_checked(images)
-
     def _vector(self, image: Array) -> Array:
+        """Roots of the shares of each pattern in each ring, (n_features,)."""
         # A flat disc has rounding alone, which is not to make patterns.
         image = image / (cv2.norm(image, cv2.NORM_INF) or 1)
         n_codes = self.n_points + 2

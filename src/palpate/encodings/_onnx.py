@@ -411,6 +411,11 @@ def _bytes_of(network: str | Path | Array) -> bytes:
                 f"{network.dtype} of shape {network.shape}."
             )
         return network.tobytes()
+    if not isinstance(network, str | Path):
+        raise TypeError(
+            f"network must be a path or an array of uint8, got {type(network).__name__}"
+            ". Write np.frombuffer(content, np.uint8) for bytes."
+        )
     path = Path(network)
     if not path.is_file():
         raise OnnxError(f"There is no network file {path}. Check the path.")

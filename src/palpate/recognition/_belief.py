@@ -452,8 +452,8 @@ class Belief:
     def _expected_costs(self, costs: Costs) -> Floats:
         """Return what naming each object is expected to cost, (n_objects,)."""
         log_known, log_unknown = self._log_known_and_unknown()
-        known = np.exp(self.log_posterior + log_known) @ self._cost_table(costs)
-        return np.asarray(known + np.exp(log_unknown))
+        of_learnt = np.exp(self.log_posterior + log_known) @ self._cost_table(costs)
+        return np.asarray(of_learnt + np.exp(log_unknown))
 
     def _cost_table(self, costs: Costs) -> Floats:
         names = self._judge.classes.tolist()
@@ -509,18 +509,18 @@ class Belief:
         """Return the figures behind `reason`, a sentence each."""
         nats, expected = self.unknown_evidence, self.strangers
         best, rival = self._two_best()
-        known = (
+        leaders = (
             f"{best} has probability {share_of(self.posterior[best])}, {rival} "
             f"{share_of(self.posterior[rival])}; {share_of(1 - error)} was asked for."
         )
-        none = (
+        stranger = (
             f"Nothing that was learnt: {share_of(self.unknown)}. A share of "
             f"{expected:g} strangers was expected, and the touches speak "
             f"{'for' if nats > 0 else 'against'} one by {abs(nats):.1f} nats."
         )
         if not expected:
-            none = "A closed world was asked for: it is one of those learnt."
-        sentences = [known, none, str(self.promise(error))]
+            stranger = "A closed world was asked for: it is one of those learnt."
+        sentences = [leaders, stranger, str(self.promise(error))]
         n_silent = self.touches_used - self._n_informative
         if n_silent:
             sentences.append(f"{n_touches_of(n_silent)} said nothing.")
@@ -653,13 +653,13 @@ def _checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
     return less
 
 
-def _checked_parts(**given: tuple[ArrayLike | None, tuple[int, ...]]) -> list[Floats]:
+def _checked_parts(**tables: tuple[ArrayLike | None, tuple[int, ...]]) -> list[Floats]:
     """Return parts of the evidence, given with their shapes, or explain.
 
     NaN where there is none.
     """
     parts = []
-    for name, (part, shape) in given.items():
+    for name, (part, shape) in tables.items():
         array = np.full(shape, np.nan)
         if part is not None:
             array = np.atleast_2d(np.asarray(part, dtype=np.float64))

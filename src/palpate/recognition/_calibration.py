@@ -37,9 +37,9 @@ def left_out_log_likelihood(classifier: TouchClassifier) -> Floats:
 
 def without_gaps(log_likelihood: Floats) -> Floats:
     """Return log-likelihoods (..., n_classes), the least in place of minus infinity."""
-    known = np.isfinite(log_likelihood)
-    worst = np.where(known, log_likelihood, np.inf).min(axis=-1, keepdims=True)
-    return np.where(known, log_likelihood, worst)
+    is_finite = np.isfinite(log_likelihood)
+    worst = np.where(is_finite, log_likelihood, np.inf).min(axis=-1, keepdims=True)
+    return np.where(is_finite, log_likelihood, worst)
 
 
 def draw_episodes(
@@ -64,9 +64,9 @@ def draw_episodes(
             of = np.unique(blocks[rows], return_inverse=True)[1]
             n_blocks = of.max() + 1
             place += (of - rng.integers(n_blocks, size=(len(place), 1))) % n_blocks
-        some = rows[np.argsort(place, axis=1)[:, :longest]]
-        over = ((0, 0), (0, longest - some.shape[1]))
-        drawn.append(np.pad(some, over, constant_values=-1))
+        order = rows[np.argsort(place, axis=1)[:, :longest]]
+        over = ((0, 0), (0, longest - order.shape[1]))
+        drawn.append(np.pad(order, over, constant_values=-1))
     return drawn
 
 
@@ -116,11 +116,11 @@ def _of_least_loss(
     # Posteriors of single touches are calibrated already, and no strength above 1 may
     # undo their floor: training touches that are all told apart would ask for any.
     bounds = [(np.log(0.05), 0.0), (_LEAST_CORRELATION, 1 - _LEAST_CORRELATION)]
-    found = minimize(
+    fit = minimize(
         loss,
         [-0.1, 0.1],
         jac=True,
         bounds=bounds,
         options={"ftol": 1e-13, "gtol": 1e-9},
     )
-    return SequenceCalibration(float(np.exp(found.x[0])), float(found.x[1]))
+    return SequenceCalibration(float(np.exp(fit.x[0])), float(fit.x[1]))

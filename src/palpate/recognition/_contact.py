@@ -199,15 +199,15 @@ class ContactCheck(BaseEstimator):
         return np.asarray(counts / images[0].size)
 
 
-def _by_sight(every: Floats, blind: Bools) -> tuple[Floats, Floats]:
-    """Return novelty to encodings that see turns or shifts, and to the others."""
-    return _novelty(every[:, ~blind]), _novelty(every[:, blind])
+def _by_sight(every: Floats, blind: Bools) -> Floats:
+    """Return novelty to encodings that see turns or shifts, and to the others.
 
-
-def _novelty(every: Floats) -> Floats:
-    """Return the mean of what encodings leave unexplained, NaN where none says it."""
-    count = (~np.isnan(every)).sum(axis=1)
-    return np.where(count > 0, np.nansum(every, axis=1) / np.maximum(count, 1), np.nan)
+    The mean of what they leave unexplained, NaN where none says it; (2, n_touches).
+    """
+    kinds, says = np.stack([~blind, blind]).astype(np.float64), ~np.isnan(every)
+    count = kinds @ says.T
+    total = kinds @ np.where(says, every, 0.0).T
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def encoded_and_flagged(

@@ -198,12 +198,13 @@ class TouchEncoder(Encoder, BaseEstimator):
 
     def clean(self, touches: Touches) -> Array:
         """Return the images after the clean-up alone; other sizes are refused."""
-        self.check_size(touches)
-        return self.cleaned(self.living(touches.images))
+        images = touches.images
+        self.check_size(images)
+        return self.cleaned(self.living(images))
 
-    def check_size(self, touches: Touches) -> None:
-        """Refuse touches of another size than those that were learnt."""
-        known, got = tuple(self.image_shape_), touches.images.shape[1:]
+    def check_size(self, images: Array) -> None:
+        """Refuse images of another size than those that were learnt."""
+        known, got = tuple(self.image_shape_), images.shape[1:]
         if got != known:
             raise ValueError(
                 f"touches must have {size_said(known)} like the training touches, got "
@@ -211,13 +212,13 @@ class TouchEncoder(Encoder, BaseEstimator):
             )
 
     def cleaned(self, images: Array) -> Array:
-        """Return images without NaN (n_touches, n_rows, n_cols) after the clean-up."""
+        """Return images that `living` has checked, after the clean-up."""
         if self.clean_up_ is None:
             return images
         if self.channels and images.ndim == 4:
             every = in_batches(images)
             return np.concatenate([self.clean_up_.by_channel(s) for s in every])
-        return _transformed(self.clean_up_, grey(images))
+        return _transformed(self.clean_up_, grey(images), checked=True)
 
     def encode_fully(self, cleaned: Array) -> tuple[Floats, Floats]:
         """Return features and what components leave out; see `Encoder`."""

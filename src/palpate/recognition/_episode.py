@@ -49,8 +49,9 @@ class EpisodeTouch:
 class Episode:
     """The touches of one object, from the first to the decision and beyond.
 
-    A decision stays: touches after it are taken in, and it is withdrawn only when
-    something else has become more probable than what was named.
+    A decision stays: touches after it are taken in, and it is withdrawn only when what
+    was named has become as improbable as anything else had to be: at most `error` (of
+    "unknown": `refusal`).
 
     Parameters
     ----------
@@ -139,15 +140,15 @@ class Episode:
     def _decide(self) -> None:
         """Keep, take or withdraw a decision after a touch."""
         before, now = self._named, self._answer()
-        if before is not None and (leader := self._leader(before)) == before.name:
+        if before is not None and not self._is_over(before):
             # A category may become one object of it; anything else stays as it is.
             if not (before.level == "category" and now and now.level == "object"):
                 return
         elif before is not None:
-            leader = NOTHING if leader == UNKNOWN else leader
             self.withdrawn.append(
-                f"{before.name} is withdrawn after touch {len(self.touches)}: "
-                f"{leader} is more probable now"
+                f"{_in_words(before.name)} is withdrawn after touch "
+                f"{len(self.touches)}: "
+                f"{_in_words(self._leader(before))} is more probable now"
             )
         self._named = now
         self.decided_at = len(self.touches) if now is not None else None
@@ -162,12 +163,22 @@ class Episode:
             None if name is None else Named(UNKNOWN if name == UNKNOWN else level, name)
         )
 
+    def _is_over(self, named: Named) -> bool:
+        """Whether it is as sure now that it is something else as naming it had to be.
+
+        Which of several other things it is need not be sure.
+        """
+        accepted = self.error
+        if named.level == UNKNOWN and self.refusal is not None:
+            accepted = self.refusal
+        return self.belief.probability(named) <= accepted
+
     def _leader(self, named: Named) -> str:
         """Return what is most probable now, of categories where one was named."""
         belief = self.belief
         of_categories = named.level == "category"
-        known = belief.categories if of_categories else belief.posterior
-        shares = {**known, UNKNOWN: belief.unknown}
+        shares = belief.categories if of_categories else belief.posterior
+        shares = {**shares, UNKNOWN: belief.unknown}
         return max(shares, key=lambda name: shares[name])
 
     @property
@@ -188,14 +199,20 @@ class Episode:
     @property
     def sentence(self) -> str:
         """What is decided, or what it may be, as it is now."""
-        named = None
-        if self._named is not None:
-            named = *self._named, self.belief.probability(self._named)
-        belief, n_touches = self.belief, len(self.touches)
-        words = sentence_of(belief.posterior, belief.unknown, n_touches, named)
+        belief, named, n_touches = self.belief, self._named, len(self.touches)
         if self.touches and all(touch.flag == "no contact" for touch in self.touches):
             return "no contact yet: touch again"
-        return words
+        if named is None:
+            return sentence_of(belief.posterior, belief.unknown, n_touches, None)
+        decision = *named, belief.probability(named)
+        words = sentence_of(belief.posterior, belief.unknown, n_touches, decision)
+        leader = self._leader(named)
+        if leader == named.name:
+            return words
+        return f"{words}; {_in_words(leader)} is more probable now: touch again"
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.sentence}>"
 
     def explain(self) -> dict[str, Any]:
         """Return the figures behind the sentence, and the touches that moved it most.
@@ -240,3 +257,7 @@ class Episode:
         axes.set_title(self.sentence)
         axes.legend()
         return axes
+
+
+def _in_words(name: str) -> str:
+    return NOTHING if name == UNKNOWN else name

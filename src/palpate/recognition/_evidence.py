@@ -52,9 +52,11 @@ class Evidence(NamedTuple):
     @classmethod
     def together(cls, parts: Sequence[Evidence]) -> Evidence:
         """Return the evidence of several sets of touches, one after the other."""
-        every = {name: [getattr(one, name) for one in parts] for name in cls._fields}
-        flags = [*chain.from_iterable(every.pop("flags"))]
-        arrays = {name: np.concatenate(some) for name, some in every.items()}
+        columns = {
+            name: [getattr(part, name) for part in parts] for name in cls._fields
+        }
+        flags = [*chain.from_iterable(columns.pop("flags"))]
+        arrays = {name: np.concatenate(rows) for name, rows in columns.items()}
         return cls(**arrays, flags=flags)
 
     def one(self, touch: int) -> Evidence:

@@ -88,8 +88,9 @@ class RemountedEncoder(Encoder):
 
     def clean(self, touches: Touches) -> Array:
         """Return the images as in the session of learning, after the clean-up."""
-        self.encoder.check_size(touches)
-        images = self.encoder.living(touches.images, self.broken)
+        images = touches.images
+        self.encoder.check_size(images)
+        images = self.encoder.living(images, self.broken)
         if self.gain != 1:
             images = self.gain * images
         if self.drift is not None:

@@ -5,6 +5,7 @@ The terminal, the page, reports and Python all show these sentences; numbers beh
 """
 
 from collections.abc import Mapping
+from math import floor
 
 NOTHING = "nothing I know"
 # Names that together have this probability are those that it may be, three at most.
@@ -12,12 +13,17 @@ _MOST_LIKELY, _MOST_NAMED = 0.9, 3
 
 
 def share_of(probability: float) -> str:
-    """Return a probability as people read it; never 100 % of what is not certain."""
+    """Return a probability as people read it, rounded down.
+
+    What has not reached a limit never reads as if it had, nor 100 % unless certain.
+    """
     if probability > 0.999:
         return "over 99.9 %"
-    if probability >= 0.99:
-        return f"{int(1000 * probability) / 10:g} %"
-    return f"{round(100 * probability)} %"
+    if probability < 0.01:
+        return "under 1 %"
+    steps = 10 if probability >= 0.99 else 1
+    # 0.29 is 29 %, though 100 times it is a little less.
+    return f"{floor(100 * steps * probability + 1e-9) / steps:g} %"
 
 
 def n_touches_of(n_touches: int) -> str:

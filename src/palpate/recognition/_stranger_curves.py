@@ -74,29 +74,33 @@ def fit_strangers(
     groups = category_codes(left_out.categories)
     usual = _usual(left_out)
     far = _far(left_out, usual, episodes)
-    one, none = np.ones((1, 2)), np.zeros(len(far))
-    rest = FLAT, FLAT, FLAT, none, n_units, population
-    model = StrangerModel(left_out.weights, usual, far, one, *rest)
-    known, known_kinds = _tracks(left_out, model, episodes, groups, never=False)
+    no_scale, no_limits = np.ones((1, 2)), np.zeros(len(far))
+    flat = FLAT, FLAT, FLAT, no_limits, n_units, population
+    model = StrangerModel(left_out.weights, usual, far, no_scale, *flat)
+    known_track, known_categories = _tracks(
+        left_out, model, episodes, groups, never=False
+    )
     # Two objects do not show what a third looks like: as often as a level says it is
     # taken to get there, and what goes higher than both ever did, for a stranger.
-    others, heights = _unseen(len(usual)), np.full(_N_UNSEEN, np.inf)
-    other_kinds = None
-    logs = log_nats(known.score)
+    stranger_track, heights = _unseen(len(usual)), np.full(_N_UNSEEN, np.inf)
+    stranger_categories = None
+    logs = log_nats(known_track.score)
     mean, spread = logs.mean(axis=0), logs.std(axis=0) + _LEAST_SPREAD
     if len(usual) > 2:
-        others, other_kinds = _tracks(left_out, model, episodes, groups, never=True)
-        heights = ((log_nats(others.score) - mean) / spread).max(axis=1)
+        stranger_track, stranger_categories = _tracks(
+            left_out, model, episodes, groups, never=True
+        )
+        heights = ((log_nats(stranger_track.score) - mean) / spread).max(axis=1)
     model = replace(
         model,
         high=np.stack([mean, spread], axis=1),
-        low_curve=_low_curve(known, others, len(usual)),
+        low_curve=_low_curve(known_track, stranger_track, len(usual)),
         high_curve=_high_curve(((logs - mean) / spread).max(axis=1), heights),
     )
-    if known_kinds is not None and other_kinds is not None:
-        of_kinds = _low_curve(known_kinds, other_kinds, 1)
-        model = replace(model, low_category_curve=of_kinds)
-    nats = evidence_of(model, known, len(usual))
+    if known_categories is not None and stranger_categories is not None:
+        of_categories = _low_curve(known_categories, stranger_categories, 1)
+        model = replace(model, low_category_curve=of_categories)
+    nats = evidence_of(model, known_track, len(usual))
     return replace(model, exceeded=np.quantile(nats, 0.95, axis=0))
 
 
@@ -171,12 +175,16 @@ def _log_share(heights: Floats, levels: Floats) -> Floats:
 
 def _usual(left_out: LeftOut) -> Floats:
     """Return the mean log distance of each object's touches to its nearest other."""
-    own = left_out.log_distances[np.arange(len(left_out.codes)), left_out.codes]
-    is_known = ~np.isnan(own)
-    everywhere = own[is_known].mean() if is_known.any() else 0.0
+    own_distances = left_out.log_distances[
+        np.arange(len(left_out.codes)), left_out.codes
+    ]
+    is_known = ~np.isnan(own_distances)
+    everywhere = own_distances[is_known].mean() if is_known.any() else 0.0
     n_objects = len(left_out.log_prior)
     counts = np.bincount(left_out.codes[is_known], minlength=n_objects)
-    sums = np.bincount(left_out.codes[is_known], own[is_known], minlength=n_objects)
+    sums = np.bincount(
+        left_out.codes[is_known], own_distances[is_known], minlength=n_objects
+    )
     return np.where(counts > 0, sums / np.maximum(counts, 1), everywhere)
 
 
@@ -184,8 +192,8 @@ def _far(left_out: LeftOut, usual: Floats, episodes: list[Indices]) -> Floats:
     """Return mean and spread, after each touch, of how far known episodes are."""
     parts = []
     for rows in episodes:
-        own = int(left_out.codes[rows[0, 0]])
-        farther = left_out.log_distances[rows, own] - usual[own]
+        truth = int(left_out.codes[rows[0, 0]])
+        farther = left_out.log_distances[rows, truth] - usual[truth]
         used = (rows >= 0) & ~np.isnan(farther)
         total = np.where(used, farther, 0.0).cumsum(axis=1)
         parts.append(total / np.maximum(used.cumsum(axis=1), 1))
@@ -203,22 +211,24 @@ def _tracks(
     never: bool,
 ) -> tuple[Track, Track | None]:
     """Return tracks of objects, and of categories, perhaps as if `never` learnt."""
-    objects, kinds = [], []
+    objects, categories = [], []
     for rows in episodes:
-        own = int(left_out.codes[rows[0, 0]])
+        truth = int(left_out.codes[rows[0, 0]])
         columns = np.arange(len(left_out.log_prior))
         if never:
-            columns = np.delete(columns, own)
-        found = _heard_of(left_out, model, rows, columns)
-        objects.append(track_of(model, found, columns, own))
+            columns = np.delete(columns, truth)
+        state = _heard_of(left_out, model, rows, columns)
+        objects.append(track_of(model, state, columns, truth))
         if groups is not None:
             present, codes = np.unique(groups[columns]), groups[columns]
-            of_kinds = found._replace(
-                log_posterior=summed_by_category(found.log_posterior, codes, present),
-                by_encoding=summed_by_category(found.by_encoding, codes, present),
+            of_categories = state._replace(
+                log_posterior=summed_by_category(state.log_posterior, codes, present),
+                by_encoding=summed_by_category(state.by_encoding, codes, present),
             )
-            kinds.append(track_of(model, of_kinds, present, int(groups[own])))
-    return _joined(objects), _joined(kinds) if kinds else None
+            categories.append(
+                track_of(model, of_categories, present, int(groups[truth]))
+            )
+    return _joined(objects), _joined(categories) if categories else None
 
 
 def _heard_of(
@@ -229,13 +239,13 @@ def _heard_of(
     # `take` keeps objects next to each other, as sums over them want it.
     tables = left_out.log_likelihood, left_out.each, left_out.log_distances
     pooled, each, distances = (t[touches].take(columns, axis=-1) for t in tables)
-    pooled, each = (with_floor(said, left_out.floor) for said in (pooled, each))
+    pooled, each = (with_floor(table, left_out.floor) for table in (pooled, each))
     local = local.reshape(rows.shape)
     used = is_informative(pooled)[local] & (rows >= 0)
     prior = log_softmax(left_out.log_prior[columns])
-    known = replace(model, usual=model.usual[columns])
+    present = replace(model, usual=model.usual[columns])
     parts = pooled[local], each[local], distances[local]
-    return heard(used, *parts, prior, left_out.calibration, known)
+    return heard(used, *parts, prior, left_out.calibration, present)
 
 
 def _joined(tracks: list[Track]) -> Track:

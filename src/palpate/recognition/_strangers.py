@@ -250,13 +250,13 @@ class Track(NamedTuple):
     n_told: Indices
 
 
-def track_of(model: StrangerModel, found: Heard, names: Indices, own: int) -> Track:
-    """Return the track of episodes of `own` among `names` (n_objects,)."""
-    score = model.score(found.by_encoding, found.farther, found.n_told)
-    best = names[found.log_posterior.argmax(axis=-1)]
-    level = log_level(score, besides_the_best(exp(found.log_posterior)))
-    level = np.where(found.n_told > 0, level, np.inf)
-    return Track(level, score, best, best == own, found.n_told)
+def track_of(model: StrangerModel, state: Heard, names: Indices, truth: int) -> Track:
+    """Return the track of episodes of `truth` among `names` (n_objects,)."""
+    score = model.score(state.by_encoding, state.farther, state.n_told)
+    best = names[state.log_posterior.argmax(axis=-1)]
+    level = log_level(score, besides_the_best(exp(state.log_posterior)))
+    level = np.where(state.n_told > 0, level, np.inf)
+    return Track(level, score, best, best == truth, state.n_told)
 
 
 def evidence_of(model: StrangerModel, track: Track, n_names: int) -> Floats:
@@ -281,9 +281,9 @@ def episode_evidence(
     """
     tables = floored, each, log_distances
     used = is_informative(floored)
-    found = heard(used, *tables, log_prior, calibration, model)
-    track = track_of(model, found, np.arange(len(log_prior)), own=-1)
-    return found.log_posterior, evidence_of(model, track, len(log_prior))
+    state = heard(used, *tables, log_prior, calibration, model)
+    track = track_of(model, state, np.arange(len(log_prior)), truth=-1)
+    return state.log_posterior, evidence_of(model, track, len(log_prior))
 
 
 def category_codes(categories: NDArray[np.str_]) -> Indices | None:

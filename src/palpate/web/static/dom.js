@@ -69,11 +69,12 @@ export function step(number, words, done) {
   item.classList.toggle("done", done);
 }
 
-// Never 100 % of what is not certain: from 99 % on one decimal, rounded down.
+// Rounded down: what has not reached a limit never reads as if it had, nor 100 %.
 export const percent = (share) => {
   if (share > 0.999 && share < 1) return ">99.9 %";
   if (share >= 0.99 && share < 1) return `${(Math.floor(1000 * share) / 10).toFixed(1)} %`;
-  return `${(100 * share).toFixed(share < 0.0995 ? 1 : 0)} %`;
+  if (share < 0.1) return `${(100 * share).toFixed(1)} %`;
+  return `${Math.floor(100 * share + 1e-9)} %`;
 };
 
 let hiding = 0;
