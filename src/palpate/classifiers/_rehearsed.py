@@ -65,12 +65,25 @@ class RehearsedMachine(BayesRule):
         self.rehearsed.fit(touches @ self.weighing, y, groups)
         return self
 
-    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
+    @property
+    def takes_weights(self) -> bool:  # type: ignore[override]
+        """Whether both machines take what each touch counts."""
+        both = self.plain, self.rehearsed
+        return all(getattr(one, "takes_weights", False) for one in both)
+
+    def refit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: Groups = None,
+        weights: Floats | None = None,
+    ) -> Self:
         """Let both machines learn other touches with the choices they made."""
         touches = np.asarray(X, dtype=np.float64)
-        self.plain = copy(self.plain).refit(touches, y, groups)
+        more = {} if weights is None else {"weights": weights}
+        self.plain = copy(self.plain).refit(touches, y, groups, **more)
         weighed = touches @ self.weighing
-        self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups)
+        self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups, **more)
         return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
