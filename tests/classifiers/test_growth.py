@@ -56,9 +56,9 @@ def test_a_thousand_objects_of_two_touches_are_learnt():
     assert peak < 500 * MB
 
 
-def test_large_scores_are_bent_and_what_was_taught_more_is_divided_by_its_share():
+def test_large_scores_are_bent_and_frequent_labels_leant_against():
     scores, log_counts = np.array([[0.8, -0.2]]), np.log([4.0, 2.0])
-    found = _log_posterior((10.0, 0.5), scores, log_counts)
+    found = _log_posterior((10.0, 0.5, 1.0), scores, log_counts)
     odds = 10 * 0.8 / 1.4 + 10 * 0.2 / 1.1 - np.log(2)
     assert found[0, 0] - found[0, 1] == pytest.approx(odds)
 

@@ -53,9 +53,9 @@ _GROWS_FROM, _GROWS_TO, _GROWTH = 500, 5000, 1 / 8
 # Where the search for a temperature begins, and where it stays.
 _USUAL_TEMPERATURE = 8.0
 _TEMPERATURES = float(np.exp(-3)), float(np.exp(6))
-# Temperature and bend of a posterior, and from where the best ones are sought.
-Shape = tuple[float, float]
-_USUAL_SHAPE = _USUAL_TEMPERATURE, 0.5
+# Temperature, bend and lean of a posterior, and from where the best ones are sought.
+Shape = tuple[float, float, float]
+_USUAL_SHAPE = _USUAL_TEMPERATURE, 0.5, 1.0
 
 # Rows of groups of one size, (n_groups, size), and the inverse's blocks of them.
 Blocks = Iterable[tuple[Indices, Floats]]
@@ -111,9 +111,12 @@ class KernelRidgeClassifier(BayesRule):
     temperature_, bend_ : float
         Scores s enter the softmax as temperature s / (1 + bend |s|): regression
         scores of sure touches are too large for a factor alone.
+    lean_ : float
+        How much the scores lean towards labels of many training touches: at least 1,
+        as probabilities do.
     log_counts_ : ndarray of shape (n_classes,)
-        Logarithms of the numbers of training touches; subtracted, so that posteriors
-        are those under equal priors.
+        Logarithms of the numbers of training touches, times `lean_`; subtracted, so
+        that posteriors are those under equal priors.
     left_out_scores_ : ndarray of shape (n_left_out, n_classes)
         Regression scores of training touches, each with its group left out.
     left_out_rows_ : ndarray of shape (n_left_out,)
@@ -150,6 +153,7 @@ class KernelRidgeClassifier(BayesRule):
     coefficients_: Array
     temperature_: float
     bend_: float
+    lean_: float
 
     def __init__(
         self,
@@ -252,14 +256,14 @@ class KernelRidgeClassifier(BayesRule):
             left_out = self._learn_from_all(touches, codes, group, ridges, grown)
             left_out = left_out[rows]
             if grown is not None:
-                start = self.temperature_, self.bend_
+                start = self.temperature_, self.bend_, self.lean_
         self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
         self.left_out_scores_, own = left_out, codes[rows]
         some = _thin(own, min(_SHAPED_BY, _SHAPED_ANSWERS // n_labels + 1))
         counts = np.bincount(codes, minlength=n_labels)
         shape, self.log_loss_ = best_shape(left_out[some], own[some], counts, start)
-        self.temperature_, self.bend_ = shape
-        self.log_counts_ = _log_counts(counts)
+        self.temperature_, self.bend_, self.lean_ = shape
+        self.log_counts_ = self.lean_ * _log_counts(counts)
 
     def _learn_from_all(
         self,
@@ -417,7 +421,7 @@ class KernelRidgeClassifier(BayesRule):
         return np.asarray(getattr(self, "left_out_rows_", every))
 
     def _log_posterior(self, scores: Floats) -> Floats:
-        shape = self.temperature_, self.bend_
+        shape = (self.temperature_, self.bend_, 1.0)
         return _log_posterior(shape, scores, self.log_counts_)
 
     takes_weights = True
@@ -525,10 +529,10 @@ def _log_counts(counts: Indices) -> Floats:
 
 
 def _log_posterior(shape: Shape, scores: Floats, log_counts: Floats) -> Floats:
-    """Log posterior under equal priors; `shape` is (temperature, bend)."""
-    temperature, bend = shape
+    """Log posterior under equal priors; `shape` is (temperature, bend, lean)."""
+    temperature, bend, lean = shape
     bent = temperature * scores / (1 + bend * np.abs(scores))
-    return log_softmax(bent - log_counts)
+    return log_softmax(bent - lean * log_counts)
 
 
 def fair_shares(codes: Array) -> Floats:
@@ -574,36 +578,42 @@ def _smoothed_loss(
 def best_shape(
     scores: Floats, codes: Array, counts: Indices, start: Shape = _USUAL_SHAPE
 ) -> tuple[Shape, float]:
-    """Return (temperature, bend) with the least log loss, and that loss (nats).
+    """Return (temperature, bend, lean) with the least log loss, and that loss (nats).
 
-    Of touches of labels of which so many were learnt (`counts`).
+    Of touches of labels of which so many were learnt (`counts`). The lean counts where
+    these numbers are unequal, and is 1 elsewhere. What is divided by is at least the
+    share of training touches, as Bayes' rule says: touches left out lie among those of
+    their recording, and show less lean than others will.
     """
     log_counts = _log_counts(counts)
     shares, size = fair_shares(codes), np.abs(scores)
+    n_free = 3 if np.ptp(log_counts) > 0 else 2
 
     def loss(raw: Floats) -> tuple[float, Floats]:
-        temperature, bend = np.exp(raw)
-        value, slopes = 0.0, np.zeros(2)
+        temperature, bend = np.exp(raw[:2])
+        lean = raw[2] if n_free > 2 else 1.0
+        value, slopes = 0.0, np.zeros(3)
         for first in range(0, len(codes), _SHAPED_AT_ONCE):
             some = slice(first, first + _SHAPED_AT_ONCE)
             damping = 1 + bend * size[some]
             by_temperature = temperature * scores[some] / damping
-            logits = by_temperature - log_counts
+            logits = by_temperature - lean * log_counts
             part, pull = log_loss(logits, codes[some], shares[some])
             value += part
             slopes[0] += np.vdot(pull, by_temperature)
+            slopes[2] -= pull.sum(axis=0) @ log_counts
             by_temperature /= damping
             by_temperature *= size[some]
             slopes[1] -= bend * np.vdot(pull, by_temperature)
-        return value, slopes
+        return value, slopes[:n_free]
 
     found = minimize(
         loss,
-        np.log(start),
+        [*np.log(start[:2]), start[2]][:n_free],
         jac=True,
-        bounds=[tuple(np.log(_TEMPERATURES)), (-8.0, 6.0)],
+        bounds=[tuple(np.log(_TEMPERATURES)), (-8.0, 6.0), (1.0, 6.0)][:n_free],
         method="L-BFGS-B",
         options={"ftol": 1e-13, "gtol": 1e-9},
     )
-    temperature, bend = np.exp(found.x).tolist()
-    return (temperature, bend), float(found.fun)
+    lean = float(found.x[2]) if n_free > 2 else 1.0
+    return (*np.exp(found.x[:2]).tolist(), lean), float(found.fun)

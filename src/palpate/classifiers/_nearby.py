@@ -149,7 +149,7 @@ class NearbyTouches(BayesRule):
             if listed.any():
                 every = np.ones(lists.shape[1], dtype=np.intp)
                 at = own[listed].argmax(axis=1)
-                self.bent_ = best_shape(scores[listed], at, every)[0]
+                self.bent_ = best_shape(scores[listed], at, every)[0][:2]
         left_out = self._shared_out(log_posterior, lists, scores)
         self.left_out_ = np.where(np.isneginf(densities), -np.inf, left_out)
 
