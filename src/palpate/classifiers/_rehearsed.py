@@ -19,8 +19,7 @@ from .._types import Array, Bools, Floats, Indices
 from ._encoding_pool import TOGETHER, EncodingPool, pool_weights
 from ._touch_classifier import BayesRule, Groups, TouchClassifier
 
-# A share this near to 0 or 1 changes next to nothing, and both kinds of machines are
-# twice the work of each touch: one kind alone is asked.
+# A smaller share changes next to nothing, and would double the work of each touch.
 LEAST_SHARE = 0.1
 # Machines that are asked about invented sessions learn at most so many touches.
 _AT_MOST = 500
@@ -126,7 +125,7 @@ class Rehearsal(NamedTuple):
     """What was found of rehearsed sessions.
 
     `pool` is the pool with both kinds of machines, or the plain one where the rehearsed
-    ones count for nothing (`share` 0; of 1 they are asked alone); `right` (n_sessions + 1,) is the share of touches,
+    ones count for nothing (`share`); `right` (n_sessions + 1,) is the share of touches,
     learnt from half of them, that are recognised as they are and in each session.
     """
 
@@ -192,8 +191,8 @@ def rehearsed(
     known = np.isfinite(said).all(axis=(0, 2))
     weights = pool_weights(np.maximum(said[:, known], -30.0), of[known])
     share = float(weights[1] / max(weights.sum(), 1e-12))
-    if min(share, 1 - share) < LEAST_SHARE:
-        share = float(round(share))
+    if share < LEAST_SHARE:
+        share = 0.0
     mixed = _mixed(asked[0], asked[1], share)
     right = (mixed.argmax(axis=-1) == own)[:, is_asked].mean(axis=1)
     if share == 0:

@@ -114,8 +114,6 @@ def said_of_rehearsal(found: dict[str, Any]) -> str:
     if "why" in found:
         return f"no sessions were rehearsed: {found['why']}"
     by = f"as {found['told_by']} tell"
-    if found["share"] == 1:
-        return f"machines that know rehearsed sessions are asked alone, {by}"
     if not found["share"]:
         return f"rehearsed sessions count for nothing, {by}"
     return f"machines that know rehearsed sessions count {found['share']:.0%}, {by}"
