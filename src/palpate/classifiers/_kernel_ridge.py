@@ -154,6 +154,7 @@ class KernelRidgeClassifier(BayesRule):
     temperature_: float
     bend_: float
     lean_: float
+    takes_weights = True
 
     def __init__(
         self,
@@ -423,8 +424,6 @@ class KernelRidgeClassifier(BayesRule):
     def _log_posterior(self, scores: Floats) -> Floats:
         shape = (self.temperature_, self.bend_, 1.0)
         return _log_posterior(shape, scores, self.log_counts_)
-
-    takes_weights = True
 
     def refit(
         self,
