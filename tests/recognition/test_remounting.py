@@ -13,6 +13,7 @@ from palpate.classifiers import _touch_classifier
 from palpate.encodings import ScaledPixels
 from palpate.recognition import (
     ObjectRecogniser,
+    _remounting,
     across_sessions,
     adapt,
     said_of_sessions,
@@ -188,6 +189,50 @@ def test_confirmed_touches_of_two_objects_tell_the_others_too(taught):
     assert _right(taught, others) > max(before, 0.9)
     assert len(taught.memory_) == 76
     assert set(taught.memory_.sessions) == {"one", "two"}
+
+
+def _postures(n_people, seed):
+    """Twelve postures, each once of people who differ more than postures do."""
+    rng = np.random.default_rng(seed)
+    centres = 2 * np.random.default_rng(99).normal(size=(12, 4))
+    what, who = np.tile(np.arange(12), n_people), np.repeat(np.arange(n_people), 12)
+    bodies = 6 * rng.normal(size=(n_people, 2))[who]
+    felt = centres[what] + rng.normal(size=(len(who), 4))
+    subject = np.char.add(f"{seed} ", who.astype(str))
+    return Touches(
+        np.hstack([felt, bodies])[:, None],
+        object=np.array(list("abcdefghijkl"))[what],
+        subject=subject,
+        geometry="none",
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_confirmed_touches_that_mislead_count_less(monkeypatch, tmp_path, seed):
+    there = _postures(2, 100 + seed)
+    # Each posture is confirmed of one person, and asked of the other: nearer to what
+    # was confirmed of the same body than to the same posture.
+    confirmed = np.tile([True, False], 12) == (np.arange(24) < 12)
+    learnt = ObjectRecogniser(rehearse=False).fit(_postures(4, seed))
+    now = adapt(learnt, there[confirmed])
+    monkeypatch.setattr(_remounting, "N_WEIGHTS", 1)
+    before = adapt(learnt, there[confirmed])
+    assert _right(now, there[~confirmed]) > _right(before, there[~confirmed])
+    weight = now.chosen_["remount"]["weight"]
+    assert weight < 1 == before.chosen_["remount"]["weight"]
+    assert_allclose(now.memory_.weights, np.repeat([1, weight], [48, 12]))
+    # They count so after the file, and when more is learnt later.
+    now.save(tmp_path / "m.palpate")
+    again = ObjectRecogniser.load(tmp_path / "m.palpate")
+    more = _postures(1, 7)
+    again.extend_object("a", more[more.object == "a"])
+    assert_allclose(again.memory_.weights, [*np.repeat([1, weight], [48, 12]), 1])
+
+
+def test_confirmed_touches_that_tell_each_other_count_as_any_other(taught):
+    taught.remount(_session(OFFSET, 4, 1, "two"))
+    assert taught.chosen_["remount"]["weight"] == 1
+    assert (taught.memory_.weights == 1).all()
 
 
 def test_what_training_sessions_add_is_taken_off_where_that_helps():

@@ -142,14 +142,30 @@ class EncodingPool(BayesRule):
         self.left_out_ = self.pooled(every)
         return self
 
-    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
-        """Learn other touches with the widths, ridges and weights already chosen."""
+    @property
+    def takes_weights(self) -> bool:  # type: ignore[override]
+        """Whether every machine takes what each touch counts."""
+        every = self.machines_.values()
+        return all(getattr(one, "takes_weights", False) for one in every)
+
+    def refit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: Groups = None,
+        weights: Floats | None = None,
+    ) -> Self:
+        """Learn other touches with the widths, ridges and weights already chosen.
+
+        Of machines that take it, what each touch counts (`weights`, (n_touches,)).
+        """
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
         check_squarable("X", touches)
+        more = {} if weights is None else {"weights": weights}
         with config_context(assume_finite=True):  # as was just found
             self.machines_ = {
-                name: copy(self.machines_[name]).refit(part, labels, groups=groups)
+                name: copy(self.machines_[name]).refit(part, labels, groups, **more)
                 for name, part in self._parts(touches).items()
             }
         self.classes_ = np.unique(labels)

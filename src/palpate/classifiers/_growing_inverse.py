@@ -26,8 +26,8 @@ _N_STRIPS = 16
 class GrowingInverse:
     """What it takes to learn more touches without those before them again.
 
-    Attributes `n_first`, `touches` and `labels`: how many the first touches are, and
-    all that it has.
+    Attributes `n_first`, `touches`, `labels` and `ridges`: how many the first touches
+    are, and all that it has.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ class GrowingInverse:
         ridge.
     touches : ndarray of shape (n_first, n_features)
         The first touches, in the order of the kernel.
-    labels : ndarray of shape (n_first,)
-        Their labels.
+    labels, ridges : ndarray of shape (n_first,)
+        Their labels, and what was added to the kernel's diagonal for each.
     classes, coefficients : ndarray of shape (n_classes,) and (n_first, n_classes)
         The sorted labels, and the inverse times their one-hot columns.
     blocks : iterable of (ndarray of shape (n_groups, size), ndarray)
@@ -49,6 +49,7 @@ class GrowingInverse:
         root: Floats,
         touches: Floats,
         labels: Array,
+        ridges: Floats,
         classes: Array,
         coefficients: Floats,
         blocks: Iterable[tuple[Indices, Floats]],
@@ -57,6 +58,7 @@ class GrowingInverse:
         self._strips = [np.array(root[a:b, :b], order="C") for a, b in pairwise(ends)]
         self.touches = touches
         self.labels = labels
+        self.ridges = ridges
         self._classes, self._coefficients = classes, coefficients
         self._blocks = {
             one.tobytes(): block
@@ -68,22 +70,23 @@ class GrowingInverse:
         self._between, self._solved, self._own = none, none, none[:0]
         self._factor: Any = None
 
-    def begins(self, touches: Floats, labels: Array) -> bool:
-        """Whether touches go on after those it has, which have the same labels."""
+    def begins(self, touches: Floats, labels: Array, ridges: Floats) -> bool:
+        """Whether touches go on after those it has, with their labels and ridges."""
         n_known = len(self.touches)
         return (
             len(touches) > n_known
             and np.array_equal(touches[:n_known], self.touches)
             and np.array_equal(labels[:n_known], self.labels)
+            and np.array_equal(ridges[:n_known], self.ridges)
         )
 
     def plus(
-        self, touches: Floats, labels: Array, kernel: Floats, ridge: float
+        self, touches: Floats, labels: Array, ridges: Floats, kernel: Floats
     ) -> Self:
         """Return this with the touches that come after those it has.
 
-        Of all `touches` (n_touches, n_features), their `labels`, and the `kernel` of
-        the new ones with all (n_new, n_touches).
+        Of all `touches` (n_touches, n_features), their `labels` and `ridges`, and the
+        `kernel` of the new ones with all (n_new, n_touches).
 
         Raises
         ------
@@ -93,7 +96,7 @@ class GrowingInverse:
         n_first, n_known = self.n_first, len(self.touches) - self.n_first
         n_added = len(touches) - n_first
         more = copy(self)
-        more.touches, more.labels = touches, labels
+        more.touches, more.labels, more.ridges = touches, labels, ridges
         between = kernel[:, :n_first].T
         more._between = np.hstack([self._between, between])
         more._solved = np.hstack([self._solved, self._times_first(between)])
@@ -102,7 +105,7 @@ class GrowingInverse:
         own[n_known:] = kernel[:, n_first:]
         own[:, n_known:] = kernel[:, n_first:].T
         more._own = own
-        schur = own + ridge * np.eye(n_added) - more._between.T @ more._solved
+        schur = own + np.diag(ridges[n_first:]) - more._between.T @ more._solved
         more._factor = cho_factor(schur)
         return more
 

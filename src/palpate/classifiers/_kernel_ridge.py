@@ -113,7 +113,8 @@ class KernelRidgeClassifier(BayesRule):
         Scores s enter the softmax as temperature s / (1 + bend |s|): regression
         scores of sure touches are too large for a factor alone.
     lean_ : float
-        How much the scores lean towards labels of many training touches.
+        How much the scores lean towards labels of many training touches: at least 1,
+        as probabilities do.
     log_counts_ : ndarray of shape (n_classes,)
         Logarithms of the numbers of training touches, times `lean_`; subtracted, so
         that posteriors are those under equal priors.
@@ -155,6 +156,7 @@ class KernelRidgeClassifier(BayesRule):
     bend_: float
     lean_: float
     sums_: Sums
+    takes_weights = True
 
     def __init__(
         self,
@@ -191,7 +193,7 @@ class KernelRidgeClassifier(BayesRule):
             )
         self._choose(touches, codes, group)
         self._inverse: GrowingInverse | None = None
-        self._learn(touches, codes, group)
+        self._learn(touches, codes, group, np.ones(len(touches)))
         return self
 
     def _taken(
@@ -241,7 +243,9 @@ class KernelRidgeClassifier(BayesRule):
             if loss(at) < best:
                 best, self.width_, self.ridge_ = loss(at), width, ridges[at]
 
-    def _learn(self, touches: Floats, codes: Array, group: Array) -> None:
+    def _learn(
+        self, touches: Floats, codes: Array, group: Array, weights: Floats
+    ) -> None:
         n_labels = len(self.classes_)
         at_most = check_count("max_touches", self.max_touches, at_least=2)
         self.left_out_rows_ = rows = rows_left_out(codes, group)
@@ -250,8 +254,10 @@ class KernelRidgeClassifier(BayesRule):
             left_out = self._learn_by_landmarks(touches, codes, group)
         else:
             self._summed: _Summed | None = None
-            grown = self._grown(touches, codes)
-            left_out = self._learn_from_all(touches, codes, group, grown)[rows]
+            ridges = self.ridge_ / weights
+            grown = self._grown(touches, codes, ridges)
+            left_out = self._learn_from_all(touches, codes, group, ridges, grown)
+            left_out = left_out[rows]
             if grown is not None:
                 start = self.temperature_, self.bend_, self.lean_
         self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
@@ -267,6 +273,7 @@ class KernelRidgeClassifier(BayesRule):
         touches: Floats,
         codes: Array,
         group: Array,
+        ridges: Floats,
         grown: GrowingInverse | None,
     ) -> Floats:
         """Give every touch a kernel function; return left-out scores of all.
@@ -284,14 +291,20 @@ class KernelRidgeClassifier(BayesRule):
             return _left_out(blocks, self.coefficients_, target)
         kernel = self._kernel(_squared_distances(self.touches_))
         # The columns of the labels as they are, of which later classes need others.
-        root, columns = _solve(kernel, target + 1 / len(self.classes_), self.ridge_)
+        root, columns = _solve(kernel, target + 1 / len(self.classes_), ridges)
         self.coefficients_ = columns - columns.mean(axis=1, keepdims=True)
         own_blocks = _own_blocks(root, _by_size(group))
         if _GROWS_FROM <= len(touches) <= _GROWS_TO:
             own_blocks = list(own_blocks)
             labels = self.classes_[codes]
             self._inverse = GrowingInverse(
-                root, self.touches_, labels, self.classes_, columns, own_blocks
+                root,
+                self.touches_,
+                labels,
+                ridges,
+                self.classes_,
+                columns,
+                own_blocks,
             )
         return _left_out(own_blocks, self.coefficients_, target)
 
@@ -342,19 +355,21 @@ class KernelRidgeClassifier(BayesRule):
         )
         return _Summed(touches, codes, self.classes_, regression)
 
-    def _grown(self, touches: Floats, codes: Array) -> GrowingInverse | None:
+    def _grown(
+        self, touches: Floats, codes: Array, ridges: Floats
+    ) -> GrowingInverse | None:
         """Return the inverse with a few touches more than it has, None of others."""
         inverse: GrowingInverse | None = self.__dict__.get("_inverse")
         if inverse is None or len(touches) > (1 + _GROWTH) * inverse.n_first:
             return None
         centred, labels = touches - self.mean_, self.classes_[codes]
-        if not inverse.begins(centred, labels):
+        if not inverse.begins(centred, labels, ridges):
             return None
         new = centred[len(inverse.touches) :]
         squared = euclidean_distances(new, centred, squared=True)
         kernel = self._kernel(squared)
         try:
-            return inverse.plus(centred, labels, kernel, self.ridge_)
+            return inverse.plus(centred, labels, ridges, kernel)
         except LinAlgError:
             return None
 
@@ -444,10 +459,22 @@ class KernelRidgeClassifier(BayesRule):
         squares = np.einsum("ij,ij->i", self.touches_, self.touches_)
         return Landmarks(self.touches_, squares, self.width_ / self.unit_)
 
-    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
-        """Learn other touches with the width and ridge already chosen."""
+    def refit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: Groups = None,
+        weights: Floats | None = None,
+    ) -> Self:
+        """Learn other touches with the width and ridge already chosen.
+
+        What each touch counts (`weights`, (n_touches,), above 0, by default 1) divides
+        its ridge; touches that are learnt by landmarks all count 1.
+        """
         check_is_fitted(self)
-        self._learn(*self._taken(X, y, groups, reset=False))
+        touches, codes, group = self._taken(X, y, groups, reset=False)
+        each = np.ones(len(touches)) if weights is None else weights
+        self._learn(touches, codes, group, each)
         return self
 
     def __copy__(self) -> Self:
@@ -484,9 +511,14 @@ def _squared_distances(touches: Floats) -> Floats:
     return np.asarray(squared)
 
 
-def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats]:
-    """Return R with R^T R = inverse of (kernel + ridge), in place, and coefficients."""
-    kernel.flat[:: len(kernel) + 1] += ridge
+def _solve(
+    kernel: Floats, target: Floats, ridges: Floats | float
+) -> tuple[Floats, Floats]:
+    """Return R with R^T R = inverse of (kernel + ridges), in place, and coefficients.
+
+    The ridges, one for each touch or one for all, are added to the diagonal.
+    """
+    kernel.flat[:: len(kernel) + 1] += ridges
     factor, failed = dpotrf(kernel.T, lower=1, clean=1, overwrite_a=1)
     if failed:
         raise ValueError(
@@ -582,7 +614,9 @@ def best_shape(
     """Return (temperature, bend, lean) with the least log loss, and that loss (nats).
 
     Of touches of labels of which so many were learnt (`counts`). The lean counts where
-    these numbers are unequal, and is 1 elsewhere.
+    these numbers are unequal, and is 1 elsewhere. What is divided by is at least the
+    share of training touches, as Bayes' rule says: touches left out lie among those of
+    their recording, and show less lean than others will.
     """
     log_counts = _log_counts(counts)
     shares, size = fair_shares(codes), np.abs(scores)
@@ -610,7 +644,7 @@ def best_shape(
         loss,
         [*np.log(start[:2]), start[2]][:n_free],
         jac=True,
-        bounds=[tuple(np.log(_TEMPERATURES)), (-8.0, 6.0), (0.0, 6.0)][:n_free],
+        bounds=[tuple(np.log(_TEMPERATURES)), (-8.0, 6.0), (1.0, 6.0)][:n_free],
         method="L-BFGS-B",
         options={"ftol": 1e-13, "gtol": 1e-9},
     )

@@ -19,6 +19,8 @@ from .._types import Array, Bools, Floats, Indices
 from ._encoding_pool import TOGETHER, EncodingPool, pool_weights
 from ._touch_classifier import BayesRule, Groups, TouchClassifier
 
+# A smaller share changes next to nothing, and would double the work of each touch.
+LEAST_SHARE = 0.1
 # Machines that are asked about invented sessions learn at most so many touches.
 _AT_MOST = 500
 
@@ -65,19 +67,34 @@ class RehearsedMachine(BayesRule):
         self.rehearsed.fit(touches @ self.weighing, y, groups)
         return self
 
-    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
+    @property
+    def takes_weights(self) -> bool:  # type: ignore[override]
+        """Whether both machines take what each touch counts."""
+        both = self.plain, self.rehearsed
+        return all(getattr(one, "takes_weights", False) for one in both)
+
+    def refit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: Groups = None,
+        weights: Floats | None = None,
+    ) -> Self:
         """Let both machines learn other touches with the choices they made."""
         touches = np.asarray(X, dtype=np.float64)
-        self.plain = copy(self.plain).refit(touches, y, groups)
+        more = {} if weights is None else {"weights": weights}
+        self.plain = copy(self.plain).refit(touches, y, groups, **more)
         weighed = touches @ self.weighing
-        self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups)
+        self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups, **more)
         return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats)."""
         touches = np.asarray(X, dtype=np.float64)
-        plain = self.plain.log_likelihood(touches)
-        return self._both(plain, self.rehearsed.log_likelihood(touches @ self.weighing))
+        rehearsed = self.rehearsed.log_likelihood(touches @ self.weighing)
+        if self.share == 1:
+            return rehearsed
+        return self._both(self.plain.log_likelihood(touches), rehearsed)
 
     def log_likelihood_checked(self, touches: Floats) -> Floats:
         """Do what `log_likelihood` does, but for a constant of each touch."""
@@ -174,6 +191,8 @@ def rehearsed(
     known = np.isfinite(said).all(axis=(0, 2))
     weights = pool_weights(np.maximum(said[:, known], -30.0), of[known])
     share = float(weights[1] / max(weights.sum(), 1e-12))
+    if share < LEAST_SHARE:
+        share = 0.0
     mixed = _mixed(asked[0], asked[1], share)
     right = (mixed.argmax(axis=-1) == own)[:, is_asked].mean(axis=1)
     if share == 0:

@@ -130,6 +130,8 @@ class BayesRule(ClassifierMixin, BaseEstimator):
     classes_: Array
     counts_: Indices
     prior = "uniform"
+    # Whether `refit` takes what each touch counts, `weights` (n_touches,).
+    takes_weights = False
 
     @property
     def part_weights(self) -> Mapping[str, float]:

@@ -105,6 +105,11 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         f"{values['n_touches']} touches were moved by {values['moved']:.0%} of the "
         f"variance of all, by {way}."
     )
+    if values.get("weight", 1) < 1:
+        said.append(
+            f"Each counts as 1/{1 / values['weight']:.0f} of a training touch: so they "
+            "tell each other best."
+        )
     names = ", ".join(values["confirm"])
     said.append(f"To go further, confirm 1 to 5 touches of each, first of: {names}.")
     return said

@@ -49,8 +49,16 @@ class Learnt:
     def refitted(self, memory: Memory) -> TouchClassifier:
         """Return the classifier, learnt anew from a memory; its choices stay."""
         again, blocks = copy(self.classifier), memory.blocks
+        more = {}
+        if self.takes_weights and (memory.weights != 1).any():
+            more["weights"] = memory.weights
         with on_one_thread():
-            return again.refit(memory.features, memory.labels, groups=blocks)
+            return again.refit(memory.features, memory.labels, groups=blocks, **more)
+
+    @property
+    def takes_weights(self) -> bool:
+        """Whether the classifier learns what each touch counts."""
+        return bool(getattr(self.classifier, "takes_weights", False))
 
     @property
     def classes(self) -> Array:

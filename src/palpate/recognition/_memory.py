@@ -59,6 +59,8 @@ class Memory:
         What kind of thing each is of, "" where it is not told.
     looks : ndarray of shape (n_touches, 7)
         Spectrum and load of each, NaN where an older model did not keep them.
+    weights : ndarray of shape (n_touches,)
+        What each counts when they are learnt; 1 unless another session confirmed it.
     sensor : mapping or None
         What the sensor was like, as plain values; the first one that was told stays.
     """
@@ -73,6 +75,7 @@ class Memory:
     touch_ids: NDArray[np.str_]
     categories: NDArray[np.str_]
     looks: Floats = field(default_factory=lambda: np.empty((0, N_LOOKS)))
+    weights: Floats = field(default_factory=lambda: np.empty(0))
     sensor: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
@@ -81,6 +84,8 @@ class Memory:
             looks = np.full((len(self.labels), N_LOOKS), np.nan)
         for name, values in {"features": self.features, "looks": looks}.items():
             object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
+        if not len(self.weights):
+            object.__setattr__(self, "weights", np.ones(len(self.labels)))
 
     def __len__(self) -> int:
         return len(self.labels)

@@ -368,6 +368,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
            sessions left out whole.
         3. The new session's features are moved to where the training touches of the
            same objects lie, less what chance would move (docs/explanation/sessions.md).
+        4. Confirmed touches count as other training touches do, or less (1/4, 1/16,
+           1/64), as they tell each other best.
         """
         self._check_fitted()
         new = as_touches(touches)

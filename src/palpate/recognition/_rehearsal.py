@@ -25,8 +25,6 @@ from ._memory import Memory
 N_TOUCHES, N_SESSIONS = 120, 5
 # No feature moves by more than this, in standard deviations of the training touches.
 FARTHEST = 10.0
-# A smaller share changes next to nothing, and would double the work of each touch.
-LEAST_SHARE = 0.1
 # Pads and pictures whose zero wanders do so smoothly, over this share of their side.
 SMOOTH = 0.25
 
@@ -88,18 +86,15 @@ def rehearse(
     known = "sessions" in memory.units[1]
     taught = memory.features, memory.labels, memory.blocks
     found = rehearsed(pool, *taught, weighing, drawn, known)
-    result, share = found.pool, found.share
-    if share < LEAST_SHARE:
-        result, share = pool, 0.0
     said = {
-        "share": share,
+        "share": found.share,
         "told_by": "sessions left out" if known else "rehearsed sessions",
         "right": [float(one) for one in found.right],
         "drawn": [name for name, size in vars(ranges).items() if size],
     }
     if ranges.gain:
-        said["expected"] = _expected(result, memory, found.right)
-    return result, said
+        said["expected"] = _expected(found.pool, memory, found.right)
+    return found.pool, said
 
 
 def _expected(pool: EncodingPool, memory: Memory, right: Floats) -> list[float]:

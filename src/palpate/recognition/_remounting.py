@@ -32,6 +32,8 @@ from ._remounted_encoder import AnyEncoder, RemountedEncoder, wrapped
 LEAST_PAIRS = 20
 # A loss (nats) that is smaller by no more than this is smaller by rounding.
 LEAST_GAIN = 1e-6
+# What confirmed touches count is 1, or less by this factor, once or several times.
+WEIGHT_STEP, N_WEIGHTS = 4.0, 4
 # Of mountings that are as they were when it was taught, so many raise an alarm.
 FALSE_ALARMS = 0.05
 # A rim that lies this share of its radius off where it was has moved.
@@ -115,7 +117,37 @@ def remounted(
     encoding = replace(encoding, features=features + shift, looks=there.look(new))
     one_group = np.zeros(len(new), dtype=np.intp)
     joined = memory_of(new, encoding, labels, objects, one_group)
+    joined, found["weight"] = _weighed_by_themselves(learnt, joined)
     return learnt.relearnt(learnt.memory.plus(joined)), found
+
+
+def _weighed_by_themselves(learnt: Learnt, joined: Memory) -> tuple[Memory, float]:
+    """Return confirmed touches with what they count when they are learnt, and that.
+
+    Touches of one session share what it does to them, so that one may be nearer to a
+    confirmed touch of another object than to its own in training. How much they are to
+    count is what tells them best, each left out by itself; a priori as much as others,
+    a quarter less probable by half a nat, and so on.
+    """
+    if not learnt.takes_weights:
+        return joined, 1.0
+    n_new, n_before, best, weight = len(joined), len(learnt.memory), np.inf, 1.0
+    by_itself = replace(joined, blocks=np.arange(n_new))
+    counts = ~joined.nothing | learnt.uses_no_contact
+    codes = np.searchsorted(learnt.classes, joined.labels)
+    for step in range(N_WEIGHTS):
+        each = np.full(n_new, WEIGHT_STEP**-step)
+        memory = learnt.memory.plus(replace(by_itself, weights=each))
+        again = learnt.refitted(memory)
+        said = log_softmax(left_out_log_likelihood(again), axis=1)
+        rows = again.left_out_rows
+        of = np.flatnonzero(rows >= n_before)
+        of = of[counts[rows[of] - n_before]]
+        loss = step**2 / 2 - said[of, codes[rows[of] - n_before]].sum()
+        if loss >= best:
+            break
+        best, weight = loss, float(each[0])
+    return replace(joined, weights=np.full(n_new, weight)), weight
 
 
 def _shift(learnt: Learnt, features: Floats, labels: Array | None) -> Floats:
