@@ -15,6 +15,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csr_array
 from scipy.special import softmax
 from scipy.stats import entropy
+from scipy.stats import norm as normal
+from scipy.stats import t as student
 
 from .._types import Floats, Indices
 from ..images import DomeCrop
@@ -34,9 +36,11 @@ N_DRAWS, N_LIKE = 600, 150
 MOST_DRAWN_FROM = 2000
 # A draw is of at most this share of them.
 MOST_OF_ALL = 5
-# Variance within objects that is added in all directions of features, as a share of its
-# mean: in those that training touches hardly use, later touches stray more than they.
-ADDED = 3.0
+# It is of one block of each recording, and of its neighbours if it has too few.
+NEIGHBOURS = 2
+# Variance within objects that is added in all directions of features, and of looks, as
+# a share of its mean: later touches stray more in those that training hardly used.
+ADDED, ADDED_LOOKS = 3.0, 0.1
 # A rim that lies this share of its radius off where it was has moved.
 RIM_MOVED = 0.03
 
@@ -85,21 +89,20 @@ def check_mounting(
     seen = np.column_stack([evidence.features, usual.as_known(evidence.looks)])[counts]
     away = (seen - posterior @ usual.means).mean(axis=0)
     draws = usual.draws(n_touches, effective_number(posterior.mean(axis=0)), seed)
-    drawn = _means(usual.away, *draws)
-    signs = usual.lengths(np.vstack([usual.widened(drawn, n_touches), away]))
+    signs = usual.lengths(np.vstack([usual.drawn(*draws), away]))
     unlike = signs - signs[:-1].mean(axis=0)
-    unlike = (unlike / np.maximum(signs[:-1].std(axis=0), 1e-9)).max(axis=1)
-    distance, limit = (
-        float(unlike[-1]),
-        float(np.quantile(unlike[:-1], 1 - FALSE_ALARMS)),
-    )
+    unlike /= np.maximum(signs[:-1].std(axis=0), 1e-9)
+    unlike_now, of_draws = unlike[-1], unlike[:-1].max(axis=1)
+    distance, limit = float(unlike_now.max()), usual.limit(of_draws, n_touches)
     if distance <= limit:
         return MountingCheck(False, distance, limit, rim)
     near = float(evidence.log_distances[counts].min(axis=1).mean())
-    apart = _means(usual.apart[:, np.newaxis], *draws)
-    kinds = np.column_stack([apart, drawn[:, -N_LOOKS:]])
+    kinds = np.column_stack([usual.apart, usual.looks])
+    change = np.append(near, seen[:, -N_LOOKS:].mean(axis=0)) - kinds.mean(axis=0)
+    beyond = change / np.maximum(_means(kinds, *draws).std(axis=0), 1e-9)
     times = float(signs[-1, 0] / max(np.median(signs[:-1, 0]), 1e-9))
-    reason = _why(kinds, np.append(near, away[-N_LOOKS:]), limit, times)
+    by_features = bool(unlike_now[0] > unlike_now[1])
+    reason = _why(change, beyond, limit, times if by_features else None)
     reason = f"These {n_touches} touches {reason}"
     return MountingCheck(True, distance, limit, [reason, *rim])
 
@@ -108,10 +111,11 @@ def check_mounting(
 class _Usual:
     """How training touches lie from what they are taken for, each block left out.
 
-    `means` (n_objects, n_values) of features and looks; of each touch `away`
-    (n_touches, n_values), what it is taken for (`posterior`), how far the nearest touch
-    of another block is (`apart`), its label's column (`codes`) and its block's place in
-    the recordings of that label (`runs`); `roots` of the covariances of features and
+    `means` (n_objects, n_values) of features and looks; of each touch how far it is
+    `away` from those of what it is taken for (`posterior`), the log distance to the
+    nearest touch of another block (`apart`), its `looks`, its label's column (`codes`),
+    its block, and the place of that in the label's recordings (`runs`); sums and
+    numbers of touches by label and by block; `roots` of the covariances of features and
     looks within objects; whether looks were kept (`has_looks`).
     """
 
@@ -119,8 +123,12 @@ class _Usual:
     away: Floats
     posterior: Floats
     apart: Floats
+    looks: Floats
     codes: Indices
+    blocks: Indices
     runs: Indices
+    sums: tuple[Floats, Floats]
+    sums_of_blocks: tuple[Floats, Floats]
     roots: tuple[Floats, Floats]
     has_looks: bool
 
@@ -134,24 +142,31 @@ class _Usual:
         posterior, rows = softmax(left_out, axis=1), rows[asked]
         has_looks = not bool(np.isnan(memory.looks).any())
         looks = memory.looks if has_looks else np.zeros_like(memory.looks)
-
-        labels, every = learnt.codes, np.flatnonzero(learnt.counted)
-        sums, sizes = _sums(labels, every, memory.features, looks)
-        means, codes = sums / sizes[:, np.newaxis], labels[rows]
-        values = np.column_stack([memory.features[rows], looks[rows]])
-        away, within = values - posterior @ means, values - means[codes]
         blocks, apart = memory.apart
-        # Of its own object what is left without the block, where anything is.
-        of_block, in_block = _sums(blocks, every, memory.features, looks)
-        rest = np.maximum(sizes[codes] - in_block[blocks[rows]], 1e-9)[:, np.newaxis]
-        others = (sums[codes] - of_block[blocks[rows]]) / rest
-        own = posterior[np.arange(len(rows)), codes] * (rest[:, 0] > 0.5)
-        away -= own[:, np.newaxis] * (others - means[codes])
+        every, parts = np.flatnonzero(learnt.counted), (memory.features, looks)
+        sums = _sums(learnt.codes, every, *parts)
+        means, codes = sums[0] / sums[1][:, np.newaxis], learnt.codes[rows]
+        values = np.column_stack([memory.features[rows], looks[rows]])
+        within = values - means[codes]
         first = np.full(len(means), blocks.max())
         np.minimum.at(first, learnt.codes, blocks)
-        roots = _root(within[:, :-N_LOOKS], ADDED), _root(within[:, -N_LOOKS:], 0.0)
-        runs = blocks[rows] - first[codes]
-        return cls(means, away, posterior, apart[rows], codes, runs, roots, has_looks)
+        return cls(
+            means=means,
+            away=values - posterior @ means,
+            posterior=posterior,
+            apart=apart[rows],
+            looks=looks[rows],
+            codes=codes,
+            blocks=blocks[rows],
+            runs=blocks[rows] - first[codes],
+            sums=sums,
+            sums_of_blocks=_sums(blocks, every, *parts),
+            roots=(
+                _root(within[:, :-N_LOOKS], ADDED),
+                _root(within[:, -N_LOOKS:], ADDED_LOOKS),
+            ),
+            has_looks=has_looks,
+        )
 
     @property
     def objects(self) -> tuple[Indices, Indices]:
@@ -167,19 +182,49 @@ class _Usual:
         """Return of how many touches a draw is, to compare so many touches with."""
         return min(n_touches, max(2, len(self.away) // MOST_OF_ALL))
 
-    def widened(self, drawn: Floats, n_touches: int) -> Floats:
-        """Return draws as far from the means as touches that are none of them."""
-        of_draw, of_all = 1 / self.n_drawn(n_touches), 1 / len(self.away)
-        wider = np.sqrt((of_draw + of_all) / max(of_draw - of_all, 1e-9))
-        return np.asarray(drawn * wider)
+    def drawn(self, rows: Indices, counts: Floats) -> Floats:
+        """Return how far the means of draws lie away, (n_draws, n_values).
+
+        The blocks of a draw are left out of the means of its own objects.
+        """
+        away, n_labels = _means(self.away, rows, counts), len(self.means)
+        own = counts * self.posterior[rows, self.codes[rows]]
+        draw = np.arange(len(rows))[:, np.newaxis]
+        pairs, of = np.unique(draw * n_labels + self.codes[rows], return_inverse=True)
+        of, label = of.reshape(rows.shape), pairs % n_labels
+        used = counts > 0
+        met = np.unique(np.stack([of[used], self.blocks[rows][used]]), axis=1)
+        of_blocks, in_blocks = self.sums_of_blocks
+        which = csr_array(
+            (np.ones(met.shape[1]), (met[0], met[1])), (len(pairs), len(in_blocks))
+        )
+        rest = self.sums[1][label] - which @ in_blocks
+        others = self.sums[0][label] - which @ of_blocks
+        others /= np.maximum(rest, 1)[:, np.newaxis]
+        change = np.where(rest[:, np.newaxis] > 0, others - self.means[label], 0.0)
+        weight = np.bincount(of.ravel(), own.ravel(), len(pairs))
+        np.subtract.at(away, pairs // n_labels, weight[:, np.newaxis] * change)
+        return away
+
+    def limit(self, unlike: Floats, n_touches: int) -> float:
+        """Return what `FALSE_ALARMS` of sessions exceed, of draws in their deviations.
+
+        Draws share touches and blocks: they tell as much as the few that would share
+        none, and what few draws tell is widened as in Student's t.
+        """
+        few = min(len(self.away) / self.n_drawn(n_touches), len(np.unique(self.runs)))
+        few = max(few, 2)
+        wider = student.ppf(1 - FALSE_ALARMS, few - 1) / normal.ppf(1 - FALSE_ALARMS)
+        usual = float(np.quantile(unlike, 1 - FALSE_ALARMS))
+        return usual * float(wider * np.sqrt(1 + 1 / few))
 
     def draws(
         self, n_touches: int, n_objects: float, seed: int
     ) -> tuple[Indices, Floats]:
         """Return draws of so many touches that look to be of about so many objects.
 
-        Each is of one block of the recordings of one to all objects, and of the nearest
-        blocks where it has too few touches. Rows (N_LIKE, n_drawn), and what each
+        Each is of one block of the recordings of one to all objects, and of those
+        beside it where it has too few touches. Rows (N_LIKE, n_drawn), and what each
         counts in the mean of its draw.
         """
         rng, (names, of) = np.random.default_rng(seed), self.objects
@@ -187,7 +232,8 @@ class _Usual:
         chosen = (rng.random((N_DRAWS, len(names))).argsort(axis=1) < count)[:, of]
         begin = (chosen * rng.random(chosen.shape)).argmax(axis=1)
         place = np.abs(self.runs - self.runs[begin, np.newaxis])
-        place = np.where(chosen, place + rng.random(chosen.shape), np.inf)
+        near = chosen & (place < NEIGHBOURS)
+        place = np.where(near, place + rng.random(chosen.shape), np.inf)
         rows = np.argpartition(place, self.n_drawn(n_touches) - 1, axis=1)
         rows = rows[:, : self.n_drawn(n_touches)]
         counts = np.isfinite(np.take_along_axis(place, rows, axis=1)).astype(float)
@@ -236,31 +282,33 @@ def _root(within: Floats, added: float) -> Floats:
     """Return the root of the covariance of how touches stray within objects."""
     covariance = within.T @ within / len(within)
     mean = np.trace(covariance) / max(min(within.shape), 1)
-    more = max(added * mean if added else 1e-4, 1e-12)
+    more = max(added * mean, 1e-12)
     root = cholesky(covariance + more * np.eye(len(covariance)), lower=True)
     return np.asarray(root)
 
 
-def _why(drawn: Floats, now: Floats, usual: float, times: float) -> str:
-    """Say what is most unlike: nearness, detail, load, or nothing but the features.
+def _why(change: Floats, beyond: Floats, usual: float, times: float | None) -> str:
+    """Say what is most unlike: nearness, detail, load, or the features alone.
 
-    Of draws (n_draws, 1 + N_LOOKS) of log distances and looks, and of these touches;
-    features lie so many `times` as far from those of what they are taken for.
+    By how much logarithms of the distance to training touches, of powers in octaves and
+    of the load (1 + N_LOOKS,) changed, and how many standard deviations that is. Where
+    features raised the alarm they lie so many `times` as far as usual from what they
+    are taken for.
     """
-    beyond = (now - drawn.mean(axis=0)) / np.maximum(drawn.std(axis=0), 1e-9)
-    beyond[0] = max(beyond[0], 0)  # nearer than usual is no sign
-    change = np.abs(now - np.median(drawn, axis=0))
-    change[1:N_LOOKS] /= 2  # of powers
-    # Another gain changes load and detail alike.
-    of_load = change[N_LOOKS] > 0.5 * change[1:N_LOOKS].max()
-    clear = [k for k in (0, N_LOOKS) if abs(beyond[k]) > usual and (of_load or not k)]
-    most = clear[0] if clear else int(np.abs(beyond).argmax())
-    if abs(beyond[most]) <= usual:
+    size = np.abs(change)
+    size[1:N_LOOKS] /= 2  # of powers
+    sure = np.abs(beyond)
+    sure[0] = max(beyond[0], 0)  # nearer than usual is no sign
+    if size[N_LOOKS] < 0.5 * size[1:N_LOOKS].max():
+        sure[N_LOOKS] = 0  # another gain changes load and detail alike
+    clear = [k for k in (0, N_LOOKS) if sure[k] > usual]
+    most = clear[0] if clear else int(sure.argmax())
+    if sure[most] <= usual and times is not None:
         return (
             "all lie to one side of what they are taken for, "
             f"{times:.1f} times as far as training touches do."
         )
-    times = float(np.exp(change[most]))
+    times = float(np.exp(size[most]))
     if most == 0:
         return (
             f"lie {times:.1f} times as far from training touches as those from each "
