@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from rehearsal import SETS, Split, accuracy, replaced
 
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
+from rehearsal import SETS, Split, accuracy, replaced
 
 N_TOUCHES, DRAWS, COSTLY = 10, 30, 10.0
 FEW = (None, 3, 1)

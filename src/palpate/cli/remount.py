@@ -105,6 +105,10 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         f"{values['n_touches']} touches were moved by {values['moved']:.0%} of the "
         f"variance of all, by {way}."
     )
+    said.append(
+        "Probabilities are still those of sessions like those of training: in this one "
+        "names are wrong more often than they say."
+    )
     names = ", ".join(values["confirm"])
     said.append(f"To go further, confirm 1 to 5 touches of each, first of: {names}.")
     return said

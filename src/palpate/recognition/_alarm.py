@@ -1,8 +1,9 @@
 """The alarm: whether touches come from a session like those it was taught in.
 
 Another mounting moves the features and the looks of all touches alike. Compared is how
-far the mean of some touches lies from that of what they are taken for, with how far it
-does for as many training touches of one part of their recordings.
+far the mean of some touches lies from that of what they are taken for, and how far they
+are from the nearest training touches, with how far as many training touches of one part
+of their recordings do.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class MountingCheck:
         How unlike training touches these are, and that limit, in standard deviations
         above the mean of draws of about as many objects: by how far the mean of their
         features lies from that of what they are taken for, or that of spectrum and
-        load, whichever is more.
+        load, or how far the nearest training touches are, whichever is most.
     reasons : list of str
         What was seen, in sentences.
     """
@@ -89,19 +90,21 @@ def check_mounting(
     seen = np.column_stack([evidence.features, usual.as_known(evidence.looks)])[counts]
     away = (seen - posterior @ usual.means).mean(axis=0)
     draws = usual.draws(n_touches, effective_number(posterior.mean(axis=0)), seed)
-    signs = usual.lengths(np.vstack([usual.drawn(*draws), away]))
+    near = float(evidence.log_distances[counts].min(axis=1).mean())
+    kinds = np.column_stack([usual.apart, usual.looks])
+    drawn = _means(kinds, *draws)
+    lengths = usual.lengths(np.vstack([usual.drawn(*draws), away]))
+    signs = np.column_stack([lengths, np.append(drawn[:, 0], near)])
     unlike = signs - signs[:-1].mean(axis=0)
     unlike /= np.maximum(signs[:-1].std(axis=0), 1e-9)
     unlike_now, of_draws = unlike[-1], unlike[:-1].max(axis=1)
     distance, limit = float(unlike_now.max()), usual.limit(of_draws, n_touches)
     if distance <= limit:
         return MountingCheck(False, distance, limit, rim)
-    near = float(evidence.log_distances[counts].min(axis=1).mean())
-    kinds = np.column_stack([usual.apart, usual.looks])
     change = np.append(near, seen[:, -N_LOOKS:].mean(axis=0)) - kinds.mean(axis=0)
-    beyond = change / np.maximum(_means(kinds, *draws).std(axis=0), 1e-9)
+    beyond = change / np.maximum(drawn.std(axis=0), 1e-9)
     times = float(signs[-1, 0] / max(np.median(signs[:-1, 0]), 1e-9))
-    by_features = bool(unlike_now[0] > unlike_now[1])
+    by_features = bool(unlike_now[0] > unlike_now[1:].max())
     reason = _why(change, beyond, limit, times if by_features else None)
     reason = f"These {n_touches} touches {reason}"
     return MountingCheck(True, distance, limit, [reason, *rim])
