@@ -110,6 +110,10 @@ def _sentences(values: dict[str, Any]) -> list[str]:
             f"Each counts as 1/{1 / values['weight']:.0f} of a training touch: so they "
             "tell each other best."
         )
+    said.append(
+        "Probabilities are still those of sessions like those of training: in this one "
+        "names are wrong more often than they say."
+    )
     names = ", ".join(values["confirm"])
     said.append(f"To go further, confirm 1 to 5 touches of each, first of: {names}.")
     return said

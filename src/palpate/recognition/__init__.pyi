@@ -1,3 +1,5 @@
+from ._alarm import OTHER_MOUNTING as OTHER_MOUNTING
+from ._alarm import MountingCheck as MountingCheck
 from ._belief import STRANGERS as STRANGERS
 from ._belief import Belief as Belief
 from ._belief import Judge as Judge
@@ -34,8 +36,6 @@ from ._promise import about as about
 from ._promise import upper_bound as upper_bound
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt
-from ._remounting import OTHER_MOUNTING as OTHER_MOUNTING
-from ._remounting import MountingCheck as MountingCheck
 from ._remounting import across_sessions as across_sessions
 from ._remounting import said_of_sessions as said_of_sessions
 from ._senses import Modality as Modality

@@ -31,6 +31,7 @@ from ..classifiers import (
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from . import _evidence, _memory
+from ._alarm import MountingCheck, check_mounting, rim_moved
 from ._belief import STRANGERS, Belief, Judge, Level
 from ._calibration import (
     draw_episodes,
@@ -58,13 +59,7 @@ from ._presets import (
 )
 from ._rehearsal import rehearse, said_of_rehearsal
 from ._remounted_encoder import RemountedEncoder
-from ._remounting import (
-    MountingCheck,
-    check_mounting,
-    remounted,
-    rim_moved,
-    without_nuisance,
-)
+from ._remounting import remounted, without_nuisance
 from ._senses import Modality
 from ._stranger_curves import LeftOut, fit_strangers
 from ._strangers import StrangerModel

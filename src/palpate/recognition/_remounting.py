@@ -7,26 +7,23 @@ undone; what else a session does to touches is taken off their features.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.special import softmax
-from scipy.stats import t as t_distribution
 
 from .._numbers import log_softmax
 from .._types import Array, Floats, Indices
-from ..images import DomeCrop
 from ..touches import Touches
 from . import _sessions
 from ._calibration import left_out_log_likelihood
-from ._contact import NO_CONTACT, ContactCheck
-from ._evidence import Evidence
+from ._contact import ContactCheck
 from ._learning import encoded, memory_of
 from ._learnt import HasLearnt, Learnt
 from ._memory import Memory
 from ._recentring import SessionSums, shift_unlabelled
-from ._remounted_encoder import AnyEncoder, RemountedEncoder, wrapped
+from ._remounted_encoder import RemountedEncoder, wrapped
 
 # Fewer differences between sessions than this do not tell a covariance.
 LEAST_PAIRS = 20
@@ -34,38 +31,6 @@ LEAST_PAIRS = 20
 LEAST_GAIN = 1e-6
 # What confirmed touches count is 1, or less by this factor, once or several times.
 WEIGHT_STEP, N_WEIGHTS = 4.0, 4
-# Of mountings that are as they were when it was taught, so many raise an alarm.
-FALSE_ALARMS = 0.05
-# A rim that lies this share of its radius off where it was has moved.
-RIM_MOVED = 0.03
-
-OTHER_MOUNTING = (
-    "This does not look like the sensor, mounting or light that was learnt with, or "
-    "not like things it knows: names may be wrong. Take the baseline anew, or get used "
-    "to it with a few touches{}."
-)
-
-
-@dataclass(frozen=True)
-class MountingCheck:
-    """Whether a sensor is mounted, lit and covered as it was when it was taught.
-
-    Attributes
-    ----------
-    changed : bool
-        Whether `distance` is above what 95 % of draws of training touches show.
-    distance, usual : float
-        How unlike training touches these are, and that limit, in standard deviations
-        above the mean of draws: by their distances to the nearest training touches (of
-        other blocks), or by spectrum and load, whichever is more.
-    reasons : list of str
-        What was seen, in sentences.
-    """
-
-    changed: bool
-    distance: float
-    usual: float
-    reasons: list[str]
 
 
 def remounted(
@@ -216,63 +181,6 @@ def without_nuisance(learnt: Learnt, new: Touches) -> tuple[Learnt, int]:
     return _weighed_down(learnt, differences), len(differences)
 
 
-def check_mounting(
-    learnt: Learnt, evidence: Evidence, rim: list[str], seed: int
-) -> MountingCheck:
-    """Tell whether touches are of another mounting, by the evidence of them.
-
-    Of what was seen of the `rim`; see `ObjectRecogniser.check_mounting`.
-    """
-    counts = np.array([flag != NO_CONTACT for flag in evidence.flags])
-    if not counts.any():
-        return MountingCheck(False, -np.inf, np.inf, [*rim, "Nothing was touched."])
-    found = float(evidence.log_distances[counts].min(axis=1).mean())
-    posterior = softmax(evidence.log_likelihood[counts], axis=1).mean(axis=0)
-    n_objects = max(1, round(_sessions.effective_number(posterior)))
-    some, memory, n_touches = learnt.counted, learnt.memory, int(counts.sum())
-    blocks, apart = memory.apart
-    drawn, runs = _sessions.usual_means(
-        np.column_stack([apart, memory.looks])[some],
-        learnt.codes[some],
-        blocks[some],
-        n_touches,
-        n_objects,
-        seed,
-    )
-    now = np.append(found, evidence.looks[counts].mean(axis=0))
-    if np.isnan(drawn).any():  # of a model that kept no looks
-        drawn[:, 1:], now[1:] = 0.0, 0.0
-    unlike, distance = _sessions.unlikeness(drawn, runs, now)
-    # Of a few draws that share no touch even the largest is exceeded often: two signs,
-    # each as a t-test.
-    n_apart = max(len(np.unique(blocks[some])) // n_objects, 2)
-    least = t_distribution.ppf(1 - FALSE_ALARMS / 2, n_apart - 1)
-    least *= np.sqrt(1 + 1 / n_apart)
-    usual = float(max(np.quantile(unlike, 1 - FALSE_ALARMS), least))
-    reasons = [_why(drawn, now, usual, n_touches)] if distance > usual else []
-    return MountingCheck(distance > usual, distance, usual, [*reasons, *rim])
-
-
-def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
-    beyond = (now - drawn.mean(axis=0)) / np.maximum(drawn.std(axis=0), 1e-9)
-    beyond[0] = max(beyond[0], 0)  # nearer than usual is no sign
-    clear = [k for k in (0, _sessions.N_LOOKS) if abs(beyond[k]) > usual]
-    these, most = f"These {n_touches} touches", int(np.abs(beyond).argmax())
-    most = clear[0] if clear else most
-    times = float(np.exp(abs(now[most] - np.median(drawn[:, most]))))
-    if most == 0:
-        return (
-            f"{these} lie {times:.1f} times as far from training touches as those from "
-            "each other."
-        )
-    way = "weaker" if beyond[most] < 0 else "stronger"
-    if most == _sessions.N_LOOKS:
-        return f"{these} press {times:.1f} times {way} than training touches."
-    detail = "coarse" if most <= _sessions.N_LOOKS // 2 else "fine"
-    root = float(np.sqrt(times))
-    return f"{these} show {detail} detail {root:.1f} times {way} than training touches."
-
-
 def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     """Return what the training touches say of another day, as plain values.
 
@@ -420,18 +328,3 @@ def _n_sessions(names: Array, sessions: Array) -> Indices:
     days, day = np.unique(sessions, return_inverse=True)
     visits = np.unique((codes * len(days) + day)[sessions != ""])
     return np.bincount(visits // len(days), minlength=codes.max() + 1)
-
-
-def rim_moved(encoder: AnyEncoder, touches: Touches) -> list[str]:
-    """Return a sentence where a dome's rim lies elsewhere than it was learnt."""
-    crop = encoder.clean_up_
-    if not isinstance(crop, DomeCrop) or not crop.has_rim_:
-        return []
-    there: Any = wrapped(encoder).encoder.before_another_camera(touches).clean_up_
-    away = np.hypot(there.rim_row_ - crop.rim_row_, there.rim_col_ - crop.rim_col_)
-    larger = there.rim_radius_ / crop.rim_radius_ - 1
-    if max(away / crop.rim_radius_, abs(larger)) <= RIM_MOVED:
-        return []
-    size = f"{abs(larger):.0%} {'larger' if larger > 0 else 'smaller'}"
-    where = f"{away:.0f} pixels from where it was learnt"
-    return [f"The rim lies {where}, and is {size}."]

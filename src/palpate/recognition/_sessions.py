@@ -17,13 +17,10 @@ from .._types import Array, Floats, Indices
 
 # Variance between sessions that no pair showed, as a share of the mean of those shown.
 UNSEEN = 0.3
-N_DRAWS = 200
 # A touch's look: the power of its image, at most so many taxels wide, in so many
 # octaves, and its load.
 LOOK_SIDE, N_OCTAVES = 64, 6
 N_LOOKS = N_OCTAVES + 1
-# How much of the covariance of looks between them is not believed.
-SHRUNK = 0.3
 
 
 @dataclass(frozen=True)
@@ -180,35 +177,6 @@ def effective_number(shares: Floats) -> float:
     return float(np.exp(-(shares * np.log(np.maximum(shares, 1e-300))).sum()))
 
 
-def usual_means(
-    values: Floats,
-    codes: Indices,
-    blocks: Indices,
-    n_touches: int,
-    n_objects: int,
-    seed: int,
-) -> tuple[Floats, Indices]:
-    """Return the means of draws of training touches' values (n_touches, n_values).
-
-    A draw is of the same block of the recordings of so many objects, which `codes` and
-    `blocks` (n_touches,) tell; which block, (n_draws,), is returned too.
-    """
-    rng = np.random.default_rng(seed)
-    first = np.full(codes.max() + 1, blocks.max())
-    np.minimum.at(first, codes, blocks)
-    run = blocks - first[codes]
-    found, of = [], []
-    for _ in range(N_DRAWS):
-        chosen = np.zeros(len(first), dtype=bool)
-        chosen[rng.permutation(len(first))[:n_objects]] = True
-        mine = np.flatnonzero(chosen[codes])
-        of.append(rng.choice(run[mine]))
-        mine = mine[run[mine] == of[-1]]
-        rows = rng.choice(mine, min(n_touches, len(mine)), replace=False)
-        found.append(values[rows].mean(axis=0))
-    return np.array(found), np.array(of)
-
-
 def looks(images: Array, rest: Array | None) -> Floats:
     """Return what light, rubber and gain alone would change, (n_touches, N_LOOKS).
 
@@ -243,35 +211,6 @@ def _window_and_octaves(n_rows: int, n_cols: int) -> tuple[Floats, Floats]:
     octave = np.log2(np.maximum(np.hypot(down[:, np.newaxis], across), 1e-9) * 2)
     octave = np.clip(N_OCTAVES + np.ceil(octave).astype(int) - 1, 0, N_OCTAVES - 1)
     return window, np.eye(N_OCTAVES)[octave.ravel()]
-
-
-def unlikeness(drawn: Floats, runs: Indices, found: Floats) -> tuple[Floats, float]:
-    """Return how unlike its kind each draw is, (n_draws,), and how unlike `found` is.
-
-    Of means of draws (n_draws, 1 + N_LOOKS): the larger of two, each in standard
-    deviations above what draws have: of the first column, and of the Mahalanobis
-    distance of the others from draws of other `runs` (n_draws,).
-    """
-    lengths = np.empty(len(drawn) + 1)
-    for run in np.unique(runs):
-        mine = runs == run
-        others = drawn[~mine if not mine.all() else mine, 1:]
-        lengths[:-1][mine] = _mahalanobis(others, drawn[mine, 1:])
-    lengths[-1] = _mahalanobis(drawn[:, 1:], found[np.newaxis, 1:])[0]
-    both = np.column_stack([np.append(drawn[:, 0], found[0]), lengths])
-    spread = np.maximum(both[:-1].std(axis=0), 1e-9)
-    most = ((both - both[:-1].mean(axis=0)) / spread).max(axis=1)
-    return most[:-1], float(most[-1])
-
-
-def _mahalanobis(kind: Floats, values: Floats) -> Floats:
-    """Return the distances of rows from others of a kind, shape (n_values,)."""
-    away = values - kind.mean(axis=0)
-    covariance = np.cov(kind.T)
-    covariance[~np.eye(len(covariance), dtype=bool)] *= 1 - SHRUNK
-    axes = np.linalg.inv(covariance + 1e-4 * np.eye(len(covariance)))
-    squared = np.einsum("ij,jk,ik->i", away, axes, away)
-    return np.asarray(np.sqrt(np.maximum(squared, 0)))
 
 
 def _less_noise(shift: Floats, noise: Floats, parts: Parts) -> Floats:
