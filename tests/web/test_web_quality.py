@@ -192,7 +192,8 @@ def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
         session.post_lesson("cup", drawn.images[-1])
         session.post_lesson("cup", drawn.images[-2])
         session.learn(wait=True)
-        few, day = session.advice
+        # Before them may stand an object that so few touches of another take over.
+        *_, few, day = session.advice
         assert few == "Fewer than 8 touches cannot be judged: cup."
         assert day.startswith("All was taught in one session. For another day: lift")
         assert "What to teach next" in session.message

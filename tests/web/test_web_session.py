@@ -5,6 +5,7 @@ import os
 import queue
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -350,10 +351,13 @@ def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):
 
 def learning_processes():
     """The processes that this one has started to learn in."""
-    pids = Path(f"/proc/{os.getpid()}/task").glob("*/children")
-    every = [pid for file in pids for pid in file.read_text().split()]
-    told = {pid: Path(f"/proc/{pid}/cmdline").read_bytes() for pid in every}
-    return [int(pid) for pid, line in told.items() if b"_learning" in line]
+    learning = []
+    for children in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
+        with suppress(FileNotFoundError, ProcessLookupError):  # it has ended since
+            for pid in children.read_text().split():
+                if b"_learning" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    learning.append(int(pid))
+    return learning
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's /proc")
