@@ -174,7 +174,7 @@ def test_arrays_are_false_colours_over_the_widest_range_yet():
     [((48, 48), False, True), ((49, 48), False, False), ((49, 48), True, True)],
 )
 def test_pictures_of_cameras_are_grey(shape, told, coloured):
-    painter = FramePainter(shape, told=told)
+    painter = FramePainter(shape, false_colour=told)
     assert painter.coloured == coloured
     image = np.full(shape, 90, np.uint8)
     shown = decoded(painter.paint(image))

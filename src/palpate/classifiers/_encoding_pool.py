@@ -134,19 +134,19 @@ class EncodingPool(BayesRule):
 
     def weighed_by(self, codes: Indices) -> Self:
         """Weigh the machines by left-out touches; `codes` are their labels' columns."""
-        every = self.left_out_posteriors()
+        posteriors = self.left_out_posteriors()
         step = -(-codes.size * self.classes_.size // _MANY_ANSWERS)
-        some = np.sort(np.argsort(codes, kind="stable")[::step])
-        weights = pool_weights(every[:, some], codes[some])
+        sampled = np.sort(np.argsort(codes, kind="stable")[::step])
+        weights = pool_weights(posteriors[:, sampled], codes[sampled])
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
-        self.left_out_ = self.pooled(every)
+        self.left_out_ = self.pooled(posteriors)
         return self
 
     @property
     def takes_weights(self) -> bool:  # type: ignore[override]
         """Whether every machine takes what each touch counts."""
-        every = self.machines_.values()
-        return all(getattr(one, "takes_weights", False) for one in every)
+        machines = self.machines_.values()
+        return all(getattr(machine, "takes_weights", False) for machine in machines)
 
     def refit(
         self,
@@ -188,13 +188,15 @@ class EncodingPool(BayesRule):
             check_is_fitted(self)
         touches = check_squarable("X", _touch_classifier.as_touches(self, X))
         shape = len(self.machines_), len(touches), len(self.classes_)
-        said, some = np.zeros(shape), []
+        log_likelihood, weighing = np.zeros(shape), []
         for row, (name, part) in enumerate(self._parts(touches).items()):
             if self.weights_[name]:
-                said[row] = self.machines_[name].log_likelihood_checked(part)
-                some.append(row)
-        said[some] = np.maximum(log_softmax(said[some]), _LEAST)
-        return said
+                log_likelihood[row] = self.machines_[name].log_likelihood_checked(part)
+                weighing.append(row)
+        log_likelihood[weighing] = np.maximum(
+            log_softmax(log_likelihood[weighing]), _LEAST
+        )
+        return log_likelihood
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
@@ -259,20 +261,20 @@ def _machine_for(n_touches: int, n_labels: int) -> TouchClassifier:
     return machine
 
 
-def pool_weights(every: Floats, codes: Array) -> Floats:
+def pool_weights(left_out: Floats, codes: Array) -> Floats:
     """Return the weights of least log loss, shape (n_machines,), at least 0.
 
     Of log posteriors (n_machines, n_touches, n_classes) of touches left out, and the
     column of each touch's own label (n_touches,). See `EncodingPool`.
     """
-    n_machines, n_touches = every.shape[:2]
+    n_machines, n_touches = left_out.shape[:2]
     usual = 1 / n_machines
     shares = n_touches * fair_shares(codes)
 
     def loss(weights: Floats) -> tuple[float, Floats]:
-        value, pull = log_loss(np.tensordot(weights, every, 1), codes, shares)
+        value, pull = log_loss(np.tensordot(weights, left_out, 1), codes, shares)
         away = (weights - usual) / usual
-        slope = np.tensordot(every, pull, 2)
+        slope = np.tensordot(left_out, pull, 2)
         return value + (away**2).sum() / 2, slope + away / usual
 
     start = np.full(n_machines, usual)

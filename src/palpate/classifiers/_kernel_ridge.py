@@ -214,15 +214,15 @@ class KernelRidgeClassifier(BayesRule):
         # Touches of all labels, or of every k-th where fewer than 4 of each fit.
         step = -(-4 * (int(codes.max()) + 1) // at_most)
         if len(codes) <= at_most or step == 1:
-            some = _thin(codes, at_most)
+            sampled = _thin(codes, at_most)
         else:
-            mine = np.flatnonzero(codes % step == 0)
-            some = mine[_thin(codes[mine], at_most)]
-        codes = np.unique(codes[some], return_inverse=True)[1]
-        chosen = touches[some]
+            of_these_labels = np.flatnonzero(codes % step == 0)
+            sampled = of_these_labels[_thin(codes[of_these_labels], at_most)]
+        codes = np.unique(codes[sampled], return_inverse=True)[1]
+        chosen = touches[sampled]
         squared = _squared_distances(chosen - chosen.mean(axis=0))
         self.unit_ = float(np.median(squared)) or 1.0
-        target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[some])
+        target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[sampled])
         best, at, temperature = np.inf, len(ridges) // 2, _USUAL_TEMPERATURE
         for width in widths:
             kernel = -width / self.unit_ * squared
@@ -231,8 +231,8 @@ class KernelRidgeClassifier(BayesRule):
             @cache
             def loss(k: int, kernel: Floats = kernel) -> float:
                 nonlocal temperature  # near that of the last ridge
-                root, found = _solve(kernel.copy(), target, ridges[k])
-                scores = _left_out(_own_blocks(root, by_size), found, target)
+                root, coefficients = _solve(kernel.copy(), target, ridges[k])
+                scores = _left_out(_own_blocks(root, by_size), coefficients, target)
                 value, temperature = _smoothed_loss(scores, codes, temperature)
                 return value
 
@@ -261,10 +261,12 @@ class KernelRidgeClassifier(BayesRule):
             if grown is not None:
                 start = self.temperature_, self.bend_, self.lean_
         self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
-        self.left_out_scores_, own = left_out, codes[rows]
-        some = _thin(own, min(_SHAPED_BY, _SHAPED_ANSWERS // n_labels + 1))
+        self.left_out_scores_, own_codes = left_out, codes[rows]
+        sampled = _thin(own_codes, min(_SHAPED_BY, _SHAPED_ANSWERS // n_labels + 1))
         counts = np.bincount(codes, minlength=n_labels)
-        shape, self.log_loss_ = best_shape(left_out[some], own[some], counts, start)
+        shape, self.log_loss_ = best_shape(
+            left_out[sampled], own_codes[sampled], counts, start
+        )
         self.temperature_, self.bend_, self.lean_ = shape
         self.log_counts_ = self.lean_ * _log_counts(counts)
 
@@ -545,8 +547,8 @@ def _by_size(group: Array) -> list[Indices]:
 def _own_blocks(root: Floats, by_size: list[Indices]) -> Blocks:
     """Yield groups of one size, some at a time, and the inverse's block of each."""
     for rows in by_size:
-        mine = root.T[rows]
-        yield rows, mine @ mine.transpose(0, 2, 1)
+        columns = root.T[rows]
+        yield rows, columns @ columns.transpose(0, 2, 1)
 
 
 def _left_out(blocks: Blocks, coefficients: Floats, target: Floats) -> Floats:
@@ -627,20 +629,20 @@ def best_shape(
         lean = raw[2] if n_free > 2 else 1.0
         value, slopes = 0.0, np.zeros(3)
         for first in range(0, len(codes), _SHAPED_AT_ONCE):
-            some = slice(first, first + _SHAPED_AT_ONCE)
-            damping = 1 + bend * size[some]
-            by_temperature = temperature * scores[some] / damping
+            rows = slice(first, first + _SHAPED_AT_ONCE)
+            damping = 1 + bend * size[rows]
+            by_temperature = temperature * scores[rows] / damping
             logits = by_temperature - lean * log_counts
-            part, pull = log_loss(logits, codes[some], shares[some])
+            part, pull = log_loss(logits, codes[rows], shares[rows])
             value += part
             slopes[0] += np.vdot(pull, by_temperature)
             slopes[2] -= pull.sum(axis=0) @ log_counts
             by_temperature /= damping
-            by_temperature *= size[some]
+            by_temperature *= size[rows]
             slopes[1] -= bend * np.vdot(pull, by_temperature)
         return value, slopes[:n_free]
 
-    found = minimize(
+    solution = minimize(
         loss,
         [*np.log(start[:2]), start[2]][:n_free],
         jac=True,
@@ -648,5 +650,5 @@ def best_shape(
         method="L-BFGS-B",
         options={"ftol": 1e-13, "gtol": 1e-9},
     )
-    lean = float(found.x[2]) if n_free > 2 else 1.0
-    return (*np.exp(found.x[:2]).tolist(), lean), float(found.fun)
+    lean = float(solution.x[2]) if n_free > 2 else 1.0
+    return (*np.exp(solution.x[:2]).tolist(), lean), float(solution.fun)

@@ -176,25 +176,25 @@ def rehearsed(
     weighed.fit(X @ weighing, y, groups=groups)
     codes = np.searchsorted(pool.classes_, y)
     rows = pool.left_out_rows
-    said = np.stack([pool.left_out_, weighed.left_out_])
+    left_out = np.stack([pool.left_out_, weighed.left_out_])
     of, n_ordinary = codes[rows], len(rows)
-    asked, is_asked = _said_of_drawn(pool, weighed, X, y, groups, weighing, drawn)
-    own = codes[drawn.rows]
+    of_drawn, is_asked = _answers_of_drawn(pool, weighed, X, y, groups, weighing, drawn)
+    drawn_codes = codes[drawn.rows]
     if not sessions_known and is_asked.any():
         # As many of each kind, in turn.
-        invented = asked[:, 1:][:, :, is_asked].reshape(2, -1, asked.shape[3])
-        names = np.tile(own[is_asked], len(drawn.features) - 1)
+        invented = of_drawn[:, 1:][:, :, is_asked].reshape(2, -1, of_drawn.shape[3])
+        names = np.tile(drawn_codes[is_asked], len(drawn.features) - 1)
         n_each = min(n_ordinary, len(names))
-        some, others = (_spread(n, n_each) for n in (n_ordinary, len(names)))
-        said = np.concatenate([said[:, some], invented[:, others]], axis=1)
-        of = np.concatenate([of[some], names[others]])
-    known = np.isfinite(said).all(axis=(0, 2))
-    weights = pool_weights(np.maximum(said[:, known], -30.0), of[known])
+        sampled, others = (_spread(n, n_each) for n in (n_ordinary, len(names)))
+        left_out = np.concatenate([left_out[:, sampled], invented[:, others]], axis=1)
+        of = np.concatenate([of[sampled], names[others]])
+    finite = np.isfinite(left_out).all(axis=(0, 2))
+    weights = pool_weights(np.maximum(left_out[:, finite], -30.0), of[finite])
     share = float(weights[1] / max(weights.sum(), 1e-12))
     if share < LEAST_SHARE:
         share = 0.0
-    mixed = _mixed(asked[0], asked[1], share)
-    right = (mixed.argmax(axis=-1) == own)[:, is_asked].mean(axis=1)
+    mixed = _mixed(of_drawn[0], of_drawn[1], share)
+    right = (mixed.argmax(axis=-1) == drawn_codes)[:, is_asked].mean(axis=1)
     if share == 0:
         return Rehearsal(pool, share, right)
     return Rehearsal(
@@ -224,13 +224,13 @@ def _twins(
         for name, start, end in zip(pool.parts, cuts[:-1], cuts[1:], strict=True)
     } | {TOGETHER: weighing}
     both.machines_ = {
-        name: RehearsedMachine(one, weighed.machines_[name], blocks[name], share)
-        for name, one in pool.machines_.items()
+        name: RehearsedMachine(machine, weighed.machines_[name], blocks[name], share)
+        for name, machine in pool.machines_.items()
     }
     return both.weighed_by(of)
 
 
-def _said_of_drawn(
+def _answers_of_drawn(
     pool: EncodingPool,
     weighed: EncodingPool,
     X: Floats,
@@ -246,35 +246,35 @@ def _said_of_drawn(
     """
     half = _halves(y, groups)
     n_sessions, n_drawn, n_features = drawn.features.shape
-    said = np.zeros((2, n_sessions, n_drawn, len(pool.classes_)))
+    answers = np.zeros((2, n_sessions, n_drawn, len(pool.classes_)))
     is_asked = np.zeros(n_drawn, dtype=bool)
     for k in range(2):
         learnt = np.flatnonzero(half != k)
         learnt = _thinned(learnt, y)
-        mine = half[drawn.rows] == k
-        mine &= np.isin(y[drawn.rows], y[learnt])
-        if len(np.unique(y[learnt])) < 2 or not mine.any():
+        rows = half[drawn.rows] == k
+        rows &= np.isin(y[drawn.rows], y[learnt])
+        if len(np.unique(y[learnt])) < 2 or not rows.any():
             continue
-        is_asked |= mine
-        asked = drawn.features[:, mine].reshape(-1, n_features)
-        for one, (machines, matrix) in enumerate(((pool, None), (weighed, weighing))):
-            touches, others = X[learnt], asked
+        is_asked |= rows
+        asked_features = drawn.features[:, rows].reshape(-1, n_features)
+        for kind, (machines, matrix) in enumerate(((pool, None), (weighed, weighing))):
+            touches, others = X[learnt], asked_features
             if matrix is not None:
                 touches, others = touches @ matrix, others @ matrix
             again = copy(machines).refit(touches, y[learnt], groups=groups[learnt])
             columns = np.searchsorted(pool.classes_, again.classes_)
             row = np.full((len(others), len(pool.classes_)), -30.0)
             row[:, columns] = again.log_likelihood(others)
-            said[one][:, mine] = row.reshape(n_sessions, int(mine.sum()), -1)
-    return log_softmax(said, axis=-1), is_asked
+            answers[kind][:, rows] = row.reshape(n_sessions, int(rows.sum()), -1)
+    return log_softmax(answers, axis=-1), is_asked
 
 
 def _halves(y: Array, groups: Indices) -> Indices:
     """Return 0 or 1 for each touch, in turn by each label's groups."""
     half = np.zeros(len(y), dtype=np.intp)
     for name in np.unique(y):
-        mine = y == name
-        half[mine] = np.unique(groups[mine], return_inverse=True)[1] % 2
+        of_label = y == name
+        half[of_label] = np.unique(groups[of_label], return_inverse=True)[1] % 2
     return half
 
 

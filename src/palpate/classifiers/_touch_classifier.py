@@ -264,16 +264,16 @@ class FromProbabilities(BayesRule):
                 self.touches_[train], self.labels_[train]
             )
             columns = np.searchsorted(self.classes_, again.classes_)
-            known = _log_probability(again, self.touches_[test])
-            result[np.ix_(test, columns)] = known
+            log_probability = _log_probability(again, self.touches_[test])
+            result[np.ix_(test, columns)] = log_probability
         return result
 
 
 def as_touch_classifier(classifier: Any) -> TouchClassifier:
     """Return a classifier, not learnt, that a belief can be built on, or explain."""
-    asked = [name for name in vars(TouchClassifier) if not name.startswith("_")]
+    required = [name for name in vars(TouchClassifier) if not name.startswith("_")]
     if not isinstance(classifier, type):
-        if all(hasattr(type(classifier), name) for name in asked):
+        if all(hasattr(type(classifier), name) for name in required):
             return clone(classifier)  # type: ignore[no-any-return]
         if hasattr(classifier, "predict_proba"):
             return FromProbabilities(classifier)
@@ -343,13 +343,13 @@ def as_groups(groups: Groups, n_touches: int) -> Indices:
     """Return the number of each training touch's group; by default its own."""
     if groups is None:
         return np.arange(n_touches)
-    given = np.asarray(groups)
-    if given.shape != (n_touches,):
+    numbers = np.asarray(groups)
+    if numbers.shape != (n_touches,):
         raise ValueError(
             f"groups must have one entry per training touch ({n_touches}), "
-            f"got shape {given.shape}."
+            f"got shape {numbers.shape}."
         )
-    return np.asarray(np.unique(given, return_inverse=True)[1])
+    return np.asarray(np.unique(numbers, return_inverse=True)[1])
 
 
 def _log_probability(classifier: Any, touches: Floats) -> Floats:

@@ -34,7 +34,9 @@ def list_sets(data: RecordedData = None, as_json: AsJson = False) -> None:
     for name, (_, what) in READY.items():
         state = "there" if ready_file(name, data or cached()).is_file() else "to make"
         models.append({"name": name, "what": f"model: {what}", "state": state})
-    lines += [f"{one['name']:16s}{one['state']:10s}{one['what']}" for one in models]
+    lines += [
+        f"{model['name']:16s}{model['state']:10s}{model['what']}" for model in models
+    ]
     answer(as_json, {"folder": str(here), "sets": rows, "models": models}, *lines)
 
 

@@ -44,17 +44,17 @@ def learn(
     recognition.check_model_path(output)
     with stages() as stage, working.started():
         stage(f"reading {touches}")
-        with reading.selection(touches) as found:
-            training = found
+        with reading.selection(touches) as selection:
+            training = selection
             if calibration is not None:
-                training = _options.calibrated(_held(found), calibration)
+                training = _options.calibrated(_held(selection), calibration)
             stage(f"learning from {len(training)} touches")
             if extend is not None:
                 recogniser = _extended(extend, training)
             else:
-                given = vars(how) | {"random_state": how.seed}
-                del given["seed"]
-                recogniser = recognition.ObjectRecogniser(**given).fit(training)
+                settings = vars(how) | {"random_state": how.seed}
+                del settings["seed"]
+                recogniser = recognition.ObjectRecogniser(**settings).fit(training)
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
@@ -69,14 +69,16 @@ def learn(
     if not TouchLibrary.is_library(touches):
         read = reading.read_as(touches, training)
         sentences = [*sentences, read] if read else sentences
-    said = "".join(f" {one[0].upper()}{one[1:]}." for one in sentences)
+    findings = "".join(
+        f" {sentence[0].upper()}{sentence[1:]}." for sentence in sentences
+    )
     poses = " Poses on the array are learnt too." if recogniser.pose_ else ""
     encoding = learnt["chosen"]["encoding"]
     answer(
         as_json,
         {"model": str(written), **learnt, "sessions": across},
         f"Learnt {counted(learnt['n_labels'], learnt['label'] + ' label')} from "
-        f"{counted(learnt['n_train_touches'])} ({encoding}).{said}{poses}",
+        f"{counted(learnt['n_train_touches'])} ({encoding}).{findings}{poses}",
         recognition.said_of_sessions(across),
         written,
     )
@@ -110,8 +112,8 @@ def _extended(model: Path, training: "_options.Labelled") -> "ObjectRecogniser":
                 "touches, or name other ones with --where."
             )
         for name in np.unique(labels[fresh]).tolist():
-            mine = np.flatnonzero(fresh & (labels == name))
-            recogniser.extend_object(name, training[mine])
+            rows = np.flatnonzero(fresh & (labels == name))
+            recogniser.extend_object(name, training[rows])
     return recogniser
 
 

@@ -87,7 +87,7 @@ def serve(
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
     addresses = sensor or []
-    model = model and _own(model_file(model), model, library)
+    model = model and _copied(model_file(model), model, library)
     chosen: list[Any] = [options.open(address) for address in addresses] or [None]
     folders = [library] if len(addresses) < 2 else _folders(addresses, library, model)
     chosen_token = None if token is None else checked_token(token)
@@ -121,15 +121,15 @@ def _of(address: str | None, number: int, n_sensors: int) -> str | None:
     return f"{place}/{number}{mark}{options}"
 
 
-def _own(path: Path, asked: Path, library: Path | None) -> Path:
+def _copied(path: Path, named: Path, library: Path | None) -> Path:
     """Return the model file to start from: of a ready one a copy, to be learnt on."""
-    if path == asked or library is None:
+    if path == named or library is None:
         return path
     copy = library / "model.palpate"
     if copy.exists() or (library / "library.sqlite").exists():
         raise ValueError(
             f"--model must be left out where {library} has touches or a model of its "
-            f"own, got {asked}. Name a --library that is not there yet."
+            f"own, got {named}. Name a --library that is not there yet."
         )
     library.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(path, copy)

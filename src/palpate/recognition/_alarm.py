@@ -145,7 +145,7 @@ class _Usual:
         posterior, rows = softmax(left_out, axis=1), rows[asked]
         has_looks = not bool(np.isnan(memory.looks).any())
         looks = memory.looks if has_looks else np.zeros_like(memory.looks)
-        blocks, apart = memory.apart
+        blocks, apart = memory.block_distances
         every, parts = np.flatnonzero(learnt.counted), (memory.features, looks)
         sums = _sums(learnt.codes, every, *parts)
         means, codes = sums[0] / sums[1][:, np.newaxis], learnt.codes[rows]

@@ -138,15 +138,15 @@ class ContactCheck(BaseEstimator):
         self.blind_, self.usual_ = other.blind_, other.usual_
         return self
 
-    def _reposed(self, every: Floats) -> Bools:
+    def _reposed(self, novelty: Floats) -> Bools:
         """Return which touches are new to encodings that see their pose alone."""
         if self.blind_ is None or self.usual_ is None:
-            return np.zeros(len(every), dtype=bool)
-        seeing, blind = _by_sight(every, self.blind_)
+            return np.zeros(len(novelty), dtype=bool)
+        seeing, blind = _by_sight(novelty, self.blind_)
         return np.asarray((seeing > self.usual_[0]) & (blind <= self.usual_[1]))
 
     def flags(
-        self, touches: Touches, cleaned: Array, every: Floats | None = None
+        self, touches: Touches, cleaned: Array, novelty: Floats | None = None
     ) -> list[str]:
         """Return what is wrong with each touch: "" or the reason in two words.
 
@@ -161,14 +161,17 @@ class ContactCheck(BaseEstimator):
         double = turned = np.zeros(len(cleaned), dtype=bool)
         if self.tells_double_:
             double = self._double(touches)
-        if every is not None:
-            turned = self._reposed(every)
+        if novelty is not None:
+            turned = self._reposed(novelty)
         reasons = [NO_CONTACT, "saturated", TURNED, "double contact"]
         return list(map(str, np.select([nothing, full, turned, double], reasons, "")))
 
     def _double(self, touches: Touches) -> Bools:
         change = abs(living(touches.images, self.pads_) - self.idle_)
-        on_pads = (_boxes(one[np.newaxis], self.pads_) for one in grey(change))
+        on_pads = (
+            _boxes(touch_change[np.newaxis], self.pads_)
+            for touch_change in grey(change)
+        )
         return np.array([_is_double(max(boxes, key=np.sum)[0]) for boxes in on_pads])
 
     def _change(self, touches: Touches) -> Floats:
@@ -194,19 +197,19 @@ class ContactCheck(BaseEstimator):
             # Compared as whole numbers: eight times faster than as floats.
             low, high = int(low), int(high)
         counts = np.empty(len(images))
-        for number, one in enumerate(images):
-            counts[number] = np.count_nonzero((one == low) | (one == high))
+        for number, image in enumerate(images):
+            counts[number] = np.count_nonzero((image == low) | (image == high))
         return np.asarray(counts / images[0].size)
 
 
-def _by_sight(every: Floats, blind: Bools) -> Floats:
+def _by_sight(novelty: Floats, blind: Bools) -> Floats:
     """Return novelty to encodings that see turns or shifts, and to the others.
 
     The mean of what they leave unexplained, NaN where none says it; (2, n_touches).
     """
-    kinds, says = np.stack([~blind, blind]).astype(np.float64), ~np.isnan(every)
+    kinds, says = np.stack([~blind, blind]).astype(np.float64), ~np.isnan(novelty)
     count = kinds @ says.T
-    total = kinds @ np.where(says, every, 0.0).T
+    total = kinds @ np.where(says, novelty, 0.0).T
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
@@ -219,11 +222,11 @@ def encoded_and_flagged(
     """
     if len(touches) > BATCH:
         each = [encoded_and_flagged(encoder, contact, s) for s in in_batches(touches)]
-        parts, said = zip(*each, strict=True)
-        return np.concatenate(parts), [*chain.from_iterable(said)]
+        parts, flags = zip(*each, strict=True)
+        return np.concatenate(parts), [*chain.from_iterable(flags)]
     cleaned = encoder.clean(touches)
-    features, every = encoder.encode_fully(cleaned)
-    return features, contact.flags(touches, cleaned, every)
+    features, novelty = encoder.encode_fully(cleaned)
+    return features, contact.flags(touches, cleaned, novelty)
 
 
 def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
@@ -234,15 +237,15 @@ def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
 
 def correlation(images: Array, idle: Array) -> Floats:
     """Return the correlation of each image with one, 0 for even ones, (n_touches,)."""
-    one = idle.ravel().astype(np.float64)
-    one -= one.mean()
-    found = np.zeros(len(images))
+    centred_idle = idle.ravel().astype(np.float64)
+    centred_idle -= centred_idle.mean()
+    correlations = np.zeros(len(images))
     for number, image in enumerate(images):  # one at a time, it stays in the cache
         flat = image.ravel().astype(np.float64)
         flat -= flat.mean()
-        norm = np.linalg.norm(flat) * np.linalg.norm(one)
-        found[number] = flat @ one / norm if norm > 0 else 0.0
-    return found
+        norm = np.linalg.norm(flat) * np.linalg.norm(centred_idle)
+        correlations[number] = flat @ centred_idle / norm if norm > 0 else 0.0
+    return correlations
 
 
 def _boxes(images: Array, pads: Array | None) -> list[Array]:

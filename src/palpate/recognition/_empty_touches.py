@@ -41,5 +41,5 @@ def naming_empty(touches: Touches | TouchSource) -> Iterator[None]:
 
 def _is_empty(touches: Touches | TouchSource, row: int) -> bool:
     rows = np.array([row])
-    one = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
-    return bool(np.isnan(one.images.astype(np.float64)).all())
+    touch = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
+    return bool(np.isnan(touch.images.astype(np.float64)).all())

@@ -59,7 +59,7 @@ class Encoder(ABC):
     def transform(self, touches: Touches) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
         return np.concatenate(
-            [self.encode(self.clean(some)) for some in in_batches(touches)]
+            [self.encode(self.clean(batch)) for batch in in_batches(touches)]
         )
 
 
@@ -153,7 +153,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         self,
         cleaned: Array,
         groups: Array | None = None,
-        made: dict[str, list[tuple[Any, Array]]] | None = None,
+        learnt_steps: dict[str, list[tuple[Any, Array]]] | None = None,
     ) -> tuple[Floats, Floats]:
         """Learn the encodings of cleaned images; return features and `unexplained`.
 
@@ -162,15 +162,15 @@ class TouchEncoder(Encoder, BaseEstimator):
         close to them as those they were learnt from. Steps that `made` holds by the
         encoding's name, and what they make of these images, are not learnt again.
         """
-        made = {} if made is None else made
+        learnt_steps = {} if learnt_steps is None else learnt_steps
         self.encodings_, self.parts_, self.scales_ = {}, {}, {}
-        parts, every = [], np.full((len(cleaned), len(self.encodings)), np.nan)
+        parts, unexplained = [], np.full((len(cleaned), len(self.encodings)), np.nan)
         for column, (name, steps) in enumerate(self.encodings.items()):
-            values, done = cleaned, made.setdefault(name, [])
-            for number, given in enumerate(steps):
-                step = clone(given)
+            values, done = cleaned, learnt_steps.setdefault(name, [])
+            for number, recipe in enumerate(steps):
+                step = clone(recipe)
                 if hasattr(step, "left_out_unexplained") and groups is not None:
-                    every[:, column] = step.left_out_unexplained(values, groups)
+                    unexplained[:, column] = step.left_out_unexplained(values, groups)
                 if number == len(done):
                     # Of touches that are all alike shares of the variance are 0 / 0.
                     with np.errstate(invalid="ignore"):
@@ -188,7 +188,7 @@ class TouchEncoder(Encoder, BaseEstimator):
                 spread = float(part.var(axis=0).sum())
                 self.scales_[name] = spread**-0.5 if spread > 0 else 1.0
             parts.append(part)
-        return self._side_by_side(parts), every
+        return self._side_by_side(parts), unexplained
 
     def only(self, names: Iterable[str]) -> Self:
         """Return this with some of its encodings, of which none is learnt."""
@@ -204,10 +204,10 @@ class TouchEncoder(Encoder, BaseEstimator):
 
     def check_size(self, images: Array) -> None:
         """Refuse images of another size than those that were learnt."""
-        known, got = tuple(self.image_shape_), images.shape[1:]
-        if got != known:
+        taught, got = tuple(self.image_shape_), images.shape[1:]
+        if got != taught:
             raise ValueError(
-                f"touches must have {size_said(known)} like the training touches, got "
+                f"touches must have {size_said(taught)} like the training touches, got "
                 f"{size_said(got)}. Use the same sensor and resolution, or learn again."
             )
 
@@ -216,13 +216,13 @@ class TouchEncoder(Encoder, BaseEstimator):
         if self.clean_up_ is None:
             return images
         if self.channels and images.ndim == 4:
-            every = in_batches(images)
-            return np.concatenate([self.clean_up_.by_channel(s) for s in every])
+            batches = in_batches(images)
+            return np.concatenate([self.clean_up_.by_channel(s) for s in batches])
         return _transformed(self.clean_up_, grey(images), checked=True)
 
     def encode_fully(self, cleaned: Array) -> tuple[Floats, Floats]:
         """Return features and what components leave out; see `Encoder`."""
-        parts, every = [], np.full((len(cleaned), len(self.encodings_)), np.nan)
+        parts, unexplained = [], np.full((len(cleaned), len(self.encodings_)), np.nan)
         # Without a clean-up nothing but the first step has checked the images.
         checked = isinstance(self.clean_up_, ImageEstimator)
         for column, steps in enumerate(self.encodings_.values()):
@@ -237,14 +237,14 @@ class TouchEncoder(Encoder, BaseEstimator):
                 else:
                     values = step.transform(before)
                 if isinstance(step, PrincipalShare):
-                    every[:, column] = step.unexplained(before, values)
+                    unexplained[:, column] = step.unexplained(before, values)
             parts.append(np.asarray(values, dtype=np.float64))
-        return self._side_by_side(parts), every
+        return self._side_by_side(parts), unexplained
 
     def look(self, touches: Touches, broken: Bools | None = None) -> Floats:
         """Return what tells of light, rubber and gain, `broken` taxels filled."""
         if len(touches) > BATCH:
-            parts = [self.look(some, broken) for some in in_batches(touches)]
+            parts = [self.look(batch, broken) for batch in in_batches(touches)]
             return np.concatenate(parts)
         rest = self._idle(touches, broken)
         if rest is None and self.baseline_ is not None:
@@ -318,8 +318,8 @@ def _still(touches: Touches) -> Array:
     still = np.zeros(touches.images.shape[1:], dtype=bool)
     objects = np.zeros(len(touches)) if touches.object is None else touches.object
     for name in np.unique(objects):
-        mine = touches.images[objects == name]
-        still |= (mine == np.median(mine, axis=0)).mean(axis=0) > 0.5
+        images = touches.images[objects == name]
+        still |= (images == np.median(images, axis=0)).mean(axis=0) > 0.5
     return np.where(still, np.median(touches.images, axis=0), np.nan)
 
 
@@ -337,8 +337,8 @@ def find_geometry(touches: Touches) -> str:
     if touches.geometry is not None:
         return touches.geometry
     spread = np.unique(np.linspace(0, len(touches) - 1, LOOK_AT).astype(int))
-    some = np.nan_to_num(grey(touches.images[spread]))
-    if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(some) is not None:
+    pictures = np.nan_to_num(grey(touches.images[spread]))
+    if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(pictures) is not None:
         return "dome"
     return "array" if max(n_rows, n_cols) <= ARRAY_SIDE else "plane"
 
@@ -374,4 +374,4 @@ def _transformed(step: Any, values: Array, *, checked: bool = False) -> Array:
         return np.asarray((values - step.mean_) / step.scale_)
     if len(values) <= BATCH:
         return np.asarray(transform(values))
-    return np.concatenate([transform(some) for some in in_batches(values)])
+    return np.concatenate([transform(batch) for batch in in_batches(values)])

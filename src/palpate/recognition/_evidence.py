@@ -92,13 +92,13 @@ class SequenceCalibration:
         return np.asarray(self.strength / (1 + others * self.correlation))
 
 
-def as_touches(given: Any) -> Touches:
+def as_touches(touch: Any) -> Touches:
     """Return touches, lists of them, an image or images as `Touches`, or explain."""
-    if isinstance(given, Touches):
-        return given
-    if isinstance(given, list) and given and isinstance(given[0], Touches):
-        return Touches.concatenate(given)
-    images = np.asarray(unmasked("touch", given))
+    if isinstance(touch, Touches):
+        return touch
+    if isinstance(touch, list) and touch and isinstance(touch[0], Touches):
+        return Touches.concatenate(touch)
+    images = np.asarray(unmasked("touch", touch))
     if images.ndim not in (2, 3):
         named = 'Touches(images, channels=["r", "g", "b"])'
         hint = f" Name its channels: {named}." if images.ndim == 4 else ""
@@ -122,13 +122,13 @@ def given_prior(prior: Mapping[str, float], classes: Array) -> Floats:
             f"prior must name every object and no other, got a difference in "
             f"{missing!r}. The objects are {', '.join(names)}."
         )
-    given = {str(name): value for name, value in prior.items()}
-    logs = np.log([check_positive("prior", given[name]) for name in names])
+    by_name = {str(name): value for name, value in prior.items()}
+    logs = np.log([check_positive("prior", by_name[name]) for name in names])
     log_prior: Floats = log_softmax(logs)
     if log_prior.min() < _LEAST_LOG_PRIOR:
         least = names[int(log_prior.argmin())]
         raise ValueError(
-            f"prior must not all but rule an object out, got {given[least]} for "
+            f"prior must not all but rule an object out, got {by_name[least]} for "
             f"{least!r}. Give it at least 1e-12 of the sum, or forget the object."
         )
     return log_prior

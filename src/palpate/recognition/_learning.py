@@ -100,22 +100,24 @@ def _learnt_encoding(
         shown = touches.touches(rows)
     # What it takes a search for rims to know is found out once.
     shown = shown.with_columns(geometry=find_geometry(shown))
-    asked = labels[rows], group[rows]
-    encoder, chosen = choose_encoder(preset, shown, *asked, presentation)
+    labels_and_groups = labels[rows], group[rows]
+    encoder, chosen = choose_encoder(preset, shown, *labels_and_groups, presentation)
     cleaned = encoder.fit_clean(shown)
-    made: dict[str, Any] = {}
+    learnt_steps: dict[str, Any] = {}
     if len(encoder.encodings) > 1:
-        encoder, found = choose_encodings(encoder, cleaned, *asked, made)
-        found["encoding"] = f"{chosen['encoding']}: {found['encoding']}"
-        chosen |= found
+        encoder, why_chosen = choose_encodings(
+            encoder, cleaned, *labels_and_groups, learnt_steps
+        )
+        why_chosen["encoding"] = f"{chosen['encoding']}: {why_chosen['encoding']}"
+        chosen |= why_chosen
     blind = [encoder.blind_to(name) for name in encoder.encodings]
     unmet = " and ".join(sorted(PRESENTATIONS[presentation].difference(*blind)))
     if unmet:
         sentence = f"no encoding for this sensor is blind to {unmet}"
         chosen["found"] = [sentence, *chosen.get("found", ())]
-    features, every = encoder.fit_encode(cleaned, group[rows], made)
+    features, novelty = encoder.fit_encode(cleaned, group[rows], learnt_steps)
     contact = ContactCheck().fit(shown, encoder)
-    contact.learn_poses(encoder, every)
+    contact.learn_poses(encoder, novelty)
     if isinstance(touches, Touches):
         nothing = contact.no_contact(touches, cleaned)
         result = Encoded(features, nothing, encoder.look(touches))
@@ -129,10 +131,10 @@ def encoded(
 ) -> Encoded:
     """Return what a learnt encoding makes of all touches."""
 
-    def encode(some: Touches) -> Floats:
-        features, flags = encoded_and_flagged(encoder, contact, some)
+    def encode(batch: Touches) -> Floats:
+        features, flags = encoded_and_flagged(encoder, contact, batch)
         nothing = np.array(flags) == NO_CONTACT
-        return np.column_stack([features, encoder.look(some), nothing])
+        return np.column_stack([features, encoder.look(batch), nothing])
 
     with naming_empty(touches):
         if isinstance(touches, Touches):
@@ -140,8 +142,11 @@ def encoded(
         else:
             key = state_digest(encoder) + state_digest(contact) + "looks"
             table = touches.features(key, encode)
-    own, seen = np.ascontiguousarray(table[:, : -N_LOOKS - 1]), table[:, -N_LOOKS - 1 :]
-    return Encoded(own, seen[:, -1] > 0, seen[:, :-1])
+    features, seen = (
+        np.ascontiguousarray(table[:, : -N_LOOKS - 1]),
+        table[:, -N_LOOKS - 1 :],
+    )
+    return Encoded(features, seen[:, -1] > 0, seen[:, :-1])
 
 
 def memory_of(
@@ -153,7 +158,7 @@ def memory_of(
 ) -> Memory:
     """Return what is kept of touches that were encoded."""
 
-    def known(column: Array | None) -> Array:
+    def texts(column: Array | None) -> Array:
         return np.full(len(labels), "") if column is None else column.astype(str)
 
     return Memory(
@@ -161,11 +166,11 @@ def memory_of(
         labels=labels,
         objects=objects,
         blocks=blocks,
-        sessions=known(touches.session),
-        subjects=known(touches.subject),
+        sessions=texts(touches.session),
+        subjects=texts(touches.subject),
         nothing=encoding.nothing,
-        touch_ids=known(touches.touch_id),
-        categories=known(touches.category),
+        touch_ids=texts(touches.touch_id),
+        categories=texts(touches.category),
         looks=encoding.looks,
     )
 
@@ -206,10 +211,10 @@ def choose_encoder(
         name, encoder = next(iter(recipes.items()))
         chosen |= {"encoding": name, "why": "the one encoding for this geometry"}
         return encoder, chosen
-    some = shown_rows(labels, AT_MOST)
-    fold = np.unique(group[some], return_inverse=True)[1] % N_FOLDS
+    few = shown_rows(labels, AT_MOST)
+    fold = np.unique(group[few], return_inverse=True)[1] % N_FOLDS
     results = {
-        name: _tried(encoder, preset, touches[some], labels[some], fold)
+        name: _tried(encoder, preset, touches[few], labels[few], fold)
         for name, encoder in recipes.items()
     }
     best = min(results, key=lambda name: results[name]["log_loss"])
@@ -223,7 +228,7 @@ def choose_encodings(
     cleaned: Array,
     labels: Array,
     group: Indices,
-    made: dict[str, Any],
+    learnt_steps: dict[str, Any],
 ) -> tuple[TouchEncoder, dict[str, Any]]:
     """Return the encoder with the encodings that a pool of them needs, and the reasons.
 
@@ -232,26 +237,29 @@ def choose_encodings(
     little in the pool of least log loss (nats) are dropped. What all the touches are
     `made` into is kept there, by the encoding's name.
     """
-    some = shown_rows(labels, AT_MOST)
-    of_all = made if len(some) == len(cleaned) else None
-    features, _ = encoder.fit_encode(cleaned[some], made=of_all)
+    few = shown_rows(labels, AT_MOST)
+    of_all = learnt_steps if len(few) == len(cleaned) else None
+    features, _ = encoder.fit_encode(cleaned[few], learnt_steps=of_all)
     pool = EncodingPool(encoder.parts_, together=False)
-    pool.fit(features, labels[some], groups=group[some])
-    codes = np.searchsorted(pool.classes_, labels[some][pool.left_out_rows])
+    pool.fit(features, labels[few], groups=group[few])
+    codes = np.searchsorted(pool.classes_, labels[few][pool.left_out_rows])
     left_out = dict(zip(pool.weights_, pool.left_out_posteriors(), strict=True))
-    own = {name: said[np.arange(len(codes)), codes] for name, said in left_out.items()}
+    own_posteriors = {
+        name: log_posteriors[np.arange(len(codes)), codes]
+        for name, log_posteriors in left_out.items()
+    }
     figures: dict[str, dict[str, Any]] = {
         name: {
-            "log_loss": float(-own[name].mean()),
-            "accuracy": float((said.argmax(axis=1) == codes).mean()),
+            "log_loss": float(-own_posteriors[name].mean()),
+            "accuracy": float((log_posteriors.argmax(axis=1) == codes).mean()),
             # One that says nothing may weigh much.
-            "counts": float(pool.weights_[name] * said.std(axis=1).mean()),
+            "counts": float(pool.weights_[name] * log_posteriors.std(axis=1).mean()),
             "blind_to": sorted(encoder.blind_to(name)),
         }
-        for name, said in left_out.items()
+        for name, log_posteriors in left_out.items()
     }
     # The encodings to keep, in their order; one at least.
-    counts = {name: one["counts"] for name, one in figures.items()}
+    counts = {name: figure["counts"] for name, figure in figures.items()}
     least = LEAST_SHARE * sum(counts.values())
     most = sorted(counts, key=lambda name: -counts[name])[:MOST_KEPT]
     names = [n for n in counts if n in most and (counts[n] >= least or n == most[0])]
@@ -262,13 +270,15 @@ def choose_encodings(
         "found": [
             sentence
             for change in ("turns", "shifts")
-            if (sentence := what_matters(change, figures, own))
+            if (sentence := what_matters(change, figures, own_posteriors))
         ],
     }
 
 
 def what_matters(
-    change: str, figures: Mapping[str, Mapping[str, Any]], own: Mapping[str, Floats]
+    change: str,
+    figures: Mapping[str, Mapping[str, Any]],
+    own_posteriors: Mapping[str, Floats],
 ) -> str | None:
     """Say whether "turns" or "shifts" of a touch tell objects apart.
 
@@ -282,7 +292,7 @@ def what_matters(
         if not names:
             return None
         best[blind] = min(names, key=lambda name: figures[name]["log_loss"])
-    difference = own[best[False]] - own[best[True]]
+    difference = own_posteriors[best[False]] - own_posteriors[best[True]]
     error = difference.std() / np.sqrt(len(difference))
     accuracies = (100 * figures[best[blind]]["accuracy"] for blind in (False, True))
     seeing, unseeing = (f"{accuracy:.0f} %" for accuracy in accuracies)

@@ -95,7 +95,7 @@ class Memory:
 
         Neither distances nor posteriors change by more than a thousandth of a nat.
         """
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        values = {column.name: getattr(self, column.name) for column in fields(self)}
         if learns_by_landmarks(len(self), len(self.classes)):
             values |= {n: values[n].astype(np.float32) for n in ("features", "looks")}
         return values
@@ -119,7 +119,7 @@ class Memory:
         return Nearest(self)
 
     @cached_property
-    def apart(self) -> tuple[Indices, Floats]:
+    def block_distances(self) -> tuple[Indices, Floats]:
         """How far each touch is from other blocks of its recording, (n_touches,) each.
 
         The blocks, of each object in each session, and the logarithm of the distance
@@ -172,12 +172,12 @@ class Memory:
 
         Of sessions with fewer all are kept.
         """
-        mine = np.flatnonzero(self.labels.astype(str) == str(label))
-        age = np.empty(len(mine), dtype=np.intp)
-        for session in np.unique(self.sessions[mine]):
-            rows = self.sessions[mine] == session
+        rows_of_label = np.flatnonzero(self.labels.astype(str) == str(label))
+        age = np.empty(len(rows_of_label), dtype=np.intp)
+        for session in np.unique(self.sessions[rows_of_label]):
+            rows = self.sessions[rows_of_label] == session
             age[rows] = np.arange(rows.sum())[::-1]
-        gone = mine[np.argsort(age, kind="stable")[most:]]
+        gone = rows_of_label[np.argsort(age, kind="stable")[most:]]
         kept = ~np.isin(np.arange(len(self)), gone)
         return replace(self, **{n: getattr(self, n)[kept] for n in _COLUMNS})
 
@@ -195,14 +195,14 @@ class Nearest:
 
     def __init__(self, memory: Memory) -> None:
         step = -(-len(memory) // MOST_MARKS)
-        rows = [some[::step] for some in rows_of_each(memory.labels)]
+        rows = [rows_of_label[::step] for rows_of_label in rows_of_each(memory.labels)]
         self._memory, self._step = memory, step
         self._rows = np.concatenate(rows)
         self._owner = np.repeat(np.arange(len(rows)), [*map(len, rows)])
         self._middle = memory.features.mean(axis=0)
         self._marks = memory.features[self._rows] - self._middle
         self._squares = (self._marks**2).sum(axis=1)
-        self._told: Floats | None = None
+        self._answered: Floats | None = None
 
     def left_out(self, rows: Indices, before: Nearest | None) -> Floats:
         """Return `log_distances` of training touches, their blocks left out.
@@ -213,24 +213,26 @@ class Nearest:
         memory = self._memory
         if len(rows) < len(memory):
             return self.log_distances(memory.features[rows], memory.blocks[rows])
-        told = before._told if before is not None and self._goes_on(before) else None
-        n_told = 0 if told is None else len(told)
-        found = self.log_distances(memory.features[n_told:], memory.blocks[n_told:])
-        if before is not None and told is not None:
+        earlier = (
+            before._answered if before is not None and self._goes_on(before) else None
+        )
+        n_told = 0 if earlier is None else len(earlier)
+        distances = self.log_distances(memory.features[n_told:], memory.blocks[n_told:])
+        if before is not None and earlier is not None:
             again = memory.features[:n_told], memory.blocks[:n_told]
             nearer = self.log_distances(*again, since=n_told)
             columns = np.searchsorted(memory.classes, before._memory.classes)
-            nearer[:, columns] = np.fmin(nearer[:, columns], told)
-            found = np.concatenate([nearer, found])
-        self._told = found
-        return found
+            nearer[:, columns] = np.fmin(nearer[:, columns], earlier)
+            distances = np.concatenate([nearer, distances])
+        self._answered = distances
+        return distances
 
     def _goes_on(self, before: Nearest) -> bool:
         """Whether more touches come after those of another, with the same marks."""
-        mine, theirs = self._memory, before._memory
-        alike = self._step == before._step and len(mine) > len(theirs)
+        ours, theirs = self._memory, before._memory
+        alike = self._step == before._step and len(ours) > len(theirs)
         return alike and all(
-            np.array_equal(getattr(mine, name)[: len(theirs)], getattr(theirs, name))
+            np.array_equal(getattr(ours, name)[: len(theirs)], getattr(theirs, name))
             for name in ("labels", "blocks", "features")
         )
 
@@ -253,7 +255,7 @@ class Nearest:
     def _least(self, features: Floats, blocks: Indices | None, since: int) -> Floats:
         marks = self._rows >= since if since else slice(None)
         centred = features - self._middle
-        own = (centred**2).sum(axis=1)
+        lengths = (centred**2).sum(axis=1)
         squared = (-2 * centred) @ self._marks[marks].T
         squared += self._squares[marks]
         if blocks is not None:
@@ -267,9 +269,9 @@ class Nearest:
         first = np.flatnonzero(np.diff(owner, prepend=-1))
         least = np.full((len(features), self._owner[-1] + 1), np.inf)
         least[:, owner[first]] = np.minimum.reduceat(squared, first, axis=1)
-        least += own[:, np.newaxis]
+        least += lengths[:, np.newaxis]
         # Below this the difference of squares is rounding.
-        least = np.maximum(least, 2e-12 * own[:, np.newaxis] + 1e-300)
+        least = np.maximum(least, 2e-12 * lengths[:, np.newaxis] + 1e-300)
         return np.where(np.isfinite(least), 0.5 * np.log(least), np.nan)
 
 
@@ -280,19 +282,21 @@ def nearest_touches(
 
     Distances are told in units of the median among up to `N_PAIRED` training touches.
     """
-    some = memory.features[:: -(-len(memory) // N_PAIRED)]
-    apart = pdist(some, "sqeuclidean")
-    unit = float(np.sqrt(np.median(apart))) if apart.any() else 1.0
-    found: list[list[dict[str, Any]]] = []
-    for one in features:
-        distance = np.linalg.norm(memory.features - one, axis=1)
-        known = np.isfinite(one).all()
-        rows = np.argsort(distance, kind="stable")[:count] if known else ()
+    sampled = memory.features[:: -(-len(memory) // N_PAIRED)]
+    squared_distances = pdist(sampled, "sqeuclidean")
+    unit = (
+        float(np.sqrt(np.median(squared_distances))) if squared_distances.any() else 1.0
+    )
+    nearest: list[list[dict[str, Any]]] = []
+    for vector in features:
+        distance = np.linalg.norm(memory.features - vector, axis=1)
+        finite = np.isfinite(vector).all()
+        rows = np.argsort(distance, kind="stable")[:count] if finite else ()
         near = [(str(memory.objects[k]), int(k), float(distance[k])) for k in rows]
-        found.append(
+        nearest.append(
             [{"object": name, "row": k, "distance": d / unit} for name, k, d in near]
         )
-    return found
+    return nearest
 
 
 def rows_of_each(values: Array) -> list[Indices]:
@@ -426,9 +430,9 @@ def _copies(features: Floats) -> csr_array:
     """Return which touches of one object are copies of each other, as a graph."""
     centred = features - features.mean(axis=0)
     squares = np.einsum("ij,ij->i", centred, centred)
-    some = centred[:: -(-len(centred) // MOST_MARKS)]
+    sampled = centred[:: -(-len(centred) // MOST_MARKS)]
     # What is less is rounding.
-    limit = COPY * np.median(pdist(some, "sqeuclidean")) + 1e-13 * squares.max()
+    limit = COPY * np.median(pdist(sampled, "sqeuclidean")) + 1e-13 * squares.max()
     pairs = []
     for start in range(0, len(centred), AT_ONCE):
         here = slice(start, start + AT_ONCE)

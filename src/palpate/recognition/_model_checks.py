@@ -79,9 +79,9 @@ class Budget:
         self.objects += 1
         for name, value in values.items():
             most = _MOST.get(name, 2**53)
-            for one in value if isinstance(value, list | tuple) else (value,):
-                if isinstance(one, int) and abs(one) > most:
-                    raise ValueError(f"{name} must be at most {most}, got {one}")
+            for item in value if isinstance(value, list | tuple) else (value,):
+                if isinstance(item, int) and abs(item) > most:
+                    raise ValueError(f"{name} must be at most {most}, got {item}")
         levels, order = prod(values.get("image_shape_", ())), values.get("order", 0)
         n_kernels = len(values.get("kernels_", ())) * len(values.get("touches_", ()))
         # Zernike moments of high order keep tables for each level.
@@ -142,9 +142,9 @@ def _check_encoder(encoder: AnyEncoder, n_features: int) -> None:
     _check_shape("still_", encoder.still_, image_shape)
 
 
-def _check_shape(name: str, found: Array | None, shape: tuple[int, ...]) -> None:
-    if found is not None and found.shape != shape:
-        raise ValueError(f"its {name} has shape {found.shape}, not {shape}")
+def _check_shape(name: str, array: Array | None, shape: tuple[int, ...]) -> None:
+    if array is not None and array.shape != shape:
+        raise ValueError(f"its {name} has shape {array.shape}, not {shape}")
 
 
 def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> None:

@@ -75,7 +75,7 @@ _PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__
 # The classes that a model file may name: ours, and two of scikit-learn.
 KNOWN_CLASSES: dict[str, type] = {
     **{n: c for n, c in _PUBLIC.items() if isinstance(c, type)},
-    **{one.__name__: one for one in (*_OWN, PCA, StandardScaler)},
+    **{kind.__name__: kind for kind in (*_OWN, PCA, StandardScaler)},
 }
 for _gone in _NEVER_STORED:
     del KNOWN_CLASSES[_gone]
@@ -101,9 +101,9 @@ def write_model(
     packed = _pack_object(model, tensors)
     document = json.dumps({"format": FORMAT, "model": packed})
     n_bytes = len(document) + sum(array.nbytes for array in tensors.values())
-    known = KNOWN_CLASSES | {type(model).__name__: type(model)}
+    classes = KNOWN_CLASSES | {type(model).__name__: type(model)}
     try:
-        _unpack(packed, Budget(n_bytes, tensors, known, encodings))
+        _unpack(packed, Budget(n_bytes, tensors, classes, encodings))
     except (TypeError, ValueError) as error:
         raise ModelFileError(f"This model could not be read again: {error}.") from error
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
@@ -176,8 +176,8 @@ def read_model(
         )
     try:
         document, tensors = _open(source)
-        known = KNOWN_CLASSES | {also.__name__: also}
-        budget = Budget(n_bytes, tensors, known, encodings)
+        classes = KNOWN_CLASSES | {also.__name__: also}
+        budget = Budget(n_bytes, tensors, classes, encodings)
         budget.check_document(document)
         content = json.loads(document)
         version, model = content["format"], content["model"]
@@ -280,11 +280,11 @@ def _pack_user_encoding(value: UserEncoding, tensors: Tensors) -> dict[str, Any]
     """Pack an encoding of the user's own, of foreign code only what it has learnt."""
 
     def packed(steps: Sequence[Any]) -> dict[str, Any]:
-        every = [
-            _pack(one, tensors) if _is_known(one) else _pack_foreign(one, k)
-            for k, one in enumerate(steps)
+        packed_steps = [
+            _pack(step, tensors) if _is_known(step) else _pack_foreign(step, k)
+            for k, step in enumerate(steps)
         ]
-        return {"list": every}
+        return {"list": packed_steps}
 
     def _pack_foreign(step: Any, number: int) -> dict[str, Any]:
         learnt = {k: _pack_if(v) for k, v in _state(step)[1].items()}
@@ -334,13 +334,17 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
         raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
     # The order in memory decides how products round, so it is kept.
     turned = array.flags.f_contiguous and not array.flags.c_contiguous
-    given = array.T if turned else array
-    stored = np.ascontiguousarray(given)
+    in_order = array.T if turned else array
+    stored = np.ascontiguousarray(in_order)
     # A network, which its recipe holds too, is stored once.
-    again = [n for n, one in tensors.items() if one is stored and one.dtype == np.uint8]
+    again = [
+        n
+        for n, tensor in tensors.items()
+        if tensor is stored and tensor.dtype == np.uint8
+    ]
     name = again[0] if again else f"t{len(tensors)}"
     tensors[name] = stored
-    return {"array": name, "shape": list(given.shape), "turned": turned}
+    return {"array": name, "shape": list(in_order.shape), "turned": turned}
 
 
 def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:

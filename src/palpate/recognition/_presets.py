@@ -89,39 +89,42 @@ def opened(
 
     And perhaps with another classifier, in place of its own.
     """
-    preset, own = find_preset(name), user_encodings(encodings)
-    if name is None and not own:
+    preset, of_user = find_preset(name), user_encodings(encodings)
+    if name is None and not of_user:
         raise ValueError(
             "encodings must name at least one encoding with preset=None, got "
             f"{encodings!r}. Give one, or leave preset as it is."
         )
-    if own and name not in (None, "default"):
+    if of_user and name not in (None, "default"):
         raise ValueError(
             f"encodings must be None with the preset {name!r}, whose encoding is the "
-            f"paper's, got {', '.join(own)}. Use the preset 'default', or None."
+            f"paper's, got {', '.join(of_user)}. Use the preset 'default', or None."
         )
     if classifier is not None:
         learns = as_touch_classifier(classifier)
         preset = replace(preset, classifier=lambda encoder: clone(learns))
-    if not own:
+    if not of_user:
         return preset
 
     def encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
         recipes = preset.encoders(touches, presentation)
-        return {name: _joined(recipe, own) for name, recipe in recipes.items()}
+        return {name: _joined(recipe, of_user) for name, recipe in recipes.items()}
 
     return replace(preset, encoders=encoders)
 
 
-def _joined(encoder: TouchEncoder, own: Mapping[str, UserEncoding]) -> TouchEncoder:
+def _joined(encoder: TouchEncoder, of_user: Mapping[str, UserEncoding]) -> TouchEncoder:
     """Return a recipe with more encodings, of the same cleaned images."""
-    if taken := sorted(own.keys() & encoder.encodings.keys()):
+    if taken := sorted(of_user.keys() & encoder.encodings.keys()):
         raise ValueError(
             f"encodings must have names of their own, got {taken[0]!r}, which is one "
             "of the preset's. Choose another name."
         )
-    every = {**encoder.encodings, **{name: [one] for name, one in own.items()}}
-    return TouchEncoder(encoder.clean_up, every, channels=encoder.channels)
+    all_encodings = {
+        **encoder.encodings,
+        **{name: [encoding] for name, encoding in of_user.items()},
+    }
+    return TouchEncoder(encoder.clean_up, all_encodings, channels=encoder.channels)
 
 
 def _no_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
@@ -179,10 +182,12 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
             on_disc = {name: [ChannelMean(), *on_disc[name]] for name in on_disc}
             quantiles = [RingQuantiles(), StandardScaler(), principal]
             on_disc["colours on rings"] = quantiles
-        every = TouchEncoder(DomeCrop(), on_disc, channels=colours)
-        return {"disc about the rim": every.only(_allowed(every, presentation))}
-    every = TouchEncoder(None, _plane_encodings(touches))
-    return {"whole picture": every.only(_allowed(every, presentation))}
+        candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
+        return {
+            "disc about the rim": candidates.only(_allowed(candidates, presentation))
+        }
+    candidates = TouchEncoder(None, _plane_encodings(touches))
+    return {"whole picture": candidates.only(_allowed(candidates, presentation))}
 
 
 def _allowed(encoder: TouchEncoder, presentation: str) -> list[str]:

@@ -238,7 +238,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 memory.features, memory.labels, groups=memory.blocks
             )
             if self.rehearse and isinstance(self.classifier_, EncodingPool):
-                self.classifier_, found = rehearse(
+                self.classifier_, weighed = rehearse(
                     self.classifier_,
                     encoder,
                     memory,
@@ -246,8 +246,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                     chosen["geometry"],
                     self.random_state,
                 )
-                chosen["rehearsal"] = found
-                chosen["found"] = [*chosen.get("found", ()), said_of_rehearsal(found)]
+                chosen["rehearsal"] = weighed
+                chosen["found"] = [*chosen.get("found", ()), said_of_rehearsal(weighed)]
             if len(self.classifier_.part_weights) > 1:
                 chosen["weights"] = dict(self.classifier_.part_weights)
             self._calibrate(memory)
@@ -317,8 +317,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if touches is not None:
             labels = _memory.named_labels(touches, self.label)
             for name in np.unique(labels).tolist():
-                some = touches[np.flatnonzero(labels == name)]
-                memory = memory.replaced(self._memory_of(name, some, 2))
+                of_object = touches[np.flatnonzero(labels == name)]
+                memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
@@ -369,9 +369,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         new = as_touches(touches)
         labels = new.object if self.label == "object" else new.category
-        learnt, found = remounted(self.learnt(), new, labels)
+        learnt, remount_report = remounted(self.learnt(), new, labels)
         self.serve(learnt)
-        self.chosen_ = {**self.chosen_, "remount": found}
+        self.chosen_ = {**self.chosen_, "remount": remount_report}
         return self
 
     def learn_nuisance(self, touches: Touches) -> int:
@@ -419,8 +419,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def predict_log_proba(self, X: Touches | ArrayLike) -> Floats:
         """Return the log belief after each touch alone, (n_touches, n_objects)."""
         self._check_fitted()
-        said = self.log_likelihood(self._as_touches(X))
-        floored = _evidence.with_floor(said, self.floor_)
+        log_likelihood = self.log_likelihood(self._as_touches(X))
+        floored = _evidence.with_floor(log_likelihood, self.floor_)
         alone = floored[:, np.newaxis]
         return _evidence.log_posteriors(
             alone, self.log_prior(), self.sequence_calibration_
@@ -472,14 +472,16 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         says.
         """
         self._check_fitted()
-        given = touches if isinstance(touches, Touches) else self._given(touches)
-        if len(given) <= SHARD:
-            return self._evidence_of(given)
+        asked_touches = (
+            touches if isinstance(touches, Touches) else self._given(touches)
+        )
+        if len(asked_touches) <= SHARD:
+            return self._evidence_of(asked_touches)
 
         def shard(number: int) -> tuple[Touches]:
-            return (given[number * SHARD : (number + 1) * SHARD],)
+            return (asked_touches[number * SHARD : (number + 1) * SHARD],)
 
-        n_shards = -(-len(given) // SHARD)
+        n_shards = -(-len(asked_touches) // SHARD)
         return Evidence.together([*results_of(self._evidence_of, n_shards, shard)])
 
     def log_prior(self) -> Floats:
@@ -722,8 +724,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
             model.encodings = model._user_encodings() or None
-            for one in model._user_encodings().values():
-                one.check_again()
+            for encoding in model._user_encodings().values():
+                encoding.check_again()
             model._check_parameters()
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
                 model.strangers_ = model._learnt_strangers()
@@ -742,37 +744,39 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def _memory_of(
         self, name: str, touches: Touches | TouchSource, least: int
     ) -> Memory:
-        given = touches
+        checked = touches
         if not isinstance(touches, TouchSource):
-            given = self._as_touches(touches)
+            checked = self._as_touches(touches)
         _memory.check_name(name)
-        if len(given) < least:
+        if len(checked) < least:
             raise ValueError(
-                f"{name!r} must have at least {least} touches, got {len(given)}."
+                f"{name!r} must have at least {least} touches, got {len(checked)}."
             )
-        labels = np.full(len(given), self._as_label(name))
-        own = given.object if labels.dtype.kind == "U" else None
-        objects = labels if own is None else own
-        encoding = encoded(self.encoder_, self.contact_, given)
-        blocks = _memory.blocks_in_order(labels, given.order)
+        labels = np.full(len(checked), self._as_label(name))
+        objects_of_touches = checked.object if labels.dtype.kind == "U" else None
+        objects = labels if objects_of_touches is None else objects_of_touches
+        encoding = encoded(self.encoder_, self.contact_, checked)
+        blocks = _memory.blocks_in_order(labels, checked.order)
         blocks = _memory.without_copies(encoding.features, labels, blocks)
-        return memory_of(given, encoding, labels, objects, blocks)
+        return memory_of(checked, encoding, labels, objects, blocks)
 
     def _confusion(self) -> Indices:
         """Return how many left-out touches of each object are taken for each."""
         rows = self.left_out_rows
         counted = ~self.memory_.nothing[rows] | self.uses_no_contact_
         best = self.left_out_log_likelihood()[counted].argmax(axis=1)
-        own = np.searchsorted(self.classes_, self.memory_.labels[rows[counted]])
+        true_columns = np.searchsorted(
+            self.classes_, self.memory_.labels[rows[counted]]
+        )
         counts = np.zeros((len(self.classes_),) * 2, dtype=np.intp)
-        np.add.at(counts, (own, best), 1)
+        np.add.at(counts, (true_columns, best), 1)
         return counts
 
     def _user_encodings(self) -> dict[str, UserEncoding]:
         """Return the encodings of the user's own that are in use, as learnt."""
         learnt = self.encoder_.encodings_.values()
-        every = [one for steps in learnt for one in steps]
-        return {one.name: one for one in every if isinstance(one, UserEncoding)}
+        all_steps = [step for steps in learnt for step in steps]
+        return {step.name: step for step in all_steps if isinstance(step, UserEncoding)}
 
     def _seen(self, X: Any, y: Any) -> tuple[Any, Any]:
         """Return what `fit` is given; feature vectors as touches without geometry."""
@@ -795,18 +799,18 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         X = unmasked("X", X)
         return _without_places(validate_data(self, X, reset=False, dtype=np.float64))
 
-    def _given(self, touches: Any) -> Touches:
+    def _asked(self, touches: Any) -> Touches:
         """Return touches, or one or several of what `fit` saw, as touches."""
         alone = hasattr(self, "n_features_in_") and _n_axes(touches) == 1
         return self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)
 
     def _as_label(self, name: str) -> Any:
         """Return a name as a label of the kind of the known ones."""
-        known = self.memory_.labels.dtype
-        if known.kind == "U":
+        dtype = self.memory_.labels.dtype
+        if dtype.kind == "U":
             return name
         try:
-            return known.type(name)
+            return dtype.type(name)
         except ValueError as error:
             raise ValueError(
                 f"name must be a number like the known labels, got {name!r}."
@@ -902,8 +906,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     ) -> Evidence:
         """Return what features tell, (n_touches, n_features), with flags and looks."""
         parts = self.classifier_.log_likelihood_by_part(features)
-        said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
-        used = self._used(said, np.array(flags) == NO_CONTACT)
+        pooled, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
+        used = self._used(pooled, np.array(flags) == NO_CONTACT)
         distances = self.memory_.nearest.log_distances(features)
         return Evidence(features, used, flags, each, distances, looks)
 
@@ -940,10 +944,10 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if not hasattr(self, "strangers_"):
             return written
         names = self._names()
-        some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+        few_names = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         kinds = "categories" if self.label == "category" else "objects"
         return (
-            f"{written}  # knows {len(names)} {kinds} ({some}) from "
+            f"{written}  # knows {len(names)} {kinds} ({few_names}) from "
             f"{len(self.memory_)} touches by {self.chosen_['encoding']}"
         )
 

@@ -53,8 +53,8 @@ class RemountedEncoder(Encoder):
         Where the rim is, what has broken since and how far rest has drifted is found
         anew; what is done to features stays.
         """
-        known = wrapped(before)
-        taught = known.encoder
+        earlier = wrapped(before)
+        taught = earlier.encoder
         broken, drift = taught.stuck(touches), None
         if taught.baseline_ is not None and touches.no_contact is not None:
             now = taught.living(touches.no_contact[np.newaxis], broken)[0]
@@ -64,8 +64,8 @@ class RemountedEncoder(Encoder):
             broken=broken,
             gain=gain,
             drift=drift,
-            weighing=known.weighing,
-            offset=known.offset,
+            weighing=earlier.weighing,
+            offset=earlier.offset,
         )
 
     def weighed(self, weighing: Floats) -> Self:
@@ -99,17 +99,17 @@ class RemountedEncoder(Encoder):
 
     def encode_fully(self, cleaned: Array) -> tuple[Floats, Floats]:
         """Return features and what components leave out; see `Encoder`."""
-        features, every = self.encoder.encode_fully(cleaned)
+        features, unexplained = self.encoder.encode_fully(cleaned)
         if self.weighing is not None:
             features = features @ self.weighing
         if self.offset is not None:
             features = features + self.offset
-        return features, every
+        return features, unexplained
 
     def look(self, touches: Touches) -> Floats:
         """Return looks, brought to those of the touches it was learnt from."""
-        found = self.encoder.look(touches, self.broken)
-        return found if self.look_offset is None else found + self.look_offset
+        looks = self.encoder.look(touches, self.broken)
+        return looks if self.look_offset is None else looks + self.look_offset
 
     def blank_touch(self) -> Touches:
         """Return one touch of zeros of this session's size."""

@@ -102,12 +102,12 @@ class Modality(BaseEstimator):
         `classes` that it knows, so that it is neither favoured nor ruled out.
         """
         examples = check_array(X, dtype=np.float64)
-        known = self.classifier_.log_likelihood(self.scaler_.transform(examples))
-        floored = with_floor(known, self.floor)
-        asked = np.isin(self.classes_, classes)
-        if not asked.any():
+        of_examples = self.classifier_.log_likelihood(self.scaler_.transform(examples))
+        floored = with_floor(of_examples, self.floor)
+        is_asked = np.isin(self.classes_, classes)
+        if not is_asked.any():
             return np.zeros((len(examples), len(classes)))
-        mean = np.log(np.exp(floored[:, asked]).mean(axis=1, keepdims=True))
+        mean = np.log(np.exp(floored[:, is_asked]).mean(axis=1, keepdims=True))
         result = np.repeat(mean, len(classes), axis=1)
         place = {str(name): k for k, name in enumerate(self.classes_)}
         for column, name in enumerate(classes):

@@ -55,8 +55,8 @@ class Recentring:
     """
 
     def __init__(self, recogniser: ObjectRecogniser) -> None:
-        learnt, found = without_sessions(recogniser.learnt())
-        self._moves = bool(found.get("centred", True))
+        learnt, report = without_sessions(recogniser.learnt())
+        self._moves = bool(report.get("centred", True))
         self._as_learnt = copy(recogniser).serve(learnt)
         self._taught = learnt.taught
         nothing = np.zeros((0, learnt.memory.features.shape[1]))
@@ -99,7 +99,9 @@ class Recentring:
         else:
             shift = np.zeros_like(self._sums.features)
         belief = self.recogniser.start(*self._begun)
-        for one in self._episode:
-            moved = one.features + shift
-            belief.update(self.recogniser.evidence_of(moved, one.flags, one.looks))
+        for seen_before in self._episode:
+            moved = seen_before.features + shift
+            belief.update(
+                self.recogniser.evidence_of(moved, seen_before.flags, seen_before.looks)
+            )
         return belief

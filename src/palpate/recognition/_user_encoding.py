@@ -56,8 +56,8 @@ class UserEncoding(TransformerMixin, BaseEstimator):
     def fit_transform(self, X: Array, y: object = None, **fit_params: Any) -> Floats:
         """Learn each step from images (n_touches, ...), and return the features."""
         values, self.steps_ = X, []
-        for given in self.steps:
-            step = clone(given, safe=False)
+        for recipe in self.steps:
+            step = clone(recipe, safe=False)
             step.fit(values)
             self.steps_.append(step)
             values = step.transform(values)
@@ -139,12 +139,12 @@ def user_encodings(encodings: Mapping[str, Encoding] | None) -> dict[str, UserEn
             f"{type(encodings).__name__}. Write encodings={{'mine': ...}}."
         )
     checked = {}
-    for name, given in encodings.items():
-        steps = list(given) if isinstance(given, list | tuple) else [given]
+    for name, recipe in encodings.items():
+        steps = list(recipe) if isinstance(recipe, list | tuple) else [recipe]
         if not isinstance(name, str) or not name or not steps:
             raise ValueError(
                 "encodings must have texts as names and a transformer each, got "
-                f"{name!r}: {given!r}."
+                f"{name!r}: {recipe!r}."
             )
         for step in steps:
             if isinstance(step, type) or not (

@@ -43,7 +43,7 @@ class FramePainter:
     """Turns frames into JPEG or PNG bytes; keeps the range of what it has shown.
 
     Frames with the channels "r", "g" and "b" are shown in these colours, of others the
-    mean. Images of an array, of at most 48 taxels a side unless it is `told`, are shown
+    mean. Images of an array, of at most 48 taxels a side unless `false_colour`, are shown
     in false colour unless they have colours of their own; what has no reading is a gap.
     """
 
@@ -51,10 +51,12 @@ class FramePainter:
         self,
         image_shape: Sequence[int],
         channels: Sequence[str] | None = None,
-        told: bool = False,
+        false_colour: bool = False,
     ) -> None:
         has_colours = set(RGB) <= set(channels or ())
-        self.coloured = not has_colours and (told or max(image_shape[:2]) <= ARRAY_SIDE)
+        self.coloured = not has_colours and (
+            false_colour or max(image_shape[:2]) <= ARRAY_SIDE
+        )
         self._channels = channels
         self.content_type = "image/png" if self.coloured else "image/jpeg"
         self._low, self._high = float("inf"), float("-inf")

@@ -35,9 +35,9 @@ UNDONE = {
 class MissingObjectError(LibraryError):
     """There is no object of that name."""
 
-    def __init__(self, name: str, known: dict[str, int]) -> None:
+    def __init__(self, name: str, names: dict[str, int]) -> None:
         super().__init__(
-            f"There is no object {name!r} in the library.{did_you_mean(name, known)} "
+            f"There is no object {name!r} in the library.{did_you_mean(name, names)} "
             "Teach it first."
         )
 
