@@ -61,3 +61,14 @@ def test_what_a_verb_does_not_know_stays_as_it_is(palpate, tmp_path):
     done = palpate("learn", tmp_path / "gone.npz", "-o", tmp_path / "m.palpate")
     assert "--" not in done.stderr
     assert "gone.npz must be" in done.stderr
+
+
+def test_units_are_left_out_and_variables_of_the_environment_are_options(
+    palpate, tmp_path
+):
+    done = palpate("simulate", "array", "-o", tmp_path / "t.npz", "--pitch", "1e6")
+    assert done.stderr.startswith("palpate: --pitch must make at most")
+    model = tmp_path / "m.palpate"
+    model.write_bytes(bytes(4000))
+    done = palpate("recognise", model, "x.npz", "--max-model-mb", "0.001")
+    assert "Set --max-model-mb higher." in done.stderr

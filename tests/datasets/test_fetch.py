@@ -100,7 +100,7 @@ def test_a_download_that_is_cut_off_leaves_nothing(sources, pins, monkeypatch):
         outputfile.write(source.read(len(content) // 2))
 
     monkeypatch.setattr(SimpleHTTPRequestHandler, "copyfile", half)
-    with pytest.raises(OSError, match=r"cut off.*--mirror"):
+    with pytest.raises(OSError, match=r"cut off.*`mirror`"):
         fetch("tactip4")
     assert left(where()) == []
 
@@ -120,14 +120,14 @@ def test_without_a_network_one_sentence_says_what_to_do(tmp_path):
     pytest.importorskip("pooch")
     # Port 9 of this computer answers nobody.
     with pytest.raises(
-        OSError, match=r"cannot be reached.*network.*--mirror"
+        OSError, match=r"cannot be reached.*network.*`mirror`"
     ) as failed:
         fetch("tactip4", folder=tmp_path, mirror="http://127.0.0.1:9")
     assert "\n" not in str(failed.value)
 
 
 def test_what_the_source_has_no_more_is_named(sources):
-    with pytest.raises(OSError, match=r"404.*tactip-cnn-bayes.*--mirror"):
+    with pytest.raises(OSError, match=r"404.*tactip-cnn-bayes.*`mirror`"):
         fetch("tactip4")
 
 

@@ -165,7 +165,7 @@ def test_report_escapes_names(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "either test touches or a split, got neither"),
+        ({}, "either `test` touches or a `split`.*got neither"),
         ({"test": drawn(1, NAMES), "split": "last"}, "got both"),
         ({"test": drawn(1, ("mug_a", "key_a"))}, "'key_a', which was not learnt"),
         ({"split": "last", "plan": Plan(touches=(500,))}, "a number up to 4"),

@@ -174,7 +174,7 @@ def test_a_document_of_millions_of_values_is_refused(tmp_path):
 def test_a_larger_file_than_asked_for_is_refused_unread(tmp_path, monkeypatch):
     path = models()[0].save(tmp_path / "a.palpate")
     monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "0.001")
-    with pytest.raises(ModelFileError, match="--max-model-mb"):
+    with pytest.raises(ModelFileError, match="PALPATE_MAX_MODEL_MB"):
         ObjectRecogniser.load(path)
 
 

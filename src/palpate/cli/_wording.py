@@ -22,10 +22,13 @@ _VERBS = {
     "repair_library": "palpate library check --repair",
     "migrate_library": "palpate library migrate",
     "fetch": "palpate data fetch",
+    "ObjectRecogniser.save": "palpate learn",
+    "ObjectRecogniser.fit_pose": "palpate learn --pitch-mm MM",
 }
 _QUOTED = re.compile(r"`([\w.]+)(?:=([^`\s]+)|\(([^`]*)\))?`")
 _FIRST_WORD = re.compile(r"(?:^|(?<=[.;:] ))(\w+)(?= must )")
 _NO = ("no", "False", "0")
+_UNITS = ("mm", "n", "s", "deg")  # an option leaves the unit of an argument out
 _ROOT: list[typer.Typer] = []  # the command, once it is put together
 
 
@@ -62,11 +65,13 @@ def _options_of(words: tuple[str, ...]) -> dict[str, tuple[str, str]]:
     command: Any = typer.main.get_command(*_ROOT)
     for word in words:
         command = getattr(command, "commands", {}).get(word, command)
-    options = {}
+    options: dict[str, tuple[str, str]] = {}
     for parameter in command.params:
         if parameter.param_type_name == "option":
             option = max(parameter.opts, key=len)
             pair = option, max(parameter.secondary_opts, key=len, default="")
-            options[option.lstrip("-").replace("-", "_")] = pair
-            options[str(parameter.name)] = pair
+            stem = option.lstrip("-").replace("-", "_")
+            names = [stem, str(parameter.name), *(f"{stem}_{unit}" for unit in _UNITS)]
+            names += [parameter.envvar] if isinstance(parameter.envvar, str) else []
+            options |= dict.fromkeys(names, pair)
     return options

@@ -342,7 +342,7 @@ def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
     except RequestException as error:
         http = isinstance(error, HTTPError)
         message = error if http else "the source cannot be reached, or was cut off"
-        again = "Check the network and try again, or give a copy with --mirror"
+        again = "Check the network and try again, or give a copy with `mirror`"
         raise OSError(f"{name}: {message}. {again}.") from error
     except Exception as error:
         # Damaged files make zipfile, scipy and numpy raise two dozen kinds.
@@ -352,6 +352,6 @@ def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
         shutil.rmtree(downloads, ignore_errors=True)
         raise ValueError(
             f"{name}: {error} The download was deleted; fetch it again. If so again, "
-            "the source has changed: give a copy with --mirror, or, if you trust the "
+            "the source has changed: give a copy with `mirror`, or, if you trust the "
             f"source as it is now, delete {seen}."
         ) from error

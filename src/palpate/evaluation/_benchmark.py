@@ -198,8 +198,8 @@ def _sets(archives: Archives) -> dict[str, Path | Touches]:
         if not path.exists() or not inside:
             raise ValueError(
                 "archives must be touch archives (.npz) or folders that hold some, got "
-                f"{path}, where there is none. Write one with Touches.save or "
-                "`palpate library export`, or name another folder."
+                f"{path}, where there is none. Write one with `Touches.save` or "
+                "`TouchLibrary.export`, or name another folder."
             )
         for archive in inside:
             short = str(archive.relative_to(path)) if path.is_dir() else path.name

@@ -102,9 +102,8 @@ def evaluate(
         folds = split_touches(train, split, plan.label)
     else:
         raise ValueError(
-            "Give either test touches or a split, got "
-            f"{'both' if split is not None else 'neither'}: "
-            f"--test TOUCHES or --split {'|'.join(SPLITS)}."
+            f"Give either `test` touches or a `split` ({', '.join(SPLITS)}), got "
+            f"{'both' if split is not None else 'neither'}."
         )
     if split == "unseen-objects":
         plan = replace(plan, label="category")
@@ -226,7 +225,7 @@ def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Arr
     if len(new):
         raise ValueError(
             f"test touches hold {label} {str(new[0])!r}, which was not learnt "
-            f"({len(new)} such labels). Leave them out, or pass them as --unknown."
+            f"({len(new)} such labels). Leave them out, or pass them as `unknown`."
         )
     return labels
 

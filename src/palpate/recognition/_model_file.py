@@ -165,14 +165,14 @@ def read_model(
     if not source.is_file():
         raise ModelFileError(
             f"There is no model file {source}. "
-            f"{nearest_path(source) or '`palpate learn` makes one.'}"
+            f"{nearest_path(source) or '`ObjectRecogniser.save` writes one.'}"
         )
     n_bytes = source.stat().st_size
     most = float(os.environ.get("PALPATE_MAX_MODEL_MB", 2000))
     if n_bytes > most * MB:
         raise ModelFileError(
             f"A model file must be at most {most:g} MB large, got {source} with "
-            f"{n_bytes / MB:.0f} MB. Give a higher --max-model-mb."
+            f"{n_bytes / MB:.0f} MB. Set `PALPATE_MAX_MODEL_MB` higher."
         )
     try:
         document, tensors = _open(source)

@@ -472,16 +472,14 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         says.
         """
         self._check_fitted()
-        asked_touches = (
-            touches if isinstance(touches, Touches) else self._given(touches)
-        )
-        if len(asked_touches) <= SHARD:
-            return self._evidence_of(asked_touches)
+        seen = touches if isinstance(touches, Touches) else self._one_or_more(touches)
+        if len(seen) <= SHARD:
+            return self._evidence_of(seen)
 
         def shard(number: int) -> tuple[Touches]:
-            return (asked_touches[number * SHARD : (number + 1) * SHARD],)
+            return (seen[number * SHARD : (number + 1) * SHARD],)
 
-        n_shards = -(-len(asked_touches) // SHARD)
+        n_shards = -(-len(seen) // SHARD)
         return Evidence.together([*results_of(self._evidence_of, n_shards, shard)])
 
     def log_prior(self) -> Floats:
@@ -606,8 +604,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         if self.pose_ is None:
             raise ValueError(
-                "This recogniser has learnt no poses; call fit_pose, or learn with "
-                "--pitch-mm."
+                "This recogniser has learnt no poses; `ObjectRecogniser.fit_pose` "
+                "learns them."
             )
         return self.pose_.estimate(touches.images, labels)
 
@@ -799,7 +797,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         X = unmasked("X", X)
         return _without_places(validate_data(self, X, reset=False, dtype=np.float64))
 
-    def _asked(self, touches: Any) -> Touches:
+    def _one_or_more(self, touches: Any) -> Touches:
         """Return touches, or one or several of what `fit` saw, as touches."""
         alone = hasattr(self, "n_features_in_") and _n_axes(touches) == 1
         return self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)

@@ -191,8 +191,8 @@ class PressureArray:
             raise ValueError(
                 f"pitch_mm must make at most {_MOST_STEPS} steps of grid_mm "
                 f"({self.grid_mm:g}) along the longer side, got {self.pitch_mm:g} for "
-                f"{side} taxels: {steps:.0f} steps. Lower pitch_mm (--pitch) or the "
-                "number of taxels (--rows, --cols), or raise grid_mm."
+                f"{side} taxels: {steps:.0f} steps. Lower `pitch_mm` or the "
+                "number of taxels (`rows`, `cols`), or raise `grid_mm`."
             )
 
     @property

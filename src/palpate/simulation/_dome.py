@@ -246,7 +246,7 @@ class DomeCamera(DomeSensor):
         if n_rows * n_cols > _MOST_PIXELS:
             raise ValueError(
                 f"image_shape must have at most {_MOST_PIXELS} pixels, got {n_rows} x "
-                f"{n_cols}. Take fewer rows and columns (--rows, --cols)."
+                f"{n_cols}. Take fewer rows and columns."
             )
         for name in _POSITIVE.split():
             check_positive(name, getattr(self, name))

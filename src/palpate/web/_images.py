@@ -43,8 +43,9 @@ class FramePainter:
     """Turns frames into JPEG or PNG bytes; keeps the range of what it has shown.
 
     Frames with the channels "r", "g" and "b" are shown in these colours, of others the
-    mean. Images of an array, of at most 48 taxels a side unless `false_colour`, are shown
-    in false colour unless they have colours of their own; what has no reading is a gap.
+    mean. Images of an array, of at most 48 taxels a side or with `false_colour`, are
+    shown in false colour unless they have colours of their own; what has no reading is
+    a gap.
     """
 
     def __init__(

@@ -126,7 +126,7 @@ def open_socket(host: str, port: int) -> socket.socket:
     """Return a socket that listens, or say what is in the way."""
     if not 0 <= port <= LAST_PORT:
         raise ValueError(
-            f"--port must be 0 to {LAST_PORT}, got {port}. 0 takes a free one."
+            f"port must be 0 to {LAST_PORT}, got {port}. 0 takes a free one."
         )
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     # The protocol is named: asyncio holds answers back unless it is known to be TCP.
@@ -140,7 +140,7 @@ def open_socket(host: str, port: int) -> socket.socket:
         why = getattr(error, "strerror", None) or error
         raise OSError(
             f"Cannot listen on {host} port {port}: {why}. Choose an address of this "
-            "machine with --host, another port with --port, or 0 for a free one."
+            "machine as `host`, another `port`, or 0 for a free one."
         ) from error
     return opened
 
