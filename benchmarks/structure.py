@@ -365,7 +365,8 @@ def calls_profiled() -> dict[str, int]:
         TouchLibrary.open(folder, create=True) as library,
     ):
         library.add(touches[0:1])
-        add = passed_through(lambda: library.add(touches[1:2]))
+        touch = touches[1:2]
+        add = passed_through(lambda: library.add(touch))
     named = {"one update": update, "one fit": fit, "one live frame": frame}
     return {
         **{f"calls of {name}": len(files) for name, files in named.items()},
@@ -384,7 +385,8 @@ def update_passed() -> list[str]:
     touches = drawn(Touches)
     belief = ObjectRecogniser("default").fit(touches).start()
     belief.update(touches[0:1])
-    return passed_through(lambda: belief.update(touches[1:2]))
+    touch = touches[1:2]
+    return passed_through(lambda: belief.update(touch))
 
 
 def passed_through(do: Callable[[], object]) -> list[str]:
