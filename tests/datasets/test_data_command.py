@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palpate.cli import main
-from palpate.cli.serve import _own
+from palpate.cli.serve import _copied
 from palpate.datasets import card, names, where
 from palpate.simulation import simulate_presses
 
@@ -176,9 +176,9 @@ def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     path = tmp_path / "kept.palpate"
     path.write_bytes(b"a model")
     desk = tmp_path / "desk"
-    copy = _own(path, Path("sim-dome"), desk)
+    copy = _copied(path, Path("sim-dome"), desk)
     assert copy == desk / "model.palpate"
     assert copy.read_bytes() == b"a model"
     with pytest.raises(ValueError, match=r"--model must be left out where .*desk has"):
-        _own(path, Path("sim-dome"), desk)
-    assert _own(path, Path("sim-dome"), None) == _own(path, path, desk) == path
+        _copied(path, Path("sim-dome"), desk)
+    assert _copied(path, Path("sim-dome"), None) == _copied(path, path, desk) == path
