@@ -141,7 +141,7 @@ class Teacher:
         image: Array,
         channels: Names,
         baseline: Array | None,
-        columns: Mapping[str, float] | None = None,
+        columns: Mapping[str, Any] | None = None,
     ) -> str:
         """Store one touch of an object; return its id once it is on the disk."""
         tidy = checked_name(name)
@@ -351,6 +351,17 @@ class Teacher:
         if self._sensor is not None and self._sensor.image_shape in sizes:
             size = self._sensor.image_shape
         return self.library.touches(f"object = {quoted(name)} and {of_size(size)}")
+
+    def touches_of_ids(
+        self, ids: Sequence[str], image_shape: Sequence[int]
+    ) -> Touches | None:
+        """Return stored touches of one size by their ids, None if one is missing."""
+        chosen = self.library.select(f"object is not null and {of_size(image_shape)}")
+        row_of = {key: row for row, key in enumerate(chosen.touch_id.tolist())}
+        if not ids or not row_of.keys() >= {*ids}:
+            return None
+        rows, order = np.unique([row_of[key] for key in ids], return_inverse=True)
+        return chosen.touches(rows)[order]
 
     def known_ids(self) -> set[str]:
         """Return the ids of all touches, also those left out; none before it opens."""
