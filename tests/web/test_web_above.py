@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from palpate import ObjectRecogniser, Touches
+from palpate.sensors import ReplaySensor
+from palpate.web import LiveSession
 
 RADIUS_MM = {"disc": 60.0, "bar": 30.0}
 
@@ -168,6 +170,23 @@ def test_what_is_taught_with_places_makes_a_map(make_session, connected, balls, 
         client.session.learn(wait=True)
         touch_the_large_ball(client, drawn)
         assert seen(client)["pose"]["object"] == "disc"
+
+
+def test_a_replay_tells_the_places_of_its_recording(balls, placed_model):
+    large = balls[np.flatnonzero(balls.object == "disc")[:3]]
+    rest = np.zeros_like(large.images[0])
+    sensor = ReplaySensor(large, rate_hz=250, hold=3, gap=3, no_contact=rest)
+    with LiveSession(sensor, model=placed_model) as session:
+        deadline = time.monotonic() + 30
+        while len(session.episode.touches) < 3 and time.monotonic() < deadline:
+            time.sleep(0.02)
+    tips = [touch.position_mm for touch in session.episode.touches[:3]]
+    # As stored: the first frames may be over before the sensor is followed.
+    recorded = large.columns["position_mm"].tolist()
+    first = recorded.index(list(tips[0]))
+    assert [list(tip) for tip in tips] == (recorded[first:] + recorded[:first])
+    ways = [touch.direction for touch in session.episode.touches[:3]]
+    assert ways == pytest.approx(-np.array(tips) / RADIUS_MM["disc"])
 
 
 def test_a_model_without_places_says_so(make_session, connected, drawn_model, drawn):

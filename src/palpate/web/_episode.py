@@ -47,6 +47,13 @@ class LiveTouch:
     position_mm: Vector | None = None
     direction: Vector | None = None
 
+    @property
+    def place(self) -> dict[str, Vector]:
+        """Where it was made, by name; empty where that is not known."""
+        if self.position_mm is None or self.direction is None:
+            return {}
+        return {"position_mm": self.position_mm, "direction": self.direction}
+
 
 class LiveEpisode:
     """Touches of one object, from the first to the decision and beyond.

@@ -18,7 +18,14 @@ from ..recognition import (
     ObjectRecogniser,
     check_strangers,
 )
-from ..sensors import DetectedTouch, LiveSensor, SensorError, channels_of, desk_of
+from ..sensors import (
+    PLACE_COLUMNS,
+    DetectedTouch,
+    LiveSensor,
+    SensorError,
+    channels_of,
+    desk_of,
+)
 from ..touches import Touches
 from ._episode import LiveEpisode, Vector
 from ._images import ImageKind, Names, check_image
@@ -237,8 +244,10 @@ class LiveSession:
             teacher.begin(name, wanted)
             self._watched().end_press()
             self.message = self.trouble = ""
-            for image in self.episode.images[:wanted] if keep_episode else ():
-                self.message = self._take(image)
+            episode = self.episode
+            touched = list(zip(episode.images, episode.touches, strict=False))[:wanted]
+            for image, touch in touched if keep_episode else ():
+                self.message = self._take(image, touch.place)
             self._new_episode()
 
     def stop_teaching(self) -> None:
@@ -471,7 +480,7 @@ class LiveSession:
             number, self.recogniser, self.accepted, self._stored_ids
         )
 
-    def _take(self, image: Array, columns: Mapping[str, float] | None = None) -> str:
+    def _take(self, image: Array, columns: Mapping[str, Any] | None = None) -> str:
         """Take a touch into the lesson; return what to say."""
         self.unlearnt = self.recogniser is not None
         noise = self._watched().detector.noise
@@ -482,12 +491,14 @@ class LiveSession:
         try:
             with self._lock:
                 teaching = self.teacher is not None and self.teacher.lesson is not None
+                columns = columns_of(detected)
                 if teaching:
-                    self.message = self._take(detected.image, columns_of(detected))
+                    self.message = self._take(detected.image, columns)
             if not teaching:
                 channels = self._watched().sensor.channels
-                device_time_s = detected.device_time_s
-                self._recognise(detected.image, channels, ended_s, device_time_s)
+                when = ended_s, detected.device_time_s
+                place = columns if columns.keys() >= {*PLACE_COLUMNS} else None
+                self._recognise(detected.image, channels, *when, place)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)

@@ -14,7 +14,7 @@ import numpy as np
 from .._checks import check_count, did_you_mean
 from .._types import Array
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
-from ..sensors import DetectedTouch, LiveSensor, SensorError
+from ..sensors import PLACE_COLUMNS, DetectedTouch, LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
 from ._journal import Action, Journal
@@ -169,7 +169,7 @@ class Teacher:
         image: Array,
         baseline: Array | None,
         noise: float,
-        columns: Mapping[str, float] | None = None,
+        columns: Mapping[str, Any] | None = None,
     ) -> str:
         """Store one touch of the lesson, which ends when full; return what to say."""
         assert self.lesson is not None
@@ -407,9 +407,12 @@ def _counted(rows: Sequence[TouchRow]) -> str:
     return "1 touch" if len(rows) == 1 else f"{len(rows)} touches"
 
 
-def columns_of(touch: DetectedTouch) -> dict[str, float]:
+def columns_of(touch: DetectedTouch) -> dict[str, Any]:
     """Return what a device told beside the image of a touch, as columns."""
-    columns = dict(touch.columns)
+    columns: dict[str, Any] = dict(touch.columns)
+    for name, parts in PLACE_COLUMNS.items():
+        if columns.keys() >= {*parts}:
+            columns[name] = tuple(columns.pop(part) for part in parts)
     if touch.device_time_s is not None:
         columns["device_time_s"] = touch.device_time_s
     return columns

@@ -23,6 +23,7 @@ LEARNING = "Learning where the objects have their surface; this takes some secon
 _NO_PLACES = "The model was taught without places, so that these tell nothing."
 _TOO_MANY = "The model is of {} touches; where they met something is used up to {}."
 _MOST_TOUCHES = 3000
+_ELLIPSE = "x_mm", "y_mm", "long_mm", "short_mm", "turn_deg"
 
 ReadLearnt = Callable[[], Touches | None]
 
@@ -65,7 +66,7 @@ class TopView:
         of its own.
         """
         touches = list(episode.touches)
-        placed = [touch for touch in touches if touch.position_mm is not None]
+        placed = [touch for touch in touches if touch.place]
         seen: dict[str, Any] = {"touches": [_dot(touch) for touch in placed]}
         with self._lock:
             if placed and self._learner is None:
@@ -105,8 +106,7 @@ class TopView:
             belief, n_taken = self._map.start(strangers=self._strangers), 0
         self._belief = None  # begun anew where a touch is refused
         for touch in placed[n_taken:]:
-            about: dict[str, Any] = {"position_mm": [touch.position_mm]}
-            about["direction"] = [touch.direction]
+            about: dict[str, Any] = {name: [at] for name, at in touch.place.items()}
             image = episode.images[touch.number - 1][np.newaxis]
             belief.update(Touches(image, channels=episode.channels, **about))
         self._belief, self._taken = belief, [*placed]
@@ -137,13 +137,7 @@ def _expected(belief: PlaceBelief) -> dict[str, Any]:
         "sentence": f"{pose} ({share} by pictures and places).",
         "pose": {**asdict(pose), "probability": posterior[pose.object]},
         "surface": [
-            dict(
-                zip(
-                    ("x_mm", "y_mm", "long_mm", "short_mm", "turn_deg"),
-                    row,
-                    strict=True,
-                )
-            )
+            dict(zip(_ELLIPSE, row, strict=True))
             for row in _ellipses(points, covariances).round(2).tolist()
         ],
     }
