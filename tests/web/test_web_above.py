@@ -189,6 +189,29 @@ def test_a_replay_tells_the_places_of_its_recording(balls, placed_model):
     assert ways == pytest.approx(-np.array(tips) / RADIUS_MM["disc"])
 
 
+def test_an_archive_that_cannot_be_read_is_told(
+    make_session, connected, placed_model, drawn, tmp_path
+):
+    model = tmp_path / "balls.palpate"
+    model.write_bytes(placed_model.read_bytes())
+    model.with_suffix(".npz").write_bytes(b"no archive")
+    with connected(make_session(sensor=False, model=model, library=None)) as client:
+        posted(client, drawn.images[0], [0, 0, 60], [0, 0, -1])
+        assert "balls.npz" in seen(client)["sentence"]
+
+
+def test_touches_of_the_episode_are_taught_with_their_places(make_session, drawn):
+    session = make_session()
+    place = {"position_mm": (1.0, 2.0, 3.0), "direction": (0.0, 0.0, -1.0)}
+    with session:
+        session.post_touch(drawn.images[0], place)
+        session.post_touch(drawn.images[1])
+        session.teach("disc", 2, keep_episode=True)
+        stored = session.teacher.touches("disc")
+    assert stored.columns["position_mm"][0].tolist() == [1, 2, 3]
+    assert np.isnan(stored.columns["position_mm"][1]).all()
+
+
 def test_a_model_without_places_says_so(make_session, connected, drawn_model, drawn):
     session = make_session(sensor=False, model=drawn_model, library=None)
     with connected(session) as client:

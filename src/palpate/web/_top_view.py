@@ -23,6 +23,7 @@ LEARNING = "Learning where the objects have their surface; this takes some secon
 _NO_PLACES = "The model was taught without places, so that these tell nothing."
 _TOO_MANY = "The model is of {} touches; where they met something is used up to {}."
 _MOST_TOUCHES = 3000
+_MOST = 100  # of an episode: what every next one costs grows with their cube
 _ELLIPSE = "x_mm", "y_mm", "long_mm", "short_mm", "turn_deg"
 
 ReadLearnt = Callable[[], Touches | None]
@@ -75,13 +76,14 @@ class TopView:
             if not placed or self._map is None:
                 return {**seen, "sentence": self._trouble if placed else ""}
             try:
-                return {**seen, **_expected(self._believe(episode, placed))}
+                return {**seen, **_expected(self._believe(episode, placed[:_MOST]))}
             except ValueError as error:
                 return {**seen, "sentence": str(error)}
 
     def _learn(self) -> None:
+        surface_map = None
         try:
-            learnt, surface_map = self._read_learnt(), None
+            learnt = self._read_learnt()
             if len(self._recogniser.memory_) > _MOST_TOUCHES:
                 n_touches = len(self._recogniser.memory_)
                 trouble = _TOO_MANY.format(n_touches, _MOST_TOUCHES)
@@ -90,7 +92,7 @@ class TopView:
             else:
                 surface_map = SurfaceMap().fit(self._recogniser, learnt)
                 trouble = ""
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, MemoryError) as error:
             trouble = str(error)
         with self._lock:
             self._map, self._trouble = surface_map, trouble
