@@ -66,8 +66,8 @@ class SurfaceMap:
     other_faces : float, optional
         How often an object stands on a face that was never learnt. By default half of
         the time where one face was taught, else (k + 1) / (n + 1), at most a half, for
-        an object with k faces that were met in one of its n recordings alone. Lower it
-        where things stand as they were taught: decisions then come sooner.
+        an object with k faces that were met in one of its n recordings alone. It may
+        be lower where things stand as they were taught.
     use_pictures : bool, default=True
         False leaves places and misses alone, whatever the pictures show.
     random_state : int, default=0

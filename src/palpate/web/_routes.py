@@ -78,8 +78,8 @@ class Place(Order):
             )
         return self
 
-    def known(self) -> dict[str, Vector]:
-        """Return what is known of it, by name."""
+    def columns(self) -> dict[str, Vector]:
+        """Return what is known of it, as columns of a touch."""
         return self.model_dump(include={*Place.model_fields}, exclude_none=True)
 
 
@@ -397,23 +397,23 @@ def touch(posted: Posted, session: Session) -> Any:
     Of more than some thousand taxels, send `touch/picture`: that is read at once.
     """
     rest, image = posted
-    place = Place.model_validate(rest).known()
+    place = Place.model_validate(rest).columns()
     return JSONResponse(session.post_touch(image, place))
 
 
 @router.post("/touch/picture", **_EPISODE, openapi_extra=_PICTURE)
 def touch_picture(picture: Picture, place: PlaceQuery, session: Session) -> Any:
     """Take one touch, as PNG, JPEG or npy, into the episode; return the belief."""
-    return JSONResponse(session.post_touch(picture, place.known()))
+    return JSONResponse(session.post_touch(picture, place.columns()))
 
 
 @router.get("/episode/above", tags=["episode"])
-def above(session: Session) -> SeenFromAbove:
+def view_from_above(session: Session) -> SeenFromAbove:
     """Return where touches of the episode met something, and how the object stands.
 
     Of touches that were posted with their places, with a model that was taught so.
     """
-    return SeenFromAbove(**session.seen_from_above())
+    return SeenFromAbove(**session.view_from_above())
 
 
 @router.get("/episode/archive", tags=["episode"], response_class=Response)
@@ -479,7 +479,7 @@ def teach_touch(posted: Posted, session: Session) -> Stored:
     """Store one touch, as numbers, of an object; answered once on the disk."""
     rest, image = posted
     order = NamedPlace.model_validate(rest)
-    return Stored(id=session.post_lesson(order.object, image, order.known()))
+    return Stored(id=session.post_lesson(order.object, image, order.columns()))
 
 
 @router.post("/teach/touch/picture", tags=["teach"], openapi_extra=_PICTURE)
@@ -487,7 +487,7 @@ def teach_picture(
     picture: Picture, name: NameQuery, place: PlaceQuery, session: Session
 ) -> Stored:
     """Store one touch, as PNG, JPEG or npy, of an object."""
-    return Stored(id=session.post_lesson(name, picture, place.known()))
+    return Stored(id=session.post_lesson(name, picture, place.columns()))
 
 
 @router.post("/learn", status_code=202, tags=["teach"])

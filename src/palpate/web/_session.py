@@ -216,7 +216,7 @@ class LiveSession:
             checked = self._checked(image)
             return self._teacher().store(name, *checked, self.baseline, place)
 
-    def seen_from_above(self) -> dict[str, Any]:
+    def view_from_above(self) -> dict[str, Any]:
         """Return what the places of the episode's touches tell; see `TopView`."""
         with self._lock:
             view, episode = self._top_view, self.episode

@@ -68,35 +68,36 @@ class TopView:
         """
         touches = list(episode.touches)
         placed = [touch for touch in touches if touch.place]
-        seen: dict[str, Any] = {"touches": [_dot(touch) for touch in placed]}
+        view: dict[str, Any] = {"touches": [_dot(touch) for touch in placed]}
         with self._lock:
             if placed and self._learner is None:
                 self._learner = threading.Thread(target=self._learn, daemon=True)
                 self._learner.start()
             if not placed or self._map is None:
-                return {**seen, "sentence": self._trouble if placed else ""}
+                return {**view, "sentence": self._trouble if placed else ""}
             try:
-                return {**seen, **_expected(self._believe(episode, placed[:_MOST]))}
+                return {**view, **_expected(self._believe(episode, placed[:_MOST]))}
             except ValueError as error:
-                return {**seen, "sentence": str(error)}
+                return {**view, "sentence": str(error)}
 
     def _learn(self) -> None:
-        surface_map = None
+        surface_map, trouble = None, ""
         try:
-            learnt = self._read_learnt()
-            if len(self._recogniser.memory_) > _MOST_TOUCHES:
-                n_touches = len(self._recogniser.memory_)
-                trouble = _TOO_MANY.format(n_touches, _MOST_TOUCHES)
-            elif learnt is None or "position_mm" not in learnt.columns:
-                trouble = _NO_PLACES
-            else:
-                surface_map = SurfaceMap().fit(self._recogniser, learnt)
-                trouble = ""
+            surface_map = self._learnt_map()
         except (ValueError, OSError, MemoryError) as error:
             trouble = str(error)
         with self._lock:
             self._map, self._trouble = surface_map, trouble
         self._changed()
+
+    def _learnt_map(self) -> SurfaceMap:
+        n_touches = len(self._recogniser.memory_)
+        if n_touches > _MOST_TOUCHES:
+            raise ValueError(_TOO_MANY.format(n_touches, _MOST_TOUCHES))
+        learnt = self._read_learnt()
+        if learnt is None or "position_mm" not in learnt.columns:
+            raise ValueError(_NO_PLACES)
+        return SurfaceMap().fit(self._recogniser, learnt)
 
     def _believe(
         self, episode: LiveEpisode, placed: Sequence[LiveTouch]
