@@ -43,8 +43,9 @@ function draw({ sentence, pose, touches, surface }) {
 
 // What must be seen: everything, with a margin. y is up in the world and down on paper.
 function frame(places) {
-  const xs = places.map(({ x_mm }) => x_mm);
-  const ys = places.map(({ y_mm }) => -y_mm);
+  const ends = (middle, reach = 0) => [middle - reach, middle + reach];
+  const xs = places.flatMap(({ x_mm, long_mm }) => ends(x_mm, long_mm));
+  const ys = places.flatMap(({ y_mm, long_mm }) => ends(-y_mm, long_mm));
   const [left, top] = [Math.min(...xs) - MARGIN_MM, Math.min(...ys) - MARGIN_MM];
   const width = Math.max(...xs) + MARGIN_MM - left;
   return { left, top, width, height: Math.max(...ys) + 2 * MARGIN_MM - top };
