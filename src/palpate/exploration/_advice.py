@@ -42,10 +42,10 @@ def advice(belief: PlaceBelief, pose: SensorPose) -> str:
     else:
         where = side if height < _FLAT else f"{side} and above"
     names = belief.map.recogniser.classes_[np.argsort(-belief.log_posterior)[:2]]
-    told = ""
+    purpose = ""
     if len(names) > 1:
-        told = f", to tell the {names[0]} from the {names[1]}"
-    return f"Touch the {_part(belief, out)}, {where}{told}."
+        purpose = f", to tell the {names[0]} from the {names[1]}"
+    return f"Touch the {_part(belief, out)}, {where}{purpose}."
 
 
 def _part(belief: PlaceBelief, out: np.ndarray) -> str:

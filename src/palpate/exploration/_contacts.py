@@ -24,23 +24,23 @@ def faces_of(touches: Touches) -> Indices:
 def contacts_of(touches: Touches) -> tuple[Floats, Floats]:
     """Return tips at the contacts and ways of approach, (n_touches, 3) each."""
     ways = -places_of(touches, None, 4)
-    given = touches.columns.get("position_mm")
-    if given is None:
+    column = touches.columns.get("position_mm")
+    if column is None:
         raise ValueError(
             "touches must have a column 'position_mm' (the tip at the contact, in mm), "
             f"got {', '.join(touches.columns) or 'none'}. Add it, or use TouchMap."
         )
-    tips = np.asarray(given, dtype=np.float64)
+    tips = np.asarray(column, dtype=np.float64)
     if tips.shape != (len(touches), 3):
         raise ValueError(
             f"position_mm must have shape ({len(touches)}, 3), got {tips.shape}."
         )
-    lost = np.flatnonzero(~np.isfinite(tips).all(axis=1))
-    if len(lost):
+    unplaced = np.flatnonzero(~np.isfinite(tips).all(axis=1))
+    if len(unplaced):
         raise ValueError(
-            f"position_mm must be finite, got {tips[lost[0]].tolist()} in touch "
-            f"{lost[0]}, and no place in {len(lost)} of {len(touches)} touches. Leave "
-            "those touches out."
+            f"position_mm must be finite, got {tips[unplaced[0]].tolist()} in touch "
+            f"{unplaced[0]}, and no place in {len(unplaced)} of {len(touches)} "
+            "touches. Leave those touches out."
         )
     return tips, ways
 

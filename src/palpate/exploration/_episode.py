@@ -142,8 +142,8 @@ def explore(
             if gave_up:
                 return None, "faults", gave_up
             if len(log.history) >= max_attempts:
-                made = f"{max_attempts} attempts made."
-                return None, "budget", f"{made} {belief.reason(**accepted)}"
+                why = belief.reason(**accepted)
+                return None, "budget", f"{max_attempts} attempts made. {why}"
             return None
 
         end = ended("")
@@ -158,8 +158,8 @@ def explore(
                 log.append(record)
             if on_attempt is not None:
                 on_attempt(record, belief)
-            made = log.history[n_before:]
-            end = ended(_gave_up(made, max_faults, hemisphere))
+            attempts = log.history[n_before:]
+            end = ended(_gave_up(attempts, max_faults, hemisphere))
         return Exploration(*end, belief, list(log.history))
 
 
@@ -186,19 +186,19 @@ def gather(
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         _refuse_other_size(log, sensor)
-        n_before, wanted = len(log.history), n_touches - _n_touched(log.history)
-        if wanted > 0:
+        n_before, n_wanted = len(log.history), n_touches - _n_touched(log.history)
+        if n_wanted > 0:
             come_out(robot, strategy.hemisphere, toucher.guard)
         while _n_touched(log.history) < n_touches:
             log.append(_attempt(strategy, None, log.history, toucher))
-            made = log.history[n_before:]
-            n_made = _n_touched(made)
-            gave_up = _gave_up(made, max_faults, strategy.hemisphere)
-            if gave_up or (len(made) >= 5 * wanted and n_made < wanted):
+            attempts = log.history[n_before:]
+            n_made = _n_touched(attempts)
+            gave_up = _gave_up(attempts, max_faults, strategy.hemisphere)
+            if gave_up or (len(attempts) >= 5 * n_wanted and n_made < n_wanted):
                 why = "Is the object where the hemisphere has its centre?"
                 raise RobotError(
-                    f"Only {n_made} of {wanted} touches came of {len(made)} attempts. "
-                    f"{gave_up or why}"
+                    f"Only {n_made} of {n_wanted} touches came of "
+                    f"{len(attempts)} attempts. {gave_up or why}"
                 )
         counts = np.cumsum([record.touched for record in log.history])
         return log.history[: int(np.searchsorted(counts, n_touches)) + 1]
@@ -257,11 +257,11 @@ def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:
     """Gather no touches beside those of another sensor."""
     shape = tuple(sensor.image_shape)
     for number, record in enumerate(log.history):
-        found = np.asarray(record.image).shape
-        if record.touched and found != shape:
+        image_shape = np.asarray(record.image).shape
+        if record.touched and image_shape != shape:
             raise EpisodeError(
                 f"{log.folder} must hold touches of {size_said(shape)}, "
-                f"as the sensor makes, got {found} in attempt {number}. "
+                f"as the sensor makes, got {image_shape} in attempt {number}. "
                 "Use that sensor, or another folder."
             )
 

@@ -122,8 +122,10 @@ class PlaceBelief(Belief):
         middles, places = self._contacts(touch)
         evidence = self._evidence_of(as_touches(touch))
         if self.map.use_pictures:
-            said = log_softmax(evidence.log_likelihood, axis=1)
-            pictures = self.map.picture_evidence(said, evidence.features, places)
+            log_pictures = log_softmax(evidence.log_likelihood, axis=1)
+            pictures = self.map.picture_evidence(
+                log_pictures, evidence.features, places
+            )
             pictures[~evidence.log_likelihood.any(axis=1)] = 0.0
             self._pictures = self._pictures + pictures.sum(axis=0)
         for middle in middles[np.isfinite(middles).all(axis=1)]:
@@ -155,21 +157,23 @@ class PlaceBelief(Belief):
                 f"touch must be Touches, got {type(touch).__name__}. Write "
                 "Touches(images, direction=..., position_mm=...)."
             )
-        given = touch.columns.get("position_mm")
-        lost = np.zeros(len(touch), bool)
-        if given is not None:
-            lost = ~np.isfinite(np.asarray(given, float)).all(axis=-1)
+        column = touch.columns.get("position_mm")
+        unplaced = np.zeros(len(touch), bool)
+        if column is not None:
+            unplaced = ~np.isfinite(np.asarray(column, float)).all(axis=-1)
         filled = touch
-        if lost.any():
-            tips = np.where(lost[:, None], self.centre_mm, np.asarray(given, float))
+        if unplaced.any():
+            tips = np.where(
+                unplaced[:, None], self.centre_mm, np.asarray(column, float)
+            )
             filled = touch.with_columns(position_mm=tips)
         tips, ways = contacts_of(filled)
         forces = np.full(len(touch), np.nan)
         if "force_n" in touch.columns:
             forces = np.asarray(touch.columns["force_n"], dtype=np.float64)
         middles = self.map.middles(tips, ways, forces) - self.centre_mm
-        self._refuse_far(np.linalg.norm(middles[~lost], axis=1))
-        middles[lost] = np.nan
+        self._refuse_far(np.linalg.norm(middles[~unplaced], axis=1))
+        middles[unplaced] = np.nan
         return middles, -ways
 
     def _refuse_far(self, reach_mm: Floats) -> None:
@@ -207,8 +211,8 @@ class PlaceBelief(Belief):
         if other.any():
             by_state = logsumexp(evidence[~other], axis=1) - np.log(self.map.n_turns)
             alike = logsumexp(self.map.log_alike_ + by_state, axis=1)
-            both = np.logaddexp(alike, self._faces.log_evidence)
-            evidence[other] = (both + _LOG_HALF)[:, None]
+            either = np.logaddexp(alike, self._faces.log_evidence)
+            evidence[other] = (either + _LOG_HALF)[:, None]
         return evidence.ravel()
 
     @property
@@ -220,10 +224,7 @@ class PlaceBelief(Belief):
     @property
     def log_posterior(self) -> Floats:
         """Log probability of each object, were it one of them (nats), (n_objects,)."""
-        by_state = logsumexp(self.log_joint.reshape(self._pictures.shape), axis=1)
-        return np.asarray(
-            [logsumexp(by_state[rows]) for rows in self._states_of_objects]
-        )
+        return self._log_objects
 
     @property
     def best_without_places(self) -> str:
@@ -242,9 +243,12 @@ class PlaceBelief(Belief):
         pictures = self._pictures * calibration.weight(self._n_informative)
         joint = (pictures + prior[:, None]).ravel() + self.log_place
         self.log_joint: Floats = joint - logsumexp(joint)
-        placed = self.log_posterior
-        by_place = placed - log_posterior
-        super()._hear(placed, log_softmax(by_encoding + by_place, axis=-1))
+        by_state = logsumexp(self.log_joint.reshape(self._pictures.shape), axis=1)
+        self._log_objects = np.full(len(log_posterior), -np.inf)
+        np.logaddexp.at(self._log_objects, self.map.object_of_state_, by_state)
+        by_place = self._log_objects - log_posterior
+        placed = log_softmax(by_encoding + by_place, axis=-1)
+        super()._hear(self._log_objects, placed)
 
     def pose(self, name: str | None = None) -> StandingPose:
         """Return how the most probable object stands, or the one of that name.
@@ -276,13 +280,13 @@ class PlaceBelief(Belief):
         spread = weight @ (mean[:, 1:] - offset) ** 2
         inside = np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
         offset_sd = np.sqrt(spread + weight @ inside)
-        found, face = self.map.states_[state]
+        best_name, face = self.map.states_[state]
         x, y, z = map(float, offset)
         sx, sy, sz = map(float, offset_sd)
         turn = float(centre / order % (2 * np.pi / order))
         most = np.pi / order / np.sqrt(3)
         return StandingPose(
-            found,
+            best_name,
             face,
             float(shares[state].sum()),
             turn,
@@ -300,10 +304,10 @@ class PlaceBelief(Belief):
         """
         pose = self.pose()
         state = self.map.states_.index((pose.object, pose.face))
-        every = max(len(AZIMUTHS) // n_around, 1)
+        step = max(len(AZIMUTHS) // n_around, 1)
         upper = HEIGHTS >= 0
-        outs = directions()[upper][:, ::every].reshape(-1, 3)
-        radius = self.map.table_.mean_mm[state][upper][:, ::every].ravel()
+        outs = directions()[upper][:, ::step].reshape(-1, 3)
+        radius = self.map.table_.mean_mm[state][upper][:, ::step].ravel()
         local = outs * np.maximum(radius - self.map.tip_radius_mm, 0)[:, None]
         standing = np.array([pose.turn_rad, *pose.offset_mm])
         points = out_of_frames(local, standing)

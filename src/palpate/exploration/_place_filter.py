@@ -103,8 +103,8 @@ class PlaceFilter:
         outside, variance = self.table.look_up(self.states[:, None], local)
         middle = outside.mean(axis=1)
         spread = outside - middle[:, None]
-        own = variance.mean(axis=1) + self.looseness.sensor_mm**2
-        total = (spread**2).mean(axis=1) + own
+        touch_variance = variance.mean(axis=1) + self.looseness.sensor_mm**2
+        total = (spread**2).mean(axis=1) + touch_variance
         density = np.exp(_log_density(middle, total))
         explained = density - _UNEXPLAINED / _OVER_MM
         gain = np.einsum("hki,hk->hi", off, spread) / len(_CUBATURE)
@@ -127,8 +127,10 @@ class PlaceFilter:
         nearest = outside.argmin(axis=1)[:, None]
         least = np.take_along_axis(outside, nearest, axis=1)[:, 0]
         pose = np.trace(self.covariance[:, 1:, 1:], axis1=1, axis2=2) / 3
-        own = np.take_along_axis(variance, nearest, axis=1)[:, 0]
-        chance = ndtr(least / np.sqrt(own + pose + self.looseness.sensor_mm**2))
+        touch_variance = np.take_along_axis(variance, nearest, axis=1)[:, 0]
+        chance = ndtr(
+            least / np.sqrt(touch_variance + pose + self.looseness.sensor_mm**2)
+        )
         chance = _UNEXPLAINED + (1 - 2 * _UNEXPLAINED) * chance
         return replace(self, log_evidence=self.log_evidence + np.log(chance))
 

@@ -101,31 +101,33 @@ class PlaceGain:
         objects = self._map.object_of_state_[states]
         belongs = np.eye(int(objects.max()) + 1, dtype=np.float32)[objects]
         by_object = shares @ belongs
-        own = np.take_along_axis(by_object, objects[None, :, None], axis=2)[..., 0]
-        after = np.log(np.maximum(own, 1e-12) / by_object.sum(axis=2))
+        share_of_truth = np.take_along_axis(by_object, objects[None, :, None], axis=2)[
+            ..., 0
+        ]
+        after = np.log(np.maximum(share_of_truth, 1e-12) / by_object.sum(axis=2))
         before = np.log(belongs.mean(axis=0)[objects])
         return np.asarray((after - before).mean(axis=1), dtype=np.float64)
 
     def _drawn(self, belief: PlaceBelief) -> Indices:
         """Draw hypotheses evenly from the belief, the same for the same belief."""
         total = np.cumsum(np.exp(belief.log_joint))
-        wanted = (np.arange(N_DRAWN) + 0.5) / N_DRAWN * total[-1]
-        found = np.searchsorted(total, wanted)
-        return np.asarray(np.minimum(found, len(total) - 1))
+        levels = (np.arange(N_DRAWN) + 0.5) / N_DRAWN * total[-1]
+        rows = np.searchsorted(total, levels)
+        return np.asarray(np.minimum(rows, len(total) - 1))
 
     def _met(self, belief: PlaceBelief, drawn: Indices) -> tuple[Floats, Floats]:
         """Return where the ball's middle stops and its variance, (n_candidates, n)."""
-        found = belief.filter
-        states, poses = found.states[drawn], found.mean[drawn]
+        beliefs = belief.filter
+        states, poses = beliefs.states[drawn], beliefs.mean[drawn]
         outs = self._outs[:, None]
         far = in_frames(_FAR_MM * outs, poses)
         way = in_frames(-outs + poses[:, 1:], poses)
         radius, variance = met_along(self._map.table_, states, far, way)
         # From the point nearest the object's origin to the one nearest the centre.
         along = np.einsum("ci,hi->ch", self._outs, poses[:, 1:])
-        loose = found.covariance[drawn][:, 1:, 1:]
+        loose = beliefs.covariance[drawn][:, 1:, 1:]
         pose = np.einsum("ci,hij,cj->ch", self._outs, loose, self._outs)
-        return radius + along, variance + pose + found.looseness.sensor_mm**2
+        return radius + along, variance + pose + beliefs.looseness.sensor_mm**2
 
     def _shown(
         self, belief: PlaceBelief, states: Indices, poses: Floats, quantile: Floats
@@ -150,7 +152,7 @@ class PlaceGain:
             place = (total < share * total[..., -1:]).sum(axis=-1)
             example[:, of_state] = rows[np.minimum(place, len(rows) - 1)]
         count = pictures.sequence_calibration.weight(belief.touches_used + 1)
-        said = self._pictures[
+        evidence = self._pictures[
             ring[:, :, None], turn[:, None], states[None, None], example[:, :, None]
         ]
-        return np.asarray(np.float32(count) * said)
+        return np.asarray(np.float32(count) * evidence)

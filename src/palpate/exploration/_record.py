@@ -236,7 +236,7 @@ class EpisodeLog:
 
     def _begin_or_compare(self, folder: Path) -> None:
         path = folder / "episode.json"
-        wanted = json.loads(json.dumps({"format": _FORMAT, "settings": self.settings}))
+        header = json.loads(json.dumps({"format": _FORMAT, "settings": self.settings}))
         if not path.exists():
             others = sorted(p.name for p in folder.iterdir() if p.name != _LOCK)
             if others:
@@ -244,16 +244,16 @@ class EpisodeLog:
                     f"{folder} must be empty or an episode, got {others[0]!r} in it. "
                     "Use another folder."
                 )
-            write_text(path, json.dumps(wanted, indent=1))
+            write_text(path, json.dumps(header, indent=1))
             return
         try:
-            found = json.loads(path.read_bytes())
+            stored = json.loads(path.read_bytes())
         except ValueError as error:
             raise EpisodeError(f"{path} is damaged: {error}. Bring it back.") from error
-        if found != wanted:
+        if stored != header:
             raise EpisodeError(
-                f"{folder} holds an episode that was begun with {found}, got "
-                f"{wanted}. Go on with the same settings, or use another folder."
+                f"{folder} holds an episode that was begun with {stored}, got "
+                f"{header}. Go on with the same settings, or use another folder."
             )
 
 

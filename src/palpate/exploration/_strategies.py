@@ -233,12 +233,12 @@ class Stations:
         joint = exp(log_joint).astype(np.float32)
         turned = joint[:, self._back]
         weight = np.float32(self._map.sequence_calibration.weight(n_touches + 1))
-        given = turned[:, np.newaxis] @ exp(weight * self._evidence)
-        everything = np.maximum(given.sum(axis=0), _LEAST)
-        total = np.zeros(everything.shape[:2])
+        by_object = turned[:, np.newaxis] @ exp(weight * self._evidence)
+        total_share = np.maximum(by_object.sum(axis=0), _LEAST)
+        total = np.zeros(total_share.shape[:2])
         for code, rows in enumerate(self._map.rows_of_object):
             chance = turned[code] @ self._closeness[..., rows]
-            after = given[code][..., rows] / everything[..., rows]
+            after = by_object[code][..., rows] / total_share[..., rows]
             before = np.maximum(joint[code].sum(), _LEAST)
             gain = np.log(np.maximum(after, _LEAST)) - np.log(before)
             total += (chance * gain).sum(axis=-1)
@@ -252,8 +252,8 @@ class Stations:
         if floor == 0:
             return relative
         least = np.float32(np.log(floor / (self._map.n_objects * self._map.n_turns)))
-        kept = np.float32(np.log1p(-floor)) + relative
-        return np.asarray(np.logaddexp(kept, least))
+        weighted = np.float32(np.log1p(-floor)) + relative
+        return np.asarray(np.logaddexp(weighted, least))
 
 
 class InformativeTouch:

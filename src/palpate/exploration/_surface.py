@@ -106,8 +106,8 @@ def learnt_surface(
         covariance += noise**2 * np.eye(len(radius))
         factor = np.linalg.cholesky(covariance)
         cross = _kernel(towards, nodes, width, local)
-        both = np.concatenate([(radius - mean)[:, None], cross], axis=1)
-        solved = solve_triangular(factor, both, lower=True)
+        right_sides = np.concatenate([(radius - mean)[:, None], cross], axis=1)
+        solved = solve_triangular(factor, right_sides, lower=True)
         whitened, cross = solved[:, 0], solved[:, 1:]
         evidence.append(-0.5 * whitened @ whitened - np.log(np.diag(factor)).sum())
         prior = MEAN_SD_MM**2 + _ROUND_SD_MM**2 + local**2
@@ -178,11 +178,11 @@ def mesh_surface(thing: SimObject, face: int, camera: DomeCamera) -> RadialSurfa
     Where a line through the middle of its bounding box meets nothing the radius is 0.
     """
     placed = PlacedObject.resting(thing, face)
-    every = N_AROUND // _PRESSES_AROUND
-    nodes = directions()[-_LOWEST::every, ::every]
+    step = N_AROUND // _PRESSES_AROUND
+    nodes = directions()[-_LOWEST::step, ::step]
     radii = np.array([[_met_mm(placed, out, camera) for out in row] for row in nodes])
-    heights = HEIGHTS[-_LOWEST::every]
-    around = np.append(AZIMUTHS[::every], 2 * np.pi)
+    heights = HEIGHTS[-_LOWEST::step]
+    around = np.append(AZIMUTHS[::step], 2 * np.pi)
     closed = np.concatenate([radii, radii[:, :1]], axis=1)
     wide = np.array([np.interp(AZIMUTHS, around, row) for row in closed])
     mean = np.array([np.interp(HEIGHTS, heights, column) for column in wide.T]).T
@@ -210,13 +210,13 @@ class SurfaceTable:
     """
 
     def __init__(self, surfaces: list[RadialSurface]) -> None:
-        self.mean_mm = np.stack([one.mean_mm for one in surfaces])
-        self.noise_mm = np.array([one.noise_mm for one in surfaces])
-        self.size_mm = np.array([one.size_mm for one in surfaces])
-        self.symmetry = np.array([one.symmetry() for one in surfaces])
-        variances = [one.variance_mm2 + one.noise_mm**2 for one in surfaces]
-        both = np.stack([self.mean_mm, np.stack(variances)], axis=-1)
-        self._both = both.reshape(-1, 2)
+        self.mean_mm = np.stack([surface.mean_mm for surface in surfaces])
+        self.noise_mm = np.array([surface.noise_mm for surface in surfaces])
+        self.size_mm = np.array([surface.size_mm for surface in surfaces])
+        self.symmetry = np.array([surface.symmetry() for surface in surfaces])
+        variances = [surface.variance_mm2 + surface.noise_mm**2 for surface in surfaces]
+        table = np.stack([self.mean_mm, np.stack(variances)], axis=-1)
+        self._both = table.reshape(-1, 2)
 
     def look_up(self, states: Indices, middles_mm: Floats) -> tuple[Floats, Floats]:
         """Return how far outside surfaces points lie (mm), and its variance (mm2).
@@ -236,8 +236,8 @@ class SurfaceTable:
         lower = _between(self._both, first + left, first + beside, right)
         above = first + N_AROUND
         upper = _between(self._both, above + left, above + beside, right)
-        found = lower + (upper - lower) * up[..., None]
-        return radius - found[..., 0], found[..., 1]
+        radius_and_variance = lower + (upper - lower) * up[..., None]
+        return radius - radius_and_variance[..., 0], radius_and_variance[..., 1]
 
 
 def met_along(
@@ -268,19 +268,19 @@ def _met_mm(placed: PlacedObject, out: Floats, camera: DomeCamera) -> float:
 
 
 def _kernel(
-    one: Floats,
-    other: Floats,
+    left: Floats,
+    right: Floats,
     width: float,
     local: float,
     mean_sd_mm: float = MEAN_SD_MM,
 ) -> Floats:
-    heights = (one[:, 2][:, None] - other[:, 2]) ** 2
-    squared = 2 - 2 * one @ other.T
+    heights = (left[:, 2][:, None] - right[:, 2]) ** 2
+    squared = 2 - 2 * left @ right.T
     round_part = _ROUND_SD_MM**2 * np.exp(-heights / (2 * width**2))
     local_part = local**2 * np.exp(-squared / (2 * width**2))
     return np.asarray(mean_sd_mm**2 + round_part + local_part)
 
 
-def _between(table: Floats, one: Indices, other: Indices, share: Floats) -> Floats:
-    first = table[one]
-    return np.asarray(first + (table[other] - first) * share[..., None])
+def _between(table: Floats, left: Indices, right: Indices, share: Floats) -> Floats:
+    first = table[left]
+    return np.asarray(first + (table[right] - first) * share[..., None])

@@ -66,8 +66,8 @@ class SurfaceMap:
     other_faces : float, optional
         How often an object stands on a face that was never learnt. By default half of
         the time where one face was taught, else (k + 1) / (n + 1), at most a half, for
-        an object with k faces that were met in one of its n recordings alone. Lower it
-        where things stand as they were taught: decisions then come sooner.
+        an object with k faces that were met in one of its n recordings alone. It may
+        be lower where things stand as they were taught.
     use_pictures : bool, default=True
         False leaves places and misses alone, whatever the pictures show.
     random_state : int, default=0
@@ -144,24 +144,26 @@ class SurfaceMap:
         faces = faces_of(touches)
         pictures = FacedMap(n_turns=self.n_turns, random_state=self.random_state)
         self.pictures_ = pictures.fit_faces(recogniser, touches, faces)
-        given = dict(meshes or {})
-        surfaces = self._learnt(touches, faces, set(given))
+        of_meshes = dict(meshes or {})
+        surfaces = self._learnt(touches, faces, set(of_meshes))
         dome = DomeCamera((64, 64), n_nodes=16) if camera is None else camera
-        for name, thing in given.items():
+        for name, thing in of_meshes.items():
             for face in range(len(thing.resting_rotations)):
                 surfaces[name, face] = mesh_surface(thing, face, dome)
         self._refuse_unmapped(surfaces)
         if self.other_faces != 0:
             for name in recogniser.classes_.tolist():
-                own = [one for (known, _), one in surfaces.items() if known == name]
-                surfaces[name, OTHER_FACE] = _any_face(own)
+                learnt_faces = [
+                    surface for (owner, _), surface in surfaces.items() if owner == name
+                ]
+                surfaces[name, OTHER_FACE] = _any_face(learnt_faces)
         self.states_ = sorted(surfaces)
         self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
         names = [name for name, _ in self.states_]
         self.object_of_state_ = np.searchsorted(recogniser.classes_, names)
-        known = {state: number for number, state in enumerate(pictures.states)}
+        number_of = {state: number for number, state in enumerate(pictures.states)}
         # Faces of a mesh that were never touched have no pictures of their own.
-        self.picture_of_state_ = np.array([known.get(s, -1) for s in self.states_])
+        self.picture_of_state_ = np.array([number_of.get(s, -1) for s in self.states_])
         self.other_share_ = self._other_share(touches, faces)
         forces = touches.columns.get("force_n")
         self.force_n_ = (
@@ -170,7 +172,7 @@ class SurfaceMap:
         return self
 
     def _learnt(
-        self, touches: Touches, faces: Indices, given: set[str]
+        self, touches: Touches, faces: Indices, skipped: set[str]
     ) -> dict[tuple[str, int], RadialSurface]:
         """Return the surfaces of all objects but those that a mesh is given for."""
         tips, ways = contacts_of(touches)
@@ -181,7 +183,7 @@ class SurfaceMap:
             number = np.unique(recording, return_inverse=True)[1]
         surfaces = {}
         for name, face in sorted(set(zip(names.tolist(), faces.tolist(), strict=True))):
-            if name in given:
+            if name in skipped:
                 continue
             rows = np.flatnonzero((names == name) & (faces == face))
             if len(rows) < _LEAST_TOUCHES:
@@ -218,15 +220,15 @@ class SurfaceMap:
 
     def _refuse_unmapped(self, surfaces: Mapping[tuple[str, int], object]) -> None:
         mapped = {name for name, _ in surfaces}
-        known = self.recogniser.classes_.tolist()
-        for name in known:
+        classes = self.recogniser.classes_.tolist()
+        for name in classes:
             if name not in mapped:
                 raise ValueError(
                     f"Every object must have a map, got none for {name!r}: fewer than "
                     f"{_LEAST_TOUCHES} touches on any face, and no mesh. Touch it, or "
                     "give meshes={name: SimObject}."
                 )
-        for name in sorted(mapped - set(known)):
+        for name in sorted(mapped - set(classes)):
             raise ValueError(
                 f"meshes must be of learnt objects, got {name!r}. Learn touches of it "
                 "first, simulated ones if need be (explore_to_learn)."
@@ -248,8 +250,8 @@ class SurfaceMap:
         centre_mm : tuple of float, default=(0, 0, 0)
             Where the middle of the object is assumed, in the frame of the arm.
         """
-        known = self.recogniser.classes_
-        log_prior = None if prior is None else given_prior(prior, known)
+        classes = self.recogniser.classes_
+        log_prior = None if prior is None else given_prior(prior, classes)
         return PlaceBelief(self, centre_mm, log_prior, strangers)
 
     def start_before(
@@ -341,10 +343,10 @@ class SurfaceMap:
             logsumexp(powers[:, rows], axis=1) - np.log(len(rows))
             for rows in map(np.flatnonzero, of_object == np.unique(of_object)[:, None])
         ]
-        every = np.stack(anywhere, axis=1)[:, self.object_of_state_] / weight
+        powers_of_state = np.stack(anywhere, axis=1)[:, self.object_of_state_] / weight
         learnt = (self.picture_of_state_ >= 0)[:, None]
         placed = ratio[:, self.picture_of_state_]
-        return np.where(learnt, placed, every[..., None])
+        return np.where(learnt, placed, powers_of_state[..., None])
 
 
 class FacedMap(TouchMap):
@@ -359,13 +361,13 @@ class FacedMap(TouchMap):
 
     def _choose(self) -> None:
         names = self.recogniser.classes_[self.codes_].tolist()
-        every = list(zip(names, self._faces.tolist(), strict=True))
-        self.states = sorted(set(every))
+        state_of_touch = list(zip(names, self._faces.tolist(), strict=True))
+        self.states = sorted(set(state_of_touch))
         self.object_of_state = np.searchsorted(
             self.recogniser.classes_, [name for name, _ in self.states]
         )
         number = {state: k for k, state in enumerate(self.states)}
-        of_touch = np.array([number[state] for state in every])
+        of_touch = np.array([number[state] for state in state_of_touch])
         n_states = range(len(self.states))
         self.rows_of_object = [np.flatnonzero(of_touch == k) for k in n_states]
         self.left_out_by_object = self.left_out_
@@ -384,14 +386,14 @@ class FacedMap(TouchMap):
             shares = np.exp(log_softmax(joint)).reshape(len(rows), -1, self.n_turns)
             of_objects = shares.sum(axis=2) @ belongs
             true = self.codes_[rows[:, 0]]
-            own = of_objects[np.arange(len(rows)), true]
-            losses.append(-np.log(np.maximum(own, 1e-300)).mean())
+            share_of_truth = of_objects[np.arange(len(rows)), true]
+            losses.append(-np.log(np.maximum(share_of_truth, 1e-300)).mean())
         return float(np.mean(losses))
 
 
 def _any_face(surfaces: list[RadialSurface]) -> RadialSurface:
     """Return what an object's surfaces tell of a face that was never learnt."""
-    radii = np.stack([one.mean_mm for one in surfaces])
+    radii = np.stack([surface.mean_mm for surface in surfaces])
     mean, variance = float(radii.mean()), float(radii.var()) + _OTHER_FACE_MM**2
     flat = np.ones(surfaces[0].mean_mm.shape)
     return RadialSurface(mean * flat, variance * flat, surfaces[0].noise_mm)

@@ -179,8 +179,8 @@ class TouchMap:
 
         simplex = np.array([-0.3, -1.0, -1.0]) + np.eye(4, 3, -1)
         options: Any = {"initial_simplex": simplex, "maxfev": 60, "xatol": 0.02}
-        found = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
-        return float(found.fun), weights(found.x)
+        best = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
+        return float(best.fun), weights(best.x)
 
     def _loss(self, ratio: Floats, episodes: Episodes, weights: Weights) -> float:
         """Return the mean log loss (nats) of the object after drawn episodes."""
@@ -215,8 +215,8 @@ class TouchMap:
         strangers : float, default=0.05
             The share of episodes with something never learnt, likewise.
         """
-        known = self.recogniser.classes_
-        log_prior = None if prior is None else given_prior(prior, known)
+        classes = self.recogniser.classes_
+        log_prior = None if prior is None else given_prior(prior, classes)
         return PlacedBelief(self, log_prior, strangers)
 
     @property
@@ -233,9 +233,9 @@ class TouchMap:
         """Return log r of touches at places, (n_touches, n_objects, n_turns)."""
         nearness = self._nearness(squared_distances(features, self.features_))
         stations = turned_back(places, self.n_turns)
-        everything = np.ones((1, len(self.places_)))
+        free = np.ones((1, len(self.places_)))
         ratios = [
-            self.station_ratio(row[None], everything, self.closeness(station))[..., 0].T
+            self.station_ratio(row[None], free, self.closeness(station))[..., 0].T
             for row, station in zip(nearness, stations, strict=True)
         ]
         return np.stack(ratios)
@@ -271,9 +271,11 @@ class TouchMap:
         for rows in self.rows_of_object:
             close, free = closeness[:, rows], allowed[:, rows]
             if row_by_row:
-                sums = [(close * one).sum(axis=1) for one in (free, near[:, rows])]
+                sums = [
+                    (close * weights).sum(axis=1) for weights in (free, near[:, rows])
+                ]
             else:
-                sums = [close @ one.T for one in (free, near[:, rows])]
+                sums = [close @ weights.T for weights in (free, near[:, rows])]
             placed = sums[1] / np.maximum(sums[0], _TINY)
             n_free = np.maximum(free.sum(axis=1), 1)
             anywhere = near[:, rows].sum(axis=1) / n_free
@@ -347,8 +349,8 @@ class PlacedBelief(Belief):
         ratio = self._map.placed_ratio(evidence.features, where)
         # Places of touches that say nothing say nothing either.
         ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
-        said = log_softmax(evidence.log_likelihood, axis=1)
-        for number, placed in enumerate(self._map.weighed(said, ratio)):
+        log_pictures = log_softmax(evidence.log_likelihood, axis=1)
+        for number, placed in enumerate(self._map.weighed(log_pictures, ratio)):
             self._placed = self._placed + placed
             super().update(evidence.one(number))
         return self
@@ -421,9 +423,11 @@ def turned_back(places: Floats, n_turns: int) -> Floats:
     return np.stack([cos * x + sin * y, cos * y - sin * x, height], axis=-1)
 
 
-def squared_distances(one: Floats, other: Floats) -> Floats:
+def squared_distances(left: Floats, right: Floats) -> Floats:
     """Return squared distances, (n_one, n_other)."""
-    squared = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * one @ other.T
+    squared = (
+        (left**2).sum(axis=1)[:, None] + (right**2).sum(axis=1) - 2 * left @ right.T
+    )
     return np.asarray(np.maximum(squared, 0.0))
 
 

@@ -14,6 +14,7 @@ from ._bench import SimulatedBench, SimulatedSensor
 from ._calibrated import CalibratedSensor as CalibratedSensor
 from ._camera import CameraSensor, camera_names
 from ._camera import find_camera as find_camera
+from ._contract import PLACE_COLUMNS as PLACE_COLUMNS
 from ._contract import Frame as Frame
 from ._contract import LiveSensor, SensorError, TouchSensor, check_sensor
 from ._contract import Reading as Reading

@@ -26,6 +26,12 @@ from .._checks import check_count
 from .._types import Array, Floats
 from ..touches import GEOMETRIES, RGB
 
+# The columns of touches that say where they were made, and their parts in `Reading`.
+PLACE_COLUMNS = {
+    "position_mm": ("x_mm", "y_mm", "z_mm"),
+    "direction": ("direction_x", "direction_y", "direction_z"),
+}
+
 
 class SensorError(RuntimeError):
     """A sensor that is missing or busy, or a frame that did not arrive or is none."""
@@ -45,7 +51,9 @@ class Reading:
         When it was taken, on the clock of the device.
     columns : mapping of str to float
         Readings beside the frame, such as `temperature_c`, `force_n`: the newest of
-        each, at whatever rate it comes. They become columns of the touch.
+        each, at whatever rate it comes. They become columns of the touch. Where it was
+        made is `x_mm`, `y_mm`, `z_mm` (of the tip) and `direction_x`, `direction_y`,
+        `direction_z` (unit vector of the approach).
     """
 
     image: Array

@@ -29,7 +29,7 @@ from ..simulation import (
     PressureArray,
 )
 from ..touches import Touches, TouchesError
-from ._contract import LiveSensor, SensorError, as_kind
+from ._contract import PLACE_COLUMNS, LiveSensor, Reading, SensorError, as_kind
 
 _LONGEST_WAIT_S = 0.2  # between looks at whether to stop
 _UNLABELLED = "recording"
@@ -70,6 +70,8 @@ class PlayedSensor(LiveSensor):
         self._ramp = check_count("ramp", ramp, at_least=0)
         self.placed: str | None = self.objects[0]
         self._frames: deque[Array] = deque()
+        # What is told beside the frames of the touch under way, see `Reading`.
+        self._about: dict[str, float] = {}
         self._lock = threading.Lock()
         self._due_s = 0.0
 
@@ -84,6 +86,7 @@ class PlayedSensor(LiveSensor):
         with self._lock:
             self.placed = name
             self._frames.clear()
+            self._about = {}
             if self._rest is not None:
                 self._frames.extend([self._rest] * max(self._gap, 2))
 
@@ -101,7 +104,7 @@ class PlayedSensor(LiveSensor):
     def _close(self) -> None:
         pass
 
-    def _grab(self) -> list[Array]:
+    def _grab(self) -> list[Reading]:
         self._due_s += 1 / self.rate_hz
         late_s = time.monotonic() - self._due_s
         if late_s > 1.0:  # the machine slept: go on from now, at the same rate
@@ -113,7 +116,10 @@ class PlayedSensor(LiveSensor):
             if not self._frames:
                 self._frames.extend(self._cycle())
             image = self._frames.popleft() if self._frames else self._rest
-        return [] if image is None else [self._with_noise(image)]
+            about = self._about
+        return (
+            [] if image is None else [Reading(self._with_noise(image), columns=about)]
+        )
 
     def _cycle(self) -> list[Array]:
         """Return the frames of one touch, from nothing to nothing."""
@@ -148,6 +154,11 @@ class ReplaySensor(PlayedSensor):
         nothing, which are all alike. Without any, `gap` must be 0.
     name_pattern : str, optional
         For folders: see `Touches.load`.
+
+    Notes
+    -----
+    A recording with the columns `position_mm` and `direction` tells them with each
+    touch, as a device does that knows where it is (`Reading`).
 
     Attributes
     ----------
@@ -201,6 +212,7 @@ class ReplaySensor(PlayedSensor):
         self._images = recorded.images
         self._rows = {str(n): np.flatnonzero(labels == n) for n in np.unique(labels)}
         self._at = dict.fromkeys(self._rows, 0)
+        self._places = _places_of(recorded)
         self._rest = recorded.no_contact
         if self._rest is not None:
             self._rest = self._rest.astype(self._images.dtype)
@@ -228,9 +240,25 @@ class ReplaySensor(PlayedSensor):
 
     def _next_touch(self, name: str) -> Array:
         rows = self._rows[name]
-        touch: Array = self._images[rows[self._at[name] % len(rows)]]
+        row = rows[self._at[name] % len(rows)]
         self._at[name] += 1
+        self._about = self._places[row] if self._places else {}
+        touch: Array = self._images[row]
         return touch
+
+
+def _places_of(recorded: Touches) -> list[dict[str, float]]:
+    """Return where each touch was made as a device tells it; empty where unknown."""
+    if not {*PLACE_COLUMNS} <= {*recorded.columns}:
+        return []
+    places: list[dict[str, float]] = [{} for _ in range(len(recorded))]
+    for name, parts in PLACE_COLUMNS.items():
+        vectors = np.asarray(recorded.columns[name], dtype=np.float64)
+        if vectors.shape != (len(recorded), len(parts)):
+            return []
+        for place, vector in zip(places, vectors.tolist(), strict=True):
+            place |= dict(zip(parts, vector, strict=True))
+    return [place if np.isfinite([*place.values()]).all() else {} for place in places]
 
 
 def _quiet_mean(images: Array, labels: Array) -> Array | None:

@@ -2,7 +2,7 @@
 
 import base64
 import time
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -22,6 +22,7 @@ from ..recognition import (
 from ..touches import Touches
 from ._images import thumbnail
 
+Vector = tuple[float, float, float]
 _SHOWN, _NEAREST = 5, 6
 _PAGE = Path(__file__).parent / "static" / "report.html"
 
@@ -32,6 +33,8 @@ class LiveTouch:
 
     `posterior` is empty and `unknown` None where there is no model; `note` is what is
     wrong with the touch, "" for most; `device_time_s` when the device took it.
+    `position_mm` is where the tip was, and `direction` the unit vector of its approach,
+    both from where the middle of the object is assumed; None where they are not known.
     """
 
     number: int
@@ -41,6 +44,15 @@ class LiveTouch:
     note: str = ""
     latency_ms: float | None = None
     device_time_s: float | None = None
+    position_mm: Vector | None = None
+    direction: Vector | None = None
+
+    @property
+    def place(self) -> dict[str, Vector]:
+        """Where it was made, by name; empty where that is not known."""
+        if self.position_mm is None or self.direction is None:
+            return {}
+        return {"position_mm": self.position_mm, "direction": self.direction}
 
 
 class LiveEpisode:
@@ -70,10 +82,23 @@ class LiveEpisode:
         self.open = True
         self.evidence: Evidence | None = None  # of the last touch
 
-    def add(self, image: Array, channels: Sequence[str] | None) -> LiveTouch:
-        """Take in a touch and return it; one that is refused changes nothing."""
+    def add(
+        self,
+        image: Array,
+        channels: Sequence[str] | None,
+        place: Mapping[str, Vector] | None = None,
+    ) -> LiveTouch:
+        """Take in a touch and return it; one that is refused changes nothing.
+
+        `place` holds its `position_mm` and `direction`, where they are known.
+        """
         self.channels = channels
         touch = LiveTouch(len(self.touches) + 1, time.time())
+        if place:
+            touch.position_mm, touch.direction = (
+                place["position_mm"],
+                place["direction"],
+            )
         if self.recogniser is not None and self.episode is not None:
             touches = Touches(image[np.newaxis], channels=channels)
             evidence = self.recogniser.evidence(touches)
@@ -148,7 +173,13 @@ class LiveEpisode:
         times = np.array([touch.time_s for touch in self.touches])
         episode = np.full(len(times), self.number)
         images = np.stack(self.images[: len(times)])
-        about = {"time_s": times, "episode": episode}
+        about: dict[str, Any] = {"time_s": times, "episode": episode}
+        if any(touch.position_mm for touch in self.touches):
+            nowhere = (np.nan,) * 3
+            for name in ("position_mm", "direction"):
+                about[name] = [
+                    getattr(touch, name) or nowhere for touch in self.touches
+                ]
         return Touches(images, **about, channels=self.channels)
 
 

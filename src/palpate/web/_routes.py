@@ -7,13 +7,14 @@ thread of its own; what a session refuses becomes a clear answer in `_app`.
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
+from math import hypot
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.security import HTTPBearer
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from starlette.background import BackgroundTask
 
 from .._types import Array
@@ -24,6 +25,9 @@ from ._reading import NUMBERS, PICTURES
 from ._session import LiveSession
 from ._teaching import Teacher
 
+_Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Vector = tuple[_Number, _Number, _Number]
+Numbers = Annotated[list[float] | None, Query(min_length=3, max_length=3)]
 Name = Annotated[str, Field(min_length=1, max_length=80, description="Object's name.")]
 
 
@@ -53,6 +57,36 @@ class Image(Order):
     ]
 
 
+class Place(Order):
+    """Where a touch was made, from where the middle of the object is assumed."""
+
+    position_mm: Annotated[
+        Vector | None, Field(description="Tip of the sensor (x, y, z), z up, in mm.")
+    ] = None
+    direction: Annotated[
+        Vector | None, Field(description="Unit vector of the approach (x, y, z).")
+    ] = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.position_mm is None) != (self.direction is None):
+            raise ValueError("position_mm and direction go together, got one of them.")
+        if self.direction is not None and abs(hypot(*self.direction) - 1) > 0.01:
+            raise ValueError(
+                f"direction must have length 1, got {hypot(*self.direction):.3g}. "
+                "Divide it by its length."
+            )
+        return self
+
+    def columns(self) -> dict[str, Vector]:
+        """Return what is known of it, as columns of a touch."""
+        return self.model_dump(include={*Place.model_fields}, exclude_none=True)
+
+
+class PlacedImage(Place, Image):
+    """One frame of numbers, and where it was taken, if known."""
+
+
 class OneObject(Order):
     """An object."""
 
@@ -75,7 +109,11 @@ class Renaming(OneObject):
     merge: Annotated[bool, Field(description="Join the object of that name.")] = False
 
 
-class NamedImage(OneObject, Image):
+class NamedPlace(OneObject, Place):
+    """An object, and where it was touched, if known."""
+
+
+class NamedImage(NamedPlace, Image):
     """One frame of numbers, of an object."""
 
 
@@ -145,6 +183,38 @@ class NearTouch(BaseModel):
     distance: float
 
 
+class SeenTouch(BaseModel):
+    """Where a touch of the episode was made, from above."""
+
+    number: int
+    x_mm: float
+    y_mm: float
+
+
+class SurfacePoint(BaseModel):
+    """Where the surface is expected, with an ellipse of one standard deviation."""
+
+    x_mm: float
+    y_mm: float
+    long_mm: Annotated[float, Field(description="Half of the longer axis.")]
+    short_mm: float
+    turn_deg: Annotated[float, Field(description="Of the longer axis, from x.")]
+
+
+class SeenFromAbove(BaseModel):
+    """What the places of touches tell; empty where none has one."""
+
+    sentence: Annotated[str, Field(description="How it stands, or why it is open.")] = (
+        ""
+    )
+    pose: Annotated[
+        dict[str, Any] | None,
+        Field(description="Object, face, turn and offset, with their deviations."),
+    ] = None
+    touches: list[SeenTouch] = []
+    surface: list[SurfacePoint] = []
+
+
 class State(BaseModel):
     """Everything the page shows but pictures."""
 
@@ -189,7 +259,7 @@ def _body(schema: dict[str, Any], *kinds: str) -> dict[str, Any]:
 
 
 _PICTURE = _body({"type": "string", "format": "binary"}, *KINDS)
-_IMAGE = _body(Image.model_json_schema(), "application/json")
+_IMAGE = _body(PlacedImage.model_json_schema(), "application/json")
 _NAMED_IMAGE = _body(NamedImage.model_json_schema(), "application/json")
 _EPISODE: Any = {"response_model": EpisodeState, "tags": ["episode"]}
 TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
@@ -220,11 +290,16 @@ async def _picture(request: Request, session: Session) -> Array:
     return await PICTURES.read(read_picture, await request.body(), kind, colour)
 
 
+async def _place(position_mm: Numbers = None, direction: Numbers = None) -> Place:
+    return Place.model_validate({"position_mm": position_mm, "direction": direction})
+
+
 async def _posted(request: Request) -> tuple[dict[str, Any], Array]:
     return await NUMBERS.read(read_json, await request.body())
 
 
 Posted = Annotated[tuple[dict[str, Any], Array], Depends(_posted)]
+PlaceQuery = Annotated[Place, Depends(_place)]
 StoredTouches = Annotated[Teacher, Depends(_teacher)]
 Picture = Annotated[Array, Depends(_picture)]
 NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
@@ -322,14 +397,23 @@ def touch(posted: Posted, session: Session) -> Any:
     Of more than some thousand taxels, send `touch/picture`: that is read at once.
     """
     rest, image = posted
-    Order.model_validate(rest)
-    return JSONResponse(session.post_touch(image))
+    place = Place.model_validate(rest).columns()
+    return JSONResponse(session.post_touch(image, place))
 
 
 @router.post("/touch/picture", **_EPISODE, openapi_extra=_PICTURE)
-def touch_picture(picture: Picture, session: Session) -> Any:
+def touch_picture(picture: Picture, place: PlaceQuery, session: Session) -> Any:
     """Take one touch, as PNG, JPEG or npy, into the episode; return the belief."""
-    return JSONResponse(session.post_touch(picture))
+    return JSONResponse(session.post_touch(picture, place.columns()))
+
+
+@router.get("/episode/above", tags=["episode"])
+def view_from_above(session: Session) -> SeenFromAbove:
+    """Return where touches of the episode met something, and how the object stands.
+
+    Of touches that were posted with their places, with a model that was taught so.
+    """
+    return SeenFromAbove(**session.view_from_above())
 
 
 @router.get("/episode/archive", tags=["episode"], response_class=Response)
@@ -394,14 +478,16 @@ def resume(session: Session) -> Done:
 def teach_touch(posted: Posted, session: Session) -> Stored:
     """Store one touch, as numbers, of an object; answered once on the disk."""
     rest, image = posted
-    name = OneObject.model_validate(rest).object
-    return Stored(id=session.post_lesson(name, image))
+    order = NamedPlace.model_validate(rest)
+    return Stored(id=session.post_lesson(order.object, image, order.columns()))
 
 
 @router.post("/teach/touch/picture", tags=["teach"], openapi_extra=_PICTURE)
-def teach_picture(picture: Picture, name: NameQuery, session: Session) -> Stored:
+def teach_picture(
+    picture: Picture, name: NameQuery, place: PlaceQuery, session: Session
+) -> Stored:
     """Store one touch, as PNG, JPEG or npy, of an object."""
-    return Stored(id=session.post_lesson(name, picture))
+    return Stored(id=session.post_lesson(name, picture, place.columns()))
 
 
 @router.post("/learn", status_code=202, tags=["teach"])

@@ -18,13 +18,22 @@ from ..recognition import (
     ObjectRecogniser,
     check_strangers,
 )
-from ..sensors import DetectedTouch, LiveSensor, SensorError, channels_of, desk_of
-from ._episode import LiveEpisode
+from ..sensors import (
+    PLACE_COLUMNS,
+    DetectedTouch,
+    LiveSensor,
+    SensorError,
+    channels_of,
+    desk_of,
+)
+from ..touches import Touches
+from ._episode import LiveEpisode, Vector
 from ._images import ImageKind, Names, check_image
 from ._learning import LearningError, learn_apart, start_learning
 from ._quality import advice, object_quality
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
 from ._teaching import Teacher, columns_of
+from ._top_view import TopView, archive_beside
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -116,6 +125,7 @@ class LiveSession:
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
         self.recogniser: ObjectRecogniser | None = None
+        self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
         self.episode = LiveEpisode(1, None, self.accepted)
@@ -183,21 +193,34 @@ class LiveSession:
             sentences.append(ONE_SESSION)
         return [sentence for sentence in sentences if sentence]
 
-    def post_touch(self, image: Array) -> dict[str, Any]:
+    def post_touch(
+        self, image: Array, place: Mapping[str, Vector] | None = None
+    ) -> dict[str, Any]:
         """Take one touch from outside into the episode; return the episode.
+
+        `place` holds its `position_mm` and `direction`, where they are known.
 
         Raises
         ------
         ValueError
             The image does not suit the sensor or the model.
         """
-        self._recognise(*self._checked(image), time.monotonic())
+        self._recognise(*self._checked(image), time.monotonic(), place=place)
         return self.episode.to_dict()
 
-    def post_lesson(self, name: str, image: Array) -> str:
+    def post_lesson(
+        self, name: str, image: Array, place: Mapping[str, Vector] | None = None
+    ) -> str:
         """Store one touch of an object from outside; return its id."""
         with self._editing():
-            return self._teacher().store(name, *self._checked(image), self.baseline)
+            checked = self._checked(image)
+            return self._teacher().store(name, *checked, self.baseline, place)
+
+    def view_from_above(self) -> dict[str, Any]:
+        """Return what the places of the episode's touches tell; see `TopView`."""
+        with self._lock:
+            view, episode = self._top_view, self.episode
+        return {} if view is None else view.of(episode)
 
     def begin_episode(self) -> None:
         """Put the touches of the episode aside; the next one begins a new one."""
@@ -221,8 +244,10 @@ class LiveSession:
             teacher.begin(name, wanted)
             self._watched().end_press()
             self.message = self.trouble = ""
-            for image in self.episode.images[:wanted] if keep_episode else ():
-                self.message = self._take(image)
+            episode = self.episode
+            touched = list(zip(episode.images, episode.touches, strict=False))[:wanted]
+            for image, touch in touched if keep_episode else ():
+                self.message = self._take(image, touch.place)
             self._new_episode()
 
     def stop_teaching(self) -> None:
@@ -428,11 +453,26 @@ class LiveSession:
         quality = [] if recogniser is None else object_quality(recogniser)
         with self._lock:
             self.recogniser, self._stored_ids = recogniser, ids
+            self._top_view = None if recogniser is None else self._view_of(recogniser)
             self._met, self._n_met, self.alarm = [], 0, ""
             self._quality = quality
             if self.watch is not None:
                 self.watch.compare_with(recogniser)
             self._new_episode()
+
+    def _view_of(self, recogniser: ObjectRecogniser) -> TopView:
+        def read_learnt() -> Touches | None:
+            learnt = (
+                None if self.model_path is None else archive_beside(self.model_path)
+            )
+            if learnt is None and self.teacher is not None:
+                ids = recogniser.memory_.touch_ids.tolist()
+                shape = recogniser.encoder_.image_shape_
+                learnt = self.teacher.touches_of_ids(ids, shape)
+            return learnt
+
+        strangers = self.accepted["strangers"]
+        return TopView(recogniser, read_learnt, strangers, self._notify_state)
 
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
@@ -440,7 +480,7 @@ class LiveSession:
             number, self.recogniser, self.accepted, self._stored_ids
         )
 
-    def _take(self, image: Array, columns: Mapping[str, float] | None = None) -> str:
+    def _take(self, image: Array, columns: Mapping[str, Any] | None = None) -> str:
         """Take a touch into the lesson; return what to say."""
         self.unlearnt = self.recogniser is not None
         noise = self._watched().detector.noise
@@ -451,12 +491,14 @@ class LiveSession:
         try:
             with self._lock:
                 teaching = self.teacher is not None and self.teacher.lesson is not None
+                columns = columns_of(detected)
                 if teaching:
-                    self.message = self._take(detected.image, columns_of(detected))
+                    self.message = self._take(detected.image, columns)
             if not teaching:
                 channels = self._watched().sensor.channels
-                device_time_s = detected.device_time_s
-                self._recognise(detected.image, channels, ended_s, device_time_s)
+                when = ended_s, detected.device_time_s
+                place = columns if columns.keys() >= {*PLACE_COLUMNS} else None
+                self._recognise(detected.image, channels, *when, place)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
@@ -469,13 +511,14 @@ class LiveSession:
         channels: Names,
         ended_s: float,
         device_time_s: float | None = None,
+        place: Mapping[str, Vector] | None = None,
     ) -> None:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
-            touch = self.episode.add(image, channels)
+            touch = self.episode.add(image, channels, place)
             touch.device_time_s = device_time_s
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)

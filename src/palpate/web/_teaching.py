@@ -14,7 +14,7 @@ import numpy as np
 from .._checks import check_count, did_you_mean
 from .._types import Array
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
-from ..sensors import DetectedTouch, LiveSensor, SensorError
+from ..sensors import PLACE_COLUMNS, DetectedTouch, LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
 from ._journal import Action, Journal
@@ -141,7 +141,7 @@ class Teacher:
         image: Array,
         channels: Names,
         baseline: Array | None,
-        columns: Mapping[str, float] | None = None,
+        columns: Mapping[str, Any] | None = None,
     ) -> str:
         """Store one touch of an object; return its id once it is on the disk."""
         tidy = checked_name(name)
@@ -169,7 +169,7 @@ class Teacher:
         image: Array,
         baseline: Array | None,
         noise: float,
-        columns: Mapping[str, float] | None = None,
+        columns: Mapping[str, Any] | None = None,
     ) -> str:
         """Store one touch of the lesson, which ends when full; return what to say."""
         assert self.lesson is not None
@@ -352,6 +352,17 @@ class Teacher:
             size = self._sensor.image_shape
         return self.library.touches(f"object = {quoted(name)} and {of_size(size)}")
 
+    def touches_of_ids(
+        self, ids: Sequence[str], image_shape: Sequence[int]
+    ) -> Touches | None:
+        """Return stored touches of one size by their ids, None if one is missing."""
+        chosen = self.library.select(f"object is not null and {of_size(image_shape)}")
+        row_of = {key: row for row, key in enumerate(chosen.touch_id.tolist())}
+        if not ids or not row_of.keys() >= {*ids}:
+            return None
+        rows, order = np.unique([row_of[key] for key in ids], return_inverse=True)
+        return chosen.touches(rows)[order]
+
     def known_ids(self) -> set[str]:
         """Return the ids of all touches, also those left out; none before it opens."""
         if self._opened is None:
@@ -396,9 +407,12 @@ def _counted(rows: Sequence[TouchRow]) -> str:
     return "1 touch" if len(rows) == 1 else f"{len(rows)} touches"
 
 
-def columns_of(touch: DetectedTouch) -> dict[str, float]:
+def columns_of(touch: DetectedTouch) -> dict[str, Any]:
     """Return what a device told beside the image of a touch, as columns."""
-    columns = dict(touch.columns)
+    columns: dict[str, Any] = dict(touch.columns)
+    for name, parts in PLACE_COLUMNS.items():
+        if columns.keys() >= {*parts}:
+            columns[name] = tuple(columns.pop(part) for part in parts)
     if touch.device_time_s is not None:
         columns["device_time_s"] = touch.device_time_s
     return columns

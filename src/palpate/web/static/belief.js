@@ -1,5 +1,6 @@
 // The belief: a bar for each object and one for none, its history, the decision.
 
+import { showAbove } from "./above.js";
 import { get, post, url } from "./api.js";
 import { drawn, find, make, percent, pictures, pressable, show, step, text } from "./dom.js";
 import { openPicture, openStored } from "./editor.js";
@@ -75,6 +76,7 @@ function draw() {
   drawBars(last?.posterior ?? {});
   drawUnknown(last);
   drawHistory();
+  showAbove(episode);
 }
 
 // The sentence is the library's: the terminal, reports and Python show the same.

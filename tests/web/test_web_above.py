@@ -1,0 +1,238 @@
+"""Touches with places: what the page shows from above, and who is told why not."""
+
+import time
+
+import numpy as np
+import pytest
+
+from palpate import ObjectRecogniser, Touches
+from palpate.sensors import ReplaySensor
+from palpate.web import LiveSession
+
+RADIUS_MM = {"disc": 60.0, "bar": 30.0}
+
+
+def on_ball(radius_mm, count, rng):
+    """Tips that met a ball's upper half straight on, and the ways that they came."""
+    out = rng.normal(size=(count, 3))
+    out[:, 2] = abs(out[:, 2])
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    return radius_mm * out, -out
+
+
+@pytest.fixture(scope="module")
+def balls(drawn):
+    """Touches of two balls, whose pictures tell them too, with their places."""
+    rng = np.random.default_rng(3)
+    rows = np.concatenate(
+        [np.flatnonzero(drawn.object == name)[:20] for name in RADIUS_MM]
+    )
+    places = [on_ball(radius, 20, rng) for radius in RADIUS_MM.values()]
+    tips, ways = (np.concatenate(part) for part in zip(*places, strict=True))
+    return drawn[rows].with_columns(position_mm=tips, direction=ways)
+
+
+@pytest.fixture(scope="module")
+def placed_model(tmp_path_factory, balls):
+    path = tmp_path_factory.mktemp("placed") / "balls.palpate"
+    ObjectRecogniser("liu2014").fit(balls).save(path)
+    balls.save(path.with_suffix(".npz"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def placed_client(make_session, connected, placed_model):
+    """A client of a model that was taught with places, its map not yet learnt."""
+    session = make_session(sensor=False, model=placed_model, library=None)
+    with connected(session) as client:
+        yield client
+
+
+def posted(client, image, tip, way, path="/api/touch", **more):
+    place = {
+        "position_mm": np.asarray(tip).tolist(),
+        "direction": np.asarray(way).tolist(),
+    }
+    return client.post(path, json={"image": image.tolist(), **place, **more})
+
+
+def seen(client):
+    """Return what is seen from above, once the map is learnt."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        answer = client.get("/api/episode/above").json()
+        if not answer["sentence"].startswith("Learning"):
+            return answer
+        time.sleep(0.05)
+    raise AssertionError("the map was never learnt")
+
+
+def touch_the_large_ball(client, drawn, count=5, aside_mm=(0, 0, 0)):
+    images = drawn.images[drawn.object == "disc"][22:]
+    tips, ways = on_ball(RADIUS_MM["disc"], count, np.random.default_rng(5))
+    for image, tip, way in zip(images, tips + np.array(aside_mm), ways, strict=False):
+        assert posted(client, image, tip, way).status_code == 200
+    return tips + np.array(aside_mm)
+
+
+def test_places_tell_the_ball_and_where_it_stands(placed_client, drawn):
+    placed_client.post("/api/episode/start")
+    tips = touch_the_large_ball(placed_client, drawn, aside_mm=(8, 0, 0))
+    above = seen(placed_client)
+    assert above["sentence"].startswith("disc on face 0, a turn that cannot be told")
+    assert above["pose"]["object"] == "disc"
+    # Five contacts of 1.5 mm each, of a ball learnt to about a millimetre.
+    x, y, _ = above["pose"]["offset_mm"]
+    assert (x, y) == (pytest.approx(8, abs=4), pytest.approx(0, abs=4))
+    assert [touch["number"] for touch in above["touches"]] == [1, 2, 3, 4, 5]
+    assert [touch["x_mm"] for touch in above["touches"]] == pytest.approx(tips[:, 0])
+    far = max(np.hypot(at["x_mm"] - x, at["y_mm"] - y) for at in above["surface"])
+    assert far == pytest.approx(RADIUS_MM["disc"], abs=4)
+    assert all(at["long_mm"] >= at["short_mm"] > 0 for at in above["surface"])
+
+
+def test_a_new_episode_is_seen_anew(placed_client, drawn):
+    placed_client.post("/api/episode/start")
+    assert placed_client.get("/api/episode/above").json()["touches"] == []
+    image = drawn.images[drawn.object == "disc"][22]
+    placed_client.post("/api/touch", json={"image": image.tolist()})
+    answer = placed_client.get("/api/episode/above").json()
+    assert answer == {"sentence": "", "pose": None, "touches": [], "surface": []}
+    posted(placed_client, image, [0, 0, 60], [0, 0, -1])
+    above = seen(placed_client)
+    assert above["touches"] == [{"number": 2, "x_mm": 0.0, "y_mm": 0.0}]
+    kept = Touches.load(archive(placed_client))
+    assert np.isnan(kept.columns["position_mm"][0]).all()
+    assert kept.columns["direction"][1].tolist() == [0, 0, -1]
+
+
+def archive(client):
+    """Download the episode; return the file."""
+    path = client.session.model_path.with_name("episode.npz")
+    path.write_bytes(client.get("/api/episode/archive").content)
+    return path
+
+
+def test_another_unit_is_told_and_the_touch_counts(placed_client, drawn):
+    placed_client.post("/api/episode/start")
+    image = drawn.images[drawn.object == "disc"][22]
+    answer = posted(placed_client, image, [0, 0, 60_000], [0, 0, -1])
+    assert len(answer.json()["touches"]) == 1
+    above = seen(placed_client)
+    assert "another unit or frame" in above["sentence"]
+    assert above["surface"] == []
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ({"position_mm": [0, 0, 1]}, "go together"),
+        ({"position_mm": [0, 0, 1], "direction": [0, 0, 2]}, "length 1, got 2"),
+        ({"position_mm": [0, 1], "direction": [0, 0, 1]}, "position_mm"),
+    ],
+)
+def test_half_a_place_is_refused(placed_client, drawn, place, words):
+    placed_client.post("/api/episode/start")
+    image = drawn.images[0]
+    answer = placed_client.post("/api/touch", json={"image": image.tolist(), **place})
+    assert answer.status_code == 422
+    assert words in answer.text
+    assert placed_client.get("/api/episode").json()["touches"] == []
+
+
+def test_a_picture_has_its_place_in_the_address(placed_client, drawn):
+    placed_client.post("/api/episode/start")
+    image = drawn.images[drawn.object == "disc"][22]
+    path = placed_client.session.model_path.with_name("touch.npy")
+    np.save(path, image)
+    answer = placed_client.post(
+        "/api/touch/picture",
+        params={"position_mm": [1, 2, 3], "direction": [0, 0.6, -0.8]},
+        content=path.read_bytes(),
+        headers={"Content-Type": "application/x-npy"},
+    )
+    assert answer.status_code == 200
+    (touch,) = answer.json()["touches"]
+    assert (touch["position_mm"], touch["direction"]) == ([1, 2, 3], [0, 0.6, -0.8])
+
+
+def test_what_is_taught_with_places_makes_a_map(make_session, connected, balls, drawn):
+    with connected(make_session(sensor=False), rate_hz=2000) as client:
+        for image, tip, way, name in zip(
+            balls.images,
+            balls.columns["position_mm"],
+            balls.columns["direction"],
+            balls.object,
+            strict=True,
+        ):
+            answer = posted(client, image, tip, way, "/api/teach/touch", object=name)
+            assert answer.status_code == 200
+        client.session.learn(wait=True)
+        touch_the_large_ball(client, drawn)
+        assert seen(client)["pose"]["object"] == "disc"
+
+
+def test_a_replay_tells_the_places_of_its_recording(balls, placed_model):
+    large = balls[np.flatnonzero(balls.object == "disc")[:3]]
+    rest = np.zeros_like(large.images[0])
+    sensor = ReplaySensor(large, rate_hz=250, hold=3, gap=3, no_contact=rest)
+    with LiveSession(sensor, model=placed_model) as session:
+        deadline = time.monotonic() + 30
+        while len(session.episode.touches) < 3 and time.monotonic() < deadline:
+            time.sleep(0.02)
+    tips = [touch.position_mm for touch in session.episode.touches[:3]]
+    # As stored: the first frames may be over before the sensor is followed.
+    recorded = large.columns["position_mm"].tolist()
+    first = recorded.index(list(tips[0]))
+    assert [list(tip) for tip in tips] == (recorded[first:] + recorded[:first])
+    ways = [touch.direction for touch in session.episode.touches[:3]]
+    assert ways == pytest.approx(-np.array(tips) / RADIUS_MM["disc"])
+
+
+def test_an_archive_that_cannot_be_read_is_told(
+    make_session, connected, placed_model, drawn, tmp_path
+):
+    model = tmp_path / "balls.palpate"
+    model.write_bytes(placed_model.read_bytes())
+    model.with_suffix(".npz").write_bytes(b"no archive")
+    with connected(make_session(sensor=False, model=model, library=None)) as client:
+        posted(client, drawn.images[0], [0, 0, 60], [0, 0, -1])
+        assert "balls.npz" in seen(client)["sentence"]
+
+
+def test_touches_of_the_episode_are_taught_with_their_places(make_session, drawn):
+    session = make_session()
+    place = {"position_mm": (1.0, 2.0, 3.0), "direction": (0.0, 0.0, -1.0)}
+    with session:
+        session.post_touch(drawn.images[0], place)
+        session.post_touch(drawn.images[1])
+        session.teach("disc", 2, keep_episode=True)
+        stored = session.teacher.touches("disc")
+    assert stored.columns["position_mm"][0].tolist() == [1, 2, 3]
+    assert np.isnan(stored.columns["position_mm"][1]).all()
+
+
+def test_a_model_without_places_says_so(make_session, connected, drawn_model, drawn):
+    session = make_session(sensor=False, model=drawn_model, library=None)
+    with connected(session) as client:
+        posted(client, drawn.images[0], [0, 0, 60], [0, 0, -1])
+        assert "taught without places" in seen(client)["sentence"]
+
+
+def test_the_page_shows_it_where_a_touch_has_a_place(
+    page, serving, make_session, placed_model, drawn
+):
+    session = make_session(sensor=False, model=placed_model, library=None)
+    images = drawn.images[drawn.object == "disc"][22:]
+    with session, serving(session) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        session.post_touch(images[0])
+        page.wait_for_selector("#strip img")
+        assert page.locator("#above").is_hidden()
+        place = {"position_mm": (0.0, 0.0, 60.0), "direction": (0.0, 0.0, -1.0)}
+        session.post_touch(images[1], place)
+        page.wait_for_selector("#above ellipse", timeout=40_000)
+        assert page.locator("#above circle").count() == 1
+        assert "disc on face 0" in page.locator("#above-sentence").inner_text()
+        session.begin_episode()
+        page.wait_for_selector("#above", state="hidden")
