@@ -48,10 +48,11 @@ def demo(
 ) -> None:
     """Learn six objects, recognise three of them by touch, and meet an unknown one.
 
-    A simulated arm explores simulated objects with a dome camera, from 120 touches of
-    each in 20 placements; teaching touches are made in one step. Or, with --real,
-    recorded pictures of ten objects are read, 60 touches each, of which two are not
-    learnt but met as unknown ones. The last line printed is the path of the report.
+    A simulated arm explores simulated objects with a dome camera: 120 touches of each
+    in 20 placements, made in one step, to learn them; guarded ones to recognise them.
+    Or, with --real, recorded pictures of ten objects are read, 60 touches each, of
+    which two are not learnt but met as unknown ones. The last line printed is the path
+    of the report.
     """
     pictures = _pictures(data) if real else None
     from ..evaluation import Plan, check_report_path, evaluate, write_report
