@@ -35,6 +35,20 @@ def test_the_same_seed_gives_the_same_touches():
     assert not np.array_equal(one, other)
 
 
+def test_unguarded_touches_are_the_guarded_ones_made_in_one_step(tmp_path):
+    guarded, at_once = (
+        explore_to_learn([BOX], 4, CAMERA, n_sessions=2, turned=True, guarded=guarded)
+        for guarded in (True, False)
+    )
+    # The guard's last step is of a quarter of a millimetre; its readings are noisy by
+    # 0.005 N, and between solved forces the bench interpolates.
+    places = guarded.columns["position_mm"], at_once.columns["position_mm"]
+    assert_allclose(*places, atol=0.35)
+    assert at_once.session.tolist() == [0, 0, 1, 1]
+    with pytest.raises(ValueError, match="folder must be None where guarded is False"):
+        explore_to_learn([BOX], 1, CAMERA, guarded=False, folder=tmp_path)
+
+
 def test_places_are_in_the_objects_frame_however_it_is_turned():
     made = explore_to_learn(
         [BOX], 12, CAMERA, n_sessions=3, turned=True, placement_sd_mm=0.0
@@ -99,9 +113,11 @@ def test_frames_are_lost_and_objects_go_out_of_reach_when_asked():
     assert [r.outcome for r in records] == ["no frame", "nothing", "touched"]
 
 
-def test_nothing_to_touch_is_told():
+@pytest.mark.parametrize("guarded", [True, False])
+def test_nothing_to_touch_is_told(guarded):
+    nothing = [find_object("nothing")]
     with pytest.raises(RobotError, match="Only 0 of 2 touches"):
-        explore_to_learn([find_object("nothing")], 2, CAMERA, n_sessions=1)
+        explore_to_learn(nothing, 2, CAMERA, n_sessions=1, guarded=guarded)
 
 
 def test_an_object_is_put_down_near_the_middle_turned_and_on_a_face():

@@ -31,7 +31,7 @@ from ..touches import Touches
 from ._episode import gather
 from ._guarded import Guard
 from ._record import TouchRecord, as_touches, tip_mm
-from ._robot import MissingFrames, SimulatedRobot
+from ._robot import MissingFrames, RobotError, SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
 from ._touching import Toucher, touch_from_hemisphere
 
@@ -163,6 +163,7 @@ def explore_to_learn(
     faces: str = "usual",
     drift: bool = False,
     placement_sd_mm: float = 5.0,
+    guarded: bool = True,
     folder: str | Path | None = None,
     random_state: int = 0,
     n_jobs: int | None = None,
@@ -191,6 +192,9 @@ def explore_to_learn(
         `DomeCamera.drifted`.
     placement_sd_mm : float, default=5.0
         See `put_down`.
+    guarded : bool, default=True
+        Whether the arm feels its way, step by step. Else each touch is made in one
+        step (`Stand.touch_at_once`): the same contacts by a seventh of the work.
     folder : path, optional
         Where to keep the attempts, an episode for each time an object is put down:
         what was begun there goes on. Of one that holds more touches, the first are
@@ -212,7 +216,14 @@ def explore_to_learn(
         Touches of an object do not come.
     EpisodeError
         `folder` is none, or holds other episodes than these.
+    ValueError
+        `folder` is to keep touches that are not `guarded`.
     """
+    if folder is not None and not guarded:
+        raise ValueError(
+            "folder must be None where guarded is False, got "
+            f"{str(folder)!r}. Only guarded attempts are kept."
+        )
     objects = list(HOUSEHOLD if things is None else things)
     refuse_same_names(objects)
     count = check_count("n_touches", n_touches)
@@ -222,7 +233,7 @@ def explore_to_learn(
     home = None if folder is None else Path(folder)
     check_option("faces", faces, ("usual", "all"))
     turns = turned, faces == "all"
-    how = (seen_by, turns, drift, placement_sd_mm, home, random_state)
+    how = (seen_by, turns, drift, placement_sd_mm, guarded, home, random_state)
     parts = in_parallel(
         partial(_session, *how),
         [(*thing, *part) for thing in enumerate(objects) for part in enumerate(shares)],
@@ -239,6 +250,7 @@ def _session(
     turns: tuple[bool, bool],
     drift: bool,
     placement_sd_mm: float,
+    guarded: bool,
     home: Path | None,
     random_state: int,
     number: int,
@@ -260,21 +272,41 @@ def _session(
         placement_sd_mm=placement_sd_mm,
         random_state=seed,
     )
-    history = gather(
-        stand.robot,
-        stand.sensor,
-        RandomHemisphere(stand.hemisphere, seed),
-        None if home is None else home / thing.name / str(session),
-        n_touches=n_touches,
-        guard=QUICK_GUARD,
-        clock=stand.robot.clock,
-    )
+    strategy = RandomHemisphere(stand.hemisphere, seed)
+    if guarded:
+        history = gather(
+            stand.robot,
+            stand.sensor,
+            strategy,
+            None if home is None else home / thing.name / str(session),
+            n_touches=n_touches,
+            guard=QUICK_GUARD,
+            clock=stand.robot.clock,
+        )
+    else:
+        history = _gathered_at_once(stand, strategy, n_touches)
     named = {"object": thing.name, "category": thing.category}
     touches = as_touches(history, **named, geometry="dome")
     vectors = _in_frame_of_object(touches, yaw)
     if every_face:
         vectors["face"] = np.full(len(touches), face)
     return touches.with_columns(session=np.full(len(touches), session), **vectors)
+
+
+def _gathered_at_once(
+    stand: Stand, strategy: RandomHemisphere, n_touches: int
+) -> list[TouchRecord]:
+    """Touch so often as `gather` does, each time in one step."""
+    history: list[TouchRecord] = []
+    while (n_touched := sum(record.touched for record in history)) < n_touches:
+        if len(history) == 5 * n_touches:
+            raise RobotError(
+                f"Only {n_touched} of {n_touches} touches came of {len(history)} "
+                "attempts. Is the object where the hemisphere has its centre?"
+            )
+        pose = strategy.next_pose(None, history)
+        history.append(stand.touch_at_once(pose, QUICK_GUARD))
+    return history
 
 
 def _in_frame_of_object(touches: Touches, yaw_rad: float) -> dict[str, Floats]:
