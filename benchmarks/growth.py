@@ -11,9 +11,9 @@ nearest-mean classifier of scaled features; one object more is learnt and one fo
 and the model is written and read.
 
 What is spread over a cluster is encoding pictures of 120 x 120 from Parquet, and the
-sums of 2,000 landmarks: in this process, then by two Dask workers of one thread, in
-turn. By the clock that takes two idle cores; CPU time of the busier worker says what
-they would take there.
+sums of 2,000 landmarks: in this process, then by two Dask workers of one thread, which
+keep the memory that they have (docs/howto/machines.md), in turn. By the clock that
+takes two idle cores; CPU time of the busier worker says what they would take there.
 
 Each size is learnt in a process of its own, on one thread, until one takes longer than
 `LONGEST_S` of CPU time. Objects and touches are those of `default` on vectors of 71
@@ -41,6 +41,11 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "growth.json"
 N_FEATURES, LONGEST_S, N_ASKED, N_ROUNDS = 71, 240, 20, 2
 KERNELS = 10_000
+# Else Dask has workers give memory back to the system at every step.
+KEEP_MEMORY = {
+    "MALLOC_TRIM_THRESHOLD_": "134217728",
+    "MALLOC_MMAP_THRESHOLD_": "67108864",
+}
 # Objects and touches of each, of a shop and of a fleet.
 SHOP = [(10_000, 5), (10_000, 20), (100, 10_000)]
 FIGURES = {
@@ -192,6 +197,7 @@ def spread() -> list[dict[str, Any]]:
     from joblib import parallel_config
 
     options = {"threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": ":0"}
+    os.environ.update(KEEP_MEMORY)
     rows = []
     with (
         TemporaryDirectory() as folder,

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.classifiers import NearbyTouches, _kernel_ridge, _touch_classifier
-from palpate.recognition import across_sessions
+from palpate.recognition import _learning, across_sessions
 
 
 def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
@@ -131,6 +131,23 @@ def test_what_tells_sessions_is_weighed_down_where_a_part_is_left_out(
     both = Touches.concatenate(days)
     assert model.learn_nuisance(both) >= 20
     assert model.score(drawn(n_objects, 1, seed=7)) > 0.5
+
+
+def test_more_objects_than_memory_is_for_are_refused_and_a_way_is_named():
+    """100 kB an object, 3 kB a touch, 0.5 GB in any case; the ways lead on."""
+    names = np.repeat([f"part {k:06d}" for k in range(100_000)], 2)
+    names, n_touches = names.astype(object), len(names)
+    kinds = np.array([f"kind {k}" for k in np.arange(n_touches) // 20_000])
+    ways = (
+        r"at most 8 GB of memory, got 100000 labels and 200000 touches, which take up "
+        r"to some 11\.1 GB\. Learn categories first \(label='category'\) and the "
+        r"objects of each by themselves, .* or raise ObjectRecogniser\.max_memory_gb"
+    )
+    with pytest.raises(ValueError, match=ways):
+        ObjectRecogniser().fit(np.zeros((n_touches, 1, 2)), names)
+    for labels in (kinds, names[kinds == "kind 3"]):
+        _learning.refuse_too_large(labels, 8.0)
+    _learning.refuse_too_large(names, 11.2)
 
 
 def test_sessions_of_an_object_are_counted():

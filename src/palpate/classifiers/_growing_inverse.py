@@ -61,9 +61,9 @@ class GrowingInverse:
         self.ridges = ridges
         self._classes, self._coefficients = classes, coefficients
         self._blocks = {
-            one.tobytes(): block
-            for rows, own in blocks
-            for one, block in zip(rows, own, strict=True)
+            members.tobytes(): block
+            for rows, inverses in blocks
+            for members, block in zip(rows, inverses, strict=True)
         }
         self.n_first = len(touches)
         none = np.empty((len(touches), 0))
@@ -100,12 +100,12 @@ class GrowingInverse:
         between = kernel[:, :n_first].T
         more._between = np.hstack([self._between, between])
         more._solved = np.hstack([self._solved, self._times_first(between)])
-        own = np.empty((n_added, n_added))
-        own[:n_known, :n_known] = self._own
-        own[n_known:] = kernel[:, n_first:]
-        own[:, n_known:] = kernel[:, n_first:].T
-        more._own = own
-        schur = own + np.diag(ridges[n_first:]) - more._between.T @ more._solved
+        later = np.empty((n_added, n_added))
+        later[:n_known, :n_known] = self._own
+        later[n_known:] = kernel[:, n_first:]
+        later[:, n_known:] = kernel[:, n_first:].T
+        more._own = later
+        schur = later + np.diag(ridges[n_first:]) - more._between.T @ more._solved
         more._factor = cho_factor(schur)
         return more
 
@@ -126,8 +126,8 @@ class GrowingInverse:
         through = np.ascontiguousarray(cho_solve(self._factor, frame.T).T)
         for rows in by_size:
             blocks = frame[rows] @ through[rows].transpose(0, 2, 1)
-            for mine, block in zip(rows, blocks, strict=True):
-                first = mine[: np.searchsorted(mine, self.n_first)]
+            for members, block in zip(rows, blocks, strict=True):
+                first = members[: np.searchsorted(members, self.n_first)]
                 block[: len(first), : len(first)] += self._first_block(first)
             yield rows, blocks
 
@@ -136,15 +136,15 @@ class GrowingInverse:
         return np.vstack([self._solved, -np.eye(self._solved.shape[1])])
 
     def _first_block(self, rows: Indices) -> Floats:
-        known = self._blocks.get(rows.tobytes())
-        if known is None:
-            known = np.zeros((len(rows), len(rows)))
+        block = self._blocks.get(rows.tobytes())
+        if block is None:
+            block = np.zeros((len(rows), len(rows)))
             for strip in self._strips:
                 n_here = np.searchsorted(rows, strip.shape[1])
-                mine = strip[:, rows[:n_here]]
-                known[:n_here, :n_here] += mine.T @ mine
-            self._blocks[rows.tobytes()] = known
-        return known
+                columns = strip[:, rows[:n_here]]
+                block[:n_here, :n_here] += columns.T @ columns
+            self._blocks[rows.tobytes()] = block
+        return block
 
     def _times_first(self, values: Floats) -> Floats:
         result = np.zeros_like(values, order="C")

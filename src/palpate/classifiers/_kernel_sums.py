@@ -129,8 +129,8 @@ def exact_log_sums(
             columns = slice(first, first + _BLOCK // _QUERIES)
             exponents = cdist(x[rows], points[columns], "sqeuclidean") / -2
             if groups is not None:
-                own = groups[0][rows, np.newaxis] == groups[1][columns]
-                exponents[own] = -np.inf
+                same_group = groups[0][rows, np.newaxis] == groups[1][columns]
+                exponents[same_group] = -np.inf
             part = np.logaddexp.reduce(exponents, axis=1)
             result[rows] = np.logaddexp(result[rows], part)
     return result
@@ -177,8 +177,8 @@ def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
     with np.errstate(over="ignore", invalid="ignore"):
         centre = touches.mean(axis=0)
         squared = sum(
-            ((touches[some] - centre) ** 2).sum(axis=0)
-            for some in gen_batches(len(touches), _ROWS)
+            ((touches[rows] - centre) ** 2).sum(axis=0)
+            for rows in gen_batches(len(touches), _ROWS)
         )
         spread = np.sqrt(squared / max(1, len(touches) - 1))
     if not np.isfinite(spread).all():

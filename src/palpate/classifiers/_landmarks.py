@@ -71,9 +71,9 @@ class Landmarks:
 
     def root(self) -> Floats:
         """Return the lower triangular root of the landmarks' own kernel."""
-        own = self.kernel(self.marks)
-        own.flat[:: len(own) + 1] += _JITTER
-        return np.asarray(cholesky(own, lower=True))
+        gram = self.kernel(self.marks)
+        gram.flat[:: len(gram) + 1] += _JITTER
+        return np.asarray(cholesky(gram, lower=True))
 
 
 class LandmarkRegression:
@@ -161,8 +161,8 @@ class LandmarkRegression:
         """Return coefficients in single precision where scores stay the same."""
         kernel = self._landmarks.kernel(centred[:: -(-len(centred) // N_COMPARED)])
         single = coefficients.astype(np.float32)
-        apart = kernel.astype(np.float32) @ single - kernel @ coefficients
-        return single if np.abs(apart).max() < SAME_SCORE else coefficients
+        differences = kernel.astype(np.float32) @ single - kernel @ coefficients
+        return single if np.abs(differences).max() < SAME_SCORE else coefficients
 
     def changed(
         self,
@@ -283,8 +283,10 @@ def _sums(
         rows = slice(start, start + TOUCHES_AT_ONCE)
         kernel = landmarks.kernel(centred[rows])
         dsyrk(1.0, kernel.T, beta=1.0, c=products, lower=1, overwrite_c=1)
-        own, at = np.unique(codes[rows], return_index=True)
-        by_label[np.searchsorted(present, own)] += np.add.reduceat(kernel, at, axis=0)
+        labels, at = np.unique(codes[rows], return_index=True)
+        by_label[np.searchsorted(present, labels)] += np.add.reduceat(
+            kernel, at, axis=0
+        )
     return products, present, by_label
 
 
@@ -292,12 +294,12 @@ def _batches(groups: list[Indices], at_once: int) -> Iterator[list[Indices]]:
     """Yield groups so many touches at a time, one that is larger alone."""
     batch: list[Indices] = []
     n_touches = 0
-    for one in groups:
-        if batch and n_touches + len(one) > at_once:
+    for members in groups:
+        if batch and n_touches + len(members) > at_once:
             yield batch
             batch, n_touches = [], 0
-        batch.append(one)
-        n_touches += len(one)
+        batch.append(members)
+        n_touches += len(members)
     yield batch
 
 

@@ -98,22 +98,24 @@ class NearbyTouches(BayesRule):
 
         Parameters and errors as of `TouchClassifier.fit`.
         """
-        asked, group, codes = self._stored(X, y, groups)
+        queries, group, codes = self._stored(X, y, groups)
         nearest = [
             np.where(out, np.inf, squared).min(axis=1)
-            for squared, out in self._pairs(asked, group)
+            for squared, out in self._pairs(queries, group)
         ]
-        every = np.concatenate(nearest)
-        unit = float(np.sqrt(np.median(every[np.isfinite(every)]))) or 1.0
+        least_squared = np.concatenate(nearest)
+        unit = (
+            float(np.sqrt(np.median(least_squared[np.isfinite(least_squared)]))) or 1.0
+        )
         best, densities = np.inf, np.empty(0)
         for width in _WIDTHS:
-            scores = self._left_out_densities(asked, group, width * unit)
+            scores = self._left_out_densities(queries, group, width * unit)
             loss = _best_shape(scores, codes, [_USUAL_FLOOR])[0]
             if loss < best:
                 best, self.width_, densities = loss, width * unit, scores
         _, self.temperature_, self.floor_ = _best_shape(densities, codes)
         self._choose_ridge(X, y, groups)
-        self._learn_list(asked, group, densities, codes)
+        self._learn_list(queries, group, densities, codes)
         return self
 
     def _choose_ridge(self, X: ArrayLike, y: ArrayLike, groups: Groups) -> None:
@@ -129,7 +131,7 @@ class NearbyTouches(BayesRule):
 
     def _learn_list(
         self,
-        asked: Singles,
+        queries: Singles,
         group: _Groups,
         densities: Floats,
         codes: Indices | None = None,
@@ -139,18 +141,18 @@ class NearbyTouches(BayesRule):
         Of touches to be left out, and their log densities (n_left_out, n_classes).
         """
         log_posterior, lists = self._log_posterior(densities), _best_of(densities)
-        pairs = zip(asked, lists, group[0], strict=True)
+        pairs = zip(queries, lists, group[0], strict=True)
         scores = np.stack(
-            [self._scores(one, of, group[1] != g) for one, of, g in pairs]
+            [self._scores(query, labels, group[1] != g) for query, labels, g in pairs]
         )
         if codes is not None:
-            own = lists == codes[:, np.newaxis]
-            listed = own.any(axis=1)
+            is_own = lists == codes[:, np.newaxis]
+            is_listed = is_own.any(axis=1)
             self.bent_ = 8.0, 0.5
-            if listed.any():
-                every = np.ones(lists.shape[1], dtype=np.intp)
-                at = own[listed].argmax(axis=1)
-                self.bent_ = best_shape(scores[listed], at, every)[0][:2]
+            if is_listed.any():
+                counts = np.ones(lists.shape[1], dtype=np.intp)
+                at = is_own[is_listed].argmax(axis=1)
+                self.bent_ = best_shape(scores[is_listed], at, counts)[0][:2]
         left_out = self._shared_out(log_posterior, lists, scores)
         self.left_out_ = np.where(np.isneginf(densities), -np.inf, left_out)
 
@@ -165,14 +167,14 @@ class NearbyTouches(BayesRule):
         pairs = zip(self.starts_[labels], ends, strict=True)
         parts = [np.arange(start, end) for start, end in pairs]
         rows = np.concatenate(parts)
-        of = np.repeat(np.arange(len(labels)), [len(part) for part in parts])
+        owners = np.repeat(np.arange(len(labels)), [len(part) for part in parts])
         if kept is not None:
-            rows, of = rows[kept[rows]], of[kept[rows]]
+            rows, owners = rows[kept[rows]], owners[kept[rows]]
         near = self.touches_[rows].astype(np.float64) - centred
         squares = np.einsum("ij,ij->i", near, near)
         if len(rows) > _MOST_NEAR:
             nearest = np.argpartition(squares, _MOST_NEAR)[:_MOST_NEAR]
-            near, squares, of = near[nearest], squares[nearest], of[nearest]
+            near, squares, owners = near[nearest], squares[nearest], owners[nearest]
         squared = near @ (-2 * near.T)
         squared += squares
         squared += squares[:, np.newaxis]
@@ -180,7 +182,7 @@ class NearbyTouches(BayesRule):
         kernel.flat[:: len(kernel) + 1] += self.ridge_
         # One solution for the touch, instead of one for each label.
         weights = dposv(kernel.T, exp(-self.scale_ * squares), overwrite_a=1)[1]
-        sums = np.bincount(of, weights, minlength=len(labels))
+        sums = np.bincount(owners, weights, minlength=len(labels))
         return np.asarray(sums + (1 - weights.sum()) / len(labels))
 
     def _shared_out(
@@ -189,19 +191,19 @@ class NearbyTouches(BayesRule):
         """Return log posteriors in which scores share out the lists' probability."""
         temperature, bend = self.bent_
         within = log_softmax(temperature * scores / (1 + bend * np.abs(scores)))
-        listed = np.take_along_axis(log_posterior, lists, axis=1)
-        most = listed.max(axis=1, keepdims=True)
-        together = most + np.log(exp(listed - most).sum(axis=1, keepdims=True))
+        log_listed = np.take_along_axis(log_posterior, lists, axis=1)
+        most = log_listed.max(axis=1, keepdims=True)
+        total = most + np.log(exp(log_listed - most).sum(axis=1, keepdims=True))
         result = log_posterior.copy()
-        np.put_along_axis(result, lists, together + within, axis=1)
+        np.put_along_axis(result, lists, total + within, axis=1)
         return result
 
     def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Store other touches, with the width and temperature already chosen."""
         check_is_fitted(self)
-        asked, group, _ = self._stored(X, y, groups, reset=False)
-        densities = self._left_out_densities(asked, group, self.width_)
-        self._learn_list(asked, group, densities)
+        queries, group, _ = self._stored(X, y, groups, reset=False)
+        densities = self._left_out_densities(queries, group, self.width_)
+        self._learn_list(queries, group, densities)
         return self
 
     def _stored(
@@ -219,23 +221,23 @@ class NearbyTouches(BayesRule):
         self.squares_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
         self.starts_ = np.searchsorted(codes[order], np.arange(len(self.classes_)))
         self.left_out_rows_ = rows = rows_left_out(codes, group)
-        asked = (touches[rows] - self.mean_).astype(np.float32)
-        return asked, (group[rows], group[order]), codes[rows]
+        queries = (touches[rows] - self.mean_).astype(np.float32)
+        return queries, (group[rows], group[order]), codes[rows]
 
     def _pairs(
-        self, asked: Singles, group: _Groups
+        self, queries: Singles, group: _Groups
     ) -> Iterator[tuple[Singles, NDArray[np.bool_]]]:
         """Yield squared distances to the stored touches, and which are left out."""
         at_once = max(1, _PAIRS_AT_ONCE // len(self.touches_))
-        for k in range(0, len(asked), at_once):
-            some = slice(k, k + at_once)
-            out = group[0][some, np.newaxis] == group[1]
-            yield self._squared(asked[some]), out
+        for k in range(0, len(queries), at_once):
+            rows = slice(k, k + at_once)
+            out = group[0][rows, np.newaxis] == group[1]
+            yield self._squared(queries[rows]), out
 
     def _left_out_densities(
-        self, asked: Singles, group: _Groups, width: float
+        self, queries: Singles, group: _Groups, width: float
     ) -> Floats:
-        pairs = self._pairs(asked, group)
+        pairs = self._pairs(queries, group)
         parts = [self._log_densities(squared, width, out) for squared, out in pairs]
         return np.concatenate(parts)
 
@@ -283,7 +285,7 @@ class NearbyTouches(BayesRule):
         densities = np.concatenate(parts)
         log_posterior, lists = self._log_posterior(densities), _best_of(densities)
         pairs = zip(centred, lists, strict=True)
-        scores = np.stack([self._scores(one, labels) for one, labels in pairs])
+        scores = np.stack([self._scores(touch, labels) for touch, labels in pairs])
         return self._shared_out(log_posterior, lists, scores)
 
     def left_out_log_likelihood(self) -> Floats:
@@ -324,9 +326,9 @@ def _best_shape(
     """
     step = -(-scores.size // _SHAPED_ANSWERS)
     scores, codes = scores[::step], codes[::step]
-    own = scores[np.arange(len(codes)), codes]
+    own_scores = scores[np.arange(len(codes)), codes]
     below = scores - scores.max(axis=1, keepdims=True)
-    below, codes = below[np.isfinite(own)], codes[np.isfinite(own)]
+    below, codes = below[np.isfinite(own_scores)], codes[np.isfinite(own_scores)]
     if not len(codes):
         return 0.0, 1.0, float(np.log(scores.shape[1]))
     at = np.arange(len(codes)), codes
@@ -336,10 +338,10 @@ def _best_shape(
         return float(-log_softmax(shaped)[at].mean())
 
     best = np.inf, 1.0, 0.0
-    for less in floors:
-        floor = float(np.log(scores.shape[1]) + less)
-        found = minimize_scalar(
+    for margin in floors:
+        floor = float(np.log(scores.shape[1]) + margin)
+        optimum = minimize_scalar(
             loss, bounds=_TEMPERATURES, args=(floor,), method="bounded"
         )
-        best = min(best, (float(found.fun), float(np.exp(found.x)), floor))
+        best = min(best, (float(optimum.fun), float(np.exp(optimum.x)), floor))
     return best

@@ -48,6 +48,8 @@ from ._store import LibraryError, room_for
 
 TACTILE = "observation.tactile"
 _LEROBOT_VERSION = "v3.0"
+# Touches of a row group of Parquet, and so of a task of a worker that reads it.
+_ROW_GROUP = 128
 _FRAMES_PER_SECOND = 1  # a touch is a frame, and has its own time
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
@@ -160,10 +162,10 @@ def _write_parts(
 
 
 def _write_parquet(file: Any, picked: Picked, without: str | None = None) -> None:
-    """Write one row group for every `AT_ONCE` touches, fewer of large images."""
+    """Write a row group for every `_ROW_GROUP` touches, fewer of large images."""
     pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
     shape, dtype = picked.kind
-    step = n_at_once(shape, dtype)
+    step = min(_ROW_GROUP, n_at_once(shape, dtype))
     common = picked.columns()
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}

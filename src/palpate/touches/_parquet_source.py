@@ -23,8 +23,9 @@ from ._columns import Arrays, TouchesError
 from ._parquet import file_stamp, parquet_files, parquet_index, parquet_rows, url_of
 from ._touches import MAX_BYTES, MAX_PIXELS, Labelled, Touches
 
-# Touches of one task, where row groups are smaller.
-_AT_ONCE = 512
+# Touches of one task, where row groups are smaller: encoding so few takes as long for
+# each as more would, and two workers share them evenly.
+_AT_ONCE = 128
 
 
 class _Blocks(NamedTuple):
