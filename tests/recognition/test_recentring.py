@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.special import softmax
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, Recentring
+from palpate.recognition import OTHER_SESSION, ObjectRecogniser, Recentring, adapt
 from palpate.recognition._recentring import SessionSums, shift_unlabelled
 from palpate.recognition._sessions import Parts, Taught, session_effects
 
@@ -163,3 +163,19 @@ def test_the_recogniser_that_was_learnt_stays_as_it_is(learnt):
     before = learnt.log_likelihood(there)
     Recentring(learnt).start().update(there)
     assert_allclose(learnt.log_likelihood(there), before, rtol=0, atol=0)
+
+
+def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
+    there = _day(3.0, 1, n_each=4)
+    unlabelled = adapt(learnt, _day(3.0, 1, n_each=4, labels=False))
+    for belief in (
+        unlabelled.start().update(there[:1]),
+        Recentring(learnt).start().update(there[:1]),
+    ):
+        assert belief.promise().other_session
+        assert str(belief.promise()).endswith(OTHER_SESSION)
+        assert sum(OTHER_SESSION in sentence for sentence in belief.why()) == 1
+    for recogniser in (learnt, adapt(learnt, there)):  # confirmed touches are left out
+        belief = recogniser.start().update(there[:1])
+        assert not belief.promise().other_session
+        assert not any(OTHER_SESSION in sentence for sentence in belief.why())

@@ -92,6 +92,8 @@ def learn_nuisance(
 
 
 def _sentences(values: dict[str, Any]) -> list[str]:
+    from ..recognition import OTHER_SESSION
+
     seen = "another" if values["changed"] else "no other"
     said = [f"The touches show {seen} mounting or light than when it was taught."]
     said += values["reasons"]
@@ -110,10 +112,7 @@ def _sentences(values: dict[str, Any]) -> list[str]:
             f"Each counts as 1/{1 / values['weight']:.0f} of a training touch: so they "
             "tell each other best."
         )
-    said.append(
-        "Probabilities are still those of sessions like those of training: in this one "
-        "names are wrong more often than they say."
-    )
+    said.append(OTHER_SESSION)
     names = ", ".join(values["confirm"])
     said.append(f"To go further, confirm 1 to 5 touches of each, first of: {names}.")
     return said

@@ -554,6 +554,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             senses=self.modalities_,
             categories=self._category_of(self.memory_),
             memory=self.memory_,
+            other_session=not self.chosen_.get("remount", {}).get("labelled", True),
         )
 
     def fit_pose(self, touches: Touches, pitch_mm: float | None = None) -> Self:

@@ -58,6 +58,8 @@ class Recentring:
         learnt, found = without_sessions(recogniser.learnt())
         self._moves = bool(found.get("centred", True))
         self._as_learnt = copy(recogniser).serve(learnt)
+        found |= {"labelled": False}
+        self._as_learnt.chosen_ = {**recogniser.chosen_, "remount": found}
         self._taught = learnt.taught
         nothing = np.zeros((0, learnt.memory.features.shape[1]))
         no_names = np.zeros((0, len(learnt.classes)))
