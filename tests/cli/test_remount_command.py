@@ -62,6 +62,16 @@ def test_remount_says_what_it_found(palpate, files):
     assert done.stdout.rstrip().endswith("o.palpate")
 
 
+def test_what_is_left_to_confirm_is_said(palpate, files):
+    tuesday = Touches.load(files / "tue.npz")
+    tuesday[np.isin(tuesday.object, ["a", "c"])].save(files / "some.npz")
+    done = palpate(
+        *["remount", files / "m.palpate", files / "some.npz", "-o", files / "o.palpate"]
+    )
+    (sentence,) = [line for line in done.stdout.splitlines() if "none yet" in line]
+    assert set(sentence.rstrip(".").split("none yet: ")[1].split(", ")) == {"b", "d"}
+
+
 def test_recognise_warns_of_another_mounting(palpate, files):
     model = files / "m.palpate"
     warned = palpate("recognise", model, files / "tue.npz")

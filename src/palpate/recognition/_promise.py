@@ -41,7 +41,7 @@ class Promise(NamedTuple):
 
     def __str__(self) -> str:
         if self.other_session:
-            return f"{str(self._replace(other_session=False))} {OTHER_SESSION}"
+            return f"{self._replace(other_session=False)!s} {OTHER_SESSION}"
         objects = f"{self.n_units} object{'s' * (self.n_units != 1)}"
         if self.bound <= self.level:
             return f"{objects} left out can show an error of {self.level:g}."
