@@ -109,7 +109,7 @@ def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Draw
     own = codes[drawn.rows]
     first = np.unique(own, return_index=True)[1]
     first = first[np.bincount(codes)[own[first]] > 1]
-    rest = np.delete(np.arange(len(memory)), drawn.rows[first])
+    rest = np.delete(np.arange(len(codes)), drawn.rows[first])
     features, blocks = memory.features[rest], memory.blocks[rest]
     taught = _sessions.Taught(features, codes[rest], blocks, parts)
     moved = [drawn.features]

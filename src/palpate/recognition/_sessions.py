@@ -69,7 +69,8 @@ class Taught:
         if not len(variances):
             return np.zeros(len(self.parts.cuts) - 1)
         counts = counts[counts > 1, np.newaxis]
-        return self.parts.sums(variances * counts / (counts - 1)).mean(axis=0)
+        sums = self.parts.sums(variances * counts / (counts - 1))
+        return np.asarray(sums.mean(axis=0))
 
 
 def group_means(values: Floats, codes: Indices) -> Floats:
