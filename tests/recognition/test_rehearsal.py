@@ -194,3 +194,15 @@ def test_what_confirming_is_expected_to_bring_is_said(both):
     there = copy(both[1]).remount(_presses(1, 4)[:3])
     assert there.chosen_["remount"]["confirm"] == ["ring"]
     assert there.chosen_["remount"]["expected"] == [low, high]
+
+
+def test_objects_of_one_touch_each_are_not_confirmed():
+    memory = SimpleNamespace(
+        features=np.eye(3),
+        labels=np.array(list("abc")),
+        classes=np.array(list("abc")),
+        blocks=np.arange(3),
+    )
+    drawn = Drawn(np.stack([np.eye(3), np.eye(3) + 1]), np.arange(3))
+    same = _and_confirmed(drawn, memory, Parts(np.array([0, 3])))
+    assert_array_equal(same.features, drawn.features)

@@ -96,14 +96,16 @@ def rehearse(
     }
     if ranges.gain:
         said["expected"] = _expected(found.pool, memory, right[0], right[1:])
-        said["confirmed"] = _expected(found.pool, memory, right[0], confirmed)
+        if len(confirmed):
+            said["confirmed"] = _expected(found.pool, memory, right[0], confirmed)
     return found.pool, said
 
 
 def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Drawn:
     """Return drawn touches, and again as moved by a confirmed one of each label.
 
-    Its training touches are those that are not confirmed.
+    Its training touches are those that are not confirmed; not again where each label
+    has one alone.
     """
     codes = np.searchsorted(memory.classes, memory.labels)
     own = codes[drawn.rows]
