@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser
+from palpate.recognition import OTHER_SESSION, ObjectRecogniser
 
 CENTRES = 4 * np.random.default_rng(7).normal(size=(4, 8))
 MOVE = np.array([6.0, -5, 4, 0, 7, -3, 5, 4])
@@ -58,17 +58,30 @@ def test_remount_says_what_it_found(palpate, files):
     )
     assert "show another mounting or light" in done.stdout
     assert "confirm 1 to 5 touches of each" in done.stdout
+    assert done.stdout.count(OTHER_SESSION) == 1
     assert done.stdout.rstrip().endswith("o.palpate")
+
+
+def test_what_is_left_to_confirm_is_said(palpate, files):
+    tuesday = Touches.load(files / "tue.npz")
+    tuesday[np.isin(tuesday.object, ["a", "c"])].save(files / "some.npz")
+    done = palpate(
+        *["remount", files / "m.palpate", files / "some.npz", "-o", files / "o.palpate"]
+    )
+    (sentence,) = [line for line in done.stdout.splitlines() if "none yet" in line]
+    assert set(sentence.rstrip(".").split("none yet: ")[1].split(", ")) == {"b", "d"}
 
 
 def test_recognise_warns_of_another_mounting(palpate, files):
     model = files / "m.palpate"
     warned = palpate("recognise", model, files / "tue.npz")
     assert "see palpate remount" in warned.stdout
+    assert OTHER_SESSION in warned.stdout
     calm = palpate("recognise", model, files / "mon.npz")
     assert "palpate remount" not in calm.stdout
     said = json.loads(palpate("recognise", model, files / "tue.npz", "--json").stdout)
     assert said["mounting"]["changed"]
+    assert all(OTHER_SESSION in episode["why"] for episode in said["episodes"])
 
 
 def test_nuisance_is_learnt_from_other_objects(palpate, files):

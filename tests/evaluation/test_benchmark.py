@@ -358,6 +358,6 @@ def test_refusals(given, message):
 
 def test_an_empty_folder_names_the_fix(tmp_path):
     for path in (tmp_path, tmp_path / "none"):
-        with pytest.raises(ValueError, match=r"\(\.npz\) or folders .* `Touches\.save`"):
+        with pytest.raises(ValueError, match=r"\(\.npz\) or folder.* `Touches\.save`"):
             benchmark(path)
     assert set(PROTOCOLS) >= {"subjects", "sessions", "halves"}

@@ -6,9 +6,14 @@ from numpy.testing import assert_allclose
 from scipy.special import softmax
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, Recentring
+from palpate.recognition import OTHER_SESSION, ObjectRecogniser, Recentring, adapt
 from palpate.recognition._recentring import SessionSums, shift_unlabelled
-from palpate.recognition._sessions import Parts, Taught, session_effects
+from palpate.recognition._sessions import (
+    Parts,
+    Taught,
+    session_effects,
+    shift_by_labels,
+)
 
 CENTRES = 4 * np.random.default_rng(9).normal(size=(6, 10))
 
@@ -163,3 +168,32 @@ def test_the_recogniser_that_was_learnt_stays_as_it_is(learnt):
     before = learnt.log_likelihood(there)
     Recentring(learnt).start().update(there)
     assert_allclose(learnt.log_likelihood(there), before, rtol=0, atol=0)
+
+
+def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
+    there = _day(3.0, 1, n_each=4)
+    unlabelled = adapt(learnt, _day(3.0, 1, n_each=4, labels=False))
+    for belief in (
+        unlabelled.start().update(there[:1]),
+        Recentring(learnt).start().update(there[:1]),
+    ):
+        assert belief.promise().other_session
+        assert str(belief.promise()).endswith(OTHER_SESSION)
+        assert sum(OTHER_SESSION in sentence for sentence in belief.why()) == 1
+    for recogniser in (learnt, adapt(learnt, there)):  # confirmed touches are left out
+        belief = recogniser.start().update(there[:1])
+        assert not belief.promise().other_session
+        assert not any(OTHER_SESSION in sentence for sentence in belief.why())
+
+
+def test_one_confirmed_touch_tells_no_more_than_places_of_its_object_differ():
+    codes, sides = np.repeat([0, 1, 2], 4), np.tile([1.0, 1, -1, -1], 3)
+    features = 20.0 * codes[:, None] + np.outer(sides, np.ones(5))
+    taught = Taught(features, codes, np.arange(12) // 2, Parts(np.array([0, 5])))
+    # Of each object two places, whose touches are alike: one of them lies the square
+    # root of 5 from the mean of both, the standard deviation is the root of 20 / 3.
+    assert taught.within == pytest.approx(20 / 3)
+    assert not shift_by_labels(features[:1], codes[:1], taught).any()
+    # Ten from the mean in each value: all is told but the share of the noise.
+    shift = shift_by_labels(features[:1] + 9.0, codes[:1], taught)
+    assert_allclose(shift, -10 * (1 - (20 / 3) / 500))

@@ -1,13 +1,22 @@
 """Rehearsed sessions: what is drawn, what is not, how far it counts."""
 
+from copy import copy
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.classifiers import EncodingPool, RehearsedMachine
+from palpate.classifiers import Drawn, EncodingPool, RehearsedMachine
 from palpate.recognition import ObjectRecogniser, across_sessions, said_of_sessions
-from palpate.recognition._rehearsal import RANGES, Ranges, in_another_session
+from palpate.recognition._rehearsal import (
+    RANGES,
+    Ranges,
+    _and_confirmed,
+    in_another_session,
+)
+from palpate.recognition._sessions import Parts
 
 SIDE = 14
 
@@ -154,3 +163,46 @@ def test_what_to_expect_of_another_day_is_said(both):
     # Nothing was rehearsed: nothing is promised.
     assert "rehearsed" not in across_sessions(plain)
     assert "how much less" in said_of_sessions(across_sessions(plain))
+
+
+def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):
+    labels = np.repeat(list("abcde"), 6)
+    features = np.repeat(9.0 * rng.normal(size=(5, 4)), 6, axis=0)
+    features += 0.1 * rng.normal(size=features.shape)
+    memory = SimpleNamespace(
+        features=features,
+        labels=labels,
+        classes=np.unique(labels),
+        blocks=np.arange(30),
+    )
+    rows = np.arange(0, 30, 3)
+    drawn = Drawn(np.stack([features[rows], features[rows] + 5.0]), rows)
+    more = _and_confirmed(drawn, memory, Parts(np.array([0, 4])))
+    assert (len(more.features), more.n_weighing) == (3, 1)
+    assert_array_equal(more.features[:2], drawn.features)
+    # Noise of 0.1 in each value, a mean of five touches: six standard deviations.
+    assert np.abs(more.features[2] - drawn.features[0]).max() < 0.3
+
+
+def test_what_confirming_is_expected_to_bring_is_said(both):
+    rehearsal = both[1].chosen_["rehearsal"]
+    low, high = rehearsal["confirmed"]
+    assert 0 <= low <= high <= 1
+    words = said_of_sessions(across_sessions(both[1]))
+    between = f"({100 * low:.0f} to {100 * high:.0f}% with one confirmed touch of each)"
+    assert between in words
+    there = copy(both[1]).remount(_presses(1, 4)[:3])
+    assert there.chosen_["remount"]["confirm"] == ["ring"]
+    assert there.chosen_["remount"]["expected"] == [low, high]
+
+
+def test_objects_of_one_touch_each_are_not_confirmed():
+    memory = SimpleNamespace(
+        features=np.eye(3),
+        labels=np.array(list("abc")),
+        classes=np.array(list("abc")),
+        blocks=np.arange(3),
+    )
+    drawn = Drawn(np.stack([np.eye(3), np.eye(3) + 1]), np.arange(3))
+    same = _and_confirmed(drawn, memory, Parts(np.array([0, 3])))
+    assert_array_equal(same.features, drawn.features)

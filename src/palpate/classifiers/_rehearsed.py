@@ -138,10 +138,12 @@ class Drawn(NamedTuple):
     """Touches in invented sessions: features (n_sessions, n_drawn, n_features).
 
     The first session is that of training, of the training touches `rows` (n_drawn,).
+    Of the others the first `n_weighing` tell the share, all of them where it is None.
     """
 
     features: Floats
     rows: Indices
+    n_weighing: int | None = None
 
 
 def rehearsed(
@@ -182,8 +184,9 @@ def rehearsed(
     drawn_codes = codes[drawn.rows]
     if not sessions_known and is_asked.any():
         # As many of each kind, in turn.
-        invented = of_drawn[:, 1:][:, :, is_asked].reshape(2, -1, of_drawn.shape[3])
-        names = np.tile(drawn_codes[is_asked], len(drawn.features) - 1)
+        invented = of_drawn[:, 1:][:, : drawn.n_weighing, is_asked]
+        names = np.tile(drawn_codes[is_asked], invented.shape[1])
+        invented = invented.reshape(2, -1, of_drawn.shape[3])
         n_each = min(n_ordinary, len(names))
         sampled, others = (_spread(n, n_each) for n in (n_ordinary, len(names)))
         left_out = np.concatenate([left_out[:, sampled], invented[:, others]], axis=1)

@@ -50,13 +50,16 @@ def remount(
         found = recogniser.remount(session).chosen_["remount"]
         written = recogniser.save(output)
     weakest = sorted(object_quality(recogniser), key=lambda x: x["after_one"] or 0.0)
+    left = found["confirm"]
+    names = [one["name"] for one in weakest if not left or one["name"] in left]
     changed = check is None or check.changed
     values = {
         "model": str(written),
         "changed": changed,
         "reasons": check.reasons if check else ["The images have another shape."],
         **found,
-        "confirm": [one["name"] for one in weakest[:TO_CONFIRM]],
+        "confirm": names[:TO_CONFIRM],
+        "n_to_confirm": len(left),
     }
     answer(as_json, values, *_sentences(values), written)
 
@@ -92,6 +95,8 @@ def learn_nuisance(
 
 
 def _sentences(values: dict[str, Any]) -> list[str]:
+    from ..recognition import OTHER_SESSION
+
     seen = "another" if values["changed"] else "no other"
     said = [f"The touches show {seen} mounting or light than when it was taught."]
     said += values["reasons"]
@@ -110,10 +115,23 @@ def _sentences(values: dict[str, Any]) -> list[str]:
             f"Each counts as 1/{1 / values['weight']:.0f} of a training touch: so they "
             "tell each other best."
         )
-    said.append(
-        "Probabilities are still those of sessions like those of training: in this one "
-        "names are wrong more often than they say."
-    )
-    names = ", ".join(values["confirm"])
-    said.append(f"To go further, confirm 1 to 5 touches of each, first of: {names}.")
-    return said
+    said.append(OTHER_SESSION)
+    return [*said, *_what_to_confirm(values)]
+
+
+def _what_to_confirm(values: dict[str, Any]) -> list[str]:
+    """Return which objects are left to confirm, and what that is expected to bring."""
+    names, n_left = ", ".join(values["confirm"]), values["n_to_confirm"]
+    further = "To go further, confirm 1 to 5 touches of each object, in any order"
+    if not n_left:
+        return [f"{further}, such as: {names}."]
+    n_more = n_left - len(values["confirm"])
+    more = f" and {n_more} more" if n_more else ""
+    sentences = [f"{further}; of these there is none yet: {names}{more}."]
+    if "expected" in values:
+        low, high = (100 * share for share in values["expected"])
+        sentences.append(
+            f"With one of each, about {low:.0f} to {high:.0f}% were right after one "
+            "touch in rehearsed sessions."
+        )
+    return sentences

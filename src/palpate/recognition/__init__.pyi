@@ -39,6 +39,7 @@ from ._recogniser import adapt as adapt
 from ._remounting import across_sessions as across_sessions
 from ._remounting import said_of_sessions as said_of_sessions
 from ._senses import Modality as Modality
+from ._sentences import OTHER_SESSION as OTHER_SESSION
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note
 from ._strangers import episode_evidence as episode_evidence

@@ -27,6 +27,7 @@ from ._contact import NO_CONTACT
 from ._evidence import Evidence
 from ._learnt import Learnt
 from ._remounted_encoder import AnyEncoder, wrapped
+from ._sentences import OTHER_SESSION
 from ._sessions import N_LOOKS, effective_number
 
 # Of mountings that are as they were when it was taught, so many raise an alarm.
@@ -47,8 +48,8 @@ RIM_MOVED = 0.03
 
 OTHER_MOUNTING = (
     "This does not look like the sensor, mounting or light that was learnt with, or "
-    "not like things it knows: names may be wrong, and more often than probabilities "
-    "say. Take the baseline anew, or get used to it with a few touches{}."
+    f"not like things it knows. {OTHER_SESSION} Take the baseline anew, or get used to "
+    "it with a few touches{}."
 )
 
 

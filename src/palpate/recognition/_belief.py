@@ -46,8 +46,9 @@ class Judge:
     The `classes` (n_objects,) by name, their `log_prior` (n_objects,) before the first
     touch (nats), the `floor` that one touch leaves to all of them together, how the
     evidence of an episode adds up, what tells `strangers`, other senses, the category
-    of each object, "" where none is known (`categories`, (n_objects,)), and the
-    training touches (`memory`), for `Belief.explain`.
+    of each object, "" where none is known (`categories`, (n_objects,)), the training
+    touches (`memory`), for `Belief.explain`, and whether it serves in another session
+    without confirmed touches (`other_session`).
     """
 
     classes: NDArray[np.str_]
@@ -58,6 +59,7 @@ class Judge:
     senses: Mapping[str, Modality]
     categories: NDArray[np.str_]
     memory: Memory
+    other_session: bool = False
 
 
 class Belief:
@@ -347,7 +349,8 @@ class Belief:
 
     def promise(self, error: float = 0.01) -> Promise:
         """Return what so many objects can show about an accepted error."""
-        return self._judge.strangers.promise(_check_share("error", error))
+        promise = self._judge.strangers.promise(_check_share("error", error))
+        return promise._replace(other_session=self._judge.other_session)
 
     @overload
     def decide(

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 from scipy.stats import beta
 
+from ._sentences import OTHER_SESSION
+
 CONFIDENCE = 0.95
 
 
@@ -25,6 +27,9 @@ class Promise(NamedTuple):
         What was left out to learn from.
     n_units : int
         How many objects, or objects in a session, that were.
+    other_session : bool
+        Whether the recogniser serves in another session without confirmed touches: no
+        touches of such a session were left out.
     """
 
     level: float
@@ -32,8 +37,11 @@ class Promise(NamedTuple):
     n_needed: int
     population: str
     n_units: int
+    other_session: bool = False
 
     def __str__(self) -> str:
+        if self.other_session:
+            return f"{self._replace(other_session=False)!s} {OTHER_SESSION}"
         objects = f"{self.n_units} object{'s' * (self.n_units != 1)}"
         if self.bound <= self.level:
             return f"{objects} left out can show an error of {self.level:g}."

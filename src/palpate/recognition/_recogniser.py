@@ -348,7 +348,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         Returns
         -------
         ObjectRecogniser
-            This one; `chosen_["remount"]` says what was found.
+            This one; `chosen_["remount"]` says what was found: `confirm` the labels of
+            which no touch was confirmed, and `expected` between what shares were right
+            in rehearsed sessions with one touch of each confirmed.
 
         Raises
         ------
@@ -371,6 +373,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         labels = new.object if self.label == "object" else new.category
         learnt, remount_report = remounted(self.learnt(), new, labels)
         self.serve(learnt)
+        rehearsal = self.chosen_.get("rehearsal", {})
+        if "confirmed" in rehearsal:
+            remount_report["expected"] = list(rehearsal["confirmed"])
         self.chosen_ = {**self.chosen_, "remount": remount_report}
         return self
 
@@ -554,6 +559,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             senses=self.modalities_,
             categories=self._category_of(self.memory_),
             memory=self.memory_,
+            other_session=not self.chosen_.get("remount", {}).get("labelled", True),
         )
 
     def fit_pose(self, touches: Touches, pitch_mm: float | None = None) -> Self:

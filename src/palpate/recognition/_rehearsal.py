@@ -85,27 +85,53 @@ def rehearse(
     weighing = _sessions.weighed_down(differences, memory.features, parts)
     known = "sessions" in memory.units[1]
     taught = memory.features, memory.labels, memory.blocks
+    drawn = _and_confirmed(drawn, memory, parts)
     found = rehearsed(pool, *taught, weighing, drawn, known)
+    right, confirmed = found.right[: N_SESSIONS + 1], found.right[N_SESSIONS + 1 :]
     said = {
         "share": found.share,
         "told_by": "sessions left out" if known else "rehearsed sessions",
-        "right": [float(one) for one in found.right],
+        "right": [float(one) for one in right],
         "drawn": [name for name, size in vars(ranges).items() if size],
     }
     if ranges.gain:
-        said["expected"] = _expected(found.pool, memory, found.right)
+        said["expected"] = _expected(found.pool, memory, right[0], right[1:])
+        if len(confirmed):
+            said["confirmed"] = _expected(found.pool, memory, right[0], confirmed)
     return found.pool, said
 
 
-def _expected(pool: EncodingPool, memory: Memory, right: Floats) -> list[float]:
+def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Drawn:
+    """Return drawn touches, and again as moved by a confirmed one of each label.
+
+    Its training touches are those that are not confirmed; not again where each label
+    has one alone.
+    """
+    codes = np.searchsorted(memory.classes, memory.labels)
+    own = codes[drawn.rows]
+    first = np.unique(own, return_index=True)[1]
+    first = first[np.bincount(codes)[own[first]] > 1]
+    rest = np.delete(np.arange(len(codes)), drawn.rows[first])
+    features, blocks = memory.features[rest], memory.blocks[rest]
+    taught = _sessions.Taught(features, codes[rest], blocks, parts)
+    moved = [drawn.features]
+    for session in drawn.features[1:] if len(first) else ():
+        shift = _sessions.shift_by_labels(session[first], own[first], taught)
+        moved.append((session + shift)[np.newaxis])
+    return Drawn(np.concatenate(moved), drawn.rows, len(drawn.features) - 1)
+
+
+def _expected(
+    pool: EncodingPool, memory: Memory, right_now: float, right: Floats
+) -> list[float]:
     """Return between what shares a touch is expected to be right in another session.
 
     Of touches left out as they are, what rehearsed sessions, learnt from half of the
-    touches, leave: the worst and the best of them.
+    touches, leave: the worst and the best of them, of `right_now` in training's own.
     """
     names = pool.classes_[pool.left_out_.argmax(axis=1)]
     today = float((names == memory.labels[pool.left_out_rows]).mean())
-    left = np.minimum(right[1:] / max(float(right[0]), 1e-9), 1.0)
+    left = np.minimum(right / max(float(right_now), 1e-9), 1.0)
     return [today * float(left.min()), today * float(left.max())]
 
 

@@ -6,7 +6,7 @@ undone; what else a session does to touches is taken off their features.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -72,6 +72,10 @@ def remounted(
         shift = np.zeros_like(shift)
     there = wrapped(learnt.encoder).shifted(shift)
     found |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
+    left = np.ones(len(learnt.classes), dtype=bool)
+    if confirmed is not None:
+        left = ~np.isin(learnt.classes, confirmed)
+    found["confirm"] = learnt.classes[left].astype(str).tolist()
     found["broken"] = 0 if there.broken is None else int(there.broken.sum())
     variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     found["moved"] = float((shift**2).sum() / variance)
@@ -187,7 +191,8 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     `sessions` per object (least and median), `asked` (touches of objects that another
     session met too) and, where there are any, `expected`: the accuracy after one touch
     of a session that was left out whole. `rehearsed`: between what accuracies it was in
-    rehearsed sessions, where those were drawn.
+    rehearsed sessions, where those were drawn; `confirmed`: in these with one touch of
+    each object confirmed, before it joins the training touches.
     """
     learnt = recogniser.learnt()
     memory = learnt.memory
@@ -203,6 +208,8 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     found = getattr(recogniser, "chosen_", {}).get("rehearsal", {})
     if "expected" in found:
         result["rehearsed"] = list(found["expected"])
+    if "confirmed" in found:
+        result["confirmed"] = list(found["confirmed"])
     return result
 
 
@@ -216,16 +223,24 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
             f"({across['asked']} touches of sessions left out whole)."
         )
     if "rehearsed" in across:
-        low, high = (100 * share for share in across["rehearsed"])
+        confirmed = ""
+        if "confirmed" in across:
+            shares = _between(across["confirmed"])
+            confirmed = f" ({shares} with one confirmed touch of each)"
         return (
-            f"{taught}, and none in two: expect about {low:.0f} to {high:.0f}% right "
-            "after one touch on another day, or mounted anew, as rehearsed sessions "
-            "were; only touches of another session can show it."
+            f"{taught}, and none in two: expect about {_between(across['rehearsed'])} "
+            "right after one touch on another day, or mounted anew, as rehearsed "
+            f"sessions were{confirmed}; only touches of another session can show it."
         )
     return (
         f"{taught}, and none in two: on another day, or mounted anew, expect less than "
         "today; how much less only touches of another session tell."
     )
+
+
+def _between(shares: Sequence[float]) -> str:
+    low, high = (100 * share for share in shares)
+    return f"{low:.0f} to {high:.0f}%"
 
 
 def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:

@@ -8,6 +8,11 @@ from collections.abc import Mapping
 from math import floor
 
 NOTHING = "nothing I know"
+# Calibration is by touches left out of the training sessions.
+OTHER_SESSION = (
+    "In another session than those of training, names are wrong more often than "
+    "probabilities say."
+)
 # Names that together have this probability are those that it may be, three at most.
 _MOST_LIKELY, _MOST_NAMED = 0.9, 3
 

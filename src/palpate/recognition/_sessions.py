@@ -61,30 +61,16 @@ class Taught:
         return np.asarray(np.log(np.maximum(squared.min(axis=1), 1e-300)) / 2)
 
     @cached_property
-    def noise(self) -> tuple[Floats, Floats]:
-        """Return how far touches stray from their block, and blocks from their object.
-
-        Mean squared lengths, (n_parts,) each: of a touch from its block's mean, and of
-        a block's mean from the mean of the object's other blocks.
-        """
-        runs = np.unique(
-            np.stack([self.codes, self.blocks]), axis=1, return_inverse=True
-        )
-        (whose, _), run = runs[0], runs[1].ravel()
-        counts, n_runs = np.bincount(run), np.bincount(whose)[whose]
-        middle = group_means(self.features, run)
-        several = counts[run] > 1
-        free = max(int(several.sum() - (counts > 1).sum()), 1)
-        strays = (self.features - middle[run])[several] ** 2
-        touch = self.parts.sums(strays).sum(axis=0) / free
-        some = n_runs > 1
-        totals = group_means(self.features, self.codes)[whose]
-        sizes = np.bincount(self.codes)[whose]
-        rest = (totals * sizes[:, None] - middle * counts[:, None])[some]
-        rest /= (sizes - counts)[some, None]
-        if not some.any():
-            return touch, touch
-        return touch, self.parts.sums((middle[some] - rest) ** 2).mean(axis=0)
+    def within(self) -> Floats:
+        """The variance of touches about their object's mean, (n_parts,), all alike."""
+        counts = np.bincount(self.codes)
+        strays = self.features - self.means[self.codes]
+        variances = group_means(strays**2, self.codes)[counts > 1]
+        if not len(variances):
+            return np.zeros(len(self.parts.cuts) - 1)
+        counts = counts[counts > 1, np.newaxis]
+        sums = self.parts.sums(variances * counts / (counts - 1))
+        return np.asarray(sums.mean(axis=0))
 
 
 def group_means(values: Floats, codes: Indices) -> Floats:
@@ -164,12 +150,12 @@ def weighed_down(differences: Floats, features: Floats, parts: Parts) -> Floats:
 def shift_by_labels(features: Floats, codes: Indices, taught: Taught) -> Floats:
     """Return what to add to a session's features, by the labels of its touches.
 
-    Each object weighs the same; of what the noise of so many touches would give by
-    itself nothing is left (James and Stein).
+    Each object weighs the same; of what so many objects would give by themselves, each
+    touched at one place of it, nothing is left (James and Stein).
     """
     names, which = np.unique(codes, return_inverse=True)
     apart = group_means(taught.means[codes] - features, which).mean(axis=0)
-    return _less_noise(apart, taught.noise[0] / len(names), taught.parts)
+    return _less_noise(apart, taught.within / len(names), taught.parts)
 
 
 def effective_number(shares: Floats) -> float:

@@ -58,6 +58,8 @@ class Recentring:
         learnt, report = without_sessions(recogniser.learnt())
         self._moves = bool(report.get("centred", True))
         self._as_learnt = copy(recogniser).serve(learnt)
+        report |= {"labelled": False}
+        self._as_learnt.chosen_ = {**recogniser.chosen_, "remount": report}
         self._taught = learnt.taught
         nothing = np.zeros((0, learnt.memory.features.shape[1]))
         no_names = np.zeros((0, len(learnt.classes)))
