@@ -139,9 +139,9 @@ def _sent(
     dask: Any = needed("dask", "distributed", "A Dask cluster")
     dumps = needed("cloudpickle", "distributed", "A Dask cluster").dumps
 
-    def submitted(task: Callable[..., Any], *given: Any) -> Any:
+    def submitted(task: Callable[..., Any], *task_arguments: Any) -> Any:
         with dask.config.set(_LARGE_TASK):
-            return client.submit(task, *given, pure=False)
+            return client.submit(task, *task_arguments, pure=False)
 
     at_once = 2 * _n_threads(client)
     # As a task it is sent once, and made again where the worker that has it dies.

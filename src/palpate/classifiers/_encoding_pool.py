@@ -226,8 +226,8 @@ class EncodingPool(BayesRule):
     def left_out_by_part(self) -> Floats:
         """Return what each machine alone says of touches left out, not bounded."""
         check_is_fitted(self)
-        every = [m.left_out_log_likelihood() for m in self.machines_.values()]
-        return np.stack(every)
+        left_out = [m.left_out_log_likelihood() for m in self.machines_.values()]
+        return np.stack(left_out)
 
     def left_out_posteriors(self) -> Floats:
         """Return the same as log posteriors, so bounded that none decides alone."""
@@ -279,5 +279,5 @@ def pool_weights(left_out: Floats, codes: Array) -> Floats:
 
     start = np.full(n_machines, usual)
     bounds = [(0, None)] * n_machines
-    found: Any = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B")
-    return np.asarray(found.x)
+    solution: Any = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B")
+    return np.asarray(solution.x)

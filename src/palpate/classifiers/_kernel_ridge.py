@@ -424,8 +424,8 @@ class KernelRidgeClassifier(BayesRule):
     @property
     def left_out_rows(self) -> Indices:
         """Which training touches these are, (n_left_out,)."""
-        every = np.arange(len(self.left_out_scores_))  # as of models before it
-        return np.asarray(getattr(self, "left_out_rows_", every))
+        all_rows = np.arange(len(self.left_out_scores_))  # as of models before it
+        return np.asarray(getattr(self, "left_out_rows_", all_rows))
 
     def _log_posterior(self, scores: Floats) -> Floats:
         shape = (self.temperature_, self.bend_, 1.0)

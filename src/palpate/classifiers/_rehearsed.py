@@ -71,7 +71,7 @@ class RehearsedMachine(BayesRule):
     def takes_weights(self) -> bool:  # type: ignore[override]
         """Whether both machines take what each touch counts."""
         both = self.plain, self.rehearsed
-        return all(getattr(one, "takes_weights", False) for one in both)
+        return all(getattr(machine, "takes_weights", False) for machine in both)
 
     def refit(
         self,

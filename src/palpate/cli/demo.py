@@ -99,7 +99,9 @@ def _explored(seed: int) -> Sets:
     from ..exploration import explore_to_learn
     from ..simulation import DomeCamera, find_object
 
-    known, unknown = (list(map(find_object, names)) for names in (SHOWN, UNLIKE))
+    learnt_objects, unknown = (
+        list(map(find_object, names)) for names in (SHOWN, UNLIKE)
+    )
     explore = partial(
         explore_to_learn,
         camera=DomeCamera(image_shape=(SIDE, SIDE)),
@@ -110,8 +112,13 @@ def _explored(seed: int) -> Sets:
         progress=None,
     )
     return (
-        explore(known, TRAIN_TOUCHES, n_sessions=TRAIN_SESSIONS, random_state=3 * seed),
-        explore(known, TEST_TOUCHES, n_sessions=5, random_state=3 * seed + 1),
+        explore(
+            learnt_objects,
+            TRAIN_TOUCHES,
+            n_sessions=TRAIN_SESSIONS,
+            random_state=3 * seed,
+        ),
+        explore(learnt_objects, TEST_TOUCHES, n_sessions=5, random_state=3 * seed + 1),
         explore(unknown, UNKNOWN_TOUCHES, n_sessions=5, random_state=3 * seed + 2),
     )
 
@@ -164,11 +171,11 @@ def _recognise_recorded(
     quiet: bool,
 ) -> list[dict[str, Any]]:
     how = {"error": ERROR, "strangers": strangers}
-    known = recognise_episodes(recogniser, test, how)
+    of_learnt = recognise_episodes(recogniser, test, how)
     others = recognise_episodes(recogniser, unknown, how)
     names = " and ".join(str(episode["object"]) for episode in others)
     shown = {
-        f"Recognising the other {len(test)} touches, one by one:": known,
+        f"Recognising the other {len(test)} touches, one by one:": of_learnt,
         f"Now {names}, recorded like the others but left out of learning, so that "
         "there is something unknown:": others,
     }
@@ -176,7 +183,7 @@ def _recognise_recorded(
         say(f"{title}\n")
         for episode in episodes:
             print_episode(episode)
-    return known + others
+    return of_learnt + others
 
 
 def _read(pictures: Path, seed: int, stage: Callable[[str], None]) -> Sets:

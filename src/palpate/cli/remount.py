@@ -47,17 +47,19 @@ def remount(
         stage(f"getting used to {len(session)} touches")
         same_shape = session.images.shape[1:] == tuple(recogniser.encoder_.image_shape_)
         check = recogniser.check_mounting(session) if same_shape else None
-        found = recogniser.remount(session).chosen_["remount"]
+        report = recogniser.remount(session).chosen_["remount"]
         written = recogniser.save(output)
     weakest = sorted(object_quality(recogniser), key=lambda x: x["after_one"] or 0.0)
-    left = found["confirm"]
-    names = [one["name"] for one in weakest if not left or one["name"] in left]
+    left = report["confirm"]
+    names = [
+        quality["name"] for quality in weakest if not left or quality["name"] in left
+    ]
     changed = check is None or check.changed
     values = {
         "model": str(written),
         "changed": changed,
         "reasons": check.reasons if check else ["The images have another shape."],
-        **found,
+        **report,
         "confirm": names[:TO_CONFIRM],
         "n_to_confirm": len(left),
     }
@@ -98,25 +100,25 @@ def _sentences(values: dict[str, Any]) -> list[str]:
     from ..recognition import OTHER_SESSION
 
     seen = "another" if values["changed"] else "no other"
-    said = [f"The touches show {seen} mounting or light than when it was taught."]
-    said += values["reasons"]
+    sentences = [f"The touches show {seen} mounting or light than when it was taught."]
+    sentences += values["reasons"]
     if "centred" in values:
         taken = "was taken off", "was left: sessions left out say that it is better so"
-        said.append(f"What training sessions add {taken[not values['centred']]}.")
+        sentences.append(f"What training sessions add {taken[not values['centred']]}.")
     if values.get("weighed"):
-        said.append("How training sessions differ is weighed down.")
+        sentences.append("How training sessions differ is weighed down.")
     way = "their labels" if values["labelled"] else "what they are taken for"
-    said.append(
+    sentences.append(
         f"{values['n_touches']} touches were moved by {values['moved']:.0%} of the "
         f"variance of all, by {way}."
     )
     if values.get("weight", 1) < 1:
-        said.append(
+        sentences.append(
             f"Each counts as 1/{1 / values['weight']:.0f} of a training touch: so they "
             "tell each other best."
         )
-    said.append(OTHER_SESSION)
-    return [*said, *_what_to_confirm(values)]
+    sentences.append(OTHER_SESSION)
+    return [*sentences, *_what_to_confirm(values)]
 
 
 def _what_to_confirm(values: dict[str, Any]) -> list[str]:

@@ -92,7 +92,7 @@ def check_mounting(
     away = (seen - posterior @ usual.means).mean(axis=0)
     draws = usual.draws(n_touches, effective_number(posterior.mean(axis=0)), seed)
     near = float(evidence.log_distances[counts].min(axis=1).mean())
-    kinds = np.column_stack([usual.apart, usual.looks])
+    kinds = np.column_stack([usual.distances, usual.looks])
     drawn = _means(kinds, *draws)
     lengths = usual.lengths(np.vstack([usual.drawn(*draws), away]))
     signs = np.column_stack([lengths, np.append(drawn[:, 0], near)])
@@ -117,7 +117,7 @@ class _Usual:
 
     `means` (n_objects, n_values) of features and looks; of each touch how far it is
     `away` from those of what it is taken for (`posterior`), the log distance to the
-    nearest touch of another block (`apart`), its `looks`, its label's column (`codes`),
+    nearest touch of another block (`distances`), `looks`, its label's column (`codes`),
     its block, and the place of that in the label's recordings (`runs`); sums and
     numbers of touches by label and by block; `roots` of the covariances of features and
     looks within objects; whether looks were kept (`has_looks`).
@@ -126,7 +126,7 @@ class _Usual:
     means: Floats
     away: Floats
     posterior: Floats
-    apart: Floats
+    distances: Floats
     looks: Floats
     codes: Indices
     blocks: Indices
@@ -140,15 +140,15 @@ class _Usual:
     def of(cls, learnt: Learnt) -> _Usual:
         """Return how what was learnt lies; of very many touches some."""
         memory, rows = learnt.memory, learnt.classifier.left_out_rows
-        asked = np.flatnonzero(learnt.counted[rows])
-        asked = asked[:: -(-len(asked) // MOST_DRAWN_FROM)]
-        left_out = left_out_log_likelihood(learnt.classifier)[asked]
-        posterior, rows = softmax(left_out, axis=1), rows[asked]
+        sampled = np.flatnonzero(learnt.counted[rows])
+        sampled = sampled[:: -(-len(sampled) // MOST_DRAWN_FROM)]
+        left_out = left_out_log_likelihood(learnt.classifier)[sampled]
+        posterior, rows = softmax(left_out, axis=1), rows[sampled]
         has_looks = not bool(np.isnan(memory.looks).any())
         looks = memory.looks if has_looks else np.zeros_like(memory.looks)
-        blocks, apart = memory.block_distances
-        every, parts = np.flatnonzero(learnt.counted), (memory.features, looks)
-        sums = _sums(learnt.codes, every, *parts)
+        blocks, distances = memory.block_distances
+        all_rows, parts = np.flatnonzero(learnt.counted), (memory.features, looks)
+        sums = _sums(learnt.codes, all_rows, *parts)
         means, codes = sums[0] / sums[1][:, np.newaxis], learnt.codes[rows]
         values = np.column_stack([memory.features[rows], looks[rows]])
         within = values - means[codes]
@@ -158,13 +158,13 @@ class _Usual:
             means=means,
             away=values - posterior @ means,
             posterior=posterior,
-            apart=apart[rows],
+            distances=distances[rows],
             looks=looks[rows],
             codes=codes,
             blocks=blocks[rows],
             runs=blocks[rows] - first[codes],
             sums=sums,
-            sums_of_blocks=_sums(blocks, every, *parts),
+            sums_of_blocks=_sums(blocks, all_rows, *parts),
             roots=(
                 _root(within[:, :-N_LOOKS], ADDED),
                 _root(within[:, -N_LOOKS:], ADDED_LOOKS),
@@ -192,7 +192,7 @@ class _Usual:
         The blocks of a draw are left out of the means of its own objects.
         """
         away, n_labels = _means(self.away, rows, counts), len(self.means)
-        own = counts * self.posterior[rows, self.codes[rows]]
+        of_own = counts * self.posterior[rows, self.codes[rows]]
         draw = np.arange(len(rows))[:, np.newaxis]
         pairs, of = np.unique(draw * n_labels + self.codes[rows], return_inverse=True)
         of, label = of.reshape(rows.shape), pairs % n_labels
@@ -206,7 +206,7 @@ class _Usual:
         others = self.sums[0][label] - which @ of_blocks
         others /= np.maximum(rest, 1)[:, np.newaxis]
         change = np.where(rest[:, np.newaxis] > 0, others - self.means[label], 0.0)
-        weight = np.bincount(of.ravel(), own.ravel(), len(pairs))
+        weight = np.bincount(of.ravel(), of_own.ravel(), len(pairs))
         np.subtract.at(away, pairs // n_labels, weight[:, np.newaxis] * change)
         return away
 

@@ -81,8 +81,8 @@ def shift_unlabelled(sums: SessionSums, taught: Taught) -> Floats:
     taken_for = shares @ taught.means
     by_names = parts.sums(shares @ (taught.means - taken_for) ** 2) / between
     # Whatever encoding looks, the objects are the same.
-    told = np.clip(max(by_spread.mean(), by_names.mean()), 0, 1)
-    all_alike = (ALL_ALIKE + (n - 1) * told) / (ALL_ALIKE + n - 1)
+    evidence = np.clip(max(by_spread.mean(), by_names.mean()), 0, 1)
+    all_alike = (ALL_ALIKE + (n - 1) * evidence) / (ALL_ALIKE + n - 1)
     of_few = FARTHER**2 * parts.sums((taken_for - middle) ** 2)
     noise = (between + within) / n + (1 - all_alike) * of_few
     away = middle - mean

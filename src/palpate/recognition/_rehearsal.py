@@ -78,27 +78,27 @@ def rehearse(
         why = "too much was taught at once" if ranges else unknown
         return pool, {"share": 0.0, "why": why}
     rows = _rows(memory)
-    some = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
-    drawn = draw_sessions(encoder, some, ranges, memory, rows, seed)
+    shown = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
+    drawn = draw_sessions(encoder, shown, ranges, memory, rows, seed)
     differences = _differences(drawn.features)
     parts = _sessions.Parts(np.cumsum([0, *encoder.parts_.values()]))
     weighing = _sessions.weighed_down(differences, memory.features, parts)
-    known = "sessions" in memory.units[1]
+    sessions_known = "sessions" in memory.units[1]
     taught = memory.features, memory.labels, memory.blocks
     drawn = _and_confirmed(drawn, memory, parts)
-    found = rehearsed(pool, *taught, weighing, drawn, known)
-    right, confirmed = found.right[: N_SESSIONS + 1], found.right[N_SESSIONS + 1 :]
-    said = {
-        "share": found.share,
-        "told_by": "sessions left out" if known else "rehearsed sessions",
-        "right": [float(one) for one in right],
+    rehearsal = rehearsed(pool, *taught, weighing, drawn, sessions_known)
+    right, confirmed = np.split(rehearsal.right, [N_SESSIONS + 1])
+    report = {
+        "share": rehearsal.share,
+        "told_by": "sessions left out" if sessions_known else "rehearsed sessions",
+        "right": [float(share) for share in right],
         "drawn": [name for name, size in vars(ranges).items() if size],
     }
     if ranges.gain:
-        said["expected"] = _expected(found.pool, memory, right[0], right[1:])
+        report["expected"] = _expected(rehearsal.pool, memory, right[0], right[1:])
         if len(confirmed):
-            said["confirmed"] = _expected(found.pool, memory, right[0], confirmed)
-    return found.pool, said
+            report["confirmed"] = _expected(rehearsal.pool, memory, right[0], confirmed)
+    return rehearsal.pool, report
 
 
 def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Drawn:
@@ -108,15 +108,15 @@ def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Draw
     has one alone.
     """
     codes = np.searchsorted(memory.classes, memory.labels)
-    own = codes[drawn.rows]
-    first = np.unique(own, return_index=True)[1]
-    first = first[np.bincount(codes)[own[first]] > 1]
+    drawn_codes = codes[drawn.rows]
+    first = np.unique(drawn_codes, return_index=True)[1]
+    first = first[np.bincount(codes)[drawn_codes[first]] > 1]
     rest = np.delete(np.arange(len(codes)), drawn.rows[first])
     features, blocks = memory.features[rest], memory.blocks[rest]
     taught = _sessions.Taught(features, codes[rest], blocks, parts)
     moved = [drawn.features]
     for session in drawn.features[1:] if len(first) else ():
-        shift = _sessions.shift_by_labels(session[first], own[first], taught)
+        shift = _sessions.shift_by_labels(session[first], drawn_codes[first], taught)
         moved.append((session + shift)[np.newaxis])
     return Drawn(np.concatenate(moved), drawn.rows, len(drawn.features) - 1)
 
@@ -135,14 +135,14 @@ def _expected(
     return [today * float(left.min()), today * float(left.max())]
 
 
-def said_of_rehearsal(found: dict[str, Any]) -> str:
+def said_of_rehearsal(rehearsal: dict[str, Any]) -> str:
     """Return what `rehearse` found as a sentence for people."""
-    if "why" in found:
-        return f"no sessions were rehearsed: {found['why']}"
-    by = f"as {found['told_by']} tell"
-    if not found["share"]:
+    if "why" in rehearsal:
+        return f"no sessions were rehearsed: {rehearsal['why']}"
+    by = f"as {rehearsal['told_by']} tell"
+    if not rehearsal["share"]:
         return f"rehearsed sessions count for nothing, {by}"
-    return f"machines that know rehearsed sessions count {found['share']:.0%}, {by}"
+    return f"machines that know rehearsed sessions count {rehearsal['share']:.0%}, {by}"
 
 
 def _rows(memory: Memory) -> Indices:
@@ -166,14 +166,14 @@ def draw_sessions(
 ) -> Drawn:
     """Return the features of touches in their own session and in invented ones."""
     rng = np.random.default_rng(seed)
-    own = memory.features[rows]
+    as_recorded = memory.features[rows]
     spread = FARTHEST * memory.features.std(axis=0)
-    every, rest = [own], at_rest(touches)
+    sessions, rest = [as_recorded], at_rest(touches)
     for _ in range(n_sessions):
         images = in_another_session(touches, ranges, rng, rest)
-        moved = encoder.transform(with_images(touches, images)) - own
-        every.append(own + np.clip(moved, -spread, spread))
-    return Drawn(np.stack(every), rows)
+        moved = encoder.transform(with_images(touches, images)) - as_recorded
+        sessions.append(as_recorded + np.clip(moved, -spread, spread))
+    return Drawn(np.stack(sessions), rows)
 
 
 def at_rest(touches: Touches) -> tuple[Floats, float]:

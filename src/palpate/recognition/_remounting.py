@@ -54,7 +54,7 @@ def remounted(
     if new.no_contact is not None or other_kind:
         contact = ContactCheck().fit(new, encoder).with_poses_of(contact)
     learnt = replace(learnt, encoder=encoder, contact=contact)
-    learnt, found = without_sessions(learnt)
+    learnt, report = without_sessions(learnt)
     encoding = encoded(learnt.encoder, contact, new)
     counts = ~encoding.nothing | learnt.uses_no_contact
     if not counts.any():
@@ -65,29 +65,29 @@ def remounted(
     features = encoding.features
     if labels is None:
         sums = _sums(learnt, features[counts])
-        found["objects"] = round(_sessions.effective_number(sums.shares), 1)
+        report["objects"] = round(_sessions.effective_number(sums.shares), 1)
     confirmed = None if labels is None else labels[counts]
     shift = _shift(learnt, features[counts], confirmed)
-    if labels is None and not found.get("centred", True):
+    if labels is None and not report.get("centred", True):
         shift = np.zeros_like(shift)
     there = wrapped(learnt.encoder).shifted(shift)
-    found |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
+    report |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
     left = np.ones(len(learnt.classes), dtype=bool)
     if confirmed is not None:
         left = ~np.isin(learnt.classes, confirmed)
-    found["confirm"] = learnt.classes[left].astype(str).tolist()
-    found["broken"] = 0 if there.broken is None else int(there.broken.sum())
+    report["confirm"] = learnt.classes[left].astype(str).tolist()
+    report["broken"] = 0 if there.broken is None else int(there.broken.sum())
     variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
-    found["moved"] = float((shift**2).sum() / variance)
+    report["moved"] = float((shift**2).sum() / variance)
     learnt = replace(learnt, encoder=there)
     if labels is None:
-        return learnt, found
+        return learnt, report
     objects = labels if new.object is None else new.object
     encoding = replace(encoding, features=features + shift, looks=there.look(new))
     one_group = np.zeros(len(new), dtype=np.intp)
     joined = memory_of(new, encoding, labels, objects, one_group)
-    joined, found["weight"] = _weighed_by_themselves(learnt, joined)
-    return learnt.relearnt(learnt.memory.plus(joined)), found
+    joined, report["weight"] = _weighed_by_themselves(learnt, joined)
+    return learnt.relearnt(learnt.memory.plus(joined)), report
 
 
 def _weighed_by_themselves(learnt: Learnt, joined: Memory) -> tuple[Memory, float]:
@@ -129,8 +129,8 @@ def _shift(learnt: Learnt, features: Floats, labels: Array | None) -> Floats:
 
 def _sums(learnt: Learnt, features: Floats) -> SessionSums:
     """Return what touches of a session without labels sum up to."""
-    said = learnt.classifier.log_likelihood(features)
-    return SessionSums.of(features, softmax(said, axis=1), learnt.taught)
+    log_likelihood = learnt.classifier.log_likelihood(features)
+    return SessionSums.of(features, softmax(log_likelihood, axis=1), learnt.taught)
 
 
 def _as_taught(
@@ -146,18 +146,18 @@ def _as_taught(
     if np.isnan(taught).any():
         return kept, 1.0
     if kept.clean_up_ is None:
-        asked = np.zeros(len(new)) if labels is None else labels
+        labels_of = np.zeros(len(new)) if labels is None else labels
         of = memory.labels[learnt.counted]
         ratios = [
             np.median(taught[slice(None) if labels is None else of == name, -1])
-            - np.median(seen[asked == name, -1])
-            for name in np.unique(asked)
+            - np.median(seen[labels_of == name, -1])
+            for name in np.unique(labels_of)
         ]
         gain = float(np.exp(np.mean(ratios)))
         other = RemountedEncoder.of(learnt.encoder, new, gain)
         near = []
-        for one in (kept, other):
-            features = one.transform(new)
+        for encoder in (kept, other):
+            features = encoder.transform(new)
             moved = features + _shift(learnt, features, labels)
             near.append(memory.nearest.log_distances(moved).min(axis=1))
         better = near[0] - near[1]
@@ -197,19 +197,19 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     learnt = recogniser.learnt()
     memory = learnt.memory
     per_object = np.maximum(_n_sessions(memory.objects, memory.sessions), 1)
-    asked, median = _met_elsewhere(memory), float(np.median(per_object))
+    met_elsewhere, median = _met_elsewhere(memory), float(np.median(per_object))
     result: dict[str, Any] = {"least": int(per_object.min()), "median": median}
-    result["asked"] = int(asked.sum())
-    if asked.any():
-        said, rows = _said_of_left_out_sessions(learnt, memory.features)
-        right = learnt.classes[said.argmax(axis=1)] == memory.labels[rows]
-        if asked[rows].any():  # of very many touches only some are left out
-            result["expected"] = float(right[asked[rows]].mean())
-    found = getattr(recogniser, "chosen_", {}).get("rehearsal", {})
-    if "expected" in found:
-        result["rehearsed"] = list(found["expected"])
-    if "confirmed" in found:
-        result["confirmed"] = list(found["confirmed"])
+    result["asked"] = int(met_elsewhere.sum())
+    if met_elsewhere.any():
+        log_likelihood, rows = _said_of_left_out_sessions(learnt, memory.features)
+        right = learnt.classes[log_likelihood.argmax(axis=1)] == memory.labels[rows]
+        if met_elsewhere[rows].any():  # of very many touches only some are left out
+            result["expected"] = float(right[met_elsewhere[rows]].mean())
+    rehearsal = getattr(recogniser, "chosen_", {}).get("rehearsal", {})
+    if "expected" in rehearsal:
+        result["rehearsed"] = list(rehearsal["expected"])
+    if "confirmed" in rehearsal:
+        result["confirmed"] = list(rehearsal["confirmed"])
     return result
 
 
@@ -250,28 +250,28 @@ def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
     was done.
     """
     memory = learnt.memory
-    asked = _met_elsewhere(memory)
-    if not asked.any():
+    met_elsewhere = _met_elsewhere(memory)
+    if not met_elsewhere.any():
         return learnt, {}
     features, codes = memory.features, learnt.codes
     centred = features - _sessions.session_effects(features, codes, memory.sessions)
     loss = {
-        "plain": _loss(learnt, features, asked),
-        "centred": _loss(learnt, centred, asked),
+        "plain": _loss(learnt, features, met_elsewhere),
+        "centred": _loss(learnt, centred, met_elsewhere),
     }
     pairs = _sessions.between_sessions(centred, codes, memory.sessions, memory.subjects)
     # Touches that tell themselves how sessions differ are too sure: other persons must.
     may_weigh = len(np.unique(memory.subjects)) > 1 and len(pairs) >= LEAST_PAIRS
     may_weigh &= wrapped(learnt.encoder).weighing is None
     if may_weigh:
-        loss["weighed"] = _loss_weighed(learnt, centred, asked)
-    loss = {name: one[np.isfinite(one)] for name, one in loss.items()}
+        loss["weighed"] = _loss_weighed(learnt, centred, met_elsewhere)
+    loss = {name: losses[np.isfinite(losses)] for name, losses in loss.items()}
     if not len(loss["plain"]):
         return learnt, {}
-    found = {"log_loss": {name: float(one.mean()) for name, one in loss.items()}}
+    report = {"log_loss": {name: float(losses.mean()) for name, losses in loss.items()}}
     worse = loss["centred"] - loss["plain"]
     if worse.mean() > worse.std() / np.sqrt(len(worse)):
-        return learnt, {**found, "centred": False, "weighed": False}
+        return learnt, {**report, "centred": False, "weighed": False}
     gain = loss["centred"] - loss["weighed"] if may_weigh else np.zeros(1)
     weighs = bool(gain.mean() > LEAST_GAIN)
     there = replace(memory, features=centred)
@@ -279,7 +279,7 @@ def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
         learnt = _weighed_down(replace(learnt, memory=there), pairs)
     else:
         learnt = learnt.relearnt(there)
-    return learnt, {**found, "centred": True, "weighed": weighs}
+    return learnt, {**report, "centred": True, "weighed": weighs}
 
 
 def _weighed_down(learnt: Learnt, differences: Floats) -> Learnt:
@@ -290,7 +290,7 @@ def _weighed_down(learnt: Learnt, differences: Floats) -> Learnt:
     return replace(learnt, encoder=encoder).relearnt(memory)
 
 
-def _loss(learnt: Learnt, features: Floats, asked: Array) -> Floats:
+def _loss(learnt: Learnt, features: Floats, met_elsewhere: Array) -> Floats:
     """Return the log loss (nats) of the asked touches, their session left out whole.
 
     NaN of those that are not left out, where they are very many.
@@ -298,26 +298,28 @@ def _loss(learnt: Learnt, features: Floats, asked: Array) -> Floats:
     said, rows = _said_of_left_out_sessions(learnt, features)
     loss = np.full(len(learnt.memory), np.nan)
     loss[rows] = -log_softmax(said, axis=1)[np.arange(len(rows)), learnt.codes[rows]]
-    return loss[asked]
+    return loss[met_elsewhere]
 
 
-def _loss_weighed(learnt: Learnt, centred: Floats, asked: Array) -> Floats:
+def _loss_weighed(learnt: Learnt, centred: Floats, met_elsewhere: Array) -> Floats:
     """Return the loss when features are weighed by pairs of other persons.
 
     In two halves, so that no touch is asked that told how sessions differ.
     """
-    memory, codes, loss = learnt.memory, learnt.codes, np.empty(len(asked))
+    memory, codes, loss = learnt.memory, learnt.codes, np.empty(len(met_elsewhere))
     half = np.unique(memory.subjects, return_inverse=True)[1] % 2
     for k in range(2):
-        told = half != k
-        visits = memory.sessions[told], memory.subjects[told]
-        pairs = _sessions.between_sessions(centred[told], codes[told], *visits)
+        weighing_half = half != k
+        visits = memory.sessions[weighing_half], memory.subjects[weighing_half]
+        pairs = _sessions.between_sessions(
+            centred[weighing_half], codes[weighing_half], *visits
+        )
         weighing = np.eye(centred.shape[1])
         if len(pairs):
             weighing = _sessions.weighed_down(pairs, centred, learnt.parts)
-        mine = asked & ~told
-        loss[mine] = _loss(learnt, centred @ weighing, mine)
-    return loss[asked]
+        asked_half = met_elsewhere & ~weighing_half
+        loss[asked_half] = _loss(learnt, centred @ weighing, asked_half)
+    return loss[met_elsewhere]
 
 
 def _said_of_left_out_sessions(

@@ -113,11 +113,11 @@ def between_sessions(
     things = np.stack([codes.astype(str), subjects.astype(str)])
     thing = np.unique(things, axis=1, return_inverse=True)[1].ravel()
     rows = []
-    for one in range(thing.max() + 1):
-        mine = np.flatnonzero(thing == one)
-        of = np.unique(sessions[mine], return_inverse=True)[1]
+    for number in range(thing.max() + 1):
+        rows_of_thing = np.flatnonzero(thing == number)
+        of = np.unique(sessions[rows_of_thing], return_inverse=True)[1]
         if of.max():
-            means = group_means(features[mine], of)
+            means = group_means(features[rows_of_thing], of)
             rows.append((means - means.mean(axis=0)) * np.sqrt(len(means) / of.max()))
     return np.concatenate(rows) if rows else np.empty((0, features.shape[1]))
 
@@ -136,13 +136,13 @@ def weighed_down(differences: Floats, features: Floats, parts: Parts) -> Floats:
     """
     whole = np.zeros((features.shape[1],) * 2)
     for start, end in zip(parts.cuts[:-1], parts.cuts[1:], strict=True):
-        some, mine = differences[:, start:end], features[:, start:end]
-        values, axes = np.linalg.eigh(some.T @ some)
+        part, columns = differences[:, start:end], features[:, start:end]
+        values, axes = np.linalg.eigh(part.T @ part)
         values = np.maximum(values, 0)
         scale = values.mean() or 1.0
         matrix = (axes / np.sqrt(values / scale + UNSEEN)) @ axes.T
-        factor = np.sqrt(mine.var(axis=0).sum())
-        factor /= np.sqrt((mine @ matrix).var(axis=0).sum()) or 1.0
+        factor = np.sqrt(columns.var(axis=0).sum())
+        factor /= np.sqrt((columns @ matrix).var(axis=0).sum()) or 1.0
         whole[start:end, start:end] = factor * matrix
     return whole
 
@@ -154,8 +154,8 @@ def shift_by_labels(features: Floats, codes: Indices, taught: Taught) -> Floats:
     touched at one place of it, nothing is left (James and Stein).
     """
     names, which = np.unique(codes, return_inverse=True)
-    apart = group_means(taught.means[codes] - features, which).mean(axis=0)
-    return _less_noise(apart, taught.within / len(names), taught.parts)
+    shift = group_means(taught.means[codes] - features, which).mean(axis=0)
+    return _less_noise(shift, taught.within / len(names), taught.parts)
 
 
 def effective_number(shares: Floats) -> float:
@@ -177,7 +177,9 @@ def looks(images: Array, rest: Array | None) -> Floats:
     if shrink < 1:
         size = tuple(max(1, round(shrink * side)) for side in small.shape[:0:-1])
         area = cv2.INTER_AREA
-        small = np.stack([cv2.resize(one, size, interpolation=area) for one in levels])
+        small = np.stack(
+            [cv2.resize(picture, size, interpolation=area) for picture in levels]
+        )
     window, octaves = _window_and_octaves(*small.shape[1:])
     waves = np.fft.rfft2((small - small.mean(axis=(1, 2), keepdims=True)) * window)
     sums = (np.abs(waves) ** 2).reshape(len(small), -1) @ octaves
@@ -185,7 +187,7 @@ def looks(images: Array, rest: Array | None) -> Floats:
     still = np.zeros_like(levels[0])
     if rest is not None:
         still[:] = rest
-    away = [cv2.norm(one, still, cv2.NORM_L1) / still.size for one in levels]
+    away = [cv2.norm(picture, still, cv2.NORM_L1) / still.size for picture in levels]
     return np.asarray(np.log(np.maximum(np.column_stack([sums, away]), 1e-12)))
 
 

@@ -120,7 +120,7 @@ class ParquetTouches(Labelled):
         """Read the touches in these rows, which rise; workers pick them."""
         chosen = self[rows]
         parts = chosen._results(_touches_of)
-        return Touches._joined((part for some in parts for part in some), MAX_BYTES)
+        return Touches._joined((part for batch in parts for part in batch), MAX_BYTES)
 
     def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
         """Return what `encode` makes of all touches, (n_touches, n_features).
