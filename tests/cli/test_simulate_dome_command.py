@@ -96,7 +96,7 @@ def test_a_mesh_of_a_known_name_is_refused(simulate, tmp_path):
         (["dome", "-o", "t.npz", "--rows", "100000"], "100000 x 120. Take fewer rows"),
         (["pins", "-o", "t.npz", "--seed", "4294967296"], "4294967295, got 4294967296"),
         (["dome", "-o", "t.npz", "mug", "edge"], "archives of their own"),
-        (["dome", "-o", "t.npz", "mug", "--force", "-1"], "force_n must be positive"),
+        (["dome", "-o", "t.npz", "mug", "--force", "-1"], "--force must be positive"),
         (["pins", "-o", "t.npz", "mug", "--touches", "0"], "at least 1, got 0"),
     ],
 )
