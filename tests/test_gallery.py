@@ -84,7 +84,8 @@ def test_each_pad_alone_sees_half(run):
 
 def test_more_training_touches_help_much_then_little(run):
     for curve in run("21_learning_curve")["curves"].values():
-        assert (np.diff(curve) > 0).all()
+        # "Then little" may be nothing: `default` has 96.7 % from 12 touches on.
+        assert (np.diff(curve) >= 0).all()
         assert curve[1] - curve[0] > curve[3] - curve[2]
 
 
@@ -174,7 +175,7 @@ def test_a_pose_is_where_the_part_lies_by_its_standard_deviations(run):
 
 
 @pytest.mark.realdata
-def test_clouds_of_the_disc_lie_apart(run):
+def test_clouds_of_the_disc_lie_apart(run, data_folder):
     """The nearest of the clouds' middles names more than chance by far."""
     names = run("40_recorded_dome")
     rims, labels = names["rims"], names["touches"].object
