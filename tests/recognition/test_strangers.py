@@ -506,15 +506,24 @@ def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_thing_unlike_all_that_was_learnt_is_called_unknown():
+@pytest.mark.parametrize(
+    "n_touches",
+    [
+        pytest.param(
+            12,
+            marks=pytest.mark.xfail(strict=True, reason="unknown is at 0.73 then"),
+        ),
+        20,  # as long as the episodes that teach what a stranger is
+    ],
+)
+def test_a_thing_unlike_all_that_was_learnt_is_called_unknown(n_touches):
     """A ball of spikes beside smooth household objects, on a simulated dome."""
     camera = DomeCamera(image_shape=(96, 96), n_nodes=40)
     names = ("ball", "box", "mug", "pen", "stapler", "toothbrush")
     learnt = simulate_touches(names, 40, camera, drift=False, random_state=0)
     recogniser = ObjectRecogniser().fit(learnt)
-    # 20 touches are as long as the episodes that teach what a stranger is.
     again = simulate_touches(
-        (*names, "massage ball"), 20, camera, drift=False, random_state=1
+        (*names, "massage ball"), n_touches, camera, drift=False, random_state=1
     )
     ends = {}
     for name, _, rows in again.episodes():
