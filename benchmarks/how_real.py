@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from palpate import Touches
 from palpate.encodings import ZernikeMoments
 from palpate.evaluation import Plan, evaluate, split_touches
-from palpate.simulation import DomeCamera, simulate_touches
+from palpate.simulation import DomeCamera, Scene, simulate_touches
 
 # Settings were scored on the first recordings (see docs/explanation/how-real.md)...
 FITTED = ("01_stapler", "03_ball", "05_shoe", "07_mug", "09_bowl")
@@ -86,9 +86,7 @@ def _simulated(seed: int) -> tuple[dict[str, Images], Images]:
     touches = simulate_touches(
         n_touches=75,
         camera=camera,
-        max_tilt_deg=50,
-        max_roll_deg=0,
-        keep_misses=True,
+        scene=Scene(max_tilt_deg=50, max_roll_deg=0, keep_misses=True),
         drift=False,
         random_state=seed,
     )

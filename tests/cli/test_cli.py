@@ -360,6 +360,36 @@ def test_a_model_larger_than_asked_for_is_refused_unread(
     assert "A model file must be at most 0.001 MB large" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        ("level = 'object'", "got 'level'. Choose among where, name-pattern, levels"),
+        ("levels = 3", "levels in .*reading.toml must be text in quotes, got 3"),
+        ("skip-bad = 1", "skip-bad in .* must be true or false, got 1"),
+        ("begin = true", "begin in .* must be a number, got True"),
+        ("begin = '3'", "begin in .* must be a number, got '3'"),
+        ("levels =", "--read must be a TOML file, got .*reading.toml: Invalid value"),
+    ],
+)
+def test_a_file_of_reading_options_is_checked(palpate, tmp_path, written, message):
+    profile = tmp_path / "reading.toml"
+    profile.write_text(written)
+    done = palpate("check", tmp_path, "--read", profile)
+    assert done.returncode == 1
+    assert re.search(message, " ".join(done.stderr.split()))
+    assert "Traceback" not in done.stderr
+
+
+def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
+    (tmp_path / "there").mkdir()
+    profile = tmp_path / "there" / "reading.toml"
+    profile.write_text("no-contact = 'rest.png'")
+    Image.fromarray(np.zeros((8, 8), np.uint8)).save(tmp_path / "touch.png")
+    done = palpate("check", tmp_path / "touch.png", "--read", profile)
+    assert done.returncode == 1
+    assert str(tmp_path / "there" / "rest.png") in "".join(done.stderr.split("\n"))
+
+
 def test_levels_of_folders_are_named(palpate, tmp_path):
     rng = np.random.default_rng(0)
     for name, level in (("mug", 60), ("pen", 150)):
@@ -383,6 +413,13 @@ def test_levels_of_folders_are_named(palpate, tmp_path):
         *["learn", archive, "-o", model, "--levels", "category/object", "--json"]
     )
     assert json.loads(kinds.stdout)["labels"] == as_before["labels"]
+    profile = tmp_path / "reading.toml"
+    profile.write_text('levels = "object/session"\nskip-bad = true\n')
+    from_file = palpate("learn", archive, "-o", model, "--read", profile, "--json")
+    assert json.loads(from_file.stdout)["labels"] == ["mug", "pen"]
+    beside = [archive, "-o", model, "--read", profile, "--levels", "category/object"]
+    given = palpate("learn", *beside, "--json")
+    assert json.loads(given.stdout)["labels"] == as_before["labels"]
     for words, why in (("session", "one of them object"), ("object/a b", "by a word")):
         refused = palpate("learn", archive, "-o", model, "--levels", words)
         assert refused.returncode == 1

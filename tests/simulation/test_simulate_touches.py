@@ -11,6 +11,7 @@ from palpate.simulation import (
     HOUSEHOLD,
     UNSEEN,
     DomeCamera,
+    Scene,
     TacTipPins,
     find_object,
     load_mesh,
@@ -101,6 +102,7 @@ def test_processes_give_the_same_touches(tmp_path):
         ({"strategy": "below"}, ValueError, "strategy must be one of 'hemisphere'"),
         ({"pose": "lying"}, ValueError, "pose must be one of 'usual', 'any'"),
         ({"max_tilt_deg": 120}, ValueError, "max_tilt_deg must be finite and betw"),
+        ({"aim_mm": 2}, TypeError, "no parameter 'aim_mm'. Fields of Scene: pose, hem"),
         ({"random_state": -1}, ValueError, "random_state must be at least 0"),
         (
             {"objects": ["pen"], "aim_sd_mm": 1e5, "random_state": 0},
@@ -112,6 +114,22 @@ def test_processes_give_the_same_touches(tmp_path):
 def test_bad_sets_are_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         simulate_touches(**{"objects": ["box"], "n_touches": 1, **arguments})
+
+
+def test_fields_of_a_scene_may_be_given_by_name():
+    camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
+    scene = Scene(aim_sd_mm=1, max_tilt_deg=20, max_roll_deg=0)
+    together = simulate_touches("mug", 3, camera, scene=scene, random_state=0)
+    alone = simulate_touches(
+        "mug",
+        3,
+        camera,
+        scene=Scene(aim_sd_mm=1, max_tilt_deg=20, max_roll_deg=90),
+        max_roll_deg=0,
+        random_state=0,
+    )
+    assert_array_equal(together.images, alone.images)
+    assert_array_equal(together.columns["roll_rad"], np.zeros(3))
 
 
 def test_mountings_are_the_same_for_all_objects_and_differ_from_each_other():

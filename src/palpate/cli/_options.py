@@ -1,19 +1,22 @@
 """Options that several verbs share, and reading and working as they say.
 
 An option is a type (`Seed`). Options that belong together are a dataclass (`Reading`):
-a verb takes one parameter of it, and `grouped` puts its fields on the command line.
+a verb takes one parameter of it, and `grouped` puts its fields on the command line, in
+the help under the dataclass's `PANEL`.
 """
 
 import os
 import re
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args
 from warnings import catch_warnings, simplefilter
 
 import typer
@@ -177,6 +180,8 @@ def model_file(model: Path) -> Path:
 class Learning:
     """How a recogniser is made, as `ObjectRecogniser` and `Plan` name it."""
 
+    PANEL: ClassVar[str] = "How it learns"
+
     preset: Preset = "default"
     label: Label = "object"
     floor: Annotated[
@@ -198,8 +203,21 @@ class Learning:
 
 @dataclass(frozen=True)
 class Reading:
-    """How touches are read from an archive, a folder or a library."""
+    """How touches are read from an archive, a folder or a library.
 
+    `read` names a file that says it once for all verbs: what was not given is taken
+    from there.
+    """
+
+    PANEL: ClassVar[str] = "How TOUCHES are read"
+
+    read: Annotated[
+        Path | None,
+        option(
+            "A file (.toml) that holds the options below, such as "
+            "levels = 'object/session'; what is given here goes before."
+        ),
+    ] = None
     where: Where = None
     name_pattern: NamePattern = None
     levels: Annotated[
@@ -237,6 +255,12 @@ class Reading:
         option("Of a film: the change at which a touch begins. Default: 6 noises."),
     ] = None
     max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
+
+    def __post_init__(self) -> None:
+        written = {} if self.read is None else _read_profile(self.read)
+        for field in fields(self):
+            if field.name in written and getattr(self, field.name) == field.default:
+                object.__setattr__(self, field.name, written[field.name])
 
     def touches(
         self, path: Path, topic: str | None = None, *, quiet: bool = False
@@ -377,6 +401,41 @@ class Reading:
         return f"folders were read as {'/'.join(levels)}; --levels says otherwise"
 
 
+def _read_profile(path: Path) -> dict[str, Any]:
+    """Return the options of reading in a file, checked; paths in it start there."""
+    try:
+        written = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"--read must be a TOML file, got {path}: {error}.") from error
+    known = {field.name: field for field in fields(Reading) if field.name != "read"}
+    options = {}
+    for key, value in written.items():
+        name = key.replace("-", "_")
+        if name not in known:
+            names = ", ".join(known).replace("_", "-")
+            raise ValueError(
+                f"{path} must hold options of reading, got {key!r}. "
+                f"Choose among {names}."
+            )
+        options[name] = _of_profile(path, key, value)
+    return options
+
+
+def _of_profile(path: Path, key: str, value: Any) -> Any:
+    kinds: dict[str, tuple[type, ...]] = {
+        "skip_bad": (bool,),
+        "colour": (bool,),
+        "begin": (int, float),
+        "max_megapixels": (int, float),
+    }
+    name = key.replace("-", "_")
+    kind = kinds.get(name, (str,))
+    if not isinstance(value, kind) or (isinstance(value, bool) and bool not in kind):
+        named = {bool: "true or false", int: "a number", str: "text in quotes"}[kind[0]]
+        raise ValueError(f"{key} in {path} must be {named}, got {value!r}.")
+    return path.parent / str(value) if name == "no_contact" else value
+
+
 def _sides(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})[xX×](\d{1,5})", text.strip())
     if match is None:
@@ -387,6 +446,8 @@ def _sides(text: str) -> tuple[int, int]:
 @dataclass(frozen=True)
 class Working:
     """Where parallel work runs: this machine's processes or a Dask cluster."""
+
+    PANEL: ClassVar[str] = "Where the work runs"
 
     workers: Annotated[
         int | None,
@@ -449,7 +510,7 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
     }
     flat: list[Parameter] = []
     for name, parameter in taken.items():  # those of a dataclass are its own fields
-        of = signature(groups[name]).parameters.values() if name in groups else None
+        of = _options_of(groups[name]) if name in groups else None
         flat += [p.replace(kind=Parameter.KEYWORD_ONLY) for p in of or [parameter]]
 
     @wraps(verb)
@@ -462,6 +523,17 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
     run.__annotations__ = {p.name: p.annotation for p in flat}
     vars(run)["__signature__"] = Signature(flat)  # what Typer reads
     return run
+
+
+def _options_of(group: Any) -> list[Parameter]:
+    """Return the fields of a group as parameters, in the help under its `PANEL`."""
+    parameters = []
+    for parameter in signature(group).parameters.values():
+        kind, info = get_args(parameter.annotation)
+        shown = copy(info)
+        shown.rich_help_panel = getattr(group, "PANEL", None)
+        parameters.append(parameter.replace(annotation=Annotated[kind, shown]))
+    return parameters
 
 
 def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":

@@ -60,7 +60,7 @@ class DomeTouches:
     as_json: AsJson = False
 
     def make(self, camera: "DomeCamera | TacTipPins") -> None:
-        from ..simulation import BASIC_SHAPES, simulate_touches
+        from ..simulation import BASIC_SHAPES, Scene, simulate_touches
 
         things = find_objects(self.objects, self.unit)
         check_output(self.output)
@@ -75,8 +75,9 @@ class DomeTouches:
             self.touches,
             camera,
             "above" if all(shapes) else "hemisphere",
-            pose="any" if self.any_pose else "usual",
-            aim_sd_mm=self.aim_sd,
+            scene=Scene(
+                pose="any" if self.any_pose else "usual", aim_sd_mm=self.aim_sd
+            ),
             drift=not self.no_drift,
             mountings=self.sessions > 1 and not self.no_drift,
             n_sessions=self.sessions,

@@ -31,7 +31,7 @@ from ._pins import TacTipPins
 from ._placed import PlacedObject, SensorPose, SimObject
 from ._placed import gap_map as gap_map
 from ._placed import sleeve_gap as sleeve_gap
-from ._simulate import simulate_presses, simulate_touches
+from ._simulate import Scene, simulate_presses, simulate_touches
 
 __all__ = [
     "DomeCamera",
@@ -42,6 +42,7 @@ __all__ = [
     "Part",
     "PlacedObject",
     "PressureArray",
+    "Scene",
     "SensorPose",
     "SimObject",
     "TacTipPins",

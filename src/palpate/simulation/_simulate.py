@@ -5,7 +5,8 @@ are like, and stated with `simulate_presses`; nothing here knows what recognises
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import chain, islice
 from typing import Any
 
@@ -28,6 +29,85 @@ _PER_TASK = 25, 50  # touches, presses
 _ATTEMPTS = 50
 
 
+@dataclass(frozen=True)
+class Scene:
+    """How simulated objects lie, and from where and how hard they are touched.
+
+    Parameters
+    ----------
+    pose : {"usual", "any"}, default="usual"
+        Whether an object always rests as built, or in any of its resting poses,
+        drawn per session; for the hemisphere only.
+    hemisphere_mm : float, default=300.0
+        Radius of the hemisphere, more where the object is larger.
+    max_tilt_deg : float, optional
+        Largest angle between approach and vertical; by default 80 from the
+        hemisphere, 10 from above.
+    aim_sd_mm : float, default=5.0
+        Standard deviation along x, y and z of the point that is faced.
+    max_roll_deg : float, default=180.0
+        The sensor is turned about its axis by up to so much, either way.
+    force_sd : float, default=0.05
+        Standard deviation of the logarithm of the force at which presses end.
+    keep_misses : bool, default=False
+        Whether approaches that meet nothing count as touches (without contact); by
+        default another is drawn.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A number out of its range.
+
+    Examples
+    --------
+    >>> from palpate.simulation import Scene, simulate_touches
+    >>> steady = Scene(aim_sd_mm=0, max_roll_deg=0)
+    >>> len(simulate_touches("ball", 2, scene=steady, random_state=0))
+    2
+    """
+
+    pose: str = "usual"
+    hemisphere_mm: float = 300.0
+    max_tilt_deg: float | None = None
+    aim_sd_mm: float = 5.0
+    max_roll_deg: float = 180.0
+    force_sd: float = 0.05
+    keep_misses: bool = False
+
+    def __post_init__(self) -> None:
+        check_option("pose", self.pose, ("usual", "any"))
+        check_positive("hemisphere_mm", self.hemisphere_mm)
+        if self.max_tilt_deg is not None:
+            check_number("max_tilt_deg", self.max_tilt_deg, low=0.0, high=90.0)
+        check_number("aim_sd_mm", self.aim_sd_mm, low=0.0)
+        check_number("max_roll_deg", self.max_roll_deg, low=0.0, high=180.0)
+        check_number("force_sd", self.force_sd, low=0.0, high=2.0)
+
+    def placed(self, thing: SimObject, rng: Generator, *, above: bool) -> PlacedObject:
+        """Put an object down for one session; `above` as it is built."""
+        yaw = float(rng.uniform(0, 2 * np.pi))
+        number = int(rng.integers(len(thing.resting_rotations)))
+        if above:
+            return PlacedObject(thing, yaw_rad=yaw)
+        return PlacedObject.resting(thing, number if self.pose == "any" else 0, yaw)
+
+    def start(self, placed: PlacedObject, rng: Generator, *, above: bool) -> SensorPose:
+        """Draw where a touch comes from, facing the middle or, `above`, the origin."""
+        usual_deg = 10.0 if above else 80.0
+        tilt_deg = usual_deg if self.max_tilt_deg is None else self.max_tilt_deg
+        around = rng.uniform(0, 2 * np.pi)
+        up = rng.uniform(np.cos(np.deg2rad(tilt_deg)), 1.0)
+        flat = np.sqrt(1 - up**2)
+        outward = np.array([flat * np.cos(around), flat * np.sin(around), up])
+        goal = np.asarray(placed.position_mm) if above else placed.centre_mm
+        goal = goal + rng.normal(0, 1, 3) * self.aim_sd_mm
+        roll = np.deg2rad(rng.uniform(-self.max_roll_deg, self.max_roll_deg))
+        corners = placed.vertices_mm - goal
+        reach = np.sqrt((corners**2).sum(axis=1).max(initial=0.0)) + 50.0
+        away = max(self.hemisphere_mm, float(reach))
+        return SensorPose(goal + away * outward, -outward, float(roll))
+
+
 def simulate_touches(
     objects: Iterable[SimObject | str] | SimObject | str | None = None,
     n_touches: int = 60,
@@ -35,18 +115,13 @@ def simulate_touches(
     strategy: str = "hemisphere",
     *,
     n_sessions: int = 1,
-    pose: str = "usual",
-    hemisphere_mm: float = 300.0,
-    max_tilt_deg: float | None = None,
-    aim_sd_mm: float = 5.0,
-    max_roll_deg: float = 180.0,
-    force_sd: float = 0.05,
     drift: bool = True,
     mountings: bool = False,
-    keep_misses: bool = False,
+    scene: Scene | None = None,
     random_state: int | None = None,
     n_jobs: int | None = None,
     progress: bool | None = False,
+    **of_scene: Any,
 ) -> Touches:
     """Touch objects with a dome camera, each time from elsewhere.
 
@@ -66,35 +141,23 @@ def simulate_touches(
     n_sessions : int, default=1
         Recordings that an object's touches are split into. In each the object is
         turned anew about the vertical and the camera drifts.
-    pose : {"usual", "any"}, default="usual"
-        Whether an object always rests as built, or in any of its resting poses,
-        drawn per session; for the hemisphere only.
-    hemisphere_mm : float, default=300.0
-        Radius of the hemisphere, more where the object is larger.
-    max_tilt_deg : float, optional
-        Largest angle between approach and vertical; by default 80 from the
-        hemisphere, 10 from above.
-    aim_sd_mm : float, default=5.0
-        Standard deviation along x, y and z of the point that is faced.
-    max_roll_deg : float, default=180.0
-        The sensor is turned about its axis by up to so much, either way.
-    force_sd : float, default=0.05
-        Standard deviation of the logarithm of the force at which presses end.
     drift : bool, default=True
         Whether exposure and place of the picture change between sessions.
     mountings : bool, default=False
         Whether every session is another mounting of the sensor, the same for all
         objects (see `DomeCamera.remounted`), instead of a drift that each object's
         recording has of its own.
-    keep_misses : bool, default=False
-        Whether approaches that meet nothing count as touches (without contact); by
-        default another is drawn.
+    scene : Scene, optional
+        How objects lie and how they are approached; by default `Scene()`.
     random_state : int, optional
         Same number, same touches, whatever `n_jobs`.
     n_jobs : int, optional
         Processes, as in joblib.
     progress : bool, optional
         Show a bar on standard error; None where that is a terminal.
+    **of_scene
+        Fields of `Scene` by their names, such as ``aim_sd_mm=2``, in place of those
+        of `scene`.
 
     Returns
     -------
@@ -108,6 +171,8 @@ def simulate_touches(
 
     Raises
     ------
+    TypeError
+        A name in `of_scene` that is no field of `Scene`.
     ValueError
         Two objects have one name, or one that should be touched cannot be met after
         50 approaches.
@@ -131,18 +196,19 @@ def simulate_touches(
     """
     things = _resolved(HOUSEHOLD if objects is None else objects)
     sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
-    usual = 10.0 if strategy == "above" else 80.0
-    tilt = usual if max_tilt_deg is None else max_tilt_deg
-    way = _Way(
-        strategy=check_option("strategy", strategy, ("hemisphere", "above")),
-        hemisphere_mm=check_positive("hemisphere_mm", hemisphere_mm),
-        max_tilt_deg=check_number("max_tilt_deg", tilt, low=0.0, high=90.0),
-        aim_sd_mm=check_number("aim_sd_mm", aim_sd_mm, low=0.0),
-        max_roll_deg=check_number("max_roll_deg", max_roll_deg, low=0.0, high=180.0),
-        force_sd=check_number("force_sd", force_sd, low=0.0, high=2.0),
-        any_pose=check_option("pose", pose, ("usual", "any")) == "any",
-        drift=bool(drift) and not mountings,
-        keep_misses=bool(keep_misses),
+    check_option("strategy", strategy, ("hemisphere", "above"))
+    unknown = sorted(of_scene.keys() - {field.name for field in fields(Scene)})
+    if unknown:
+        names = ", ".join(field.name for field in fields(Scene))
+        raise TypeError(
+            f"simulate_touches has no parameter {unknown[0]!r}. "
+            f"Fields of Scene: {names}."
+        )
+    touch = partial(
+        _touch_object,
+        scene=replace(Scene() if scene is None else scene, **of_scene),
+        above=strategy == "above",
+        drift=drift and not mountings,
     )
     count = check_count("n_touches", n_touches)
     n_parts = min(check_count("n_sessions", n_sessions), count)
@@ -154,11 +220,11 @@ def simulate_touches(
         rngs = map(np.random.default_rng, root.spawn(n_parts))
         sensors = [sensor.remounted(rng) for rng in rngs]
     tasks = [
-        (sensors[number], way, *task)
+        (sensors[number], *task)
         for seeded in seeds
         for number, *task in _sessions_of(*seeded, parts)
     ]
-    done = _all_of(_touch_object, tasks, "Touching", n_jobs, progress)
+    done = _all_of(touch, tasks, "Touching", n_jobs, progress)
     images, presses, ends = zip(*done, strict=True)
     session = np.repeat(np.arange(n_parts), [len(part) for part in parts])
     repeated = [thing for thing in things for _ in range(count)]
@@ -328,62 +394,28 @@ def _all_of(
     return list(chain.from_iterable(batches))
 
 
-@dataclass(frozen=True)
-class _Way:
-    strategy: str
-    hemisphere_mm: float
-    max_tilt_deg: float
-    aim_sd_mm: float
-    max_roll_deg: float
-    force_sd: float
-    any_pose: bool
-    drift: bool
-    keep_misses: bool
-
-    def placed(self, thing: SimObject, rng: Generator) -> PlacedObject:
-        """Put an object down for one session."""
-        yaw = float(rng.uniform(0, 2 * np.pi))
-        number = int(rng.integers(len(thing.resting_rotations)))
-        if self.strategy == "above":
-            return PlacedObject(thing, yaw_rad=yaw)
-        return PlacedObject.resting(thing, number if self.any_pose else 0, yaw)
-
-    def start(self, placed: PlacedObject, rng: Generator) -> SensorPose:
-        """Draw where a touch comes from."""
-        around = rng.uniform(0, 2 * np.pi)
-        least = np.cos(np.deg2rad(self.max_tilt_deg))
-        up = rng.uniform(least, 1.0)
-        flat = np.sqrt(1 - up**2)
-        outward = np.array([flat * np.cos(around), flat * np.sin(around), up])
-        above = self.strategy == "above"
-        goal = np.asarray(placed.position_mm) if above else placed.centre_mm
-        goal = goal + rng.normal(0, 1, 3) * self.aim_sd_mm
-        roll = np.deg2rad(rng.uniform(-self.max_roll_deg, self.max_roll_deg))
-        corners = placed.vertices_mm - goal
-        reach = np.sqrt((corners**2).sum(axis=1).max(initial=0.0)) + 50.0
-        away = max(self.hemisphere_mm, float(reach))
-        return SensorPose(goal + away * outward, -outward, float(roll))
-
-
 def _touch_object(
     sensor: DomeCamera | TacTipPins | GelCamera,
-    way: _Way,
     thing: SimObject,
     session: SeedSequence,
     seeds: list[SeedSequence],
+    *,
+    scene: Scene,
+    above: bool,
+    drift: bool,
 ) -> list[tuple[Frame, DomePress, SensorPose]]:
     """Return pictures, presses and the poses at their ends, of one session."""
     rng = np.random.default_rng(session)
-    placed = way.placed(thing, rng)
-    now = sensor.drifted(rng) if way.drift else sensor
+    placed = scene.placed(thing, rng, above=above)
+    now = sensor.drifted(rng) if drift else sensor
     solid = len(thing.mesh.faces) > 0
     touches = []
     for rng in map(np.random.default_rng, seeds):
-        force = now.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
+        force = now.dome.force_n * float(np.exp(rng.normal(0, scene.force_sd)))
         for _ in range(_ATTEMPTS):
-            pose = way.start(placed, rng)
+            pose = scene.start(placed, rng, above=above)
             press = now.press(placed, pose, force_n=force)
-            if press.touched or way.keep_misses or not solid:
+            if press.touched or scene.keep_misses or not solid:
                 break
         else:
             raise ValueError(
