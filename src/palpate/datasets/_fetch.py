@@ -37,7 +37,7 @@ from .._extras import needed
 from .._types import Array
 from ..touches import Touches
 from ._convert import LONGEST_PATH, Made, Member, converted, digest
-from ._ready import READY, make_ready
+from ._ready import READY, make_ready, ready_file
 
 _CARDS = files(__package__) / "cards"
 _CACHES = {"win32": "AppData/Local", "darwin": "Library/Caches"}
@@ -69,10 +69,19 @@ def where(folder: str | Path | None = None) -> Path:
     PALPATE_DATA_HOME names, else `palpate` in the caches of this computer.
     """
     named = folder or os.environ.get("PALPATE_DATA")
-    return Path(named) if named else cached()
+    return Path(named) if named else _cached()
 
 
-def cached() -> Path:
+def ready_models(folder: str | Path | None = None) -> dict[str, tuple[str, Path]]:
+    """Return what each ready model knows, in words, and where its file is or will be.
+
+    `folder` is that of `fetch`.
+    """
+    here = Path(folder) if folder else _cached()
+    return {name: (what, ready_file(name, here)) for name, (_, what) in READY.items()}
+
+
+def _cached() -> Path:
     """Return the folder for what can be made or fetched again."""
     if home := os.environ.get("PALPATE_DATA_HOME"):
         return Path(home)
@@ -112,7 +121,7 @@ def fetch(
     is left.
     """
     if name in READY:
-        return make_ready(name, Path(folder) if folder else cached(), progress)
+        return make_ready(name, Path(folder) if folder else _cached(), progress)
     check_option("name", name, (*names(), *READY))
     description, here = card(name), where(folder)
     outputs: list[Path] = [here / place for place in description["makes"]]

@@ -85,11 +85,15 @@ def check_folder(
     no_contact: str | PathLike[str] | None = None,
     colour: bool = False,
     max_pixels: int = 50_000_000,
-) -> tuple[PictureCheck, dict[str, int]]:
+) -> tuple[PictureCheck | None, dict[str, int]]:
     """Look at every picture of a folder; count the other files by their endings.
 
-    Raises TouchesError where there is no folder of pictures, or folders mean nothing.
+    None, and nothing, where there is no picture in it, nor in a folder of it. Raises
+    TouchesError where the pictures are not what is read, or folders mean nothing.
     """
+    files = [Path(name).suffix.lower() for name in _files(root)]
+    if not {*files} & {*PICTURES}:
+        return None, {}
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if Path(names[0]).suffix.lower() not in PICTURES:
         raise TouchesError(
@@ -97,14 +101,8 @@ def check_folder(
             "files. What is wrong with one of these is said when they are read."
         )
     check = _checked(root, names, pattern, max_pixels, colour)
-    others = [Path(name).suffix.lower() or "no ending" for name in _files(root)]
-    others = [ending for ending in others if ending not in PICTURES]
+    others = [ending or "no ending" for ending in files if ending not in PICTURES]
     return check, {ending: others.count(ending) for ending in sorted({*others})}
-
-
-def holds_pictures(root: Path) -> bool:
-    """Return whether a folder has pictures in it, or in a folder of it."""
-    return any(Path(name).suffix.lower() in PICTURES for name in _files(root))
 
 
 def _chosen(
