@@ -13,6 +13,7 @@ from ._controls import disc_centres as disc_centres
 from ._controls import named_alone as named_alone
 from ._controls import sorted_pixels as sorted_pixels
 from ._controls import without_contact as without_contact
+from ._episodes import Decisions as Decisions
 from ._episodes import Episodes as Episodes
 from ._episodes import decide_episodes as decide_episodes
 from ._episodes import run_episodes as run_episodes

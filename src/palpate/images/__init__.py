@@ -16,15 +16,15 @@ from ._orientation import orientations as orientations
 from ._press_pose import Poses as Poses
 from ._press_pose import PressPose
 from ._press_pose import press_pose as press_pose
-from ._rim import Circle, find_rims
+from ._rim import Circle as Circle
 from ._rim import Rims as Rims
 from ._rim import find_rim as find_rim
+from ._rim import find_rims
 from ._rim import typical_rim as typical_rim
 
 __all__ = [
     "ArrayCleanUp",
     "ChannelMean",
-    "Circle",
     "DerivativeMagnitude",
     "DomeCrop",
     "OrientationRegulariser",

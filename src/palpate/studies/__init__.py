@@ -7,7 +7,7 @@ makes tables, pictures and a page of the result. Figures are in per cent.
 from typing import Any
 
 from .._checks import check_option
-from ._study import Study
+from ._study import Study as Study
 
 STUDIES: dict[str, Study] = {
     "corradi2014": Study("corradi2014", "seven shapes before a dome camera"),
@@ -29,4 +29,4 @@ def run_study(name: str, **options: Any) -> dict[str, Any]:
     return study.run(**options)
 
 
-__all__ = ["STUDIES", "Study", "run_study"]
+__all__ = ["STUDIES", "run_study"]
