@@ -16,8 +16,16 @@ from . import _pictures
 from ._check_folder import BadPicture, PictureCheck, check_pictures, without_bad
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
-from ._layout import kept_names, labels_of_folders, levels_pattern, odd_depths
-from ._name_pattern import POSITIONS, TAKEN, compiled, matched
+from ._layout import (
+    POSITIONS,
+    TAKEN,
+    compiled,
+    kept_names,
+    labels_of_folders,
+    levels_pattern,
+    matched,
+    odd_depths,
+)
 from ._pictures import RGB, Header, common_header, decode_picture, decode_pictures
 from ._tables import TABLES, folder_levels, label_columns
 
