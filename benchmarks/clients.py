@@ -10,29 +10,21 @@ frames, which are published best effort, are lost.
 """
 
 import argparse
-import json
 import os
-import subprocess
 import sys
-import time
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from palpate import ObjectRecogniser, Touches
 from palpate.sensors import RosSensor
 from palpate.web import LiveSession, RosPublisher
 
-HERE = Path(__file__).parent
-ROBOT = HERE.parent / "tests" / "sensors" / "ros_robot.py"
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "sensors"))
+from ros_network import eventually, heard_by, learn, robot, router, variables
+
 DOMAIN, ENDPOINT = 140, "tcp/127.0.0.1:17448"
-NETWORK = """<CycloneDDS><Domain id="any">
-<General><AllowMulticast>false</AllowMulticast><Interfaces>
-<NetworkInterface address="127.0.0.1"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
 SIZES, RATES_HZ = ((120, 120), (480, 640)), (30, 120)
 
 
@@ -47,46 +39,15 @@ class CountedSensor(RosSensor):
         return readings
 
 
-@contextmanager
-def router():
-    """What `ros2 run rmw_zenoh_cpp rmw_zenohd` starts."""
-    import zenoh
-
-    configuration = zenoh.Config()
-    configuration.insert_json5("mode", '"router"')
-    configuration.insert_json5("listen/endpoints", json.dumps([ENDPOINT]))
-    configuration.insert_json5("scouting/multicast/enabled", "false")
-    with zenoh.open(configuration):
-        yield
-
-
-def learn(shape, folder):
+def learnt(shape, folder):
     """Return the file of a model of two ridges, of pictures of this size."""
-    sys.path.insert(0, str(ROBOT.parent))
-    from ros_robot import pressed
-
     path = folder / f"{shape[0]}x{shape[1]}.palpate"
-    if not path.exists():
-        rng = np.random.default_rng(0)
-        kinds = ["rows", "columns"] * 8
-        images = np.stack([pressed(rng, kind, shape) for kind in kinds])
-        rest = np.full(shape, 60, np.uint8)
-        touches = Touches(images, object=kinds, no_contact=rest)
-        ObjectRecogniser().fit(touches).save(path)
-    return path
+    return path if path.exists() else learn(path, ("rows", "columns") * 8, shape)
 
 
-@contextmanager
-def robot(wire, **todo):
-    """Start the robot; yield its process."""
-    todo = {"via": wire, "domain": DOMAIN, "endpoint": ENDPOINT, **todo}
-    command = [sys.executable, str(ROBOT), json.dumps(todo)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+def pressing(wire, **todo):
+    """Start the robot on a wire; yield its process."""
+    return robot(via=wire, domain=DOMAIN, endpoint=ENDPOINT, **todo)
 
 
 @contextmanager
@@ -106,9 +67,9 @@ def measured(wire, rate_hz, shape, n_presses, model, program):
     """Return the row of one rate and size: frames lost, times to the belief."""
     kinds = ["rows", "columns"] * (n_presses // 2)
     todo = {"rate_hz": rate_hz, "shape": shape, "kinds": kinds, "program": program}
-    with robot(wire, **todo) as process, recognising(wire, model) as session:
+    with pressing(wire, **todo) as process, recognising(wire, model) as session:
         sensor, before = session.watch.sensor, session.watch.sensor.n_dropped
-        heard = json.loads(process.communicate(timeout=600)[0])
+        heard = heard_by(process, 600)
         stamps, n_dropped = {*sensor.stamps}, sensor.n_dropped - before
     sent = heard["sent"][heard["from"] :]
     pairs = zip(heard["belief"], heard["ends"], strict=False)  # or beliefs are wanting
@@ -129,14 +90,14 @@ def restarted(wire, model, program):
     """Return how many beliefs a robot hears that comes after one that was killed."""
     todo = {"shape": SIZES[0], "rate_hz": 60, "program": program}
     with ExitStack() as stack:
-        first = stack.enter_context(robot(wire, kinds=["rows"] * 99, **todo))
+        first = stack.enter_context(pressing(wire, kinds=["rows"] * 99, **todo))
         session = stack.enter_context(recognising(wire, model))
-        await_(lambda: len(session.episode.touches) >= 2)
+        eventually(lambda: len(session.episode.touches) >= 2, 60)
         first.kill()
         first.wait()
-        await_(lambda: bool(session.watch.sensor.lost))
-        second = stack.enter_context(robot(wire, kinds=["rows"] * 4, **todo))
-        heard = json.loads(second.communicate(timeout=120)[0])
+        eventually(lambda: session.watch.sensor.lost, 60)
+        second = stack.enter_context(pressing(wire, kinds=["rows"] * 4, **todo))
+        heard = heard_by(second)
         # The first's last press may end with the second's first frame.
         return sum(one["stamp"] in heard["sent"] for one in heard["belief"])
 
@@ -145,29 +106,22 @@ def resized(wire, model, program):
     """Return what is said of a topic that changes its size; no frame may be wrong."""
     todo = {"shape": SIZES[0], "rate_hz": 60, "program": program}
     with (
-        robot(wire, kinds=["rows"] * 3, other_shape=(60, 60), **todo) as process,
+        pressing(wire, kinds=["rows"] * 3, other_shape=(60, 60), **todo) as process,
         recognising(wire, model) as session,
     ):
-        heard = json.loads(process.communicate(timeout=120)[0])
+        heard = heard_by(process)
         sensor = session.watch.sensor
-        await_(lambda: sensor.n_dropped >= 30)
+        eventually(lambda: sensor.n_dropped >= 30, 60)
         late = {*heard["sent"][-35:-5]} & {*sensor.stamps}
         right = len(heard["belief"]) == 3 and not late
         return sensor.n_dropped if right else 0
-
-
-def await_(ready, limit_s=60.0):
-    """Wait until something is so; give up after a while."""
-    end_s = time.monotonic() + limit_s
-    while not ready() and time.monotonic() < end_s:
-        time.sleep(0.02)
 
 
 def check(wire, n_presses, folder, program):
     """Print the rows of one wire; return whether all is right."""
     right = True
     for shape in SIZES:
-        model = learn(shape, folder)
+        model = learnt(shape, folder)
         for rate_hz in RATES_HZ:
             row = measured(wire, rate_hz, shape, n_presses, model, program)
             size = f"{shape[1]} x {shape[0]}"
@@ -180,9 +134,9 @@ def check(wire, n_presses, folder, program):
             whole = 100 * row["lost"] <= row["frames"]
             whole &= row["stamped"] == row["beliefs"]
             right &= whole and row["beliefs"] == row["touches"]
-    n_beliefs = restarted(wire, learn(SIZES[0], folder), program)
+    n_beliefs = restarted(wire, learnt(SIZES[0], folder), program)
     print(f"{wire}: killed and restarted: {n_beliefs} of 4 beliefs", flush=True)
-    n_refused = resized(wire, learn(SIZES[0], folder), program)
+    n_refused = resized(wire, learnt(SIZES[0], folder), program)
     print(f"{wire}: another size: {n_refused} of 30 frames refused", flush=True)
     return right and n_beliefs == 4 and n_refused == 30
 
@@ -194,15 +148,14 @@ def main():
     parser.add_argument("--wires", nargs="*", default=["dds", "zenoh"])
     parser.add_argument("--fastdds", default="", help="program of fastdds_wire.cpp")
     options = parser.parse_args()
-    os.environ["CYCLONEDDS_URI"] = NETWORK
-    os.environ["ZENOH_CONFIG_OVERRIDE"] = f'connect/endpoints=["{ENDPOINT}"]'
+    os.environ.update(variables(ENDPOINT))
     wires = [*options.wires, *(["fastdds"] if options.fastdds else [])]
     print("| wire | size | Hz | frames lost | beliefs | median ms | 99 % ms |")
     print("|---|---|---|---|---|---|---|", flush=True)
     right = True
     with TemporaryDirectory() as folder:
         for wire in wires:
-            with router() if wire == "zenoh" else nullcontext():
+            with router(ENDPOINT) if wire == "zenoh" else nullcontext():
                 right &= check(wire, options.presses, Path(folder), options.fastdds)
     return 0 if right else 1
 

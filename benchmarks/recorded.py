@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from palpate import Touches
 from palpate._durable import write_text
 from palpate.evaluation import Plan, evaluate, roc_area, split_touches
-from palpate.images import correct_gamma
 from palpate.recognition import doubts
 from palpate.studies.corradi2015 import beside
 
@@ -129,7 +128,8 @@ def alter(touches: Touches, seed: int) -> Touches:
         rows, cols = image.shape
         cut = wide[border + down :, border + right :][:rows, :cols]
         gamma = np.exp(rng.uniform(-1, 1) * np.log(GAMMA))
-        levels = correct_gamma(cut[np.newaxis] / 255, gamma)[0]
+        white = cut.max() / 255
+        levels = white * (cut / 255 / white) ** gamma
         images[k] = np.round(255 * np.clip(levels, 0, 1))
     return Touches(images, object=touches.object)
 

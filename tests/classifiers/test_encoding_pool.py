@@ -6,12 +6,10 @@ from numpy.testing import assert_allclose
 from scipy.special import log_softmax
 
 from palpate.classifiers import (
-    TOGETHER,
     EncodingPool,
     FromProbabilities,
     KernelRidgeClassifier,
     TouchClassifier,
-    pool_weights,
 )
 from palpate.recognition import read_model, write_model
 
@@ -44,25 +42,31 @@ def test_pool_of_one_part_is_its_machine_at_another_temperature(problem):
     assert_allclose(pool.log_likelihood(X), log_softmax(said, axis=1), atol=1e-9)
 
 
-def test_weights_are_a_minimum_of_the_stated_loss(rng):
-    every = log_softmax(rng.normal(size=(3, 52, 4)), axis=2)
-    codes = np.arange(52) % 4
+@pytest.mark.parametrize("n_rare", [30, 10], ids=["even", "rare"])
+def test_weights_are_a_minimum_of_the_stated_loss(problem, n_rare):
+    X, labels, groups = (array[: 60 + n_rare] for array in problem)
+    pool = EncodingPool({"one": 1, "other": 1, "noise": 3}, together=False)
+    every = pool.fit(X, labels, groups=groups).left_out_posteriors()
+    codes = np.searchsorted(pool.classes_, labels)
+    # Each label adds the same.
+    shares = len(codes) / 3 / np.bincount(codes)[codes]
 
     def loss(weights):
         pooled = log_softmax(np.tensordot(weights, every, 1), axis=1)
         away = (weights - 1 / 3) * 3
-        return -pooled[np.arange(52), codes].sum() + (away**2).sum() / 2
+        told = pooled[np.arange(len(codes)), codes]
+        return -(shares * told).sum() + (away**2).sum() / 2
 
-    weights = pool_weights(every, codes)
+    weights = np.array(list(pool.weights_.values()))
     for step in 0.01 * np.vstack([np.eye(3), -np.eye(3)]):
         # Convex, so a point that no neighbour beats is the minimum.
         assert loss(np.maximum(weights + step, 0)) >= loss(weights) - 1e-6
 
 
-def test_few_touches_leave_the_pool_near_the_mean():
-    every = np.log(np.array([[[0.6, 0.4]], [[0.5, 0.5]]]))
-    weights = pool_weights(every, np.array([0]))
-    assert_allclose(weights, 0.5, atol=0.15)
+def test_few_touches_leave_the_pool_near_the_mean(rng):
+    X, labels = rng.normal(size=(4, 2)), ["ball", "ball", "mug", "mug"]
+    pool = EncodingPool({"x": 1, "y": 1}, together=False).fit(X, labels)
+    assert_allclose([*pool.weights_.values()], 0.5, atol=0.15)
 
 
 def test_machine_for_all_parts_learns_what_none_tells_alone(rng):
@@ -73,7 +77,7 @@ def test_machine_for_all_parts_learns_what_none_tells_alone(rng):
     both = EncodingPool({"x": 1, "y": 1}).fit(X, labels)
     assert apart.score(X, labels) < 0.75
     assert both.score(X, labels) > 0.9
-    assert both.weights_[TOGETHER] == max(both.weights_.values())
+    assert both.weights_["all together"] == max(both.weights_.values())
 
 
 def test_it_keeps_the_contract_of_touch_classifiers(problem, tmp_path):

@@ -276,13 +276,6 @@ def test_posterior_is_the_one_under_equal_priors_however_unequal_the_touches(rng
     assert -np.log(posterior).mean() < 0.45
 
 
-def test_every_label_adds_the_same_to_what_is_minimised():
-    from palpate.classifiers import fair_shares
-
-    shares = fair_shares(np.array([0, 0, 0, 2]))
-    assert_allclose(shares, [1 / 6, 1 / 6, 1 / 6, 1 / 2])
-
-
 def by_hand(machine, X, labels, groups, weights=None):
     """Coefficients, and scores of one group left out, by solving all anew."""
     targets = (labels[:, None] == machine.classes_) - 1 / len(machine.classes_)

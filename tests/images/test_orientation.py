@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from palpate.images import (
     DerivativeMagnitude,
     OrientationRegulariser,
-    above_least,
     central_moments,
     inscribed_mask,
     orientations,
@@ -54,11 +53,6 @@ def test_the_mask_is_of_pixel_centres_within_half_the_shorter_side(shape):
     row, col = np.indices(shape)
     away = np.hypot(row - (shape[0] - 1) / 2, col - (shape[1] - 1) / 2)
     assert_array_equal(inscribed_mask(*shape), away <= min(shape) / 2)
-
-
-def test_levels_count_from_the_least_in_the_mask():
-    levels = above_least([[[-9.0, 2.0], [5.0, 3.0]]], np.array([[False, True]] * 2))
-    assert_array_equal(levels, [[[0, 0], [0, 1]]])
 
 
 @pytest.mark.parametrize("angle", [-170, -90, -30, 0, 20, 45, 90, 135, 180])

@@ -1,6 +1,5 @@
 """Topics of ROS 2 over real DDS: the publisher is another process with own types."""
 
-import os
 import subprocess
 import sys
 import time
@@ -10,27 +9,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ros_network import NUMBER, variables
 
-from palpate.sensors import RosSensor, SensorError, check_sensor, open_sensor
+from palpate.sensors import RosSensor, SensorError, check_sensor, open_sensor, ros
 
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
-_ros_types = pytest.importorskip("palpate.sensors._ros_types")
 
 KIND = "sensor_msgs/msg/Image"
 PEER = Path(__file__).with_name("ros_peer.py")
-# A domain a process of tests, so that those side by side do not hear each other.
-DOMAIN = 50 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 100
-NETWORK = """<CycloneDDS><Domain id="any">
-<General><AllowMulticast>false</AllowMulticast><Interfaces>
-<NetworkInterface address="127.0.0.1"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+DOMAIN = 50 + NUMBER
 
 
 @pytest.fixture(autouse=True)
 def network(monkeypatch):
-    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+    for name, value in variables().items():
+        monkeypatch.setenv(name, value)
 
 
 @contextmanager
@@ -129,7 +123,7 @@ def test_messages_that_lie_are_counted_and_never_become_frames():
 
 
 def test_damaged_bytes_are_no_frame_whatever_they_are():
-    whole = _ros_types.write_message(rosbags_picture(), KIND)
+    whole = ros.write_message(rosbags_picture(), KIND)
     sensor = RosSensor("/t_bytes", (12, 12), domain=DOMAIN)
     sensor._reader = SimpleNamespace(kind=KIND)
     rng = np.random.default_rng(0)
@@ -147,7 +141,7 @@ def test_damaged_bytes_are_no_frame_whatever_they_are():
 
 
 def rosbags_picture():
-    types = _ros_types.store().types
+    types = ros.store().types
     stamp = types["builtin_interfaces/msg/Time"](3, 0)
     header = types["std_msgs/msg/Header"](stamp, "pad")
     return types[KIND](header, 12, 12, "mono8", 0, 12, np.full(144, 7, np.uint8))

@@ -3,53 +3,37 @@
 Requests and frames are bytes written by hand, as clients of ROS put them there.
 """
 
-import json
-import os
 import struct
-import time
 from contextlib import contextmanager
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from ros_network import NUMBER, eventually, router, variables
 
-from palpate.sensors import SensorError, check_sensor, open_node, open_sensor, ros_place
+from palpate.sensors import (
+    SensorError,
+    _zenoh,
+    check_sensor,
+    open_node,
+    open_sensor,
+    ros,
+    ros_place,
+)
 
 pytest.importorskip("rosbags")
-from palpate.sensors import _ros_types as ros_types
-from palpate.sensors import _zenoh
 
-NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 50
 DOMAIN, ENDPOINT = 100 + NUMBER, f"tcp/127.0.0.1:{17600 + NUMBER}"
 IMAGE = "sensor_msgs::msg::dds_::Image_/RIHS01_d31d41"
 TRIGGER = b"\0\1\0\0\0"  # CDR of a request without fields
 needs_dds = pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
 needs_zenoh = pytest.mark.skipif(not find_spec("zenoh"), reason="no zenoh")
-NETWORK = """<CycloneDDS><Domain id="any">
-<General><AllowMulticast>false</AllowMulticast><Interfaces>
-<NetworkInterface address="127.0.0.1"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
 
 
 @pytest.fixture(autouse=True)
 def network(monkeypatch):
-    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
-    override = f'connect/endpoints=["{ENDPOINT}"]'
-    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", override)
-    monkeypatch.delenv("ZENOH_SESSION_CONFIG_URI", raising=False)
-
-
-@contextmanager
-def router():
-    import zenoh
-
-    configuration = zenoh.Config()
-    configuration.insert_json5("mode", '"router"')
-    configuration.insert_json5("listen/endpoints", json.dumps([ENDPOINT]))
-    configuration.insert_json5("scouting/multicast/enabled", "false")
-    with zenoh.open(configuration) as session:
-        yield session
+    for name, value in variables(ENDPOINT).items():
+        monkeypatch.setenv(name, value)
 
 
 def image(level, side=6):
@@ -60,25 +44,18 @@ def image(level, side=6):
     return raw + bytes([level]) * side * side
 
 
-def eventually(true, limit_s=10.0):
-    end_s = time.monotonic() + limit_s
-    while not true() and time.monotonic() < end_s:
-        time.sleep(0.02)
-    return true()
-
-
 # Hashes that ROS publishes: of rmw_zenoh's design, and of std_srvs.
 def test_type_hashes_are_those_of_ros():
     string = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     add = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
-    assert _zenoh.type_hash(ros_types.STRING) == string
+    assert _zenoh.type_hash(ros.STRING) == string
     name, typesys = (
         "example_interfaces/srv/AddTwoInts",
         pytest.importorskip("rosbags.typesys"),
     )
     for part, text in (("Request", "int64 a\nint64 b\n"), ("Response", "int64 sum\n")):
         (fields,) = typesys.get_types_from_msg(text, f"{name}_{part}").values()
-        ros_types.store().register({f"{name}_{part}": fields})
+        ros.store().register({f"{name}_{part}": fields})
     assert _zenoh.service_hash(name) == add
 
 
@@ -87,7 +64,7 @@ def test_a_service_answers_as_rmw_cyclonedds_asks():
     from palpate.sensors._dds import DdsReader, DdsWriter, _topic
 
     node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
-    service = node.serve("/desk/start", ros_types.TRIGGER, lambda _: (True, "begun"))
+    service = node.serve("/desk/start", ros.TRIGGER, lambda _: (True, "begun"))
     there, kind = client._participant, "std_srvs/srv/Trigger"
     asks = _topic(there, "rq/desk/startRequest", f"{kind}_Request")
     answers = _topic(there, "rr/desk/startReply", f"{kind}_Response")
@@ -113,9 +90,9 @@ def test_a_service_answers_as_rmw_cyclonedds_asks():
 def test_a_service_answers_as_rmw_zenoh_asks():
     import zenoh
 
-    with router() as client:
+    with router(ENDPOINT) as client:
         node = open_node(DOMAIN, "zenoh")
-        kind = ros_types.TRIGGER
+        kind = ros.TRIGGER
         service = node.serve("/desk/start", kind, lambda _: (False, "no"))
         key = f"{DOMAIN}/desk/start/std_srvs::srv::dds_::Trigger_"
         key += f"/{_zenoh.service_hash(kind)}"
@@ -140,7 +117,7 @@ def test_a_service_answers_as_rmw_zenoh_asks():
 @needs_zenoh
 def test_a_sensor_over_zenoh_needs_no_token_and_survives_a_restart():
     address = f"ros:/zpad?domain={DOMAIN}&via=zenoh"
-    with router() as session, sending(session, "/zpad") as first:
+    with router(ENDPOINT) as session, sending(session, "/zpad") as first:
         sensor = open_sensor(address)
         assert sensor.image_shape == (6, 6)
         check_sensor(open_sensor(address))
@@ -212,14 +189,14 @@ def test_a_subscriber_that_asks_for_more_than_is_offered_is_told_by_its_policy()
     from palpate.sensors._dds import _topic
 
     node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
-    writer = node.publish("/desk/belief", ros_types.STRING)
+    writer = node.publish("/desk/belief", ros.STRING)
     assert writer.hindrance == ""
     asks = Qos(
         Policy.Reliability.Reliable(10**9),
         Policy.Deadline(10**8),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )
-    topic = _topic(client._participant, "rt/desk/belief", ros_types.STRING)
+    topic = _topic(client._participant, "rt/desk/belief", ros.STRING)
     reader = DataReader(client._participant, topic, qos=asks)
     assert eventually(lambda: writer.hindrance == "deadline")
     del reader, topic

@@ -6,10 +6,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.simulation import PARTS, find_parts, simulate_presses
-from palpate.studies import recorded_touches
 from palpate.studies.liu2014 import (
     REAL,
     Liu2014Plan,
+    recorded_touches,
     reposed_presses,
     simulated_presses,
 )
@@ -98,7 +98,8 @@ def test_missing_presses_are_a_sentence_or_a_refusal(tmp_path, monkeypatch):
     left_out = recorded_touches(None, REAL)
     assert f"{tmp_path} has no" in left_out
     assert "`fetch(taxel10x10)`" in left_out
-    with pytest.raises(ValueError, match="data must name a folder that holds"):
+    fix = r"a folder that holds .*Call `fetch\(taxel10x10\)` with that folder, or leave"
+    with pytest.raises(ValueError, match=fix):
         recorded_touches(tmp_path / "gone", REAL)
 
 

@@ -5,12 +5,12 @@ import re
 import pytest
 
 from palpate.touches import TouchesError, png_bytes, read_folder
-from palpate.touches._name_pattern import matched
+from palpate.touches._layout import matched
 
 
 @pytest.fixture
 def short_patience(monkeypatch):
-    monkeypatch.setattr("palpate.touches._name_pattern._MOST_S", 1.0)
+    monkeypatch.setattr("palpate.touches._layout._MOST_S", 1.0)
 
 
 def test_a_pattern_that_takes_for_ever_is_given_up(rng, tmp_path, short_patience):

@@ -5,35 +5,25 @@ The robot's types, bytes and keys are written by hand in `ros_robot.py`.
 
 import io
 import json
-import os
 import subprocess
 import sys
 import time
 from contextlib import contextmanager, nullcontext
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
-from pathlib import Path
+from importlib.util import find_spec
 
-import numpy as np
 import pytest
+from ros_network import NUMBER, eventually, heard_by, learn, robot, router, variables
 
-from palpate import ObjectRecogniser, Touches
 from palpate.cli import main
 from palpate.library import TouchLibrary
-from palpate.sensors import STRING, open_node, open_sensor, read_message
+from palpate.sensors import open_node, open_sensor
+from palpate.sensors.ros import STRING, read_message
 from palpate.web import Event, LiveSession, RosPublisher
 from palpate.web._sensor_watch import Listeners
 
 pytest.importorskip("rosbags")
 
-ROBOT = Path(__file__).parents[1] / "sensors" / "ros_robot.py"
-# A domain and a port a process of tests, so that those side by side do not meet.
-NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 50
 DOMAIN, ENDPOINT = 150 + NUMBER, f"tcp/127.0.0.1:{17500 + NUMBER}"
-NETWORK = """<CycloneDDS><Domain id="any">
-<General><AllowMulticast>false</AllowMulticast><Interfaces>
-<NetworkInterface address="127.0.0.1"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
 VIA = [
     pytest.param(
         "dds",
@@ -51,51 +41,18 @@ VIA = [
 
 @pytest.fixture(autouse=True)
 def network(monkeypatch):
-    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
-    override = f'connect/endpoints=["{ENDPOINT}"]'
-    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", override)
-    monkeypatch.delenv("ZENOH_SESSION_CONFIG_URI", raising=False)
+    for name, value in variables(ENDPOINT).items():
+        monkeypatch.setenv(name, value)
 
 
-@contextmanager
-def router():
-    """What `ros2 run rmw_zenoh_cpp rmw_zenohd` starts."""
-    import zenoh
-
-    configuration = zenoh.Config()
-    configuration.insert_json5("mode", '"router"')
-    configuration.insert_json5("listen/endpoints", json.dumps([ENDPOINT]))
-    configuration.insert_json5("scouting/multicast/enabled", "false")
-    with zenoh.open(configuration):
-        yield
-
-
-@contextmanager
-def robot(via, **asked):
-    """Start the robot; yield a function that waits and returns what it wrote."""
-    asked = {"via": via, "domain": DOMAIN, "endpoint": ENDPOINT, **asked}
-    command = [sys.executable, str(ROBOT), json.dumps(asked)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield lambda: json.loads(process.communicate(timeout=60)[0])
-    finally:
-        process.kill()
-        process.communicate()
+def pressing(via, **todo):
+    """Start the robot on a wire; yield its process."""
+    return robot(via=via, domain=DOMAIN, endpoint=ENDPOINT, **todo)
 
 
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
-    """A model of ridges along rows and along columns, of the robot's own pad."""
-    spec = spec_from_file_location("ros_robot", ROBOT)
-    hand = module_from_spec(spec)
-    spec.loader.exec_module(hand)
-    rng = np.random.default_rng(0)
-    kinds = ["rows"] * 16 + ["columns"] * 16
-    images = np.stack([hand.pressed(rng, kind, (12, 12)) for kind in kinds])
-    touches = Touches(images, object=kinds, no_contact=np.full((12, 12), 60, np.uint8))
-    path = tmp_path_factory.mktemp("model") / "two.palpate"
-    ObjectRecogniser().fit(touches).save(path)
-    return path
+    return learn(tmp_path_factory.mktemp("model") / "two.palpate")
 
 
 @contextmanager
@@ -116,11 +73,11 @@ def recognising(via, model, library=None):
 def test_a_robot_hears_beliefs_with_the_header_of_its_touch(via, learnt):
     kinds = ["rows", "rows", "columns"]
     with (
-        router() if via == "zenoh" else nullcontext(),
-        robot(via, kinds=kinds) as wait,
+        router(ENDPOINT) if via == "zenoh" else nullcontext(),
+        pressing(via, kinds=kinds) as process,
         recognising(via, learnt) as session,
     ):
-        heard = wait()
+        heard = heard_by(process)
         beliefs = [
             {**touch.posterior, "unknown": touch.unknown}
             for touch in session.episode.touches
@@ -147,11 +104,11 @@ def test_a_robot_hears_beliefs_with_the_header_of_its_touch(via, learnt):
 def test_what_is_commanded_is_done_or_refused(via, learnt, tmp_path):
     commands = ["confirm knob", "dance", "start", "teach", "teach lid", "stop"]
     with (
-        router() if via == "zenoh" else nullcontext(),
-        robot(via, kinds=["rows"] * 3, commands=commands) as wait,
+        router(ENDPOINT) if via == "zenoh" else nullcontext(),
+        pressing(via, kinds=["rows"] * 3, commands=commands) as process,
         recognising(via, learnt, tmp_path / "lab") as session,
     ):
-        heard = wait()
+        heard = heard_by(process)
         assert session.teacher.lesson is None
     answers = [one["text"] for one in heard["answer"]]
     known = "start, object, teach, stop, confirm, learn, session"
@@ -202,13 +159,13 @@ def test_the_command_publishes_too(learnt, tmp_path):
     line += ["--publish", f"ros:/palpate?{where}", "--json", "-n", "3"]
     line += ["--timeout", "20"]
     code = "import sys; from palpate.cli import main; sys.argv[0] = 'palpate'; main()"
-    with robot("dds", kinds=["rows"] * 3) as wait:
+    with pressing("dds", kinds=["rows"] * 3) as process:
         command = [sys.executable, "-c", code, *line]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         (episode,) = json.loads(done.stdout)["episodes"]
         assert episode["touches"]
-        heard = wait()
+        heard = heard_by(process)
     assert heard["belief"][0]["results"][0][0] == "rows"
 
 
@@ -218,9 +175,8 @@ def test_how_learning_ended_is_a_second_answer():
     node = open_node(DOMAIN, "dds")
     answers = node.subscribe("/desk/answer", STRING, reliable=True)
     publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+    assert eventually(lambda reader=answers: reader.n_publishers)
     end_s = time.monotonic() + 10
-    while not answers.n_publishers and time.monotonic() < end_s:
-        time.sleep(0.02)
     state = {"learning": True, "learn_error": "", "message": "Learnt 2 objects."}
     for change in (
         {},

@@ -5,32 +5,23 @@ process with bytes made by hand. Nothing here needs ROS.
 """
 
 import ast
-import json
-import os
 import shutil
 import subprocess
 import sys
 import threading
 import types
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from importlib.util import find_spec
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
 import pytest
+from ros_network import NUMBER, heard_by, learn, robot, variables
 
-from palpate import ObjectRecogniser, Touches
 from palpate_ros.process import PalpateProcess, ProcessError, command_line, wire
 
 HERE = Path(__file__).parent
-ROBOT = HERE.parents[2] / "tests" / "sensors" / "ros_robot.py"
 STRING = "std_msgs/msg/String"
-DOMAIN = 100 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 50 + 50
-NETWORK = """<CycloneDDS><Domain id="any">
-<General><AllowMulticast>false</AllowMulticast><Interfaces>
-<NetworkInterface address="127.0.0.1"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+DOMAIN = 150 + NUMBER
 ASKED = {
     "model": "desk.palpate",
     "topic": "/pad",
@@ -68,7 +59,7 @@ class StandIn:
         return types.SimpleNamespace(value=self.parameters.get(name, ""))
 
     def create_publisher(self, kind, topic, depth):
-        from palpate.sensors import text_message, write_message
+        from palpate.sensors.ros import text_message, write_message
 
         writer = self.wire.publish(topic.replace("~", "/palpate"), STRING)
 
@@ -78,7 +69,7 @@ class StandIn:
         return types.SimpleNamespace(publish=publish)
 
     def create_subscription(self, kind, topic, callback, depth, **_):
-        from palpate.sensors import read_message
+        from palpate.sensors.ros import read_message
 
         topic = topic.replace("~", "/palpate")
         reader = self.wire.subscribe(topic, STRING, reliable=True)
@@ -188,17 +179,7 @@ def test_colcon_builds_it(tmp_path):
 
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
-    """A model of ridges along rows and along columns, of the robot's own pad."""
-    spec = spec_from_file_location("ros_robot", ROBOT)
-    hand = module_from_spec(spec)
-    spec.loader.exec_module(hand)
-    rng = np.random.default_rng(0)
-    kinds = ["rows"] * 16 + ["columns"] * 16
-    images = np.stack([hand.pressed(rng, kind, (12, 12)) for kind in kinds])
-    touches = Touches(images, object=kinds, no_contact=np.full((12, 12), 60, np.uint8))
-    path = tmp_path_factory.mktemp("model") / "two.palpate"
-    ObjectRecogniser().fit(touches).save(path)
-    return path
+    return learn(tmp_path_factory.mktemp("model") / "two.palpate")
 
 
 @pytest.fixture
@@ -219,7 +200,8 @@ def palpate(tmp_path):
 def test_a_robot_hears_the_node_and_the_services_teach(
     ros, learnt, palpate, tmp_path, monkeypatch
 ):
-    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+    for name, value in variables().items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
     lab = tmp_path / "lab"
@@ -230,20 +212,16 @@ def test_a_robot_hears_the_node_and_the_services_teach(
         "library": str(lab),
         "object": "knob",
     }
-    todo = {"domain": DOMAIN, "kinds": ["rows"] * 3, "commands": ["start"]}
-    command = [sys.executable, str(ROBOT), json.dumps(todo)]
-    robot = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    node = ros.PalpateNode()
-    try:
-        heard = json.loads(robot.communicate(timeout=120)[0])
-        node.timer()  # it still runs
-        answers = [node.call("teach", data=True), node.call("teach", data=False)]
-        refused = node.call("confirm")
-    finally:
-        robot.kill()
-        robot.wait()
-        node.process.stop()
-        node.ended.set()
+    with robot(domain=DOMAIN, kinds=["rows"] * 3, commands=["start"]) as process:
+        node = ros.PalpateNode()
+        try:
+            heard = heard_by(process)
+            node.timer()  # it still runs
+            answers = [node.call("teach", data=True), node.call("teach", data=False)]
+            refused = node.call("confirm")
+        finally:
+            node.process.stop()
+            node.ended.set()
     assert len(heard["belief"]) == 3
     best = [one["results"][0][0] for one in heard["belief"]]
     assert best.count("rows") >= 2
@@ -257,7 +235,8 @@ def test_a_robot_hears_the_node_and_the_services_teach(
 
 @pytest.mark.skipif(find_spec("cyclonedds") is None, reason="no cyclonedds")
 def test_silence_is_an_answer_too(ros, learnt, monkeypatch):
-    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+    for name, value in variables().items():
+        monkeypatch.setenv(name, value)
     StandIn.parameters = {"model": str(learnt), "palpate": sys.executable}
     monkeypatch.setattr(ros, "_ANSWER_S", 0.1)
     monkeypatch.setattr(PalpateProcess, "start", lambda self: None)

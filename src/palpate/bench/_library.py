@@ -22,6 +22,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -51,6 +52,18 @@ _PRODUCT = "float32 matrix product"
 _AT_ONCE = 50_000  # touches drawn at a time
 _NO_PEER = "nothing to compare with"
 _ADDED_SINGLY, _STREAMED, _CALLERS = 50, 1000, 32  # touches; and threads that add
+# What is done with a library that was just opened.
+_ACTIONS: dict[str, Callable[[TouchLibrary], object]] = {
+    "opened": lambda library: None,
+    "opened, 50 listed": lambda library: library.list(limit=50),
+    "opened, filtered by force": lambda library: library.list("force_n > 0.9999"),
+    "opened, counted by two columns": lambda library: library.count(
+        'force_n > 0.5 and session = "day 1"'
+    ),
+    "opened, objects counted": lambda library: library.objects(),
+    "opened, selected": lambda library: library.select(),
+    "opened, 10,000 read": lambda library: library.touches("order < 10000"),
+}
 
 
 def bench_likelihood(
@@ -134,58 +147,47 @@ def bench_library_large(*, seconds: float = 0.5, random_state: int = 0) -> list[
 def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
     """Add, open, list and count; times are of the wall, as disks take them."""
     with TouchLibrary.open(folder / "library", create=True) as library:
+        rows = _adding_rows(library, partial(_save_bare, folder), size, seed)
+    for name, action in _ACTIONS.items():
 
-        def add_all() -> None:
-            for first in range(0, size, _AT_ONCE):
-                library.add(_touches(first, min(_AT_ONCE, size - first), seed))
+        def opened(action: Callable[[TouchLibrary], object] = action) -> None:
+            with TouchLibrary.open(folder / "library") as library:
+                action(library)
 
-        added_ms, stats = wall_ms(add_all) / size, library.stats()
-        single = _touches(size, _ADDED_SINGLY, seed + 1)
-        stream = list(_touches(size + _ADDED_SINGLY, _STREAMED, seed + 1))
-        bare = partial(_save_bare, folder)  # in turn: flushes take now more, now less
-        pairs = [(wall_ms(partial(library.add, t)), wall_ms(bare)) for t in single]
-        single_ms, bare_ms = np.median(pairs, axis=0).tolist()
-        with ThreadPoolExecutor(_CALLERS) as pool:
-            all_ms = wall_ms(lambda: list(pool.map(library.add, stream)))
-    raw, peer = size * 100, "numpy.save + fsync"
-    rows = [
-        row(
-            f"{size:,} touches added, per touch (wall)",
-            added_ms,
-            peer,
-            bare_ms,
-            touches_per_s=1e3 / added_ms,
-            bytes_per_touch=(stats.database_bytes - raw) / size,
-        ),
-        row(f"one touch added to {size:,} (wall)", single_ms, peer, bare_ms),
-        row(
-            f"touches streamed to {size:,} by {_CALLERS} callers (wall)",
-            all_ms / _STREAMED,
-            peer,
-            bare_ms,
-            touches_per_s=1e3 * _STREAMED / all_ms,
-        ),
-    ]
-    actions: dict[str, Callable[[TouchLibrary], object]] = {
-        "opened": lambda library: None,
-        "opened, 50 listed": lambda library: library.list(limit=50),
-        "opened, filtered by force": lambda library: library.list("force_n > 0.9999"),
-        "opened, counted by two columns": lambda library: library.count(
-            'force_n > 0.5 and session = "day 1"'
-        ),
-        "opened, objects counted": lambda library: library.objects(),
-        "opened, selected": lambda library: library.select(),
-        "opened, 10,000 read": lambda library: library.touches("order < 10000"),
-    }
-
-    def opened(action: Callable[[TouchLibrary], object]) -> None:
-        with TouchLibrary.open(folder / "library") as library:
-            action(library)
-
-    for name, action in actions.items():
-        ms, shown = wall_ms(partial(opened, action)), f"{size:,} touches {name} (wall)"
-        rows.append(row(shown, ms, reason=_NO_PEER))
+        shown = f"{size:,} touches {name} (wall)"
+        rows.append(row(shown, wall_ms(opened), reason=_NO_PEER))
     return rows
+
+
+def _adding_rows(
+    library: TouchLibrary, bare: Callable[[], object], size: int, seed: int
+) -> list[Row]:
+    """Add `size` touches, some singly, some from several callers; `bare` is a file."""
+
+    def add_all() -> None:
+        for first in range(0, size, _AT_ONCE):
+            library.add(_touches(first, min(_AT_ONCE, size - first), seed))
+
+    added_ms, stats = wall_ms(add_all) / size, library.stats()
+    single = _touches(size, _ADDED_SINGLY, seed + 1)
+    stream = list(_touches(size + _ADDED_SINGLY, _STREAMED, seed + 1))
+    # In turn: flushes take now more, now less.
+    pairs = [(wall_ms(partial(library.add, t)), wall_ms(bare)) for t in single]
+    single_ms, bare_ms = np.median(pairs, axis=0).tolist()
+    with ThreadPoolExecutor(_CALLERS) as pool:
+        all_ms = wall_ms(lambda: list(pool.map(library.add, stream)))
+    added: dict[str, Any] = {
+        "touches_per_s": 1e3 / added_ms,
+        "bytes_per_touch": (stats.database_bytes - size * 100) / size,
+    }
+    streamed: dict[str, Any] = {"touches_per_s": 1e3 * _STREAMED / all_ms}
+    by_callers = f"touches streamed to {size:,} by {_CALLERS} callers (wall)"
+    compared = partial(row, peer="numpy.save + fsync", peer_ms=bare_ms)
+    return [
+        compared(f"{size:,} touches added, per touch (wall)", added_ms, **added),
+        compared(f"one touch added to {size:,} (wall)", single_ms),
+        compared(by_callers, all_ms / _STREAMED, **streamed),
+    ]
 
 
 def bench_library_sizes(

@@ -1,14 +1,10 @@
 """Vector -> class: classifiers with log-likelihoods a belief can add up."""
 
 from ._corradi2014 import KernelDensityNaiveBayes, OnePerLabelSVC
-from ._encoding_pool import TOGETHER as TOGETHER
 from ._encoding_pool import EncodingPool
-from ._encoding_pool import pool_weights as pool_weights
 from ._kernel_density import KernelDensityBayes
-from ._kernel_density_index import IndexQuality as IndexQuality
 from ._kernel_density_index import KernelDensityIndex as KernelDensityIndex
 from ._kernel_ridge import KernelRidgeClassifier
-from ._kernel_ridge import fair_shares as fair_shares
 from ._kernel_ridge import learns_by_landmarks as learns_by_landmarks
 from ._nearby import NearbyTouches as NearbyTouches
 from ._rehearsed import Drawn as Drawn

@@ -171,7 +171,7 @@ def model_file(model: Path) -> Path:
     """Return the file of a model; a ready one's name, where no file has it, is made."""
     from .. import datasets
 
-    if model.exists() or str(model) not in datasets.READY:
+    if model.exists() or str(model) not in datasets.ready_models():
         return model
     return datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
 

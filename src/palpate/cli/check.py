@@ -81,14 +81,10 @@ def _pictures(
 ) -> tuple["PictureCheck | None", dict[str, int]]:
     """Look at every picture, if `touches` is a folder of pictures."""
     from ..library import TouchLibrary, is_recording
-    from ..touches import check_folder, holds_pictures
+    from ..touches import check_folder
 
-    if (
-        not touches.is_dir()
-        or TouchLibrary.is_library(touches)
-        or is_recording(touches)
-        or not holds_pictures(touches)
-    ):
+    is_library = TouchLibrary.is_library(touches)
+    if not touches.is_dir() or is_library or is_recording(touches):
         return None, {}
     return check_folder(
         touches,

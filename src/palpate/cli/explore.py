@@ -158,14 +158,7 @@ def recognise(
             "--picture needs to know where touches were made, got a model without "
             "places. Learn it with palpate explore learn, or give --taught."
         )
-    way: Strategy
-    if strategy == "random":
-        way = exploration.RandomHemisphere(stand.hemisphere, seed)
-    elif strategy == "raster":
-        way = exploration.Raster(stand.hemisphere)
-    else:
-        assert touch_map is not None
-        way = exploration.InformativeTouch(touch_map, stand.hemisphere)
+    way = _way(strategy, stand.hemisphere, touch_map, seed)
     knower = recogniser if touch_map is None else touch_map
     if folder is not None and (folder / "episode.json").exists() and not as_json:
         say(f"Goes on after {len(exploration.read_episode(folder))} attempts.")
@@ -192,6 +185,23 @@ def recognise(
         f"  {end.reason}",
         *_standing(end),
     )
+
+
+def _way(
+    strategy: str,
+    hemisphere: "Hemisphere",
+    touch_map: "TouchMap | SurfaceMap | None",
+    seed: int,
+) -> "Strategy":
+    """Return where to touch next, by the strategy's name."""
+    from .. import exploration
+
+    if strategy == "random":
+        return exploration.RandomHemisphere(hemisphere, seed)
+    if strategy == "raster":
+        return exploration.Raster(hemisphere)
+    assert touch_map is not None
+    return exploration.InformativeTouch(touch_map, hemisphere)
 
 
 def _standing(end: "Exploration") -> list[str]:

@@ -10,9 +10,7 @@ is fetched once, from its public source at a fixed commit or version, into `wher
 touches; it is made on this computer when first asked for, in seconds.
 """
 
-from ._fetch import cached as cached
 from ._fetch import card, fetch, load, names, where
-from ._ready import READY as READY
-from ._ready import ready_file as ready_file
+from ._fetch import ready_models as ready_models
 
 __all__ = ["card", "fetch", "load", "names", "where"]

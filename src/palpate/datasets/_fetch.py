@@ -1,5 +1,8 @@
 """Fetching: download, check, convert, write; each step whole or not at all.
 
+Ready models of simulated sensors are made by today's code when first asked for, and
+named after it, so that other code makes its own and takes away what is older.
+
 Downloads lie in `.downloads/NAME` until the archive is made. Where the card has no
 SHA-256, that of the first goes to `.fetched/NAME.sha256`; a later one must be the same.
 What is made is compared with the arrays behind the figures, whose SHA-256 the card has.
@@ -23,7 +26,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from errno import EACCES, EDQUOT, EIO, EMFILE, ENFILE, ENOSPC, EPERM, EROFS
-from functools import partial
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -37,7 +40,6 @@ from .._extras import needed
 from .._types import Array
 from ..touches import Touches
 from ._convert import LONGEST_PATH, Made, Member, converted, digest
-from ._ready import READY, make_ready
 
 _CARDS = files(__package__) / "cards"
 _CACHES = {"win32": "AppData/Local", "darwin": "Library/Caches"}
@@ -48,6 +50,27 @@ Say = Callable[[str], None]
 _LONGEST_LIST, _MOST_S = 20 * _MB, 7200.0
 _LIST_END, _INFLATED = b"PK\x05\x06", (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _FULL = (ENOSPC, EDQUOT, EACCES, EPERM, EROFS, EIO, EMFILE, ENFILE)
+_PACKAGE = Path(__file__).parents[1]
+_MADE_BY = (
+    "datasets",
+    "simulation",
+    "touches",
+    "images",
+    "encodings",
+    "classifiers",
+    "recognition",
+)
+_SEED = 0
+# Those that `palpate demo` explores, and what a small gel can tell from another in a
+# few presses; the other objects of a `sim:` sensor are strangers.
+_OF_DOME = ("stapler", "toothbrush", "mug", "box", "pen", "ball")
+_OF_GEL = ("ball", "massage ball", "pen", "toothbrush")
+# Of each model: touches of each object, and what it knows, in words.
+READY: dict[str, tuple[int, str]] = {
+    "sim-array": (24, "twelve flat parts on the pressure array of sim:array"),
+    "sim-dome": (60, f"{', '.join(_OF_DOME)} under the dome camera of sim:dome"),
+    "sim-gel": (40, f"{', '.join(_OF_GEL)} on the gel, in colour, of sim:gel"),
+}
 
 
 def names() -> tuple[str, ...]:
@@ -69,10 +92,19 @@ def where(folder: str | Path | None = None) -> Path:
     PALPATE_DATA_HOME names, else `palpate` in the caches of this computer.
     """
     named = folder or os.environ.get("PALPATE_DATA")
-    return Path(named) if named else cached()
+    return Path(named) if named else _cached()
 
 
-def cached() -> Path:
+def ready_models(folder: str | Path | None = None) -> dict[str, tuple[str, Path]]:
+    """Return what each ready model knows, in words, and where its file is or will be.
+
+    `folder` is that of `fetch`.
+    """
+    here = Path(folder) if folder else _cached()
+    return {name: (what, _ready_file(name, here)) for name, (_, what) in READY.items()}
+
+
+def _cached() -> Path:
     """Return the folder for what can be made or fetched again."""
     if home := os.environ.get("PALPATE_DATA_HOME"):
         return Path(home)
@@ -112,7 +144,7 @@ def fetch(
     is left.
     """
     if name in READY:
-        return make_ready(name, Path(folder) if folder else cached(), progress)
+        return _make_ready(name, Path(folder) if folder else _cached(), progress)
     check_option("name", name, (*names(), *READY))
     description, here = card(name), where(folder)
     outputs: list[Path] = [here / place for place in description["makes"]]
@@ -355,3 +387,56 @@ def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
             "the source has changed: give a copy with `mirror`, or, if you trust the "
             f"source as it is now, delete {seen}."
         ) from error
+
+
+def _ready_file(name: str, folder: Path) -> Path:
+    """Return where the model of `READY` is, or will be, within a folder."""
+    return folder / "models" / f"{name}-{_code()}.palpate"
+
+
+def _make_ready(name: str, folder: Path, say: Callable[[str], None] | None) -> Path:
+    """Return the file of a ready model, made first where it is not there.
+
+    Raises ImportError where the simulation's packages are missing, OSError where the
+    folder cannot be written.
+    """
+    from ..recognition import ObjectRecogniser
+
+    path = _ready_file(name, folder)
+    if path.is_file():
+        return path
+    if say is not None:
+        say(f"{name}: simulating touches and learning them, once")
+    recogniser = ObjectRecogniser().fit(_ready_touches(name))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    recogniser.save(path)
+    for older in path.parent.glob(f"{name}-*.palpate"):
+        if older != path:
+            older.unlink(missing_ok=True)
+    return path
+
+
+def _ready_touches(name: str) -> Touches:
+    """Return the touches that a ready model learns: as its `sim:` sensor gives them."""
+    from .. import simulation
+
+    n_touches = READY[name][0]
+    how: dict[str, Any] = {"random_state": _SEED}
+    if name == "sim-array":
+        array = simulation.PressureArray()
+        return simulation.simulate_presses(None, n_touches, array=array, **how)
+    how |= {"drift": False}
+    if name == "sim-gel":
+        gel = simulation.GelCamera(image_shape=(120, 160))
+        return simulation.simulate_touches(_OF_GEL, n_touches, gel, **how)
+    dome = simulation.DomeCamera(image_shape=(120, 120))
+    return simulation.simulate_touches(_OF_DOME, n_touches, dome, **how)
+
+
+@cache
+def _code() -> str:
+    """Return what names the code that makes ready models."""
+    code = hashlib.sha256()
+    for path in sorted(p for room in _MADE_BY for p in (_PACKAGE / room).rglob("*.py")):
+        code.update(path.read_bytes())
+    return code.hexdigest()[:12]

@@ -13,9 +13,8 @@ from ._controls import disc_centres as disc_centres
 from ._controls import named_alone as named_alone
 from ._controls import sorted_pixels as sorted_pixels
 from ._controls import without_contact as without_contact
-from ._episodes import Decisions
+from ._episodes import Decisions as Decisions
 from ._episodes import Episodes as Episodes
-from ._episodes import Scores as Scores
 from ._episodes import decide_episodes as decide_episodes
 from ._episodes import run_episodes as run_episodes
 from ._evaluate import evaluate
@@ -37,12 +36,11 @@ from ._splits import draw_touches as draw_touches
 from ._splits import protocol_folds as protocol_folds
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches
-from ._trial import Plan, Trial
+from ._trial import Plan
+from ._trial import Trial as Trial
 
 __all__ = [
-    "Decisions",
     "Plan",
-    "Trial",
     "benchmark",
     "calibration_error",
     "davies_bouldin",

@@ -6,17 +6,17 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 
 from ._advice import advice as advice
 from ._check_robot import check_robot
-from ._episode import Exploration, explore
+from ._episode import Exploration as Exploration
+from ._episode import explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._place_belief import PlaceBelief
-from ._place_belief import StandingPose as StandingPose
-from ._place_filter import Looseness as Looseness
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog as EpisodeLog
-from ._record import TouchRecord, read_episode
+from ._record import TouchRecord as TouchRecord
 from ._record import as_touches as as_touches
+from ._record import read_episode
 from ._robot import FAULTS as FAULTS
 from ._robot import MissingFrames as MissingFrames
 from ._robot import Robot, RobotError, SimulatedRobot
@@ -38,7 +38,6 @@ from ._touch_map import TouchMap
 from ._touch_map import freshness as freshness
 
 __all__ = [
-    "Exploration",
     "Guard",
     "Hemisphere",
     "InformativeTouch",
@@ -51,7 +50,6 @@ __all__ = [
     "Strategy",
     "SurfaceMap",
     "TouchMap",
-    "TouchRecord",
     "check_robot",
     "explore",
     "explore_to_learn",

@@ -2,39 +2,33 @@
 
 from ._array import ArrayCleanUp, ChannelMean, fill_dead_taxels
 from ._array import NoLivingTaxelError as NoLivingTaxelError
-from ._array import binarise as binarise
-from ._array import correct_gamma as correct_gamma
-from ._array import filter_noise as filter_noise
 from ._array import grey as grey
 from ._array import otsu_threshold as otsu_threshold
-from ._array import resize as resize
 from ._array import stage_pictures as stage_pictures
 from ._calibration import TaxelCalibration
 from ._dome import DerivativeMagnitude, DomeCrop
 from ._dome import crop_discs as crop_discs
 from ._dome import standardise_discs as standardise_discs
-from ._orientation import CentralMoments as CentralMoments
 from ._orientation import OrientationRegulariser, repose
-from ._orientation import above_least as above_least
 from ._orientation import central_moments as central_moments
 from ._orientation import inscribed_mask as inscribed_mask
 from ._orientation import orientations as orientations
-from ._press_pose import Poses, PressPose
+from ._press_pose import Poses as Poses
+from ._press_pose import PressPose
 from ._press_pose import press_pose as press_pose
-from ._rim import Circle, Rims, find_rims
+from ._rim import Circle as Circle
+from ._rim import Rims as Rims
 from ._rim import find_rim as find_rim
+from ._rim import find_rims
 from ._rim import typical_rim as typical_rim
 
 __all__ = [
     "ArrayCleanUp",
     "ChannelMean",
-    "Circle",
     "DerivativeMagnitude",
     "DomeCrop",
     "OrientationRegulariser",
-    "Poses",
     "PressPose",
-    "Rims",
     "TaxelCalibration",
     "fill_dead_taxels",
     "find_rims",

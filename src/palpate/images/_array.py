@@ -140,29 +140,16 @@ def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> Floats:
     return down @ checked @ across.T
 
 
-def correct_gamma(
-    images: ArrayLike, gamma: float = 0.5, *, white: float | None = None
-) -> Floats:
-    """Return white x (image / white) ** gamma; negative levels become 0.
+def correct_gamma(images: ArrayLike, gamma: float = 0.5) -> Floats:
+    """Return white x (image / white) ** gamma, `white` the largest level of each image.
 
-    `white` is the level that stays where it is, by default each image's largest.
+    Negative levels become 0.
     """
     checked = np.maximum(check_images(images), 0)
     exponent = check_positive("gamma", gamma)
-    if white is None:
-        top = checked.max(axis=(1, 2), keepdims=True)
-    else:
-        top = np.full((1, 1, 1), check_positive("white", white))
+    top = checked.max(axis=(1, 2), keepdims=True)
     top = np.where(top > 0, top, 1.0)
-    with np.errstate(over="ignore"):
-        corrected: Floats = top * (checked / top) ** exponent
-    if not np.isfinite(corrected).all():
-        raise ValueError(
-            "white must leave the corrected levels finite, got "
-            f"{white} with levels up to {checked.max():.3g} and gamma {gamma}. Take a "
-            "white near the largest level, or leave it out."
-        )
-    return corrected
+    return np.asarray(top * (checked / top) ** exponent)
 
 
 def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:

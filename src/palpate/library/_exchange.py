@@ -22,7 +22,7 @@ import json
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -34,14 +34,7 @@ from .._checks import ARRAY_SIDE
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
 from .._types import Array, Floats, Indices
-from ..touches import (
-    RGB,
-    Touches,
-    parquet_metadata,
-    parquet_table,
-    png_bytes,
-    url_of,
-)
+from ..touches import RGB, Touches, png_bytes, url_of, write_parquet
 from ._reading import Picked, read_array
 from ._rows import FROM, Numbers, Tables, n_at_once
 from ._store import LibraryError, room_for
@@ -163,36 +156,28 @@ def _write_parts(
 
 def _write_parquet(file: Any, picked: Picked, without: str | None = None) -> None:
     """Write a row group for every `_ROW_GROUP` touches, fewer of large images."""
-    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    keys = picked.recordings()
+    places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    numbers = np.array([places[key] for key in keys])
+    recordings = [_described(picked.tables, key) for key in places]
+    parts = _row_groups(picked, numbers, without)
+    write_parquet(file, parts, picked.channels(), recordings)
+
+
+def _row_groups(
+    picked: Picked, numbers: Indices, without: str | None
+) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
+    """Yield images, columns, files of images and numbers of recordings, in parts."""
     shape, dtype = picked.kind
     step = min(_ROW_GROUP, n_at_once(shape, dtype))
     common = picked.columns()
-    keys = picked.recordings()
-    places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
-    recordings = [_described(picked.tables, key) for key in places]
-    numbers = np.array([places[key] for key in keys])
-    channels = picked.channels()
-    with ExitStack() as stack:
-        writer = None
-        for start in range(0, len(picked), step):
-            rows = np.arange(start, min(start + step, len(picked)))
-            images = np.empty((len(rows), *shape), dtype)
-            part = picked[rows]
-            columns = {
-                **part.columns(images),
-                **{n: c[rows] for n, c in common.items()},
-            }
-            columns.pop(without or "", None)
-            kept = images, columns, part.files(), channels, numbers[rows]
-            table = parquet_table(*kept)
-            if writer is None:
-                dtypes = {"image": dtype.str}
-                dtypes |= {name: column.dtype.str for name, column in columns.items()}
-                about = parquet_metadata(table.schema, dtypes, recordings)
-                schema = table.schema.with_metadata(about)
-                options = {"compression": "zstd"}
-                writer = stack.enter_context(pq.ParquetWriter(file, schema, **options))
-            writer.write_table(table.cast(writer.schema))
+    for start in range(0, len(picked), step):
+        rows = np.arange(start, min(start + step, len(picked)))
+        images = np.empty((len(rows), *shape), dtype)
+        part = picked[rows]
+        columns = part.columns(images) | {n: c[rows] for n, c in common.items()}
+        columns.pop(without or "", None)
+        yield images, columns, part.files(), numbers[rows]
 
 
 def _described(tables: Tables, key: int) -> dict[str, Any]:

@@ -252,5 +252,5 @@ def _value(token: _Token) -> Any:
 
 
 def quoted(text: str) -> str:
-    """Return a text as a literal of a filter, whatever stands in it."""
+    """Return `text` as a literal of a filter, whatever stands in it."""
     return "'" + text.replace("'", "''") + "'"

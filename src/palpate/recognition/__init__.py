@@ -12,11 +12,8 @@ __all__ = [
     "Belief",
     "Episode",
     "Evidence",
-    "Memory",
     "Modality",
     "ModelFileError",
-    "MountingCheck",
     "ObjectRecogniser",
-    "SequenceCalibration",
     "adapt",
 ]

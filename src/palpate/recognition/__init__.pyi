@@ -2,15 +2,12 @@ from ._alarm import OTHER_MOUNTING as OTHER_MOUNTING
 from ._alarm import MountingCheck as MountingCheck
 from ._belief import STRANGERS as STRANGERS
 from ._belief import Belief as Belief
-from ._belief import Judge as Judge
-from ._belief import Level as Level
 from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
 from ._contact import correlation as correlation
 from ._empty_touches import EmptyTouchError as EmptyTouchError
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
-from ._episode import EpisodeTouch as EpisodeTouch
 from ._evidence import Evidence as Evidence
 from ._evidence import SequenceCalibration as SequenceCalibration
 from ._evidence import as_touches as as_touches

@@ -3,7 +3,8 @@
 `TouchSensor` is what touching needs; `LiveSensor` adds what a sensor on a desk does:
 it is connected, streams frames, counts what is lost, is disconnected. `check_sensor`
 drives a driver through the contract. `TouchDetector` finds touches in the stream.
-`open_sensor` opens any of them by a text.
+`open_sensor` opens any of them by a text. `palpate.sensors.ros` has the messages of
+ROS 2 that a node writes and reads.
 """
 
 from ._address import AddressError as AddressError
@@ -12,12 +13,12 @@ from ._address import open_sensor
 from ._address import ros_place as ros_place
 from ._bench import SimulatedBench, SimulatedSensor
 from ._calibrated import CalibratedSensor as CalibratedSensor
-from ._camera import CameraSensor, camera_names
+from ._camera import CameraSensor
+from ._camera import camera_names as camera_names
 from ._camera import find_camera as find_camera
 from ._contract import PLACE_COLUMNS as PLACE_COLUMNS
 from ._contract import Frame as Frame
-from ._contract import LiveSensor, SensorError, TouchSensor, check_sensor
-from ._contract import Reading as Reading
+from ._contract import LiveSensor, Reading, SensorError, TouchSensor, check_sensor
 from ._contract import channels_of as channels_of
 from ._detector import ContactError as ContactError
 from ._detector import DetectedTouch as DetectedTouch
@@ -33,16 +34,6 @@ from ._played import ReplaySensor
 from ._played import SimulatedStream as SimulatedStream
 from ._ros import RosSensor as RosSensor
 from ._ros import open_node as open_node
-from ._ros_types import CLASSIFICATION as CLASSIFICATION
-from ._ros_types import SET_BOOL as SET_BOOL
-from ._ros_types import STRING as STRING
-from ._ros_types import TRIGGER as TRIGGER
-from ._ros_types import Header as Header
-from ._ros_types import RosService as RosService
-from ._ros_types import classification as classification
-from ._ros_types import read_message as read_message
-from ._ros_types import text_message as text_message
-from ._ros_types import write_message as write_message
 from ._serial import SerialArraySensor
 
 __all__ = [
@@ -50,6 +41,7 @@ __all__ = [
     "CameraSensor",
     "LineFraming",
     "LiveSensor",
+    "Reading",
     "ReplaySensor",
     "SensorError",
     "SerialArraySensor",
@@ -57,7 +49,6 @@ __all__ = [
     "SimulatedSensor",
     "TouchDetector",
     "TouchSensor",
-    "camera_names",
     "check_sensor",
     "open_sensor",
 ]

@@ -17,17 +17,15 @@ from typing import Any
 
 from .._extras import needed
 from ._contract import SensorError
-from ._ros_types import (
+from .ros import (
     DEPTH,
     WHAT,
     Answer,
     Endpoint,
-    read_message,
-    response,
+    answered,
     ros_kind,
     store,
     wire_kind,
-    write_message,
 )
 
 # What DDS calls the policies that keep a writer and a reader apart.
@@ -43,20 +41,7 @@ _BUFFERS = (
 
 
 class DdsNode:
-    """A participant in a domain of DDS; see `RosNode`.
-
-    Parameters
-    ----------
-    domain : int
-        What `ROS_DOMAIN_ID` is to ROS.
-
-    Raises
-    ------
-    ImportError
-        cyclonedds or rosbags is missing; the message names the extra.
-    SensorError
-        The domain cannot be entered: a network that is not there.
-    """
+    """A participant in a domain of DDS; see `RosNode`."""
 
     hint = "CYCLONEDDS_URI"
 
@@ -182,13 +167,9 @@ class DdsService:
         for raw in self._reader.take(0.0):
             start = _CDR_HEAD + _REQUEST_HEAD
             head, body = raw[_CDR_HEAD:start], raw[:_CDR_HEAD] + raw[start:]
-            try:
-                request = read_message(body, self._reader.kind)
-            except Exception:  # rosbags raises many kinds on damaged bytes
-                continue
-            message = response(self._kind, *self._answer(request))
-            written = write_message(message, f"{self._kind}_Response")
-            self._writer.write_bytes(written[:_CDR_HEAD] + head + written[_CDR_HEAD:])
+            reply = answered(body, self._kind, self._answer)
+            if reply is not None:
+                self._writer.write_bytes(reply[:_CDR_HEAD] + head + reply[_CDR_HEAD:])
 
 
 @contextmanager

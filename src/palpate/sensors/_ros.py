@@ -12,8 +12,8 @@ from .._types import Array
 from ..touches import TouchesError, frame_of_message, shows_frame
 from ._contract import LiveSensor, Reading, SensorError
 from ._dds import DdsNode
-from ._ros_types import MAX_MESSAGE, Header, RosNode, RosReader, read_message
 from ._zenoh import ZenohNode
+from .ros import MAX_MESSAGE, Header, RosNode, RosReader, read_message
 
 VIA = ("dds", "zenoh")
 _TICK_S = 0.2  # between looks at whether to stop

@@ -19,17 +19,15 @@ from typing import Any
 
 from .._extras import needed
 from ._contract import SensorError
-from ._ros_types import (
+from .ros import (
     DEPTH,
     WHAT,
     Answer,
     Endpoint,
-    read_message,
-    response,
+    answered,
     ros_kind,
     store,
     wire_kind,
-    write_message,
 )
 
 _ROUTER = "tcp/localhost:7447"
@@ -40,20 +38,7 @@ _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 
 class ZenohNode:
-    """A session of zenoh; see `RosNode`.
-
-    Parameters
-    ----------
-    domain : int
-        What `ROS_DOMAIN_ID` is to ROS.
-
-    Raises
-    ------
-    ImportError
-        eclipse-zenoh or rosbags is missing; the message names the extra.
-    SensorError
-        The session cannot be opened: a configuration that is none.
-    """
+    """A session of zenoh; see `RosNode`."""
 
     hint = f"that a router runs at {_ROUTER} or where ZENOH_SESSION_CONFIG_URI says"
 
@@ -214,14 +199,13 @@ class ZenohService:
             try:
                 raw, head = query.payload.to_bytes(), query.attachment.to_bytes()
                 number, name = struct.unpack("<q", head[:8])[0], head[17:33]
-                request = read_message(raw, f"{self._kind}_Request")
-            except Exception:  # rosbags raises many kinds, and parts may be missing
+            except Exception:  # parts may be missing
                 query.drop()
                 continue
-            message = response(self._kind, *self._answer(request))
-            written = write_message(message, f"{self._kind}_Response")
-            beside = _beside(number, name)
-            query.reply(query.key_expr, written, attachment=beside)
+            reply = answered(raw, self._kind, self._answer)
+            if reply is not None:
+                beside = _beside(number, name)
+                query.reply(query.key_expr, reply, attachment=beside)
             query.drop()
 
 

@@ -16,7 +16,8 @@ from ._membrane import Contact as Contact
 from ._membrane import Membrane
 from ._membrane import solve_contact as solve_contact
 from ._mesh import MESH_SUFFIXES as MESH_SUFFIXES
-from ._mesh import MeshError, load_mesh
+from ._mesh import MeshError as MeshError
+from ._mesh import load_mesh
 from ._objects import BASIC_SHAPES as BASIC_SHAPES
 from ._objects import HOUSEHOLD as HOUSEHOLD
 from ._objects import UNLIKE_OTHERS as UNLIKE_OTHERS
@@ -26,7 +27,8 @@ from ._objects import refuse_same_names as refuse_same_names
 from ._optics import Lighting
 from ._optics import shade as shade
 from ._parts import PARTS as PARTS
-from ._parts import Part, find_parts
+from ._parts import Part
+from ._parts import find_parts as find_parts
 from ._pins import TacTipPins
 from ._placed import PlacedObject, SensorPose, SimObject
 from ._placed import gap_map as gap_map
@@ -38,7 +40,6 @@ __all__ = [
     "GelCamera",
     "Lighting",
     "Membrane",
-    "MeshError",
     "Part",
     "PlacedObject",
     "PressureArray",
@@ -47,7 +48,6 @@ __all__ = [
     "SimObject",
     "TacTipPins",
     "find_object",
-    "find_parts",
     "load_mesh",
     "simulate_presses",
     "simulate_touches",

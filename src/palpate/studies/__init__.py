@@ -7,9 +7,7 @@ makes tables, pictures and a page of the result. Figures are in per cent.
 from typing import Any
 
 from .._checks import check_option
-from ._study import Archive as Archive
 from ._study import Study as Study
-from ._study import recorded_touches as recorded_touches
 
 STUDIES: dict[str, Study] = {
     "corradi2014": Study("corradi2014", "seven shapes before a dome camera"),

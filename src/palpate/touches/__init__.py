@@ -10,26 +10,23 @@ from ._columns import FORMER as FORMER
 from ._columns import GEOMETRIES as GEOMETRIES
 from ._columns import TouchesError
 from ._folder import check_folder as check_folder
-from ._folder import holds_pictures as holds_pictures
 from ._html import as_shown as as_shown
 from ._html import png_address as png_address
 from ._messages import frame_of_message as frame_of_message
 from ._messages import shows_frame as shows_frame
 from ._parquet import is_parquet as is_parquet
-from ._parquet import parquet_metadata as parquet_metadata
-from ._parquet import parquet_table as parquet_table
 from ._parquet import url_of as url_of
+from ._parquet import write_parquet as write_parquet
 from ._parquet_source import ParquetTouches as ParquetTouches
 from ._pictures import FILMS as FILMS
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes
-from ._pictures import n_cores as n_cores
 from ._pictures import png_bytes as png_bytes
-from ._touches import Episode, Touches, TouchSource, read_folder, read_parquet
+from ._touches import Episode as Episode
 from ._touches import Labelled as Labelled
+from ._touches import Touches, TouchSource, read_folder, read_parquet
 
 __all__ = [
-    "Episode",
     "TouchSource",
     "Touches",
     "TouchesError",

@@ -16,8 +16,16 @@ from . import _pictures
 from ._check_folder import BadPicture, PictureCheck, check_pictures, without_bad
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
-from ._layout import kept_names, labels_of_folders, levels_pattern, odd_depths
-from ._name_pattern import POSITIONS, TAKEN, compiled, matched
+from ._layout import (
+    POSITIONS,
+    TAKEN,
+    compiled,
+    kept_names,
+    labels_of_folders,
+    levels_pattern,
+    matched,
+    odd_depths,
+)
 from ._pictures import RGB, Header, common_header, decode_picture, decode_pictures
 from ._tables import TABLES, folder_levels, label_columns
 
@@ -85,11 +93,15 @@ def check_folder(
     no_contact: str | PathLike[str] | None = None,
     colour: bool = False,
     max_pixels: int = 50_000_000,
-) -> tuple[PictureCheck, dict[str, int]]:
+) -> tuple[PictureCheck | None, dict[str, int]]:
     """Look at every picture of a folder; count the other files by their endings.
 
-    Raises TouchesError where there is no folder of pictures, or folders mean nothing.
+    None, and nothing, where there is no picture in it, nor in a folder of it. Raises
+    TouchesError where the pictures are not what is read, or folders mean nothing.
     """
+    files = [Path(name).suffix.lower() for name in _files(root)]
+    if not {*files} & {*PICTURES}:
+        return None, {}
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if Path(names[0]).suffix.lower() not in PICTURES:
         raise TouchesError(
@@ -97,14 +109,8 @@ def check_folder(
             "files. What is wrong with one of these is said when they are read."
         )
     check = _checked(root, names, pattern, max_pixels, colour)
-    others = [Path(name).suffix.lower() or "no ending" for name in _files(root)]
-    others = [ending for ending in others if ending not in PICTURES]
+    others = [ending or "no ending" for ending in files if ending not in PICTURES]
     return check, {ending: others.count(ending) for ending in sorted({*others})}
-
-
-def holds_pictures(root: Path) -> bool:
-    """Return whether a folder has pictures in it, or in a folder of it."""
-    return any(Path(name).suffix.lower() in PICTURES for name in _files(root))
 
 
 def _chosen(

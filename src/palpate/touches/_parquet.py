@@ -14,7 +14,7 @@ address of a store that fsspec knows (`s3://bucket/touches.parquet`).
 import json
 import re
 from base64 import b64decode, b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import pairwise
 from math import prod
@@ -65,46 +65,55 @@ def is_parquet(path: str | PathLike[str]) -> bool:
     return any(next(place.rglob(f"*{ending}"), None) for ending in ENDINGS)
 
 
-def parquet_table(
-    images: Array,
-    columns: Mapping[str, Array],
-    files: Sequence[bytes] | None,
+def write_parquet(
+    file: Any,
+    parts: Iterable[tuple[Array, Arrays, list[bytes] | None, Array]],
     channels: tuple[str, ...] | None,
-    recording: Array,
-) -> Any:
-    """Return touches as a table of Arrow; `recording` has their entries' numbers.
+    recordings: Sequence[Mapping[str, Any]],
+) -> None:
+    """Write touches to an open file, a row group for each part.
 
-    Raises TouchesError for a column that Parquet does not hold.
+    A part is images, columns, the files of images that came as pictures, and the
+    number of each touch's entry in `recordings`; each entry has the arrays of its
+    `whole`, and may have more that JSON holds. Raises TouchesError for a column that
+    Parquet does not hold.
     """
     pa = needed("pyarrow", "parquet", "Writing Parquet")
-    if files is None and _are_pictures(images, channels):
-        files = [png_bytes(image) for image in images]
-    if files is not None:
-        rows = [{"bytes": file, "path": None} for file in files]
-        kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-        arrays = {_IMAGE: pa.array(rows, kind)}
-    else:
-        arrays = {_IMAGE: _tensor(pa, images)}
-    arrays |= {name: _arrow(pa, name, column) for name, column in columns.items()}
-    arrays[_RECORDING] = pa.array(np.asarray(recording, np.int32))
-    return pa.table(arrays)
+    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    with ExitStack() as stack:
+        writer = None
+        for images, columns, files, numbers in parts:
+            if files is None and _are_pictures(images, channels):
+                files = [png_bytes(image) for image in images]
+            shown = _tensor(pa, images) if files is None else _pictures(pa, files)
+            arrays = {name: _arrow(pa, name, array) for name, array in columns.items()}
+            recording = pa.array(np.asarray(numbers, np.int32))
+            table = pa.table({_IMAGE: shown, **arrays, _RECORDING: recording})
+            if writer is None:
+                dtypes = {
+                    n: a.dtype.str for n, a in {_IMAGE: images, **columns}.items()
+                }
+                about = _metadata(pa, table.schema, dtypes, recordings)
+                schema = table.schema.with_metadata(about)
+                writer = stack.enter_context(
+                    pq.ParquetWriter(file, schema, compression="zstd")
+                )
+            writer.write_table(table.cast(writer.schema))
 
 
-def parquet_metadata(
-    schema: Any, dtypes: Mapping[str, str], recordings: Sequence[Mapping[str, Any]]
+def _metadata(
+    pa: Any,
+    schema: Any,
+    dtypes: Mapping[str, str],
+    recordings: Sequence[Mapping[str, Any]],
 ) -> dict[str, str]:
-    """Return what a Parquet file of palpate says of itself.
-
-    `dtypes` are those of images and columns; each of `recordings` has the arrays of its
-    `whole`, and may have more that JSON holds.
-    """
+    """Return what a Parquet file of palpate says of itself."""
     plain = [
         {**entry, "whole": {n: _encoded(a) for n, a in entry["whole"].items()}}
         for entry in recordings
     ]
     about = {"format": FORMAT, "dtypes": dict(dtypes), "recordings": plain}
     metadata = {"palpate": json.dumps(about)}
-    pa = needed("pyarrow", "parquet", "Writing Parquet")
     if pa.types.is_struct(schema.field(_IMAGE).type):
         features = {field.name: _feature(pa, field.type) for field in schema}
         features[_IMAGE] = {"_type": "Image"}
@@ -515,6 +524,11 @@ def _tensor(pa: Any, images: Array) -> Any:
     shape = images.shape[1:]
     kind = pa.fixed_shape_tensor(flat.type.value_type, shape)
     return pa.ExtensionArray.from_storage(kind, flat)
+
+
+def _pictures(pa: Any, files: list[bytes]) -> Any:
+    kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    return pa.array([{"bytes": file, "path": None} for file in files], kind)
 
 
 def _feature(pa: Any, kind: Any) -> dict[str, Any]:

@@ -14,8 +14,9 @@ from ._ros import RosPublisher as RosPublisher
 from ._sensor_watch import Event as Event
 from ._serving import address_of as address_of
 from ._serving import checked_token as checked_token
-from ._serving import create_app, new_token
+from ._serving import create_app
 from ._serving import kept_token as kept_token
+from ._serving import new_token as new_token
 from ._serving import open_socket as open_socket
 from ._serving import qr_code as qr_code
 from ._serving import require_web as require_web
@@ -24,4 +25,4 @@ from ._serving import server_of as server_of
 from ._session import LiveSession
 from ._session import start_all as start_all
 
-__all__ = ["LiveSession", "create_app", "new_token"]
+__all__ = ["LiveSession", "create_app"]

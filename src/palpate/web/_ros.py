@@ -17,22 +17,19 @@ import time
 from functools import partial
 from typing import Any
 
-from ..sensors import (
+from ..sensors import CalibratedSensor, RosSensor, open_node, ros_place
+from ..sensors.ros import (
     CLASSIFICATION,
     SET_BOOL,
     STRING,
     TRIGGER,
-    CalibratedSensor,
     Header,
-    RosSensor,
     RosService,
     classification,
-    open_node,
-    ros_place,
     text_message,
 )
-from ..sensors import read_message as read
-from ..sensors import write_message as write
+from ..sensors.ros import read_message as read
+from ..sensors.ros import write_message as write
 from ._sensor_watch import Event
 from ._session import LiveSession
 from ._teaching import MOST_PER_LESSON

@@ -83,7 +83,9 @@ class RosService(Protocol):
 class RosNode(Protocol):
     """A participant in a domain: it discovers, subscribes, publishes and answers.
 
-    `hint` is what to look at where a topic is not found.
+    Made of the number of a domain, what `ROS_DOMAIN_ID` is to ROS. ImportError names
+    the extra of what is not installed, SensorError says that the network, or its
+    configuration, is not there. `hint` is what to look at where a topic is not found.
     """
 
     hint: str
@@ -141,9 +143,18 @@ def text_message(text: str) -> Any:
     return store().types[STRING](text)
 
 
-def response(kind: str, success: bool, message: str) -> Any:
-    """Return the response of a service such as `std_srvs/srv/Trigger`."""
-    return store().types[f"{kind}_Response"](success, message)
+def answered(raw: bytes, kind: str, answer: Answer) -> bytes | None:
+    """Return the response of a service to a request, both in bytes.
+
+    `kind` is that of the service, such as `std_srvs/srv/Trigger`. A damaged request has
+    no response.
+    """
+    try:
+        request = read_message(raw, f"{kind}_Request")
+    except Exception:  # rosbags raises many kinds on damaged bytes
+        return None
+    message = store().types[f"{kind}_Response"](*answer(request))
+    return write_message(message, f"{kind}_Response")
 
 
 def classification(header: Header, shares: dict[str, float]) -> Any:
