@@ -203,6 +203,26 @@ def test_mistakes_are_shares_over_objects_and_trials():
     assert recommendations(figures_of((0.5, 0.5)), [one, none]) == []
 
 
+@pytest.mark.parametrize(
+    ("after", "is_said"), [((0.5, 0.7), True), ((0.42, 0.62), False)]
+)
+def test_confirming_is_recommended_where_it_is_expected_to_help(after, is_said):
+    sessions = {"asked": 2, "rehearsed": (0.4, 0.6), "confirmed": after}
+    wanted = (
+        "(a, b, c and 1 more): expect about 50 to 70% right after one touch, not 40"
+    )
+    for split, remount in (
+        ("session", "none"),
+        ("session", "recentre"),
+        ("last", "none"),
+    ):
+        figures = figures_of((0.5, 0.5), split=split, remount=remount)
+        said = recommendations(figures | {"sessions": sessions}, [trial_of()])
+        assert any(wanted in one for one in said) == is_said
+    done = figures_of((0.5, 0.5), remount="confirm:1", sessions=sessions)
+    assert recommendations(done, [trial_of()]) == []
+
+
 def test_one_number_of_touches_has_no_gain():
     figures = figures_of() | {"accuracy": {"1": 0.99}}
     assert recommendations(figures, [trial_of()]) == []

@@ -21,8 +21,7 @@ CENTRES = 4 * np.random.default_rng(9).normal(size=(6, 10))
 def _taught(rng, n_each=20):
     codes = np.repeat(np.arange(6), n_each)
     features = CENTRES[codes] + rng.normal(size=(len(codes), 10))
-    blocks = np.arange(len(codes)) // 5
-    return Taught(features, codes, blocks, Parts(np.array([0, 4, 10])))
+    return Taught(features, codes, Parts(np.array([0, 4, 10])))
 
 
 def _met(rng, codes, offset, taught):
@@ -186,10 +185,23 @@ def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
         assert not any(OTHER_SESSION in sentence for sentence in belief.why())
 
 
+def test_an_alarm_is_said_by_beliefs_until_touches_are_confirmed(learnt):
+    there = _day(3.0, 1, n_each=4)
+    recogniser = adapt(learnt, _day(0.0, 2, n_each=4))
+    assert not recogniser.start().promise().other_session
+    assert recogniser.check_mounting(there).changed
+    for belief in (recogniser.start(), recogniser.episode().add(there[0]).belief):
+        assert belief.promise().other_session
+        assert sum(OTHER_SESSION in sentence for sentence in belief.why()) == 1
+    belief = recogniser.remount(there).start()
+    assert not belief.promise().other_session
+    assert not any(OTHER_SESSION in sentence for sentence in belief.why())
+
+
 def test_one_confirmed_touch_tells_no_more_than_places_of_its_object_differ():
     codes, sides = np.repeat([0, 1, 2], 4), np.tile([1.0, 1, -1, -1], 3)
     features = 20.0 * codes[:, None] + np.outer(sides, np.ones(5))
-    taught = Taught(features, codes, np.arange(12) // 2, Parts(np.array([0, 5])))
+    taught = Taught(features, codes, Parts(np.array([0, 5])))
     # Of each object two places, whose touches are alike: one of them lies the square
     # root of 5 from the mean of both, the standard deviation is the root of 20 / 3.
     assert taught.within == pytest.approx(20 / 3)

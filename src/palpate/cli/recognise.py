@@ -38,7 +38,7 @@ def recognise(
     as_json: _options.AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
-    from ..recognition import OTHER_MOUNTING, OTHER_SESSION, ObjectRecogniser
+    from ..recognition import OTHER_MOUNTING, ObjectRecogniser
 
     with stages() as stage, working.started():
         stage(f"reading {model}")
@@ -47,14 +47,11 @@ def recognise(
         tested = _options.calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")
         evidence = recogniser.evidence(tested)
+        check = recogniser.check_mounting(evidence)
         how = {"error": error, "refusal": refusal, "strangers": strangers}
         episodes = recognise_episodes(
             recogniser, tested, {**how, "level": level}, evidence
         )
-        check = recogniser.check_mounting(evidence)
-    for episode in episodes if check.changed else ():
-        if not episode["promise"]["other_session"]:
-            episode["why"].append(OTHER_SESSION)
     if as_json:
         mounting = {"changed": check.changed, "reasons": check.reasons}
         print_json({"episodes": episodes, "mounting": mounting})

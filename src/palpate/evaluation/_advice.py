@@ -77,11 +77,14 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             f"{figures['label']} {ENOUGH_TOUCHES}, all over it."
         )
     elsewhere = figures["split"] in ("session", "subject")
+    confirming = _confirming(figures, trials[0])
     if elsewhere and best < GOOD and figures["remount"] == "none":
         yield (
             "Another mounting costs accuracy: try --remount recentre:10, which gets "
-            "used to it without labels, or --remount confirm:3."
+            f"used to it without labels, or --remount confirm:3.{confirming}"
         )
+    elif confirming and best < GOOD and not figures["remount"].startswith("confirm"):
+        yield confirming.lstrip()
     if not elsewhere and not figures["sessions"]["asked"]:
         yield (
             "All was taught in one session: on another day expect less. Teach half "
@@ -99,6 +102,28 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             f"More touches help: {accuracy[before]:.0%} right after {before}, "
             f"{accuracy[after]:.0%} after {after}. Let it touch until it decides."
         )
+
+
+def _confirming(figures: dict[str, Any], trial: Trial) -> str:
+    """Return what confirmed touches are expected to bring, and of which objects.
+
+    "" where sessions were not rehearsed, or the middle of the range grows too little.
+    """
+    sessions = figures["sessions"]
+    if "confirmed" not in sessions:
+        return ""
+    before, after = sessions["rehearsed"], sessions["confirmed"]
+    if np.mean(after) - np.mean(before) < GAIN:
+        return ""
+    remount = getattr(trial.recogniser, "chosen_", {}).get("remount", {})
+    left = remount.get("confirm") or trial.recogniser.classes_.tolist()
+    more = f" and {len(left) - MOST} more" if len(left) > MOST else ""
+    low, high, low_after, high_after = (f"{100 * x:.0f}" for x in (*before, *after))
+    return (
+        f" In another session confirm a touch of each {figures['label']} "
+        f"({', '.join(left[:MOST])}{more}): expect about {low_after} to {high_after}% "
+        f"right after one touch, not {low} to {high}%."
+    )
 
 
 def _confused(k: int, trials: Sequence[Trial]) -> tuple[str, str, float] | None:

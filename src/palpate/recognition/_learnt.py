@@ -89,7 +89,6 @@ class Learnt:
         return _sessions.Taught(
             memory.features[counts],
             self.codes[counts],
-            memory.blocks[counts],
             self.parts,
         )
 

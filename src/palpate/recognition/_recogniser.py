@@ -253,6 +253,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self._calibrate(memory)
         self.pose_: PressPose | None = None
         self.modalities_: dict[str, Modality] = {}
+        self.mounting_ = None
         return self
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
@@ -377,6 +378,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if "confirmed" in rehearsal:
             remount_report["expected"] = list(rehearsal["confirmed"])
         self.chosen_ = {**self.chosen_, "remount": remount_report}
+        self.mounting_ = None
         return self
 
     def learn_nuisance(self, touches: Touches) -> int:
@@ -403,14 +405,17 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
         Some ten touches, or the evidence of them, of several objects if possible;
         labels are not used. Of sessions like those of training about one in twenty is
-        called changed.
+        called changed. Beliefs begun afterwards say so too (`Belief.promise`, `why`),
+        until the next check or `remount`; it is kept as `mounting_`, not in files.
         """
         self._check_fitted()
         rim: list[str] = []
         if not isinstance(touches, Evidence):
             new = as_touches(touches)
             touches, rim = self.evidence(new), rim_moved(self.encoder_, new)
-        return check_mounting(self.learnt(), touches, rim, self.random_state)
+        check = check_mounting(self.learnt(), touches, rim, self.random_state)
+        self.mounting_: MountingCheck | None = check
+        return check
 
     def predict(self, X: Touches | ArrayLike) -> Array:
         """Return the most probable label after each touch alone, (n_touches,)."""
@@ -550,6 +555,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def judge(self) -> Judge:
         """Return what beliefs are made by."""
         self._check_fitted()
+        check: MountingCheck | None = getattr(self, "mounting_", None)
+        unconfirmed = not self.chosen_.get("remount", {}).get("labelled", True)
         return Judge(
             classes=self.classes_.astype(str),
             log_prior=self.log_prior(),
@@ -559,7 +566,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             senses=self.modalities_,
             categories=self._category_of(self.memory_),
             memory=self.memory_,
-            other_session=not self.chosen_.get("remount", {}).get("labelled", True),
+            other_session=unconfirmed or (check is not None and check.changed),
         )
 
     def fit_pose(self, touches: Touches, pitch_mm: float | None = None) -> Self:

@@ -112,8 +112,7 @@ def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Draw
     first = np.unique(drawn_codes, return_index=True)[1]
     first = first[np.bincount(codes)[drawn_codes[first]] > 1]
     rest = np.delete(np.arange(len(codes)), drawn.rows[first])
-    features, blocks = memory.features[rest], memory.blocks[rest]
-    taught = _sessions.Taught(features, codes[rest], blocks, parts)
+    taught = _sessions.Taught(memory.features[rest], codes[rest], parts)
     moved = [drawn.features]
     for session in drawn.features[1:] if len(first) else ():
         shift = _sessions.shift_by_labels(session[first], drawn_codes[first], taught)

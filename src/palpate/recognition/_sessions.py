@@ -40,14 +40,10 @@ class Parts:
 
 @dataclass(frozen=True)
 class Taught:
-    """Training touches, for comparing a session with them.
-
-    Of each, the column of its label (`codes`), and what it is left out with (`blocks`).
-    """
+    """Training touches, each with its label's column, to compare a session with."""
 
     features: Floats
     codes: Indices
-    blocks: Indices
     parts: Parts
 
     @cached_property
