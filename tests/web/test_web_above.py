@@ -97,7 +97,8 @@ def test_a_new_episode_is_seen_anew(placed_client, drawn):
     image = drawn.images[drawn.object == "disc"][22]
     placed_client.post("/api/touch", json={"image": image.tolist()})
     answer = placed_client.get("/api/episode/above").json()
-    assert answer == {"sentence": "", "pose": None, "touches": [], "surface": []}
+    empty = {"touches": [], "misses": [], "surface": []}
+    assert answer == {"sentence": "", "pose": None, **empty}
     posted(placed_client, image, [0, 0, 60], [0, 0, -1])
     above = seen(placed_client)
     assert above["touches"] == [{"number": 2, "x_mm": 0.0, "y_mm": 0.0}]
