@@ -448,6 +448,8 @@ def touch(attempted: Attempted, session: Session) -> Any:
     attempt = Attempt.model_validate(rest)
     if attempt.miss and image is not None:
         raise ValueError(_MISS_WITH_IMAGE)
+    if not attempt.miss and image is None:
+        raise ValueError("A touch must have an image, unless it is a miss; got none.")
     place = attempt.columns()
     return JSONResponse(session.post_touch(image, place))
 
