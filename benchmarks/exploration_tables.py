@@ -52,27 +52,43 @@ PLACES = {
 }
 
 
+PLACES_COLUMNS = {
+    "episodes": "episodes",
+    "attempts": "attempts",
+    "attempts_sd": "sd",
+    "less_random": "less random",
+    "less_random_error": "its error",
+    "right": "right %",
+    "right_sd": "sd",
+    "wrong": "wrong %",
+    "wrong_sd": "sd",
+    "best_by_10": "best is right by 10, %",
+    "yaw_deg_5": "yaw after 5, degrees",
+    "yaw_deg_10": "after 10",
+    "offset_mm_5": "offset after 5, mm",
+    "offset_mm_10": "after 10",
+}
+
+
 def _places() -> str:
     """Attempts until decided rightly, by belief, condition and strategy."""
-    cells = []
     file = HERE / "places.json"
     measured = json.loads(file.read_text()) if file.exists() else {}
-    for name, belief in PLACES.items():
-        for key, row in measured.get(name, {}).items():
-            yaw, offset = (
-                " / ".join(str(row.get(f"{name}_{count}", "-")) for count in (5, 10))
-                for name in ("yaw_deg", "offset_mm")
-            )
-            shares = [row["right"], row["wrong"], row["best_by_10"]]
-            right, wrong, by_10 = (f"{100 * share:.0f}" for share in shares)
-            attempts = f"{row['attempts']:.1f} ({row['attempts_sd']:.1f})"
-            spread = f"{right} ({100 * row['right_sd']:.0f})"
-            episodes = str(row["episodes"])
-            cells.append([belief, key, episodes, attempts, spread, wrong, by_10])
-            cells[-1] += [yaw, offset]
-    heads = ["belief", "condition, strategy", "episodes", "attempts (sd)"]
-    heads += ["right % (sd)", "wrong %", "best is right by 10, %"]
-    return _table([*heads, "yaw, degrees, 5 / 10", "offset, mm, 5 / 10"], cells)
+    cells = [
+        [belief, key, *(_figure(row, name) for name in PLACES_COLUMNS)]
+        for name, belief in PLACES.items()
+        for key, row in measured.get(name, {}).items()
+    ]
+    return _table(["belief", "condition, strategy", *PLACES_COLUMNS.values()], cells)
+
+
+def _figure(row: dict[str, Any], name: str) -> str:
+    """Return one figure of a row, "-" where it was not measured."""
+    if name not in row:
+        return "-"
+    if name.startswith(("right", "wrong", "best")):
+        return f"{100 * row[name]:.0f}"
+    return str(row[name]) if isinstance(row[name], int) else f"{row[name]:.1f}"
 
 
 def _with_preset(part: dict[str, Any], make: Callable[[Rows], str]) -> str:

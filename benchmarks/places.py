@@ -7,11 +7,13 @@ The file keeps the rows of every belief and teaching; a run replaces its own.
 
 Ten simulated objects are taught, 60 touches each, on the usual face or on all. Then
 each is put down at an unknown yaw, 5 mm (sd) aside along x and y, on the usual face
-("new yaw") or another one ("other face"), and touched until the belief decides at an
-error of 5 %, 14 attempts at most. All beliefs and strategies meet the same placements.
-A "stranger" is one of six others, on its usual face; "unknown" is right.
+("new yaw"), another one ("other face") or any of them ("any face"), and touched until
+the belief decides at an error of 5 %, 14 attempts at most. All beliefs and strategies
+meet the same placements, at least `--episodes` a seed. A "stranger" is one of six
+others, on its usual face; "unknown" is right.
 
 "attempts" is the mean number until it is decided rightly, budget + 1 where it never is;
+"less_random" by how many these are more than with random places on the same placements;
 "right" the share of such episodes; "wrong" of wrong decisions; "best_by_10" the share
 in which the most probable object is right after 10 attempts. Yaw (degrees, modulo the
 object's symmetry) and offset (mm) are medians of their errors after 5 and 10 attempts.
@@ -20,10 +22,10 @@ object's symmetry) and offset (mm) are medians of their errors after 5 and 10 at
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
-from itertools import product
+from itertools import count, product
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +61,7 @@ from palpate.simulation import (
 
 CAMERA = DomeCamera(image_shape=(80, 80), n_nodes=24)
 STRATEGIES = ("random", "raster", "chosen")
-CONDITIONS = ("new yaw", "other face", "stranger")
+CONDITIONS = ("new yaw", "other face", "stranger", "any face")
 BUDGET = 14
 ERROR = 0.05
 POSES_AFTER = 5, 10
@@ -86,7 +88,10 @@ def placed(thing: SimObject, condition: str, seed: int) -> Stand | None:
     """Put an object down as a condition says; None if it has no other face."""
     rng = np.random.default_rng(seed)
     yaw, n_faces = float(rng.uniform(0, 2 * np.pi)), len(thing.resting_rotations)
-    face = int(rng.integers(1, max(n_faces, 2))) if condition == "other face" else 0
+    face = 0
+    if condition.endswith("face"):
+        least = int(condition == "other face")
+        face = int(rng.integers(least, max(n_faces, least + 1)))
     if face >= n_faces:
         return None
     return put_down(thing, CAMERA, face=face, yaw_rad=yaw, random_state=seed)
@@ -192,16 +197,18 @@ def summary(rows: list[Row]) -> Row:
     seeds = np.array([row["seed"] for row in rows])
     attempts = np.array([row["attempts"] for row in rows], float)
     by_10 = np.array([row["best"][:10][-1] for row in rows])
-    per_seed = [attempts[seeds == seed].mean() for seed in np.unique(seeds)]
-    right_per_seed = [right[seeds == seed].mean() for seed in np.unique(seeds)]
+    per_seed, right_per_seed, wrong_per_seed = (
+        [values[seeds == seed].mean() for seed in np.unique(seeds)]
+        for values in (attempts, right, wrong)
+    )
     poses: Row = {}
-    for count in POSES_AFTER:
-        found = [row[f"pose_{count}"] for row in rows if f"pose_{count}" in row]
+    for after in POSES_AFTER:
+        found = [row[f"pose_{after}"] for row in rows if f"pose_{after}" in row]
         if found:
             yaws = [yaw for yaw, _ in found if yaw is not None]
-            poses[f"yaw_deg_{count}"] = round(float(np.median(yaws)), 1)
+            poses[f"yaw_deg_{after}"] = round(float(np.median(yaws)), 1)
             offsets = [offset for _, offset in found]
-            poses[f"offset_mm_{count}"] = round(float(np.median(offsets)), 1)
+            poses[f"offset_mm_{after}"] = round(float(np.median(offsets)), 1)
     return {
         "episodes": len(rows),
         "attempts": round(float(attempts.mean()), 2),
@@ -209,10 +216,50 @@ def summary(rows: list[Row]) -> Row:
         "right": round(float(right.mean()), 3),
         "right_sd": round(float(np.std(right_per_seed)), 3),
         "wrong": round(float(wrong.mean()), 3),
+        "wrong_sd": round(float(np.std(wrong_per_seed)), 3),
         "best_by_10": round(float(by_10.mean()), 3),
         **poses,
         "cpu_ms": round(float(np.median([row["cpu_ms"] for row in rows])), 1),
     }
+
+
+def less_random(rows: list[Row], random: list[Row]) -> Row:
+    """Attempts less those of random places on the same placements, and its error."""
+    of_random = {row["placement"]: row["attempts"] for row in random}
+    if any(row["placement"] not in of_random for row in rows):
+        return {}
+    less = [row["attempts"] - of_random[row["placement"]] for row in rows]
+    error = np.std(less, ddof=1) / np.sqrt(len(less))
+    return {
+        "less_random": round(float(np.mean(less)), 2),
+        "less_random_error": round(float(error), 2),
+    }
+
+
+def table_of(kept: dict[str, list[Row]]) -> dict[str, Row]:
+    """Return the summary of each condition and strategy."""
+    return {
+        key: summary(rows)
+        | less_random(rows, kept.get(f"{key.rsplit(', ', 1)[0]}, random", []))
+        for key, rows in kept.items()
+    }
+
+
+def placements(
+    seed: int, condition: str, n_episodes: int
+) -> Iterator[tuple[int, Stand]]:
+    """Put things down in turn, so often that there are as many episodes."""
+    things = STRANGERS if condition == "stranger" else HOUSEHOLD
+    done = 0
+    for number in count():
+        for code, thing in enumerate(things):
+            where = seed_of(2, seed, number, code, CONDITIONS.index(condition))
+            stand = placed(thing, condition, where)
+            if stand is not None:
+                yield where, stand
+                done += 1
+        if done >= n_episodes:
+            return
 
 
 def seed_of(*numbers: int) -> int:
@@ -250,27 +297,27 @@ def main() -> None:
     parser.add_argument("--wrong-pose", action="store_true", help="by 2 mm, 2 deg")
     parser.add_argument("--seeds", type=int, default=3, help="one teaching each")
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--rounds", type=int, default=4, help="of all objects")
+    parser.add_argument("--episodes", type=int, default=40, help="a seed, at least")
     parser.add_argument("--cache", type=Path, help="a folder for taught touches")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--rows", type=Path, help="a file to add every episode to")
     asked = parser.parse_args()
     kept: dict[str, list[Row]] = {}
     for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
         touches = taught(seed, asked.faces, asked.cache)
         recogniser = ObjectRecogniser(random_state=seed).fit(touches)
         learnt = map_of(asked.belief, recogniser, touches, seed)
-        tasks = product(asked.conditions, asked.strategies, range(asked.rounds))
-        for condition, name, number in tasks:
-            things = STRANGERS if condition == "stranger" else HOUSEHOLD
-            for code, thing in enumerate(things):
-                where = seed_of(2, seed, number, code, CONDITIONS.index(condition))
-                stand = placed(thing, condition, where)
-                if stand is not None:
-                    wrong = asked.wrong_pose
-                    row = one_episode(stand, learnt, name, where, wrong)
-                    key = f"{condition}, {name}"
-                    kept.setdefault(key, []).append({"seed": seed, **row})
-        table = {key: summary(rows) for key, rows in kept.items()}
+        for condition, name in product(asked.conditions, asked.strategies):
+            rows = kept.setdefault(f"{condition}, {name}", [])
+            for where, stand in placements(seed, condition, asked.episodes):
+                row = one_episode(stand, learnt, name, where, asked.wrong_pose)
+                rows.append({"seed": seed, "placement": where, **row})
+                if asked.rows:
+                    with asked.rows.open("a") as file:
+                        file.write(json.dumps({"of": condition, "by": name} | rows[-1]))
+                        file.write("\n")
+            print(seed, condition, name, flush=True)
+        table = table_of(kept)
         for key, row in table.items():
             print(f"up to seed {seed}: {key:22s} {json.dumps(row)}", flush=True)
         if asked.out:

@@ -367,6 +367,39 @@ def test_another_unit_or_frame_is_told_by_its_extent(surface_map, recogniser, ta
     assert belief.touches_used == 1
 
 
+def test_contacts_in_metres_are_told_from_the_third_on(surface_map):
+    belief, history, _ = _touched(surface_map, "mug", 8)
+    touches = as_touches(history)
+    tips = np.asarray(touches.columns["position_mm"]) / 1000
+    metres = touches.with_columns(position_mm=tips)
+    fresh = surface_map.start()
+    with pytest.raises(ValueError, match=r"must be millimetres.*Is it metres\?"):
+        fresh.update(metres)
+    assert fresh.touches_used == fresh.n_contacts == 0
+    assert fresh.posterior == surface_map.start().posterior
+    assert belief.n_contacts >= len(touches)
+
+
+def test_a_miss_far_from_the_object_is_refused(surface_map):
+    belief = surface_map.start()
+    before = belief.posterior
+    pose = Hemisphere().pose(0.3, 0.1)
+    end = tuple(np.array(pose.position_mm) + 5000)
+    with pytest.raises(ValueError, match="Is it another unit or frame"):
+        belief.update(TouchRecord("nothing", pose, end, travel_mm=315.0))
+    assert belief.posterior == before
+
+
+def test_a_direction_that_is_missing_leaves_the_picture(surface_map):
+    belief, history, _ = _touched(surface_map, "mug", 1)
+    touch = as_touches(history)
+    lost = touch.with_columns(direction=[[np.nan] * 3])
+    before = belief.filter.log_evidence
+    belief.update(lost)
+    assert_allclose(belief.filter.log_evidence, before)
+    assert (belief.touches_used, belief.n_contacts) == (2, 1)
+
+
 def test_an_object_without_a_map_is_named(taught):
     few = np.flatnonzero(taught.object == "mug")[:4]
     rows = np.sort(np.concatenate([few, np.flatnonzero(taught.object != "mug")]))

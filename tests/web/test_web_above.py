@@ -97,7 +97,8 @@ def test_a_new_episode_is_seen_anew(placed_client, drawn):
     image = drawn.images[drawn.object == "disc"][22]
     placed_client.post("/api/touch", json={"image": image.tolist()})
     answer = placed_client.get("/api/episode/above").json()
-    assert answer == {"sentence": "", "pose": None, "touches": [], "surface": []}
+    empty = {"touches": [], "misses": [], "surface": []}
+    assert answer == {"sentence": "", "pose": None, **empty}
     posted(placed_client, image, [0, 0, 60], [0, 0, -1])
     above = seen(placed_client)
     assert above["touches"] == [{"number": 2, "x_mm": 0.0, "y_mm": 0.0}]
@@ -137,6 +138,92 @@ def test_half_a_place_is_refused(placed_client, drawn, place, words):
     answer = placed_client.post("/api/touch", json={"image": image.tolist(), **place})
     assert answer.status_code == 422
     assert words in answer.text
+    assert placed_client.get("/api/episode").json()["touches"] == []
+
+
+def missed(client, tip, way, **more):
+    place = {"position_mm": list(tip), "direction": list(way)}
+    return client.post("/api/touch", json={**place, "miss": True, **more})
+
+
+def test_the_belief_is_by_pictures_and_places_once_the_map_is_learnt(
+    placed_client, drawn
+):
+    placed_client.post("/api/episode/start")
+    posted(placed_client, drawn.images[0], [0, 0, 60], [0, 0, -1])
+    seen(placed_client)
+    placed_client.post("/api/episode/start")
+    image = drawn.images[drawn.object == "bar"][22]
+    alone = placed_client.post("/api/touch", json={"image": image.tolist()}).json()
+    assert "places" not in alone["sentence"]
+    for _ in range(4):
+        body = {"image": image.tolist()}
+        pictures = placed_client.post("/api/touch", json=body).json()["touches"]
+    placed_client.post("/api/episode/start")
+    placed_client.post("/api/touch", json={"image": image.tolist()})
+    tips, ways = on_ball(RADIUS_MM["disc"], 4, np.random.default_rng(6))
+    for tip, way in zip(tips, ways, strict=True):
+        answer = posted(placed_client, image, tip, way, force_n=1.0).json()
+    assert answer["sentence"].endswith("(by pictures and places)")
+    last = answer["touches"][-1]["posterior"]
+    assert last["disc"] > pictures[-1]["posterior"]["disc"]
+    assert answer["touches"][-1]["force_n"] == 1.0
+    placed_client.post("/api/episode/start")
+    again = placed_client.post("/api/touch", json={"image": image.tolist()}).json()
+    assert again["sentence"] == alone["sentence"]
+
+
+def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
+    placed_client.post("/api/episode/start")
+    image = drawn.images[drawn.object == "disc"][22]
+    before = posted(placed_client, image, [0, 0, 60], [0, 0, -1])
+    seen(placed_client)
+    before = placed_client.get("/api/episode").json()["touches"][-1]
+    answer = missed(placed_client, [0, 0, 40], [0, 0, -1])
+    assert answer.status_code == 200
+    touch = answer.json()["touches"][-1]
+    assert touch["miss"]
+    assert touch["note"] == "touch 2: nothing met"
+    assert touch["posterior"]["bar"] > before["posterior"]["bar"]
+    above = seen(placed_client)
+    assert above["misses"] == [{"number": 2, "x_mm": 0.0, "y_mm": 0.0}]
+    path = "/api/episode/touches/2/picture"
+    assert placed_client.get(path).status_code == 404
+    assert len(Touches.load(archive(placed_client))) == 1
+    assert "nothing met" in placed_client.get("/api/episode/report").text
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"image": [[0, 1], [2, 3]]}, "must come without a picture"),
+        ({"force_n": 1.0}, "no force_n"),
+        ({"direction": None}, "go together"),
+        ({"position_mm": None, "direction": None}, "must have position_mm"),
+        ({"position_mm": [0, 0, 9e5]}, "another unit or frame"),
+        ({"force_n": -1}, "force_n"),
+    ],
+)
+def test_a_wrong_miss_is_refused(placed_client, drawn, more, words):
+    placed_client.post("/api/episode/start")
+    posted(placed_client, drawn.images[0], [0, 0, 60], [0, 0, -1])
+    seen(placed_client)
+    body = {"position_mm": [0, 0, 40], "direction": [0, 0, -1], "miss": True}
+    answer = placed_client.post("/api/touch", json=body | more)
+    assert answer.status_code in {400, 422}
+    assert words in answer.text
+    assert len(placed_client.get("/api/episode").json()["touches"]) == 1
+
+
+@pytest.mark.parametrize("name", ["position_mm", "direction", "force_n"])
+def test_a_place_that_is_no_number_is_refused(placed_client, name):
+    placed_client.post("/api/episode/start")
+    place = {"position_mm": "[0, 0, 60]", "direction": "[0, 0, -1]", "force_n": "1"}
+    place[name] = "NaN" if name == "force_n" else "[0, 0, NaN]"
+    fields = ", ".join(f'"{key}": {value}' for key, value in place.items())
+    body = f'{{"image": [[0, 1], [2, 3]], {fields}}}'
+    answer = placed_client.post("/api/touch", content=body.encode())
+    assert answer.status_code in {400, 422}
     assert placed_client.get("/api/episode").json()["touches"] == []
 
 

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 # Touches whose contact is known although no frame was taken.
 _CONTACTS = "touched", "no frame"
 _FAR_AWAY = 3.0
+# So many contacts from sides so far apart (cosine), all this near the middle (mm), are
+# no thing that can be touched.
+_FEW_CONTACTS, _LEAST_MM, _OTHER_SIDE = 3, 0.5, 0.5
+_DOWN = np.array([0.0, 0.0, -1.0])
 # Half of the things, and of the faces, that were never learnt may have the shape of
 # one that was: a mug that lies may well be met where a pot is.
 _LOG_HALF = -np.log(2)
@@ -94,6 +98,7 @@ class PlaceBelief(Belief):
         self.map = surface_map
         self.centre_mm = np.asarray(centre_mm, dtype=np.float64)
         self.filter = surface_map.filter_before()
+        self._tips_mm, self._ways = np.zeros((0, 3)), np.zeros((0, 3))
         self._faces, self._stranger = surface_map.unlearnt_before()
         shape = len(surface_map.states_), surface_map.n_turns
         self._pictures = np.zeros(shape)
@@ -101,80 +106,108 @@ class PlaceBelief(Belief):
         self._known_nats = 0.0
         self._weigh()
 
-    def update(self, touch: Touches | Array | Evidence) -> Self:
-        """Take in touches, in order, and return this belief.
+    def update(
+        self,
+        touch: Touches | Array | Evidence | TouchRecord,
+        evidence: Evidence | None = None,
+    ) -> Self:
+        """Take in touches, in order, or an attempt, and return this belief.
 
         Parameters
         ----------
-        touch : Touches
-            With the columns `direction` and `position_mm`, in the frame of the arm; a
-            row of NaN in the latter is a touch whose place is not known, which counts
-            by its picture from that direction alone.
+        touch : Touches or TouchRecord
+            Touches with the columns `direction` and `position_mm`, in the frame of the
+            arm, and perhaps `force_n`. A row of NaN in `position_mm` is a touch whose
+            contact is not known: it counts by its picture from that direction; a row
+            of NaN in `direction` counts by its picture alone. A record is taken in by
+            `update_from_record`.
+        evidence : Evidence, optional
+            What `ObjectRecogniser.evidence` returns for the touches, where it is known.
 
         Raises
         ------
         ValueError
-            The touches have no places, these are far from the object, or the
-            recogniser cannot take the images; the belief is then unchanged.
+            The touches have no places, these are far from the object or in another
+            unit, or the recogniser cannot take the images; the belief is then
+            unchanged.
         TypeError
             They are no `Touches`.
         """
-        middles, places = self._contacts(touch)
-        evidence = self._evidence_of(as_touches(touch))
+        if isinstance(touch, TouchRecord):
+            return self.update_from_record(touch)
+        tips, ways, middles = self._contacts(touch)
+        if evidence is None:
+            evidence = self._evidence_of(as_touches(touch))
         if self.map.use_pictures:
             log_pictures = log_softmax(evidence.log_likelihood, axis=1)
-            pictures = self.map.picture_evidence(
-                log_pictures, evidence.features, places
-            )
+            pictures = self.map.picture_evidence(log_pictures, evidence.features, -ways)
             pictures[~evidence.log_likelihood.any(axis=1)] = 0.0
             self._pictures = self._pictures + pictures.sum(axis=0)
-        for middle in middles[np.isfinite(middles).all(axis=1)]:
-            self._met(middle)
+        for row in np.flatnonzero(np.isfinite(middles).all(axis=1)):
+            self._met(tips[row], ways[row], middles[row])
         return super().update(evidence)
 
     def update_from_record(self, record: TouchRecord) -> Self:
-        """Take in an attempt of the arm: a touch, a contact without frame, a miss."""
+        """Take in an attempt of the arm: a touch, a contact without frame, a miss.
+
+        ValueError where it passes far from the object; the belief is then unchanged.
+        """
         if record.touched:
             return self.update(touches_of([record]))
-        tip, way = np.asarray(record.position_mm), record.direction
+        tip, way = np.asarray(record.position_mm) - self.centre_mm, record.direction
         if record.outcome in _CONTACTS:
             forces = np.array([record.force_n])
-            self._met(
-                self.map.middles(tip[None], way[None], forces)[0] - self.centre_mm
-            )
+            self._met(tip, way, self.map.middles(tip[None], way[None], forces)[0])
         elif record.outcome == "nothing":
-            back = self.map.tip_radius_mm * way + self.centre_mm
+            end = tip - self.map.tip_radius_mm * way
             reach = min(record.travel_mm, 2 * float(self.map.table_.mean_mm.max()))
-            end = tip - back
-            self._missed(end - reach * way, end)
+            start = end - reach * way
+            along = np.clip(-end @ way, -reach, 0.0)
+            self._refuse_far(np.linalg.norm([end + along * way], axis=1))
+            self._missed(start, end)
         self._weigh()
         return self
 
-    def _contacts(self, touch: object) -> tuple[Floats, Floats]:
-        """Return the middles of the ball about the centre, and the ways back."""
+    def _contacts(self, touch: object) -> tuple[Floats, Floats, Floats]:
+        """Return tips, ways and the ball's middles about the centre, NaN if unknown."""
         if not isinstance(touch, Touches):
             raise TypeError(
                 f"touch must be Touches, got {type(touch).__name__}. Write "
                 "Touches(images, direction=..., position_mm=...)."
             )
-        column = touch.columns.get("position_mm")
-        unplaced = np.zeros(len(touch), bool)
-        if column is not None:
-            unplaced = ~np.isfinite(np.asarray(column, float)).all(axis=-1)
-        filled = touch
-        if unplaced.any():
-            tips = np.where(
-                unplaced[:, None], self.centre_mm, np.asarray(column, float)
-            )
-            filled = touch.with_columns(position_mm=tips)
+        lost, filled = np.zeros((2, len(touch)), bool), touch
+        columns = {"position_mm": self.centre_mm, "direction": _DOWN}
+        for number, (name, stand_in) in enumerate(columns.items()):
+            column = np.asarray(touch.columns.get(name, np.nan), dtype=np.float64)
+            if column.ndim == 2 and not np.isfinite(column).all():
+                lost[number] = ~np.isfinite(column).all(axis=1)
+                known = np.where(lost[number][:, None], stand_in, column)
+                filled = filled.with_columns(**{name: known})
         tips, ways = contacts_of(filled)
+        tips = tips - self.centre_mm
         forces = np.full(len(touch), np.nan)
         if "force_n" in touch.columns:
             forces = np.asarray(touch.columns["force_n"], dtype=np.float64)
-        middles = self.map.middles(tips, ways, forces) - self.centre_mm
-        self._refuse_far(np.linalg.norm(middles[~unplaced], axis=1))
-        middles[unplaced] = np.nan
-        return middles, -ways
+        middles = self.map.middles(tips, ways, forces)
+        placed = ~lost.any(axis=0)
+        self._refuse_far(np.linalg.norm(middles[placed], axis=1))
+        self._refuse_near(tips[placed], ways[placed])
+        middles[~placed], ways[lost[1]] = np.nan, np.nan
+        return tips, ways, middles
+
+    def _refuse_near(self, tips_mm: Floats, ways: Floats) -> None:
+        """Refuse contacts from several sides that are all in the middle."""
+        tips = np.concatenate([self._tips_mm, tips_mm])
+        sides = np.concatenate([self._ways, ways])
+        reach = float(np.linalg.norm(tips, axis=1).max(initial=0.0))
+        if len(tips) < _FEW_CONTACTS or reach >= _LEAST_MM:
+            return
+        if (sides @ sides.T).min() < _OTHER_SIDE:
+            raise ValueError(
+                f"position_mm must be millimetres, got {len(tips)} contacts that reach "
+                f"{reach:.3g} mm from the assumed middle {self.centre_mm.tolist()}. Is "
+                "it metres?"
+            )
 
     def _refuse_far(self, reach_mm: Floats) -> None:
         most = float(self.map.table_.mean_mm.max())
@@ -186,8 +219,10 @@ class PlaceBelief(Belief):
                 "it another unit or frame, or another centre_mm?"
             )
 
-    def _met(self, middle_mm: Floats) -> None:
+    def _met(self, tip_mm: Floats, way: Floats, middle_mm: Floats) -> None:
         """Take in a contact; how probable it is for known objects is added up."""
+        self._tips_mm = np.concatenate([self._tips_mm, tip_mm[None]])
+        self._ways = np.concatenate([self._ways, way[None]])
         before = self.log_place
         self.filter = self.filter.met(middle_mm)
         self._faces = self._faces.met(middle_mm)
@@ -220,6 +255,11 @@ class PlaceBelief(Belief):
         """What pictures and places say for a stranger (nats); see `Belief`."""
         unlike = float(self._stranger.log_evidence[0]) - self._known_nats
         return super().unknown_evidence + float(np.logaddexp(0.0, unlike) + _LOG_HALF)
+
+    @property
+    def n_contacts(self) -> int:
+        """Number of contacts that were taken in."""
+        return len(self._tips_mm)
 
     @property
     def log_posterior(self) -> Floats:

@@ -315,9 +315,13 @@ class SurfaceMap:
     ) -> Floats:
         """Return what pictures say, (n_touches, n_states, n_turns), in nats.
 
-        By `touch`, log p(f | o) (n_touches, n_objects), and by features and places.
+        By `touch`, log p(f | o) (n_touches, n_objects), and by features and places, NaN
+        where they are not known.
         """
-        ratio = self.of_states(self.pictures_.placed_ratio(features, places))
+        nowhere = np.isnan(places).any(axis=1)
+        ratio = self.pictures_.placed_ratio(features, np.nan_to_num(places))
+        ratio[nowhere] = 0.0
+        ratio = self.of_states(ratio)
         return self.pictures_.weighed(self.by_state(touch), ratio)
 
     def by_state(self, touch: Floats) -> Floats:

@@ -56,7 +56,8 @@ class Episode:
     Parameters
     ----------
     belief : Belief
-        Before its first touch, from `ObjectRecogniser.start` or `TouchMap.start`.
+        Before its first touch, from `start` of `ObjectRecogniser`, `TouchMap` or
+        `SurfaceMap`.
     error, refusal, level
         As for `Belief.decide`, asked after every touch.
 
@@ -103,8 +104,11 @@ class Episode:
         self._named: Named | None = None
         belief.decide(error, refusal=refusal, level=level)  # refuses wrong shares now
 
-    def add(self, touch: Touches | Array | Evidence) -> str:
+    def add(self, touch: Touches | Array | Evidence | Any, **known: Any) -> str:
         """Take in one touch, or several in order, and return the sentence now.
+
+        What else the belief's `update` takes may be given: a record of an attempt, or
+        what is `known` of a touch beforehand.
 
         Raises
         ------
@@ -113,17 +117,17 @@ class Episode:
         """
         if isinstance(touch, Evidence):
             for number in range(len(touch.flags)):
-                self._add(touch.one(number))
+                self._add(touch.one(number), known)
         elif isinstance(touch, Touches):
             for number in range(len(touch)):
-                self._add(touch[number : number + 1])
+                self._add(touch[number : number + 1], known)
         else:
-            self._add(touch)
+            self._add(touch, known)
         return self.sentence
 
-    def _add(self, touch: Touches | Array | Evidence) -> None:
+    def _add(self, touch: Any, known: dict[str, Any]) -> None:
         n_before = self.belief.touches_used
-        self.belief.update(touch)
+        self.belief.update(touch, **known)
         belief = self.belief
         flags = belief.flags[n_before:]
         self.touches.append(

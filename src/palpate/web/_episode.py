@@ -2,7 +2,7 @@
 
 import base64
 import time
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -12,18 +12,27 @@ from typing import Any
 import numpy as np
 
 from .._types import Array
+from ..exploration import SurfaceMap, TouchRecord
 from ..recognition import (
     Belief,
     Episode,
     Evidence,
     ObjectRecogniser,
     nearest_touches,
+    touch_note,
 )
+from ..simulation import SensorPose
 from ..touches import Touches
 from ._images import thumbnail
 
 Vector = tuple[float, float, float]
 _SHOWN, _NEAREST = 5, 6
+# Whose places count, of an episode: what every next one costs grows with their cube.
+_MOST_PLACED = 100
+_NOTHING_MET = "touch {}: nothing met"
+_TELLS_NOTHING = _NOTHING_MET + ", which tells nothing without a map of the objects"
+# How far back the way of a miss is known to be free.
+_FREE_WAY_MM = 300.0
 _PAGE = Path(__file__).parent / "static" / "report.html"
 
 
@@ -34,7 +43,9 @@ class LiveTouch:
     `posterior` is empty and `unknown` None where there is no model; `note` is what is
     wrong with the touch, "" for most; `device_time_s` when the device took it.
     `position_mm` is where the tip was, and `direction` the unit vector of its approach,
-    both from where the middle of the object is assumed; None where they are not known.
+    both from where the middle of the object is assumed, `force_n` how hard it was
+    pressed; None where they are not known. Of a `miss` the tip went there and met
+    nothing, so that there is no picture.
     """
 
     number: int
@@ -46,13 +57,17 @@ class LiveTouch:
     device_time_s: float | None = None
     position_mm: Vector | None = None
     direction: Vector | None = None
+    force_n: float | None = None
+    miss: bool = False
 
     @property
-    def place(self) -> dict[str, Vector]:
-        """Where it was made, by name; empty where that is not known."""
-        if self.position_mm is None or self.direction is None:
-            return {}
-        return {"position_mm": self.position_mm, "direction": self.direction}
+    def columns(self) -> dict[str, Any]:
+        """What is known of it beside its picture, by name."""
+        values = {name: getattr(self, name) for name in PLACED}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+PLACED = "position_mm", "direction", "force_n"
 
 
 class LiveEpisode:
@@ -76,40 +91,104 @@ class LiveEpisode:
         self.episode: Episode | None = None
         if recogniser is not None:
             self.episode = recogniser.episode(**accepted, level="any")
+        self.by_place = False
         self.touches: list[LiveTouch] = []
-        self.images: list[Array] = []
+        self.images: list[Array | None] = []
+        self._evidences: list[Evidence | None] = []
         self.channels: Sequence[str] | None = None
         self.open = True
-        self.evidence: Evidence | None = None  # of the last touch
 
     def add(
         self,
-        image: Array,
+        image: Array | None,
         channels: Sequence[str] | None,
-        place: Mapping[str, Vector] | None = None,
+        columns: Mapping[str, Any] | None = None,
     ) -> LiveTouch:
         """Take in a touch and return it; one that is refused changes nothing.
 
-        `place` holds its `position_mm` and `direction`, where they are known.
+        Without an `image` it is a miss. `columns` holds its `position_mm`, `direction`
+        and `force_n`, where they are known.
         """
-        self.channels = channels
-        touch = LiveTouch(len(self.touches) + 1, time.time())
-        if place:
-            touch.position_mm, touch.direction = (
-                place["position_mm"],
-                place["direction"],
-            )
-        if self.recogniser is not None and self.episode is not None:
+        of_place = columns or {}
+        known = {name: of_place[name] for name in PLACED if name in of_place}
+        touch = LiveTouch(
+            len(self.touches) + 1, time.time(), miss=image is None, **known
+        )
+        evidence = None
+        if self.recogniser is not None and image is not None:
             touches = Touches(image[np.newaxis], channels=channels)
             evidence = self.recogniser.evidence(touches)
-            self.episode.add(evidence)
-            self.evidence, last = evidence, self.episode.touches[-1]
-            touch.posterior, touch.unknown = last.posterior, last.unknown
-            touch.note = last.note
             self.nearest = self._nearest(self.recogniser, evidence)
+        if image is not None:
+            self.channels = channels
+        self._take_in(touch, image, evidence)
+        self._evidences.append(evidence)
         self.images.append(image)  # first, for those who read meanwhile
         self.touches.append(touch)
         return touch
+
+    def believe_by_place(self, surface_map: SurfaceMap) -> None:
+        """Believe by pictures and places from now on, and anew what was touched."""
+        accepted = dict(self.accepted)
+        belief = surface_map.start(strangers=accepted.pop("strangers"))
+        self.episode, self.by_place = Episode(belief, **accepted, level="any"), True
+        touched = zip(self.touches, self.images, self._evidences, strict=False)
+        for touch, image, evidence in touched:
+            try:
+                self._take_in(touch, image, evidence)
+            except ValueError as error:  # of a miss, which has no picture to count
+                touch.note = f"touch {touch.number}: it does not count. {error}"
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether a touch of it has a place."""
+        return any(touch.position_mm for touch in self.touches)
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """What the last touch told, None where that was a miss."""
+        return self._evidences[-1] if self._evidences else None
+
+    def _take_in(
+        self, touch: LiveTouch, image: Array | None, evidence: Evidence | None
+    ) -> None:
+        """Update the belief, and keep with the touch what it came to."""
+        if self.episode is None:
+            return
+        touch.note = self._update(self.episode, touch, image, evidence)
+        belief = self.episode.belief
+        touch.posterior, touch.unknown = belief.posterior, belief.unknown
+
+    def _update(
+        self,
+        episode: Episode,
+        touch: LiveTouch,
+        image: Array | None,
+        evidence: Evidence | None,
+    ) -> str:
+        """Update the belief, by a picture alone if its place is refused; return why."""
+        trouble = ""
+        if image is None:
+            if not self.by_place:
+                return _TELLS_NOTHING.format(touch.number)
+            episode.add(_miss(touch))
+            return _NOTHING_MET.format(touch.number)
+        if not self.by_place:
+            episode.add(evidence)
+        else:
+            columns = touch.columns if touch.number <= _MOST_PLACED else {}
+            try:
+                episode.add(self._placed(image, columns), evidence=evidence)
+            except ValueError as error:
+                trouble = f"touch {touch.number}: its place does not count. {error}"
+                episode.add(self._placed(image, {}), evidence=evidence)
+        return trouble or touch_note(touch.number, episode.touches[-1].flag)
+
+    def _placed(self, image: Array, columns: Mapping[str, Any]) -> Touches:
+        nowhere = (np.nan,) * 3
+        about = {"position_mm": nowhere, "direction": nowhere, **columns}
+        rows: dict[str, Any] = {name: [value] for name, value in about.items()}
+        return Touches(image[np.newaxis], channels=self.channels, **rows)
 
     def _nearest(
         self, recogniser: ObjectRecogniser, evidence: Evidence
@@ -149,7 +228,10 @@ class LiveEpisode:
         """What is decided, or what it may be."""
         if self.episode is None:
             return "nothing is learnt yet: teach two objects, then learn"
-        return self.episode.sentence
+        by = " (by pictures alone)" if self.is_placed else ""
+        return self.episode.sentence + (
+            " (by pictures and places)" if self.by_place else by
+        )
 
     def to_dict(self) -> dict[str, Any]:
         episode = self.episode
@@ -167,20 +249,40 @@ class LiveEpisode:
             "touches": [dict(vars(touch)) for touch in self.touches],
         }
 
+    def pictured(self) -> Iterator[tuple[LiveTouch, Array]]:
+        """Yield the touches that met something, with their pictures."""
+        for touch, image in zip(self.touches, self.images, strict=False):
+            if image is not None:
+                yield touch, image
+
     def as_touches(self) -> Touches:
-        if not self.touches:
+        pictured = list(self.pictured())
+        if not pictured:
             raise ValueError("The episode has no touch yet; touch something first.")
-        times = np.array([touch.time_s for touch in self.touches])
-        episode = np.full(len(times), self.number)
-        images = np.stack(self.images[: len(times)])
-        about: dict[str, Any] = {"time_s": times, "episode": episode}
-        if any(touch.position_mm for touch in self.touches):
-            nowhere = (np.nan,) * 3
-            for name in ("position_mm", "direction"):
-                about[name] = [
-                    getattr(touch, name) or nowhere for touch in self.touches
-                ]
+        touches = [touch for touch, _ in pictured]
+        about: dict[str, Any] = {
+            "time_s": [touch.time_s for touch in touches],
+            "episode": np.full(len(touches), self.number),
+        }
+        unknown = {"position_mm": (np.nan,) * 3, "direction": (np.nan,) * 3}
+        for name, value in {**unknown, "force_n": np.nan}.items():
+            if any(getattr(touch, name) for touch in touches):
+                about[name] = [getattr(touch, name) or value for touch in touches]
+        images = np.stack([image for _, image in pictured])
         return Touches(images, **about, channels=self.channels)
+
+
+def _miss(touch: LiveTouch) -> TouchRecord:
+    """Return the record of an approach that met nothing."""
+    assert touch.position_mm is not None
+    assert touch.direction is not None
+    end = SensorPose(touch.position_mm, touch.direction)
+    return TouchRecord(
+        "nothing",
+        end.advanced(-_FREE_WAY_MM),
+        touch.position_mm,
+        travel_mm=_FREE_WAY_MM,
+    )
 
 
 def episode_report(episode: LiveEpisode) -> str:
@@ -191,7 +293,10 @@ def episode_report(episode: LiveEpisode) -> str:
     if not episode.touches:
         raise ValueError("The episode has no touch yet; touch something first.")
     began = time.localtime(episode.touches[0].time_s)
-    pictures = (thumbnail(image, episode.channels) for image in episode.images)
+    pictures = [
+        None if image is None else thumbnail(image, episode.channels)
+        for image in episode.images[: len(episode.touches)]
+    ]
     return Template(_PAGE.read_text(encoding="utf-8")).substitute(
         number=episode.number,
         sentence=escape(episode.sentence),
@@ -204,8 +309,12 @@ def episode_report(episode: LiveEpisode) -> str:
     )
 
 
-def _item(touch: LiveTouch, png: bytes) -> str:
-    picture = base64.b64encode(png).decode()
+def _item(touch: LiveTouch, png: bytes | None) -> str:
+    picture = ""
+    if png is not None:
+        encoded = base64.b64encode(png).decode()
+        source = f"data:image/png;base64,{encoded}"
+        picture = f"<img alt='touch {touch.number}' src='{source}'>"
     shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_SHOWN]
     if touch.unknown is not None:
         shown.append(("nothing learnt", touch.unknown))
@@ -215,7 +324,5 @@ def _item(touch: LiveTouch, png: bytes) -> str:
         for name, share in shown
     )
     note = f"<p class=note>{escape(touch.note)}</p>" if touch.note else ""
-    return (
-        f"<li><img alt='touch {touch.number}' src='data:image/png;base64,{picture}'>"
-        f"<div><b>Touch {touch.number}</b>{note}<table>{rows}</table></div></li>"
-    )
+    told = f"<b>Touch {touch.number}</b>{note}<table>{rows}</table>"
+    return f"<li>{picture}<div>{told}</div></li>"

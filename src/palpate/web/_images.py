@@ -177,6 +177,16 @@ def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
     return rest, _finite(np.stack(rows))
 
 
+def is_miss(body: bytes) -> bool:
+    """Return whether a body is a JSON object with `miss` and without an `image`."""
+    if _BEGIN.search(body, 0, _LONGEST_REST) is not None or len(body) > _LONGEST_REST:
+        return False
+    with suppress(ValueError, RecursionError):
+        order = json.loads(body)
+        return isinstance(order, dict) and order.get("miss") is True
+    return False
+
+
 def _row(values: list[object]) -> NDArray[np.float32]:
     if not values or not {type(value) for value in values} <= {int, float, NoneType}:
         raise ValueError

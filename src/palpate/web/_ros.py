@@ -148,7 +148,7 @@ class RosPublisher:
         name = name or self._object or episode.decision or ""
         if name == "unknown":
             name = ""
-        n_touches = min(len(episode.images), MOST_PER_LESSON)
+        n_touches = min(len(list(episode.pictured())), MOST_PER_LESSON)
         if not n_touches:
             raise ValueError("confirm must come after touches, got none.")
         name = self._named(name)

@@ -4,6 +4,7 @@ First what goes in and out, as OpenAPI describes it, then the actions. Each runs
 thread of its own; what a session refuses becomes a clear answer in `_app`.
 """
 
+import json
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -20,7 +21,7 @@ from starlette.background import BackgroundTask
 from .._types import Array
 from ..touches import Touches
 from ._episode import LiveTouch, episode_report
-from ._images import KINDS, read_json, read_picture, thumbnail
+from ._images import KINDS, is_miss, read_json, read_picture, thumbnail
 from ._reading import NUMBERS, PICTURES
 from ._session import LiveSession
 from ._teaching import Teacher
@@ -66,6 +67,10 @@ class Place(Order):
     direction: Annotated[
         Vector | None, Field(description="Unit vector of the approach (x, y, z).")
     ] = None
+    force_n: Annotated[
+        float | None,
+        Field(gt=0, le=1e3, allow_inf_nan=False, description="Of the press, in N."),
+    ] = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -78,9 +83,27 @@ class Place(Order):
             )
         return self
 
-    def columns(self) -> dict[str, Vector]:
+    def columns(self) -> dict[str, Any]:
         """Return what is known of it, as columns of a touch."""
         return self.model_dump(include={*Place.model_fields}, exclude_none=True)
+
+
+class Attempt(Place):
+    """Where a touch was made, if known, or where nothing was met."""
+
+    miss: Annotated[
+        bool,
+        Field(description="The tip went there, that way, and met nothing: no image."),
+    ] = False
+
+    @model_validator(mode="after")
+    def _check_miss(self) -> Self:
+        if self.miss and (self.position_mm is None or self.force_n is not None):
+            raise ValueError(
+                "A miss must have position_mm and direction and no force_n: where the "
+                "tip ended, and the way that it went without meeting anything."
+            )
+        return self
 
 
 class PlacedImage(Place, Image):
@@ -212,6 +235,9 @@ class SeenFromAbove(BaseModel):
         Field(description="Object, face, turn and offset, with their deviations."),
     ] = None
     touches: list[SeenTouch] = []
+    misses: Annotated[
+        list[SeenTouch], Field(description="Where the tip ended without a contact.")
+    ] = []
     surface: list[SurfacePoint] = []
 
 
@@ -258,8 +284,13 @@ def _body(schema: dict[str, Any], *kinds: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content}}
 
 
+_MISS_WITH_IMAGE = (
+    "A miss must come without a picture, as JSON to `touch`: nothing was met there. "
+    "Leave `image` or `miss` out."
+)
 _PICTURE = _body({"type": "string", "format": "binary"}, *KINDS)
-_IMAGE = _body(PlacedImage.model_json_schema(), "application/json")
+_ATTEMPTS = [kind.model_json_schema() for kind in (PlacedImage, Attempt)]
+_IMAGE = _body({"anyOf": _ATTEMPTS}, "application/json")
 _NAMED_IMAGE = _body(NamedImage.model_json_schema(), "application/json")
 _EPISODE: Any = {"response_model": EpisodeState, "tags": ["episode"]}
 TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
@@ -290,15 +321,32 @@ async def _picture(request: Request, session: Session) -> Array:
     return await PICTURES.read(read_picture, await request.body(), kind, colour)
 
 
-async def _place(position_mm: Numbers = None, direction: Numbers = None) -> Place:
-    return Place.model_validate({"position_mm": position_mm, "direction": direction})
+async def _place(
+    position_mm: Numbers = None,
+    direction: Numbers = None,
+    force_n: float | None = None,
+    miss: bool = False,
+) -> Place:
+    if miss:
+        raise ValueError(_MISS_WITH_IMAGE)
+    return Place.model_validate(
+        {"position_mm": position_mm, "direction": direction, "force_n": force_n}
+    )
 
 
 async def _posted(request: Request) -> tuple[dict[str, Any], Array]:
     return await NUMBERS.read(read_json, await request.body())
 
 
+async def _attempted(request: Request) -> tuple[dict[str, Any], Array | None]:
+    body = await request.body()
+    if is_miss(body):
+        return json.loads(body), None
+    return await NUMBERS.read(read_json, body)
+
+
 Posted = Annotated[tuple[dict[str, Any], Array], Depends(_posted)]
+Attempted = Annotated[tuple[dict[str, Any], Array | None], Depends(_attempted)]
 PlaceQuery = Annotated[Place, Depends(_place)]
 StoredTouches = Annotated[Teacher, Depends(_teacher)]
 Picture = Annotated[Array, Depends(_picture)]
@@ -391,13 +439,18 @@ def end(session: Session) -> Any:
 
 
 @router.post("/touch", **_EPISODE, openapi_extra=_IMAGE)
-def touch(posted: Posted, session: Session) -> Any:
-    """Take one touch, as numbers, into the episode; return the belief.
+def touch(attempted: Attempted, session: Session) -> Any:
+    """Take one touch, as numbers, or a miss into the episode; return the belief.
 
     Of more than some thousand taxels, send `touch/picture`: that is read at once.
     """
-    rest, image = posted
-    place = Place.model_validate(rest).columns()
+    rest, image = attempted
+    attempt = Attempt.model_validate(rest)
+    if attempt.miss and image is not None:
+        raise ValueError(_MISS_WITH_IMAGE)
+    if not attempt.miss and image is None:
+        raise ValueError("A touch must have an image, unless it is a miss; got none.")
+    place = attempt.columns()
     return JSONResponse(session.post_touch(image, place))
 
 
@@ -441,9 +494,12 @@ def episode_picture(
 ) -> Response:
     """Return one touch of the episode as a PNG."""
     episode = session.episode
-    if not 1 <= number <= len(episode.images):
-        raise HTTPException(404, f"The episode has no touch {number}.")
-    return shown_touch(episode.images[number - 1], episode.channels, side)
+    image = None
+    if 1 <= number <= len(episode.images):
+        image = episode.images[number - 1]
+    if image is None:
+        raise HTTPException(404, f"The episode has no picture of touch {number}.")
+    return shown_touch(image, episode.channels, side)
 
 
 @router.post("/teach", tags=["teach"])

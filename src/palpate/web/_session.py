@@ -1,5 +1,6 @@
 """A live session: touches in, a belief that moves, objects taught and learnt."""
 
+import copy
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,6 +12,7 @@ import numpy as np
 
 from .._checks import check_number
 from .._types import Array
+from ..exploration import SurfaceMap
 from ..recognition import (
     OTHER_MOUNTING,
     STRANGERS,
@@ -27,7 +29,7 @@ from ..sensors import (
     desk_of,
 )
 from ..touches import Touches
-from ._episode import LiveEpisode, Vector
+from ._episode import LiveEpisode
 from ._images import ImageKind, Names, check_image
 from ._learning import LearningError, learn_apart, start_learning
 from ._quality import advice, object_quality
@@ -194,22 +196,27 @@ class LiveSession:
         return [sentence for sentence in sentences if sentence]
 
     def post_touch(
-        self, image: Array, place: Mapping[str, Vector] | None = None
+        self, image: Array | None, place: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """Take one touch from outside into the episode; return the episode.
 
-        `place` holds its `position_mm` and `direction`, where they are known.
+        Without an `image` nothing was met. `place` holds its `position_mm` and
+        `direction`, and its `force_n`, where they are known.
 
         Raises
         ------
         ValueError
-            The image does not suit the sensor or the model.
+            The image does not suit the sensor or the model; or the way on which
+            nothing was met is far from the object.
         """
-        self._recognise(*self._checked(image), time.monotonic(), place=place)
+        channels: Names = None
+        if image is not None:
+            image, channels = self._checked(image)
+        self._recognise(image, channels, time.monotonic(), place=place)
         return self.episode.to_dict()
 
     def post_lesson(
-        self, name: str, image: Array, place: Mapping[str, Vector] | None = None
+        self, name: str, image: Array, place: Mapping[str, Any] | None = None
     ) -> str:
         """Store one touch of an object from outside; return its id."""
         with self._editing():
@@ -219,8 +226,9 @@ class LiveSession:
     def view_from_above(self) -> dict[str, Any]:
         """Return what the places of the episode's touches tell; see `TopView`."""
         with self._lock:
-            view, episode = self._top_view, self.episode
-        return {} if view is None else view.of(episode)
+            view, touches = self._top_view, list(self.episode.touches)
+            belief = copy.copy(self.episode.belief)
+        return {} if view is None else view.of(touches, belief)
 
     def begin_episode(self) -> None:
         """Put the touches of the episode aside; the next one begins a new one."""
@@ -245,9 +253,9 @@ class LiveSession:
             self._watched().end_press()
             self.message = self.trouble = ""
             episode = self.episode
-            touched = list(zip(episode.images, episode.touches, strict=False))[:wanted]
-            for image, touch in touched if keep_episode else ():
-                self.message = self._take(image, touch.place)
+            touched = list(episode.pictured())[:wanted]
+            for touch, image in touched if keep_episode else ():
+                self.message = self._take(image, touch.columns)
             self._new_episode()
 
     def stop_teaching(self) -> None:
@@ -471,8 +479,13 @@ class LiveSession:
                 learnt = self.teacher.touches_of_ids(ids, shape)
             return learnt
 
-        strangers = self.accepted["strangers"]
-        return TopView(recogniser, read_learnt, strangers, self._notify_state)
+        def learnt(surface_map: SurfaceMap | None) -> None:
+            with self._changing():
+                waits = self.episode.is_placed and not self.episode.by_place
+                if surface_map is not None and waits and self.recogniser is recogniser:
+                    self.episode.believe_by_place(surface_map)
+
+        return TopView(recogniser, read_learnt, learnt)
 
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
@@ -507,17 +520,18 @@ class LiveSession:
 
     def _recognise(
         self,
-        image: Array,
+        image: Array | None,
         channels: Names,
         ended_s: float,
         device_time_s: float | None = None,
-        place: Mapping[str, Vector] | None = None,
+        place: Mapping[str, Any] | None = None,
     ) -> None:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
+            self._use_places(place)
             touch = self.episode.add(image, channels, place)
             touch.device_time_s = device_time_s
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
@@ -525,7 +539,19 @@ class LiveSession:
             episode = {**self.episode.to_dict(), "touches": [dict(vars(touch))]}
             values = {"episode": episode, "nearest": self.episode.nearest}
             self.listeners.notify(Event("touch", values, b"", image, channels))
-        self._check_mounting()
+        if image is not None:
+            self._check_mounting()
+
+    def _use_places(self, place: Mapping[str, Any] | None) -> None:
+        """Let the belief be by places from the first touch on that has one."""
+        view, episode = self._top_view, self.episode
+        if view is None or episode.by_place or "position_mm" not in (place or {}):
+            return
+        if view.map is None:
+            view.learn()
+        else:
+            episode.believe_by_place(view.map)
+            self._notify_state()
 
     def _check_mounting(self) -> None:
         """After every ten touches, tell whether the sensor is as it was when taught."""

@@ -1,12 +1,13 @@
 """What was touched where, seen from above, and how the object stands there.
 
 A model whose touches were taught with their places, as `palpate explore learn` does,
-tells more of an episode whose touches have places too. This is worked out when the page
-asks for it, from the touches of the episode, and never keeps a touch waiting.
+tells more of an episode whose touches have places too: its belief is then by pictures
+and places. The map that this needs is learnt when the first touch with a place comes,
+in a thread of its own, and never keeps a touch waiting.
 """
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,13 @@ from .._types import Floats
 from ..exploration import PlaceBelief, SurfaceMap
 from ..recognition import ObjectRecogniser, share_of
 from ..touches import Touches
-from ._episode import LiveEpisode, LiveTouch
+from ._episode import LiveTouch
 
 LEARNING = "Learning where the objects have their surface; this takes some seconds."
+_NO_PLACE = "No touch has a place that counts."
 _NO_PLACES = "The model was taught without places, so that these tell nothing."
 _TOO_MANY = "The model is of {} touches; where they met something is used up to {}."
 _MOST_TOUCHES = 3000
-_MOST = 100  # of an episode: what every next one costs grows with their cube
 _ELLIPSE = "x_mm", "y_mm", "long_mm", "short_mm", "turn_deg"
 
 ReadLearnt = Callable[[], Touches | None]
@@ -38,57 +39,56 @@ class TopView:
         The model.
     read_learnt : callable
         Returns the touches that it learnt, in that order, or None.
-    strangers : float
-        The share of episodes with something never learnt.
-    changed : callable
-        Called when there is more to be seen, from another thread.
+    learnt : callable
+        Called with the map when it is learnt, from another thread; with None where
+        that cannot be.
+
+    Attributes
+    ----------
+    map : SurfaceMap or None
+        Where the objects have their surface, once that is learnt.
     """
 
     def __init__(
         self,
         recogniser: ObjectRecogniser,
         read_learnt: ReadLearnt,
-        strangers: float,
-        changed: Callable[[], None],
+        learnt: Callable[[SurfaceMap | None], None],
     ) -> None:
         self._recogniser, self._read_learnt = recogniser, read_learnt
-        self._strangers, self._changed = strangers, changed
+        self._learnt = learnt
         self._lock = threading.Lock()
         self._learner: threading.Thread | None = None
-        self._map: SurfaceMap | None = None
-        self._belief: PlaceBelief | None = None
-        self._taken: list[LiveTouch] = []
+        self.map: SurfaceMap | None = None
         self._trouble = LEARNING
 
-    def of(self, episode: LiveEpisode) -> dict[str, Any]:
-        """Return what is seen of an episode; nothing where no touch has a place.
-
-        The first time that there is something to be seen the map is learnt, in a thread
-        of its own.
-        """
-        touches = list(episode.touches)
-        placed = [touch for touch in touches if touch.place]
-        view: dict[str, Any] = {"touches": [_dot(touch) for touch in placed]}
+    def learn(self) -> None:
+        """Begin to learn the map, where that has not begun."""
         with self._lock:
-            if placed and self._learner is None:
+            if self._learner is None:
                 self._learner = threading.Thread(target=self._learn, daemon=True)
                 self._learner.start()
-            if not placed or self._map is None:
-                return {**view, "sentence": self._trouble if placed else ""}
-            try:
-                return {**view, **_expected(self._believe(episode, placed[:_MOST]))}
-            except ValueError as error:
-                return {**view, "sentence": str(error)}
+
+    def of(self, touches: list[LiveTouch], belief: object) -> dict[str, Any]:
+        """Return what is seen of an episode; nothing where no touch has a place."""
+        placed = [touch for touch in touches if touch.position_mm]
+        view: dict[str, Any] = {
+            "touches": [_dot(touch) for touch in placed if not touch.miss],
+            "misses": [_dot(touch) for touch in placed if touch.miss],
+        }
+        if not placed or not isinstance(belief, PlaceBelief):
+            return {**view, "sentence": self._trouble if placed else ""}
+        if not belief.n_contacts:
+            return {**view, "sentence": placed[-1].note or _NO_PLACE}
+        return {**view, **_expected(belief)}
 
     def _learn(self) -> None:
-        surface_map, trouble = None, ""
         try:
-            surface_map = self._learnt_map()
+            self.map, trouble = self._learnt_map(), ""
         except (ValueError, OSError, MemoryError) as error:
             trouble = str(error)
-        with self._lock:
-            self._map, self._trouble = surface_map, trouble
-        self._changed()
+        self._trouble = trouble
+        self._learnt(self.map)
 
     def _learnt_map(self) -> SurfaceMap:
         n_touches = len(self._recogniser.memory_)
@@ -98,22 +98,6 @@ class TopView:
         if learnt is None or "position_mm" not in learnt.columns:
             raise ValueError(_NO_PLACES)
         return SurfaceMap().fit(self._recogniser, learnt)
-
-    def _believe(
-        self, episode: LiveEpisode, placed: Sequence[LiveTouch]
-    ) -> PlaceBelief:
-        """Return the belief after these touches; what was taken in stays so."""
-        assert self._map is not None
-        belief, n_taken = self._belief, len(self._taken)
-        if belief is None or self._taken != [*placed[:n_taken]]:
-            belief, n_taken = self._map.start(strangers=self._strangers), 0
-        self._belief = None  # begun anew where a touch is refused
-        for touch in placed[n_taken:]:
-            about: dict[str, Any] = {name: [at] for name, at in touch.place.items()}
-            image = episode.images[touch.number - 1][np.newaxis]
-            belief.update(Touches(image, channels=episode.channels, **about))
-        self._belief, self._taken = belief, [*placed]
-        return belief
 
 
 def archive_beside(model: Path) -> Touches | None:

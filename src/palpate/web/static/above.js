@@ -21,21 +21,24 @@ export async function showAbove(episode) {
   asking = true;
   const seen = await get("episode/above");
   asking = false;
-  if (seen?.touches.length && !find("above").hidden) draw(seen);
+  if (seen && seen.touches.length + seen.misses.length && !find("above").hidden) draw(seen);
   if (again) showAbove(latest);
 }
 
-function draw({ sentence, pose, touches, surface }) {
+function draw({ sentence, pose, touches, misses, surface }) {
   text(find("above-sentence"), sentence);
   const svg = find("above").querySelector("svg");
-  const { left, top, width, height } = frame([...touches, ...surface]);
+  const { left, top, width, height } = frame([...touches, ...misses, ...surface]);
   const size = Math.max(width, height);
   svg.setAttribute("viewBox", `${left} ${top} ${width} ${height}`);
-  const where = touches.map(({ number, x_mm, y_mm }) => `touch ${number} at ${Math.round(x_mm)}, ${Math.round(y_mm)} mm`);
+  const at = ({ x_mm, y_mm }) => `at ${Math.round(x_mm)}, ${Math.round(y_mm)} mm`;
+  const where = [...touches.map((touch) => `touch ${touch.number} ${at(touch)}`),
+    ...misses.map((miss) => `nothing met by touch ${miss.number} ${at(miss)}`)];
   svg.setAttribute("aria-label", `From above. ${sentence} ${where.join("; ")}.`);
   svg.replaceChildren(
     ...surface.map(expected),
     ...(pose ? standing(pose, size) : []),
+    ...misses.map((miss) => missed(miss, size)),
     ...touches.flatMap((touch) => met(touch, size)),
     ...scale(left, top + height, size),
   );
@@ -70,6 +73,13 @@ function met({ number, x_mm, y_mm }, size) {
   const place = { transform: `translate(${x_mm} ${-y_mm})` };
   const written = drawn("text", { ...place, "font-size": 1.25 * DOT * size }, String(number));
   return [drawn("circle", { ...place, r: DOT * size }), written];
+}
+
+// A cross where the tip ended without having met anything.
+function missed({ x_mm, y_mm }, size) {
+  const r = DOT * size;
+  const d = `M${x_mm - r} ${-y_mm - r}l${2 * r} ${2 * r}m0 ${-2 * r}l${-2 * r} ${2 * r}`;
+  return drawn("path", { class: "missed", d, stroke: "currentColor", "stroke-width": r / 3 });
 }
 
 // A length to compare with, in the lower left corner.

@@ -190,7 +190,8 @@ function band(at, y, height, fill) {
 }
 
 function drawStrip(touches) {
-  pictures(find("strip"), touches.map(({ number }) => {
+  pictures(find("strip"), touches.map(({ number, miss }) => {
+    if (miss) return { key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number} met nothing` };
     const src = url(`episode/touches/${number}/picture?episode=${episode.number}`);
     const large = url(`episode/touches/${number}/picture?episode=${episode.number}&side=480`);
     return { key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number}`, src,

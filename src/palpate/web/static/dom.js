@@ -31,11 +31,13 @@ export function show(element, whether) {
 }
 
 // A row of pictures; those that stay are not loaded again. With `open` each is a button.
+// Without a source there is a cross: nothing was met.
 export function pictures(list, items) {
   const old = new Map([...list.children].map((item) => [item.dataset.key, item]));
   list.replaceChildren(...items.map(({ key, label, alt, src, open }) => {
     const kept = old.get(key);
-    if (!kept) return make("li", { "data-key": key }, pressable(make("img", { class: "thumb", alt, src }), open), label);
+    const picture = src ? make("img", { class: "thumb", alt, src }) : make("span", { class: "thumb missed", role: "img", "aria-label": alt }, "×");
+    if (!kept) return make("li", { "data-key": key }, pressable(picture, src && open), label);
     text(kept.lastChild, label);
     return kept;
   }));
