@@ -95,7 +95,7 @@ def test_the_filter_changes_nothing_and_the_threshold_takes_off_the_noise(run):
 def test_directions_are_worth_the_same_until_there_is_a_touch(run):
     names = run("11_next_touch")
     before, after = (gain.reshape(-1, 24) for gain in names["gains"].values())
-    assert np.ptp(before, axis=1).max() < 1e-5 < 0.1 < np.ptp(after, axis=1).min()
+    assert np.ptp(before, axis=1).max() < 1e-5 < 0.05 < np.ptp(after, axis=1).min()
     belief = names["end"].belief.posterior
     assert max(belief, key=belief.get) == "mug"
     for axis, gain in zip(names["axes"], (before, after), strict=True):
@@ -209,12 +209,13 @@ def test_what_is_kept_comes_back_and_twice_is_once(run):
     assert len(names["everything"]) == 20  # ten presses of the disc on each day
     assert len(names["discs"]) == len(names["back"]) == 10
     np.testing.assert_array_equal(names["back"].images, names["discs"].images)
-    assert len(names["library"]) == 40  # two parts, two days, ten presses
+    assert (
+        names["n_touches"] == 40
+    )  # each added twice: two parts, two days, ten presses
     for day, line in zip(("monday", "tuesday"), names["axes"], strict=True):
         assert line[0].get_ylabel() == day
     monday, tuesday = ([a.images[0].get_array() for a in r] for r in names["axes"])
     assert np.mean(tuesday) > 1.5 * np.mean(monday)  # twice the load
-    assert len(names["again"]) == len(names["presses"]) == 20
 
 
 def test_the_best_order_drawn_is_the_one_chosen(run):
@@ -308,7 +309,8 @@ def test_descriptors_alone_are_as_poor_as_the_text_says():
 def test_geometry_is_easier_here_and_scaling_decides_which_features_count(run):
     names = run("32_liu_features")
     ours = {}
-    for row in names["result"]["rows"]:
+    drawn = [row for row in names["result"]["rows"] if row["data"] == "simulated"]
+    for row in drawn:
         if row["paper"] and row["table"].startswith("Fig"):
             what, paper = row["encoding"], row["paper"]
             ours[what, row["classes"], row["features"]] = row["ours"]
@@ -330,8 +332,8 @@ def test_geometry_is_easier_here_and_scaling_decides_which_features_count(run):
         for line in axis.lines
         if line.get_markerfacecolor() == "none"
     ]
-    drawn = {float(y) for line in hollow for y in line.get_ydata()}
-    assert drawn == {*FIGURES.values()}
+    marks = {float(y) for line in hollow for y in line.get_ydata()}
+    assert marks == {*FIGURES.values()}
     assert (Liu2014Plan.first_look["runs"], Liu2014Plan().runs) == (2, 10)
 
 
