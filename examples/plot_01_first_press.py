@@ -16,10 +16,10 @@ touches = simulate_touches(names, 1, random_state=3)
 print(touches)
 
 figure, axes = plt.subplots(2, 4, figsize=(7.2, 3.8))
-for column, touch in zip(axes.T, touches, strict=True):
-    image = touch.images[0].astype(float)
-    column[0].imshow(image, cmap="gray")
-    column[1].imshow(image - touches.no_contact, cmap="PuOr", vmin=-80, vmax=80)
+changes = touches.images.astype(float) - touches.no_contact
+for column, touch, change in zip(axes.T, touches, changes, strict=True):
+    column[0].imshow(touch.images[0], cmap="gray")
+    column[1].imshow(change, cmap="PuOr", vmin=-80, vmax=80)
     column[0].set_title(touch.object[0])
     for axis in column:
         axis.axis("off")

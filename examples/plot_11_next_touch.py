@@ -3,8 +3,10 @@ Where to touch next
 ===================
 
 A `TouchMap` learns what each thing feels like from every side. From it follows how much
-another touch is expected to tell, for every place on the hemisphere. Touches are then
-made where most is to be learnt.
+another touch is expected to tell, for every place on the hemisphere. Before the first
+touch nobody knows how a thing is turned, so all directions of a ring are worth the
+same; one touch of the mug makes it the likeliest, and the directions differ. The next
+touch is made where most is to be learnt, away from the first.
 """
 
 import matplotlib.pyplot as plt
@@ -37,6 +39,7 @@ end = explore(
     clock=stand.robot.clock,
 )
 gains["after one touch"] = strategy.expected_gain(end.belief, end.history)
+next_pose = strategy.next_pose(end.belief, end.history)
 print({name: round(share, 3) for name, share in end.belief.posterior.items()})
 
 figure, axes = plt.subplots(1, 2, figsize=(7.2, 3), sharey=True)

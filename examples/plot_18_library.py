@@ -20,8 +20,9 @@ with TouchLibrary.open(folder / "lab", create=True) as library:
             ["bar10", "disc13"], 10, load_kgf=load, random_state=0
         )
         library.add(presses, session=day)
-        again = library.add(presses, session=day)
-    print(len(library), "touches; adding them again added", len(again) - len(presses))
+        library.add(presses, session=day)
+    n_touches = len(library)
+    print(n_touches, "touches, although each was added twice")
     discs = library.touches("object = disc13 and session = tuesday")
     everything = library.touches("object = disc13")
 discs.save(folder / "discs.npz")

@@ -16,7 +16,7 @@ from palpate.studies.liu2014 import drawing
 less = {"protocol": "nested", "loads_kgf": (), "covers_mm": ()}
 result = run_study("liu2014", quick=True, **less)
 for row in result["rows"]:
-    if row["paper"] and row["table"].startswith("Fig"):
+    if row["data"] == "simulated" and row["paper"] and row["table"].startswith("Fig"):
         name = f"{row['name']}, {row['features']}"
         print(f"{name}: {row['ours']:.1f} %, in the paper {row['paper']:g} %")
 figure = drawing.class_sets(result["rows"])

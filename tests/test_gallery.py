@@ -6,8 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sklearn.base import TransformerMixin, is_classifier
+
+from palpate import ObjectRecogniser
+from palpate.encodings import ZernikeMoments
+from palpate.images import ArrayCleanUp, binarise
+from palpate.studies.liu2014 import Liu2014Plan
+from palpate.studies.liu2014.plan import FIGURES
 
 plt = pytest.importorskip("matplotlib.pyplot", reason='pip install "palpate[plot]"')
+from matplotlib.patches import Polygon  # noqa: E402
+
 pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -19,6 +28,18 @@ def run(tmp_path, monkeypatch):
     plt.switch_backend("agg")
     yield lambda name: runpy.run_path(str(EXAMPLES / f"plot_{name}.py"))
     plt.close("all")
+
+
+def test_below_each_press_is_what_it_changed(run):
+    names = run("01_first_press")
+    touches, (above, below) = names["touches"], names["axes"]
+    assert touches.object.tolist() == ["mug", "ball", "pen", "box"]
+    for touch, image, change in zip(touches, above, below, strict=True):
+        assert image.get_title() == touch.object[0]
+        image, change = (axis.images[0].get_array() for axis in (image, change))
+        np.testing.assert_array_equal(image, touch.images[0])
+        np.testing.assert_array_equal(change + touches.no_contact, image)
+        assert abs(change).max() > 80  # a press; noise is a few grey levels
 
 
 def test_the_bar_stays_unknown_and_the_disc_is_taken_for_a_hexagon(run):
@@ -56,6 +77,34 @@ def test_a_smaller_error_costs_touches_and_leaves_some_undecided(run):
     assert (np.diff(touches) > 0).all()
     undecided = names["outcome"][:, 2]
     assert undecided[-1] > undecided[0]
+
+
+def test_the_filter_changes_nothing_and_the_threshold_takes_off_the_noise(run):
+    stages = run("10_clean_up")["stages"]
+    assert [images.shape[1] for images in stages.values()] == [10, 33, 33, 33, 33]
+    raised, pressed = stages["gamma"], stages["binary"]
+    by_image = raised.reshape(len(raised), -1)
+    assert (by_image.mean(axis=1) < 2 * by_image.std(axis=1)).all()
+    np.testing.assert_array_equal(stages["filtered"], raised)
+    assert (raised >= stages["resized"]).all()
+    noise = (~pressed) & (stages["resized"] > 0)
+    assert noise.any(axis=(1, 2)).all()
+    assert raised[noise].mean() > 2 * stages["resized"][noise].mean()
+
+
+def test_directions_are_worth_the_same_until_there_is_a_touch(run):
+    names = run("11_next_touch")
+    before, after = (gain.reshape(-1, 24) for gain in names["gains"].values())
+    assert np.ptp(before, axis=1).max() < 1e-5 < 0.05 < np.ptp(after, axis=1).min()
+    belief = names["end"].belief.posterior
+    assert max(belief, key=belief.get) == "mug"
+    for axis, gain in zip(names["axes"], (before, after), strict=True):
+        np.testing.assert_array_equal(axis.images[0].get_array(), gain)
+    _, turn = np.unravel_index(after.argmax(), after.shape)
+    inward = names["next_pose"].direction
+    turned = np.arctan2(-inward[1], -inward[0]) - turn * np.pi / 12
+    assert np.cos(turned) > 0.9999
+    assert inward @ names["end"].history[0].direction < 0.5  # 60 degrees or more
 
 
 def test_remounting_helps_with_labels_and_without(run):
@@ -160,6 +209,132 @@ def test_what_is_kept_comes_back_and_twice_is_once(run):
     assert len(names["everything"]) == 20  # ten presses of the disc on each day
     assert len(names["discs"]) == len(names["back"]) == 10
     np.testing.assert_array_equal(names["back"].images, names["discs"].images)
+    assert (
+        names["n_touches"] == 40
+    )  # each added twice: two parts, two days, ten presses
+    for day, line in zip(("monday", "tuesday"), names["axes"], strict=True):
+        assert line[0].get_ylabel() == day
+    monday, tuesday = ([a.images[0].get_array() for a in r] for r in names["axes"])
+    assert np.mean(tuesday) > 1.5 * np.mean(monday)  # twice the load
+
+
+def test_the_best_order_drawn_is_the_one_chosen(run):
+    names = run("19_pipeline")
+    best = names["orders"][names["mean"].argmax()]
+    assert names["search"].best_params_ == {"zernikemoments__order": best}
+    (drawn,) = names["axes"].containers
+    np.testing.assert_array_equal(drawn.lines[0].get_ydata(), names["mean"])
+    assert isinstance(ZernikeMoments(), TransformerMixin)
+    assert is_classifier(ObjectRecogniser())
+
+
+def test_the_last_three_classifiers_give_likelihoods(run):
+    names = run("20_classifiers")
+    gives = [hasattr(c, "log_likelihood") for c in names["classifiers"].values()]
+    assert gives == [False] * 3 + [True] * 3
+    order = np.argsort(names["means"])
+    means, spreads = np.array(names["means"])[order], np.array(names["spreads"])[order]
+    assert (np.diff(means) < np.maximum(spreads[1:], spreads[:-1])).all()
+
+
+def outlined(axis):
+    """Return what the clean-up finds in the picture of an axis."""
+    return ArrayCleanUp().fit_transform(axis.images[0].get_array()[np.newaxis])[0]
+
+
+def overlap(one, other):
+    """Return the share of the pixels of either that are in both."""
+    return np.sum(one & other) / np.sum(one | other)
+
+
+def test_a_light_load_is_too_little_for_the_long_bar_and_a_thick_cover_blurs(run):
+    axes = np.reshape(run("30_liu_load_cover")["figure"].axes, (4, 6))
+    short, long = ([outlined(axis) for axis in line[:5]] for line in axes[:2])
+    assert [axis.get_title() for axis in axes[0, :5]] == [
+        f"{n} kgf" for n in range(1, 6)
+    ]
+    assert overlap(long[0], long[3]) < 0.75 < 0.85 < overlap(short[0], short[3])
+    for outlines in (short, long):
+        assert overlap(outlines[1], outlines[3]) > 0.9
+        assert overlap(outlines[4], outlines[3]) > 0.95  # nothing is distorted
+    assert [axes[2, at].get_title() for at in (2, 5)] == ["0.9 mm", "3 mm"]
+    for line in axes[2:]:
+        usual, thick = line[2], line[5]
+        assert outlined(thick).sum() > 1.25 * outlined(usual).sum()
+        peaks = [axis.images[0].get_array().max() for axis in (usual, thick)]
+        assert peaks[0] > 1.3 * peaks[1]
+
+
+def test_edges_lie_where_the_part_did_and_stages_are_thresholded_as_written(run):
+    names = run("31_liu_boundaries")
+    for axis in names["presses"].axes[:12]:
+        image = np.asarray(axis.images[0].get_array(), float)
+        row, col = np.indices(image.shape)
+        taxels = np.stack([col.ravel(), row.ravel()], axis=1)
+        outer, *holes = (Polygon(line.get_xydata()) for line in axis.lines)
+        inside = outer.get_path().contains_points(taxels)
+        for hole in holes:
+            inside &= ~hole.get_path().contains_points(taxels)
+        assert image.ravel()[inside].mean() > 4 * image.ravel()[~inside].mean()
+    stages = np.reshape(names["stages"].axes, (8, 3))
+    (filtered, *binary) = (
+        [np.asarray(axis.images[0].get_array()) for axis in line] for line in stages[4:]
+    )
+    for n, pictures in enumerate(binary, 1):
+        assert stages[4 + n, 0].get_ylabel().endswith(f"binary {n} x {n}")
+        np.testing.assert_array_equal(pictures, binarise(np.array(filtered), n))
+
+
+def test_a_boundary_is_short_and_its_slow_waves_miss_the_corners_of_a_hexagon(run):
+    off_circle = {}
+    for axis in run("31_liu_boundaries")["boundaries"].axes[:12]:
+        name, length = axis.get_title().split(": ")
+        boundary, slow = (patch.get_xy() for patch in axis.patches)
+        assert int(length) == len(boundary) - 1 < 3 * 33  # pixels of 33 x 33
+        radius = np.hypot(*(slow - slow.mean(axis=0)).T)
+        off_circle[name] = radius.std()  # pixels
+    for hexagon in ("hexagon13", "hexagon13-hole8"):
+        disc, square = (hexagon.replace("hexagon", n) for n in ("disc", "square"))
+        assert max(off_circle[hexagon], off_circle[disc]) < 0.4 < off_circle[square]
+
+
+def test_descriptors_alone_are_as_poor_as_the_text_says():
+    """The page of the study has ten runs; its last column is of forty descriptors."""
+    page = (EXAMPLES.parent / "docs/explanation/liu2014.md").read_text("utf-8")
+    rows = re.findall(r"\| simulated \| all \| FD \| .*\| ([\d.]+) \|", page)
+    assert [round(float(score)) for score in rows] == [40, 48]
+    assert FIGURES["FD", "all"] == 43
+
+
+def test_geometry_is_easier_here_and_scaling_decides_which_features_count(run):
+    names = run("32_liu_features")
+    ours = {}
+    drawn = [row for row in names["result"]["rows"] if row["data"] == "simulated"]
+    for row in drawn:
+        if row["paper"] and row["table"].startswith("Fig"):
+            what, paper = row["encoding"], row["paper"]
+            ours[what, row["classes"], row["features"]] = row["ours"]
+            assert paper == FIGURES[what, row["classes"]]
+            if what == "FD":
+                assert abs(row["ours"] - paper) < 10
+            if what == "GE":
+                assert row["ours"] > paper + 10
+    assert len(ours) == 12
+    for classes in ("all", "all solid"):
+        fd, ge, both = (
+            ours[what, classes, "z-scored"] for what in ("FD", "GE", "FD+GE")
+        )
+        assert both - fd < ge - both
+        assert ours["FD+GE", classes, "raw"] == ours["GE", classes, "raw"]
+    hollow = [
+        line
+        for axis in names["figure"].axes
+        for line in axis.lines
+        if line.get_markerfacecolor() == "none"
+    ]
+    marks = {float(y) for line in hollow for y in line.get_ydata()}
+    assert marks == {*FIGURES.values()}
+    assert (Liu2014Plan.first_look["runs"], Liu2014Plan().runs) == (2, 10)
 
 
 def test_a_pose_is_where_the_part_lies_by_its_standard_deviations(run):
