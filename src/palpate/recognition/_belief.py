@@ -20,7 +20,7 @@ from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
 from ._promise import Promise
 from ._senses import Modality
-from ._sentences import n_touches_of, sentence_of, share_of
+from ._sentences import OTHER_SESSION, n_touches_of, sentence_of, share_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -523,7 +523,10 @@ class Belief:
         )
         if not expected:
             stranger = "A closed world was asked for: it is one of those learnt."
-        sentences = [leaders, stranger, str(self.promise(error))]
+        promise = self.promise(error)
+        sentences = [leaders, stranger, str(promise._replace(other_session=False))]
+        if promise.other_session:
+            sentences.append(OTHER_SESSION)
         n_silent = self.touches_used - self._n_informative
         if n_silent:
             sentences.append(f"{n_touches_of(n_silent)} said nothing.")

@@ -253,7 +253,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self._calibrate(memory)
         self.pose_: PressPose | None = None
         self.modalities_: dict[str, Modality] = {}
-        self.mounting_ = None
+        self.mounting_: MountingCheck | None = None
         return self
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
@@ -414,7 +414,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             new = as_touches(touches)
             touches, rim = self.evidence(new), rim_moved(self.encoder_, new)
         check = check_mounting(self.learnt(), touches, rim, self.random_state)
-        self.mounting_: MountingCheck | None = check
+        self.mounting_ = check
         return check
 
     def predict(self, X: Touches | ArrayLike) -> Array:
