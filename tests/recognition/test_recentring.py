@@ -190,7 +190,9 @@ def test_an_alarm_is_said_by_beliefs_until_touches_are_confirmed(learnt):
     recogniser = adapt(learnt, _day(0.0, 2, n_each=4))
     assert not recogniser.start().promise().other_session
     assert recogniser.check_mounting(there).changed
-    for belief in (recogniser.start(), recogniser.episode().add(there[0]).belief):
+    episode = recogniser.episode()
+    episode.add(there[0])
+    for belief in (recogniser.start(), episode.belief):
         assert belief.promise().other_session
         assert sum(OTHER_SESSION in sentence for sentence in belief.why()) == 1
     belief = recogniser.remount(there).start()
