@@ -185,7 +185,7 @@ def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
         assert not any(OTHER_SESSION in sentence for sentence in belief.why())
 
 
-def test_an_alarm_is_said_by_beliefs_until_touches_are_confirmed(learnt):
+def test_an_alarm_is_said_by_beliefs_until_touches_are_confirmed(learnt, tmp_path):
     there = _day(3.0, 1, n_each=4)
     recogniser = adapt(learnt, _day(0.0, 2, n_each=4))
     assert not recogniser.start().promise().other_session
@@ -195,6 +195,8 @@ def test_an_alarm_is_said_by_beliefs_until_touches_are_confirmed(learnt):
     for belief in (recogniser.start(), episode.belief):
         assert belief.promise().other_session
         assert sum(OTHER_SESSION in sentence for sentence in belief.why()) == 1
+    stored = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
+    assert not stored.start().promise().other_session  # an alarm is of today
     belief = recogniser.remount(there).start()
     assert not belief.promise().other_session
     assert not any(OTHER_SESSION in sentence for sentence in belief.why())

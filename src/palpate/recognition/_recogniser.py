@@ -164,6 +164,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     classifier_: TouchClassifier
     memory_: Memory
 
+    # The last check of the mounting: of today, so that no file holds it.
+    _mounting: MountingCheck | None = None
+
     def __init__(
         self,
         preset: PresetName | None = "default",
@@ -253,7 +256,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self._calibrate(memory)
         self.pose_: PressPose | None = None
         self.modalities_: dict[str, Modality] = {}
-        self.mounting_: MountingCheck | None = None
+        self._mounting = None
         return self
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
@@ -378,7 +381,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if "confirmed" in rehearsal:
             remount_report["expected"] = list(rehearsal["confirmed"])
         self.chosen_ = {**self.chosen_, "remount": remount_report}
-        self.mounting_ = None
+        self._mounting = None
         return self
 
     def learn_nuisance(self, touches: Touches) -> int:
@@ -406,7 +409,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         Some ten touches, or the evidence of them, of several objects if possible;
         labels are not used. Of sessions like those of training about one in twenty is
         called changed. Beliefs begun afterwards say so too (`Belief.promise`, `why`),
-        until the next check or `remount`; it is kept as `mounting_`, not in files.
+        until the next check or `remount` with labels; files do not keep it.
         """
         self._check_fitted()
         rim: list[str] = []
@@ -414,7 +417,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             new = as_touches(touches)
             touches, rim = self.evidence(new), rim_moved(self.encoder_, new)
         check = check_mounting(self.learnt(), touches, rim, self.random_state)
-        self.mounting_ = check
+        self._mounting = check
         return check
 
     def predict(self, X: Touches | ArrayLike) -> Array:
@@ -555,7 +558,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def judge(self) -> Judge:
         """Return what beliefs are made by."""
         self._check_fitted()
-        check: MountingCheck | None = getattr(self, "mounting_", None)
+        check = self._mounting
         unconfirmed = not self.chosen_.get("remount", {}).get("labelled", True)
         return Judge(
             classes=self.classes_.astype(str),
