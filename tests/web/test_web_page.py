@@ -674,9 +674,15 @@ def test_several_sensors_are_live_side_by_side(
         for image in drawn.images[:2]:
             for session in sessions:
                 session.post_touch(image)
-        beliefs = [session.episode.touches[-1].posterior for session in sessions]
-        share = np.prod([b["disc"] for b in beliefs])
-        share /= share + np.prod([b["bar"] for b in beliefs])
+        touches = [session.episode.touches[-1] for session in sessions]
+        priors = {"disc": 0.95 / 2, "bar": 0.95 / 2, "nothing learnt": 0.05}
+        beliefs = [{**t.posterior, "nothing learnt": t.unknown} for t in touches]
+        assert beliefs[0].keys() == priors.keys()
+        weights = {
+            name: prior * np.prod([belief[name] / prior for belief in beliefs])
+            for name, prior in priors.items()
+        }
+        share = weights["disc"] / sum(weights.values())
         expect(page.locator("#together")).to_contain_text("All together: disc")
         shown = re.search(r"disc >?([\d.]+) %", page.inner_text("#together"))
         assert float(shown[1]) == pytest.approx(100 * share, abs=0.6)

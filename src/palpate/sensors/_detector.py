@@ -153,7 +153,7 @@ class TouchDetector:
         if self.touching and not force:
             raise ContactError(
                 "Something touches the sensor. Lift it and take the baseline again; "
-                "if nothing touches it, insist (force)."
+                "if nothing touches it, take it anyway (force)."
             )
         stack = np.stack(frames).astype(np.float64)
         if not force and _moving(stack, self._least(frames[0])):
@@ -166,7 +166,7 @@ class TouchDetector:
         if first and (where := _pressed(mean, self._least(frames[0]))):
             raise ContactError(
                 f"Something may press the sensor {where}. Lift it and take the "
-                "baseline again; if nothing touches it, insist (force)."
+                "baseline again; if nothing touches it, take it anyway (force)."
             )
         self._before = self.baseline, self.noise
         levels = [_rms(frame - mean) for frame in stack]

@@ -182,7 +182,9 @@ class Teacher:
         if len(lesson.ids) < lesson.wanted:
             return stored
         self.end()
-        return f"{stored} {lesson.verdict or 'Learn to recognise it.'}"
+        can_learn = sum(count > 1 for count in self._counts().values()) > 1
+        then = "Learn to recognise it." if can_learn else "Teach another object."
+        return f"{stored} {lesson.verdict or then}"
 
     def undo(self) -> tuple[str, str]:
         """Take back what was done last on the page; return the object and what to say.

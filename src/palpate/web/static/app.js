@@ -8,7 +8,7 @@ import { showObjects, startObjects } from "./objects.js";
 import { drawFrame, showHealth, showOffline, showSensor, startSensor } from "./sensor.js";
 import { drawTile, showMixed, showSensors } from "./sensors.js";
 import { listen } from "./socket.js";
-import { showSteps } from "./steps.js";
+import { showNoStep, showSteps } from "./steps.js";
 import { showTeach, startTeach } from "./teach.js";
 
 let message = null;
@@ -64,6 +64,8 @@ listen({
     show(find("offline"), !whether && !refused);
     show(find("refused"), !whether && refused);
     document.body.dataset.online = String(whether);
-    if (!whether) showOffline();
+    if (whether) return;
+    showOffline();
+    showNoStep();
   },
 });

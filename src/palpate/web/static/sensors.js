@@ -4,6 +4,7 @@ import { draw } from "./sensor.js";
 import { here, OF_ALL } from "./api.js";
 import { find, make, percent, show, text } from "./dom.js";
 
+const NOTHING_LEARNT = "nothing learnt";
 const tiles = new Map();
 
 // Take in news of any sensor, chosen or not.
@@ -19,9 +20,10 @@ export function showSensors({ kind, sensor_number: number, sensor, episode }) {
     showMixed();
   }
   if (!episode) return;
-  const last = episode.touches.at(-1)?.posterior ?? {};
-  tile.posterior = kind === "touch" || episode.touches.length ? last : {};
-  text(tile.belief, episode.decision ?? (Object.keys(last).length ? `${worded(last, 1)}?` : ""));
+  const last = episode.touches.at(-1);
+  tile.belief = last?.unknown === null || !last ? null : { ...last, strangers: episode.strangers };
+  const named = episode.decision === "unknown" ? "nothing I know" : episode.decision;
+  text(tile.words, named ?? (tile.belief ? `${worded(withUnknown(last), 1)}?` : ""));
   showTogether();
 }
 
@@ -31,10 +33,10 @@ export const drawTile = ({ sensor_number: number }, bitmap, array) => {
 
 function addTile(number) {
   const parts = { canvas: make("canvas", { role: "img", "aria-label": `Live image of sensor ${number}` }), name: make("b"),
-    contact: make("span", { class: "pill" }), belief: make("span", { class: "tile-belief" }), lost: make("span", { class: "soft" }) };
+    contact: make("span", { class: "pill" }), words: make("span", { class: "tile-belief" }), lost: make("span", { class: "soft" }) };
   const link = make("a", { href: number === 1 ? "/" : `/?sensor=${number}`, class: "tile" }, ...Object.values(parts));
   if (number === here) link.setAttribute("aria-current", "true");
-  tiles.set(number, { ...parts, posterior: {} });
+  tiles.set(number, { ...parts, belief: null });
   find("tiles").append(link);
   show(find("sensors"), tiles.size > 1);
   OF_ALL.count = tiles.size;
@@ -55,16 +57,29 @@ export function showMixed() {
     + "Put the same before all of them, or untick “with all of them”.");
 }
 
-const worded = (posterior, count) => Object.entries(posterior).sort((a, b) => b[1] - a[1]).slice(0, count)
+const worded = (shares, count) => Object.entries(shares).sort((a, b) => b[1] - a[1]).slice(0, count)
   .map(([name, share]) => `${name} ${percent(share)}`).join(", ");
 
-// Independent evidence adds up: the product of beliefs over what all models know.
+const withUnknown = ({ posterior, unknown }) => ({ ...posterior, [NOTHING_LEARNT]: unknown });
+
+// Independent evidence adds up: what all models know and nothing learnt, each as probable
+// as before the first touch, times how much more or less probable every sensor made it.
 function showTogether() {
-  const beliefs = [...tiles.values()].map((tile) => tile.posterior).filter((one) => Object.keys(one).length);
-  const names = beliefs.length > 1 ? Object.keys(beliefs[0]).filter((name) => beliefs.every((one) => name in one)) : [];
-  const sums = names.map((name) => beliefs.reduce((sum, one) => sum + Math.log(Math.max(one[name], 1e-300)), 0));
-  const shares = sums.map((sum) => Math.exp(sum - Math.max(...sums)));
-  const whole = shares.reduce((sum, share) => sum + share, 0);
+  const beliefs = [...tiles.values()].map((tile) => tile.belief).filter(Boolean);
+  const names = beliefs.length > 1 ? Object.keys(beliefs[0].posterior).filter((name) => beliefs.every((one) => name in one.posterior)) : [];
   show(find("together"), names.length > 1);
-  text(find("together"), `All together: ${worded(Object.fromEntries(names.map((name, at) => [name, shares[at] / whole])), 3)}`);
+  if (names.length < 2) return;
+  const logs = names.map((name) => product(beliefs.map(({ posterior, strangers }) => [posterior[name], (1 - strangers) / Object.keys(posterior).length])));
+  logs.push(product(beliefs.map(({ unknown, strangers }) => [unknown, strangers])));
+  const most = Math.max(...logs);
+  const weights = logs.map((log) => Math.exp(log - most));
+  const whole = weights.reduce((sum, weight) => sum + weight, 0);
+  const shares = Object.fromEntries([...names, NOTHING_LEARNT].map((name, at) => [name, weights[at] / whole]));
+  text(find("together"), `All together: ${worded(shares, 3)}`);
+}
+
+// The logarithm of the first prior times all ratios of posterior to prior.
+function product(pairs) {
+  const log = (share) => Math.log(Math.max(share, 1e-300));
+  return pairs.reduce((sum, [share, prior]) => sum + log(share) - log(prior), log(pairs[0][1]));
 }

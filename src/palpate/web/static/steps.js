@@ -20,6 +20,9 @@ export function showSteps(state) {
   BUTTONS.forEach((id) => find(id).classList.toggle("primary", id === next));
 }
 
+// While the page hears nothing, no button is next.
+export const showNoStep = () => BUTTONS.forEach((id) => find(id).classList.remove("primary"));
+
 function stepOf({ sensor, lesson, model, library, learning }, next) {
   if (sensor && (!sensor.baseline || sensor.press)) return 1;
   if (library && (lesson || learning || !model || ["resume", "learn"].includes(next))) return 2;
@@ -28,6 +31,7 @@ function stepOf({ sensor, lesson, model, library, learning }, next) {
 
 // What is to be pressed next; nothing where a touch is next.
 function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode }) {
+  if (sensor?.lost) return null;
   if (sensor?.press) return sensor.press.found && !sensor.press.lower ? "press-keep" : null;
   if (sensor && !sensor.baseline) return "baseline";
   if (lesson || learning) return null;
