@@ -390,3 +390,93 @@ def test_a_miss_far_from_the_object_is_refused(surface_map):
     with pytest.raises(ValueError, match="Is it another unit or frame"):
         belief.update(TouchRecord("nothing", pose, end, travel_mm=315.0))
     assert belief.posterior == before
+
+
+def test_an_object_without_a_map_is_named(taught):
+    few = np.flatnonzero(taught.object == "mug")[:4]
+    rows = np.sort(np.concatenate([few, np.flatnonzero(taught.object != "mug")]))
+    part = taught[rows]
+    with pytest.raises(ValueError, match=r"got none for 'mug'.*fewer than 6 touches"):
+        SurfaceMap().fit(ObjectRecogniser().fit(part), part)
+
+
+def test_without_places_it_is_said(recogniser, taught):
+    kept = {"object": taught.object, "direction": taught.columns["direction"]}
+    bare = Touches(taught.images, geometry="dome", **kept)
+    learnt = ObjectRecogniser().fit(bare)
+    with pytest.raises(ValueError, match="must have a column 'position_mm'"):
+        SurfaceMap().fit(learnt, bare)
+    with pytest.raises(ValueError, match="must be of learnt objects, got 'ball'"):
+        SurfaceMap().fit(recogniser, taught, meshes={"ball": find_object("ball")})
+
+
+def test_a_hemisphere_that_the_arm_cannot_reach_is_said_in_one_sentence(arm, sensor):
+    class Undecided:
+        def start(self):
+            return self
+
+        def decide(self, error, refusal):
+            return None
+
+    class Short:
+        def __getattr__(self, name):
+            return getattr(arm, name)
+
+        def move_to(self, pose):
+            raise RuntimeError("joint 3 at its limit")
+
+    strategy = RandomHemisphere(Hemisphere(radius_mm=150), 1)
+    end = explore(Short(), sensor, Undecided(), strategy, max_attempts=9)
+    assert end.ended_by == "faults"
+    assert "reached none of the last 3 places of the hemisphere of 150 mm" in end.reason
+    assert "joint 3 at its limit" in end.reason
+
+
+# --- what was never learnt
+
+
+def test_a_first_contact_with_an_unlearnt_surface_has_the_density_of_the_process():
+    loose = Looseness(placement_mm=4, height_mm=3, sensor_mm=2)
+    before = UnlearntSurfaces.before(np.array([50.0, 90.0]), 10.0, loose)
+    first = before.met(np.array([70.0, 0, 0]))
+    # Of mean, turn-free part, roughness, placement along x, noise, and the sensor.
+    variances = np.array(
+        [100 + 900 + r**2 + 16 + n**2 + 4 for r in (4, 10, 25) for n in (1, 2, 4)]
+    )
+    density = (np.exp(-200 / variances) / np.sqrt(2 * np.pi * variances)).mean()
+    # A share of 0.03 over 150 mm is explained by nothing; both are 20 mm off.
+    expected = np.log(0.97 * density + 2e-4)
+    assert_allclose(first.log_evidence, [expected, expected], rtol=1e-9)
+    again = first.met(np.array([70.0, 1, 0]))
+    assert (again.log_evidence - first.log_evidence > first.log_evidence + 1).all()
+
+
+def test_a_learnt_shape_does_not_rule_out_a_face_that_was_never_learnt(surface_map):
+    belief, _, _ = _touched(surface_map, "mug", 6)
+    shape = belief.filter.log_evidence.reshape(len(surface_map.states_), -1)
+    learnt = np.log(np.exp(shape[~surface_map.is_other_]).mean(axis=1))
+    other = belief.log_place.reshape(shape.shape)[surface_map.is_other_, 0]
+    # Half of such faces have the shape of a learnt one of their size.
+    shares = np.exp(surface_map.log_alike_)
+    assert_allclose(shares.sum(axis=1), 1)
+    assert (np.exp(other) >= shares @ np.exp(learnt) / 2 * (1 - 1e-9)).all()
+
+
+def test_how_often_a_face_is_met_that_was_never_learnt(recogniser, taught, surface_map):
+    # Each face of the box was met in two recordings of six: by Good and Turing no face
+    # of one recording, and one recording more.
+    assert_allclose(surface_map.other_share_[0], 1 / 7)
+    usual = taught.with_columns(face=np.zeros(len(taught), int))
+    one_face = SurfaceMap(n_turns=12).fit(recogniser, usual)
+    assert_allclose(one_face.other_share_, 1 / 2)
+    fixed = SurfaceMap(n_turns=12, other_faces=0.2).fit(recogniser, taught)
+    assert_allclose(np.exp(fixed.log_share_of_state).sum() * 12, 3)
+    assert_allclose(fixed.other_share_, 0.2)
+
+
+def test_pictures_of_an_unlearnt_face_are_half_of_anything(surface_map):
+    sure = np.log(np.array([[0.998, 0.001, 0.001]]))
+    by_state = np.exp(surface_map.by_state(sure)[0])
+    of_object = np.exp(sure[0])[surface_map.object_of_state_]
+    expected = np.where(surface_map.is_other_, of_object / 2 + 1 / 6, of_object)
+    assert_allclose(by_state, expected)
