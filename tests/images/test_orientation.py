@@ -11,6 +11,7 @@ from palpate.images import (
     inscribed_mask,
     orientations,
 )
+from palpate.images._orientation import above_least
 
 
 def steepness(images):
@@ -53,6 +54,11 @@ def test_the_mask_is_of_pixel_centres_within_half_the_shorter_side(shape):
     row, col = np.indices(shape)
     away = np.hypot(row - (shape[0] - 1) / 2, col - (shape[1] - 1) / 2)
     assert_array_equal(inscribed_mask(*shape), away <= min(shape) / 2)
+
+
+def test_levels_count_from_the_least_in_the_mask():
+    levels = above_least([[[-9.0, 2.0], [5.0, 3.0]]], np.array([[False, True]] * 2))
+    assert_array_equal(levels, [[[0, 0], [0, 1]]])
 
 
 @pytest.mark.parametrize("angle", [-170, -90, -30, 0, 20, 45, 90, 135, 180])
