@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from palpate import TouchLibrary
 from palpate.cli import app
+from palpate.recognition import ModelFileError
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
 from palpate.web import LiveSession, start_all
 
@@ -118,3 +120,20 @@ def test_two_of_one_place_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
     ]
     folders = [session.teacher.folder.name for session in served]
     assert folders == ["sim-bar10-seed-1", "sim-bar10-seed-2"]
+
+
+def test_a_session_that_cannot_begin_lets_go_of_its_library(tmp_path, monkeypatch):
+    closed, plain = [], TouchLibrary.close
+
+    def close(library):
+        closed.append(library)
+        plain(library)
+
+    TouchLibrary.open(tmp_path / "lab", create=True).close()
+    monkeypatch.setattr(TouchLibrary, "close", close)
+    with pytest.raises(SensorError), LiveSession(Missing(), library=tmp_path / "lab"):
+        pass
+    (tmp_path / "m.palpate").write_bytes(b"no model")
+    with pytest.raises(ModelFileError):
+        LiveSession(model=tmp_path / "m.palpate", library=tmp_path / "lab")
+    assert len(closed) == 2

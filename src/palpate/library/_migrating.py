@@ -143,12 +143,18 @@ class _Old:
             )
         self._database = sqlite3.connect(copy)
         self._database.text_factory = lambda text: text.decode(errors="replace")
+        try:
+            self._read()
+        except BaseException:
+            self.close()
+            raise
+
+    def _read(self) -> None:
         [(version,)] = self._rows("PRAGMA user_version")
         if version not in OLD_VERSIONS:
-            self.close()
             raise LibraryError(
-                f"{folder} must be a library of format 1 or 2, got format {version}. "
-                "One of today needs no migration."
+                f"{self.folder} must be a library of format 1 or 2, got format "
+                f"{version}. One of today needs no migration."
             )
         [(self.n_touches,)] = self._rows("SELECT count(*) FROM touches")
         self._changes = [*self._read_changes()]

@@ -142,7 +142,11 @@ class LiveSession:
             model = Path(library) / "model.palpate"
         self.model_path = path = None if model is None else Path(model)
         if path is not None and (library is None or path.exists()):
-            self._use(ObjectRecogniser.load(path))
+            try:
+                self._use(ObjectRecogniser.load(path))
+            except BaseException:
+                self.stop()
+                raise
             journal = None if self.teacher is None else self.teacher.journal.path
             self.unlearnt = bool(journal and is_newer(journal, path))
 
@@ -175,7 +179,11 @@ class LiveSession:
             self.teacher.close()
 
     def __enter__(self) -> Self:
-        return self.start()
+        try:
+            return self.start()
+        except BaseException:
+            self.stop()
+            raise
 
     def __exit__(self, *exception: object) -> None:
         self.stop()
