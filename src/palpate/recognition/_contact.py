@@ -153,7 +153,7 @@ class ContactCheck(BaseEstimator):
         "no contact", "saturated" (more taxels at the limit of the sensor than in
         training), "double contact" (two separate regions, on arrays; on pads, within
         the one that is pressed most), or "turned or shifted": known to the encodings
-        that are blind to that, and new to the others. `every` (n_touches, n_encodings)
+        that are blind to that, and new to the others. `novelty` (n_touches, n_encodings)
         is how much each encoding leaves unexplained.
         """
         nothing = self.no_contact(touches, cleaned)
