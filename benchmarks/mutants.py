@@ -85,7 +85,7 @@ CORE = {
     "evaluation/_metrics.py": "metrics cluster_quality",
     "evaluation/_splits.py": "splits benchmark",
     "evaluation/_controls.py": "controls",
-    "evaluation/_advice.py": "advice",
+    "evaluation/_evaluate.py": "advice",
 }
 # What takes long to import and is none of the sources: once, not for each mutant.
 HEAVY = (

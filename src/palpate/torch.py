@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ._checks import check_option
-from ._extras import needed
+from ._checks import check_option, needed
 from ._types import Array, Indices
 from .touches import Touches, TouchSource
 

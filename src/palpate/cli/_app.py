@@ -18,8 +18,7 @@ import typer
 
 from .. import __version__
 from ._options import option
-from ._output import answer, printable, say
-from ._wording import as_typed, translate_for
+from ._output import answer, as_typed, printable, say, translate_for
 from .remount import sensor
 from .sensor_check import sensor_check
 
