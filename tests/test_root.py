@@ -7,8 +7,8 @@ from contextlib import nullcontext
 
 import pytest
 
-from palpate._checks import install, needed
 from palpate._durable import PARTIAL, replacing, write_text
+from palpate._extras import install, needed
 from palpate._parallel import in_parallel
 
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from threadpoolctl import ThreadpoolController
 
-from ._checks import needed
+from ._extras import needed
 from ._version import __version__
 
 _PATIENCE_S = 2.0  # what ends sooner needs no bar

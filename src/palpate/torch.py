@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ._checks import check_option, needed
+from ._checks import check_option
+from ._extras import needed
 from ._types import Array, Indices
 from .touches import Touches, TouchSource
 

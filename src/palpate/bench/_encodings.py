@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from joblib import cpu_count
 
-from .._checks import missing
+from .._extras import missing
 from .._types import Array, Bools, Floats, Singles
 from ..encodings import (
     ENCODINGS,

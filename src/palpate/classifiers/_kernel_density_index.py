@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from scipy.special import softmax
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, needed
+from .._checks import check_count
+from .._extras import needed
 from .._numbers import exp
 from .._types import Array, Floats, Indices, Singles
 from . import _kernel_sums

@@ -21,7 +21,7 @@ from warnings import catch_warnings, simplefilter
 
 import typer
 
-from .._checks import install, needed
+from .._extras import install, needed
 from ._output import say
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from .._checks import install
+from .._extras import install
 from ._options import AsJson
 from ._output import print_json, say, table
 

@@ -34,8 +34,9 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from .._checks import check_option, needed
+from .._checks import check_option
 from .._durable import replacing, write_text
+from .._extras import needed
 from .._types import Array
 from ..touches import Touches
 from ._convert import LONGEST_PATH, Made, Member, converted, digest

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import needed
+from .._extras import needed
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Singles
 

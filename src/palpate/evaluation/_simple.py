@@ -16,7 +16,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
-from .._checks import needed
+from .._extras import needed
 from .._types import Array, Floats
 
 EVERY = 5

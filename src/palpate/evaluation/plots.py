@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import needed
+from .._extras import needed
 from .._types import Array
 
 if TYPE_CHECKING:

@@ -28,7 +28,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from .._checks import check_count, check_number, check_option, missing
+from .._checks import check_count, check_number, check_option
+from .._extras import missing
 from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..simulation import HOUSEHOLD, DomeCamera, find_object, refuse_same_names

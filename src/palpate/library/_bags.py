@@ -30,7 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import did_you_mean, needed
+from .._checks import did_you_mean
+from .._extras import needed
 from .._types import Array
 from ..touches import Touches, TouchesError, shows_frame
 from ..touches import frame_of_message as _frame_of_message

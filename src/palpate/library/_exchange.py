@@ -30,8 +30,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from .._checks import ARRAY_SIDE, needed
+from .._checks import ARRAY_SIDE
 from .._durable import PARTIAL, flush_all, flush_folder
+from .._extras import needed
 from .._types import Array, Floats, Indices
 from ..touches import RGB, Touches, png_bytes, url_of, write_parquet
 from ._reading import Picked, read_array

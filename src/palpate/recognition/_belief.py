@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_number, check_option, needed
+from .._checks import check_number, check_option
+from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches

@@ -245,7 +245,7 @@ class Episode:
 
         Returns matplotlib's axes (extra `plot`), `ax` or new ones.
         """
-        from .._checks import needed
+        from .._extras import needed
 
         pyplot = needed("matplotlib.pyplot", "plot", "A picture of an episode")
         axes = pyplot.subplots(figsize=(6, 3))[1] if ax is None else ax

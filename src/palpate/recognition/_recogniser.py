@@ -16,7 +16,8 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
 from sklearn.utils.validation import validate_data
 
-from .._checks import check_count, check_number, check_option, needed, unmasked
+from .._checks import check_count, check_number, check_option, unmasked
+from .._extras import needed
 from .._numbers import log_softmax
 from .._parallel import on_one_thread, opencv_on_one_thread, results_of
 from .._types import Array, Bools, Floats, Indices

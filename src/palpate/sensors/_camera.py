@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import check_count, check_number, check_option, check_positive, needed
+from .._checks import check_count, check_number, check_option, check_positive
+from .._extras import needed
 from .._types import Array
 from ._contract import LiveSensor, SensorError
 

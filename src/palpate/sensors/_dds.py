@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-from .._checks import needed
+from .._extras import needed
 from ._contract import SensorError
 from .ros import (
     DEPTH,

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from .._checks import check_count, check_option, needed
+from .._checks import check_count, check_option
+from .._extras import needed
 from .._types import Array
 from ._contract import LiveSensor, SensorError
 from ._framing import _HEAD, _TYPES, SYNC, BinaryFraming, LineFraming

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
-from .._checks import needed
+from .._extras import needed
 from ._contract import SensorError
 from .ros import (
     DEPTH,

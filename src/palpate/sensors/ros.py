@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple, Protocol
 
-from .._checks import needed
+from .._extras import needed
 
 WHAT = "A topic of ROS 2"
 MAX_MESSAGE = 2**26  # bytes: 64 MiB hold any image

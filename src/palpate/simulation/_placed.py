@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import check_number, needed
+from .._checks import check_number
+from .._extras import needed
 from .._types import Floats, Singles
 from ._membrane import Membrane
 

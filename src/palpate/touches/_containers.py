@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._checks import needed
+from .._extras import needed
 from .._types import Array
 from ._columns import Arrays, TouchesError, belongs_to_whole
 

@@ -6,7 +6,8 @@ from html import escape
 
 import numpy as np
 
-from .._checks import check_count, needed
+from .._checks import check_count
+from .._extras import needed
 from .._types import Array
 from ._pictures import RGB
 

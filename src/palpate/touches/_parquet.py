@@ -25,7 +25,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from .._checks import ARRAY_SIDE, needed, size_said
+from .._checks import ARRAY_SIDE, size_said
+from .._extras import needed
 from .._types import Array
 from ._columns import Arrays, TouchesError
 from ._pictures import RGB, decode_bytes, png_bytes

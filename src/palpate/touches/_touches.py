@@ -15,7 +15,8 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import nearest_path, needed
+from .._checks import nearest_path
+from .._extras import needed
 from .._types import Array, Floats
 from . import _columns
 from ._archive import read_archive, write_archive

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from .._checks import needed
+from .._extras import needed
 from ._session import LiveSession
 
 if TYPE_CHECKING:
