@@ -122,7 +122,7 @@ def test_fewer_than_twenty_touches_where_it_is_not_good(n_taught, best, is_said)
 def test_another_mounting_is_helped_by_remounting(best, remount, is_said):
     figures = figures_of((best, best), split="session", remount=remount)
     said = recommendations(figures, [trial_of()])
-    assert any("--remount recentre:10" in one for one in said) == is_said
+    assert any("`remount=recentre:10`" in one for one in said) == is_said
 
 
 @pytest.mark.parametrize(("after", "is_said"), [(0.54, False), (0.55, True)])

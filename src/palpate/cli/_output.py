@@ -148,11 +148,11 @@ def translate_for(app: typer.Typer) -> None:
     _ROOT[:] = [app]
 
 
-def as_typed(text: str) -> str:
-    """Return a message in words of the verb that was typed."""
+def as_typed(text: str, *words: str) -> str:
+    """Return a message in words of the verb that was typed, or of that in `words`."""
     if not (_QUOTED.search(text) or _FIRST_WORD.search(text)):
         return text
-    options = _options_of(tuple(sys.argv[1:]))
+    options = _options_of(words or tuple(sys.argv[1:]))
     text = _QUOTED.sub(partial(_as_quoted, options), text)
     return _FIRST_WORD.sub(lambda word: options.get(word[1], (word[1],))[0], text)
 

@@ -330,12 +330,12 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if idle >= _IDLE_SHARE:
         yield (
             f"{idle:.0%} of the test touches are without contact, and not counted: "
-            "press until the picture changes, or record with a higher --begin."
+            "press until the picture changes, or record with a higher `begin`."
         )
     if best > 1.5 * figures["chance"] and as_good_alone(figures):
         yield (
             "What is no touch does as well as touch: record objects in turns, mount "
-            "the sensor anew in between, and evaluate with --split session."
+            "the sensor anew in between, and evaluate with `split=session`."
         )
     few = Counter(trials[0].recogniser.memory_.labels.tolist())
     name, least = min(few.items(), key=lambda item: item[1])
@@ -348,8 +348,8 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     confirming = _confirming(figures, trials[0])
     if elsewhere and best < _GOOD and figures["remount"] == "none":
         yield (
-            "Another mounting costs accuracy: try --remount recentre:10, which gets "
-            f"used to it without labels, or --remount confirm:3.{confirming}"
+            "Another mounting costs accuracy: try `remount=recentre:10`, which gets "
+            f"used to it without labels, or `remount=confirm:3`.{confirming}"
         )
     elif confirming and best < _GOOD and not figures["remount"].startswith("confirm"):
         yield confirming.lstrip()
