@@ -82,10 +82,10 @@ CORE = {
     "web/_images.py": "web_images web_colour web_api",
     "web/_teaching.py": "web_limits web_quality web_objects web_session",
     "web/_sensor_watch.py": "web_listening web_watching web_session web_sensors",
-    "evaluation/_metrics.py": "metrics cluster_quality",
+    "evaluation/_trial.py": "metrics cluster_quality",
     "evaluation/_splits.py": "splits benchmark",
     "evaluation/_controls.py": "controls",
-    "evaluation/_advice.py": "advice",
+    "evaluation/_evaluate.py": "advice",
 }
 # What takes long to import and is none of the sources: once, not for each mutant.
 HEAVY = (

@@ -1,4 +1,7 @@
-"""Many tasks at once, with a bar on standard error; one thread where more only wait."""
+"""Many tasks at once, and one thread where more only wait.
+
+`Progress` draws a bar on standard error for work of more than two seconds.
+"""
 
 import pickle
 import sys
@@ -9,13 +12,14 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from threading import Lock
-from typing import Any
+from typing import Any, Self
 
 from threadpoolctl import ThreadpoolController
 
 from ._extras import needed
-from ._progress import Progress
 from ._version import __version__
+
+_PATIENCE_S = 2.0  # what ends sooner needs no bar
 
 # A Dask cluster is given up after so long without a worker or a scheduler, or when its
 # scheduler was lost more often than this; how often it is asked.
@@ -219,3 +223,42 @@ def _called(function: Callable[..., Any], arguments: bytes) -> Any:
     """Do a task on a worker, one of several on its machine."""
     with on_one_thread():
         return function(*pickle.loads(arguments))
+
+
+class Progress:
+    """Count work; draw a bar once it takes long.
+
+    `show` is whether to draw at all; None means where standard error is a terminal.
+    """
+
+    def __init__(self, total: int, what: str, show: bool | None) -> None:
+        self._total, self._what = total, what
+        self._show = sys.stderr.isatty() if show is None else show
+        self._start = time.monotonic()
+        self._done = 0
+        self._bar: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def advance(self, n_done: int) -> None:
+        """Count `n_done` more pieces."""
+        self.reach(self._done + n_done)
+
+    def reach(self, n_done: int) -> None:
+        """Count `n_done` pieces in all."""
+        self._done = n_done
+        late = time.monotonic() - self._start > _PATIENCE_S
+        if self._bar is None and self._show and late and self._done < self._total:
+            from rich.console import Console
+            from rich.progress import Progress as RichProgress
+
+            self._bar = RichProgress(console=Console(stderr=True))
+            self._bar.add_task(self._what, total=self._total)
+            self._bar.start()
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=self._done)

@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from threadpoolctl import threadpool_info
 
-from palpate.bench import _encodings, _library, run_bench
-from palpate.bench._timing import one_thread, row
+from palpate.bench import _encodings, _library, one_thread, row, run_bench
 from palpate.encodings import ZernikeMoments
 
 

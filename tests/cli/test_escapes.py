@@ -12,7 +12,7 @@ import pytest
 
 from palpate import Touches, cli
 from palpate.cli import serve
-from palpate.cli._sensor import need_baseline
+from palpate.cli.sensor import need_baseline
 from palpate.library import TouchLibrary
 from palpate.sensors import ContactError
 from palpate.touches import png_bytes
@@ -74,7 +74,7 @@ def test_warnings_show_what_a_terminal_would_obey(palpate, monkeypatch):
         about = UserWarning(f"{CLEAR} is odd"), UserWarning, "palpate", 1
         print(warnings.formatwarning(*about), file=sys.stderr)
 
-    monkeypatch.setattr("palpate.cli._app.app", warned)
+    monkeypatch.setattr("palpate.cli.app", warned)
     said = palpate("doctor").stderr
     assert r"\x1b[2J" in said
     assert "\x1b" not in said

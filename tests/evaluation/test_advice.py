@@ -7,7 +7,7 @@ import pytest
 
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate
-from palpate.evaluation._advice import recommendations, verdict
+from palpate.evaluation._evaluate import recommendations, verdict
 
 RNG = np.random.default_rng(0)
 BASE = dict(zip("abcd", RNG.normal(size=(4, 3, 24)), strict=True))
@@ -68,7 +68,7 @@ def test_more_touches_are_recommended_where_they_help():
 
 def test_of_many_sentences_the_first_three_are_said(monkeypatch):
     sentences = [f"Sentence {n}." for n in range(6)]
-    monkeypatch.setattr("palpate.evaluation._advice._all", lambda *_: iter(sentences))
+    monkeypatch.setattr("palpate.evaluation._evaluate._all", lambda *_: iter(sentences))
     assert recommendations({}, []) == sentences[:3]
 
 
@@ -122,7 +122,7 @@ def test_fewer_than_twenty_touches_where_it_is_not_good(n_taught, best, is_said)
 def test_another_mounting_is_helped_by_remounting(best, remount, is_said):
     figures = figures_of((best, best), split="session", remount=remount)
     said = recommendations(figures, [trial_of()])
-    assert any("--remount recentre:10" in one for one in said) == is_said
+    assert any("`remount=recentre:10`" in one for one in said) == is_said
 
 
 @pytest.mark.parametrize(("after", "is_said"), [(0.54, False), (0.55, True)])

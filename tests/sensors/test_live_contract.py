@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.cli._sensor import SensorOptions
+from palpate.cli.sensor import SensorOptions
 from palpate.sensors import (
     CalibratedSensor,
     Frame,

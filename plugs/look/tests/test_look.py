@@ -294,7 +294,7 @@ def test_where_foxglove_is_served_is_one_address():
 
 @needs_mcap
 def test_the_option_of_the_command_line_finds_the_log(monkeypatch, tmp_path):
-    from palpate.cli._sensor import logged
+    from palpate.cli.sensor import logged
 
     point = EntryPoint("mcap", "palpate_look:FoxgloveLog", "palpate.logs")
     monkeypatch.setattr(

@@ -33,8 +33,19 @@ from ..encodings import (
     zernike_values,
 )
 from ..images import DomeCrop, crop_discs, inscribed_mask, standardise_discs
-from . import _timing
-from ._timing import N_COLS, Picture, Row, coded, cpu_ms, drawn_dome, one_thread, row
+from . import (
+    N_COLS,
+    N_ROWS,
+    Picture,
+    Row,
+    coded,
+    cpu_ms,
+    drawn_dome,
+    measured_apart,
+    one_thread,
+    real_touches,
+    row,
+)
 
 _FRAME = """
 {work}
@@ -87,7 +98,7 @@ def bench_decode(
     `repeats` counts. Rows have CPU and wall time and peaks of memory in MiB; the last
     one is what undoing the files' entropy code takes, which bounds all others.
     """
-    real = _timing.real_touches(data)
+    real = real_touches(data)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if real is None:
@@ -105,10 +116,10 @@ def bench_decode(
         for path in folder.iterdir():
             path.read_bytes()
         ours, peer, least = (
-            _timing.measured_apart(_FRAME.format(work=work, repeats=repeats), folder)
+            measured_apart(_FRAME.format(work=work, repeats=repeats), folder)
             for work in (_OURS, _PEER, _LEAST)
         )
-    size = f"{ours['n']:.0f} x {N_COLS} x {_timing.N_ROWS} uint8 JPEG"
+    size = f"{ours['n']:.0f} x {N_COLS} x {N_ROWS} uint8 JPEG"
     facts = {"n_cores": cpu_count(), "array_mib": ours["array_mib"]}
     facts |= {"peak_mib": ours["peak_mib"], "peak_before_mib": ours["before_mib"]}
     facts["peer_peak_mib"] = peer["peak_mib"]
@@ -132,7 +143,7 @@ def bench_encodings(
     Rows of encodings hold `ours_ms` of encoding alone, `touch_ms` of crop, standardise
     and encode, and the share of each stage in per cent of everything.
     """
-    real = _timing.real_touches(data)
+    real = real_touches(data)
     pictures, kind = _pictures(real), "drawn" if real is None else "real"
     with one_thread():
         stages, discs = _stages(pictures, seconds)

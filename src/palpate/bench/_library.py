@@ -36,7 +36,7 @@ from ..encodings import ZernikeMoments
 from ..images import DomeCrop
 from ..library import TouchLibrary
 from ..touches import Touches
-from ._timing import Row, cpu_ms, one_thread, real_touches, row, wall_ms
+from . import Row, cpu_ms, one_thread, real_touches, row, wall_ms
 
 SHAPES = ((10, 60), (50, 24), (50, 94))  # objects, touches of each
 BATCHES = (1, 64)  # touches asked at once

@@ -24,7 +24,7 @@ from sklearn.svm import SVC
 from .._types import Array, Floats
 from ..classifiers import mkl
 from ..encodings import KernelPCA
-from ._timing import Row, cpu_ms, measured_apart, one_thread, row
+from . import Row, cpu_ms, measured_apart, one_thread, row
 
 Tensors = Callable[[Floats], list[Any]]
 Easy = Callable[[Any, Tensors], None]

@@ -6,7 +6,7 @@ from itertools import count, cycle
 import numpy as np
 
 from .. import simulation
-from ._timing import Row, cpu_ms, one_thread, row
+from . import Row, cpu_ms, one_thread, row
 
 _SHAPES = ((96, 96), (150, 150), (300, 300), (480, 640))
 _TOUCHES_PER_OBJECT = 4  # a model is placed for each

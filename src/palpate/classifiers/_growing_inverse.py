@@ -67,7 +67,7 @@ class GrowingInverse:
         }
         self.n_first = len(touches)
         none = np.empty((len(touches), 0))
-        self._between, self._solved, self._own = none, none, none[:0]
+        self._between, self._solved, self._of_later = none, none, none[:0]
         self._factor: Any = None
 
     def begins(self, touches: Floats, labels: Array, ridges: Floats) -> bool:
@@ -101,10 +101,10 @@ class GrowingInverse:
         more._between = np.hstack([self._between, between])
         more._solved = np.hstack([self._solved, self._times_first(between)])
         later = np.empty((n_added, n_added))
-        later[:n_known, :n_known] = self._own
+        later[:n_known, :n_known] = self._of_later
         later[n_known:] = kernel[:, n_first:]
         later[:, n_known:] = kernel[:, n_first:].T
-        more._own = later
+        more._of_later = later
         schur = later + np.diag(ridges[n_first:]) - more._between.T @ more._solved
         more._factor = cho_factor(schur)
         return more

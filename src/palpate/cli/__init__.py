@@ -1,6 +1,126 @@
-"""The command `palpate`: one verb per file, each a thin layer over the library."""
+"""The command `palpate`: one verb per file, each a thin layer over the library.
 
-from ._app import app as app
-from ._app import main
+What goes wrong becomes one sentence and exit code 1. Nothing heavy is imported here:
+each verb imports what it needs when it runs, so that `palpate --help` answers at once.
+"""
+
+import errno
+import io
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Annotated, Any
+
+import typer
+
+from .. import __version__
+from ._options import option
+from ._output import answer, as_typed, printable, say, translate_for
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Recognise things by touch: learn objects from touches, recognise them "
+    "touch by touch, and say when something is unknown.",
+)
+# Each is the function, or the group of several, of that name in the file of that name.
+VERBS = (
+    *("check", "learn", "recognise", "evaluate", "benchmark", "demo", "study", "bench"),
+    *("remount", "doctor", "serve", "record", "live", "simulate", "library", "data"),
+    *("explore", "sensor"),
+)
+for name in VERBS:
+    verb = getattr(import_module(f".{name}", __package__), name)
+    if isinstance(verb, typer.Typer):
+        app.add_typer(verb, name=name)
+    else:
+        app.command()(verb)
+translate_for(app)
+
+_Usage: Any = typer.BadParameter.__base__  # every wrong use of the command line
+# What a verb may fail with; anything else is a fault of palpate and shows where.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
+FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        say(f"palpate {__version__}")
+        raise typer.Exit
+
+
+_version = option(
+    "--version", "Print the version.", callback=_print_version, is_eager=True
+)
+
+
+@app.callback()
+def _root(version: Annotated[bool, _version] = False) -> None:
+    """Take the verbs as they are."""
+
+
+def main() -> None:
+    """Run the command line; exit 1 for a failure, 2 for wrong usage.
+
+    With --json what went wrong is printed as `{"error": ...}` too. PALPATE_DEBUG=1 in
+    the environment shows the whole traceback of a failure.
+    """
+    as_json = "--json" in sys.argv
+    try:
+        with _plain_warnings():
+            sys.exit(app(prog_name="palpate", standalone_mode=False))
+    except typer.Abort:
+        message, code = "Ended without an answer.", 1
+    except FAILURES as error:
+        if os.environ.get("PALPATE_DEBUG"):
+            raise
+        message, code = as_typed(_sentence(error)), 1
+    except _Usage as error:
+        error.message = as_typed(error.message)
+        if not as_json:
+            say(_shown(error), file=sys.stderr)
+            sys.exit(error.exit_code)
+        message, code = error.format_message(), error.exit_code
+    answer(as_json, {"error": message})
+    say(f"palpate: {message}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _shown(error: Any) -> str:
+    """Return what typer shows of a wrong use: how to use it, and what was wrong."""
+    text = io.StringIO()
+    error.show(file=text)
+    return text.getvalue().rstrip("\n")
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Show warnings with what a terminal would obey, in names of files, written out."""
+    usual = warnings.formatwarning
+
+    def plain(message: Any, *rest: Any, **more: Any) -> str:
+        return usual(printable(as_typed(str(message))), *rest, **more)
+
+    warnings.formatwarning = plain
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
+
+
+def _sentence(error: BaseException) -> str:
+    """Return what went wrong; what the disk says, as a sentence with the fix."""
+    if not isinstance(error, OSError) or error.errno not in _NO_ROOM:
+        return str(error)
+    return (
+        f"{error.filename or 'The disk'} must be a place with room that may be written "
+        f"to, got: {error.strerror}. Free space, or give another place."
+    )
+
 
 __all__ = ["main"]

@@ -407,12 +407,14 @@ def _read_profile(path: Path) -> dict[str, Any]:
         written = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"--read must be a TOML file, got {path}: {error}.") from error
-    known = {field.name: field for field in fields(Reading) if field.name != "read"}
+    options_by_name = {
+        field.name: field for field in fields(Reading) if field.name != "read"
+    }
     options = {}
     for key, value in written.items():
         name = key.replace("-", "_")
-        if name not in known:
-            names = ", ".join(known).replace("_", "-")
+        if name not in options_by_name:
+            names = ", ".join(options_by_name).replace("_", "-")
             raise ValueError(
                 f"{path} must hold options of reading, got {key!r}. "
                 f"Choose among {names}."

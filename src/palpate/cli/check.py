@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ._options import AsJson, Reading, Report, TouchesPath, grouped
-from ._output import answer, counted, percent, say, stages, table
-from ._wording import as_typed
+from ._output import answer, as_typed, counted, percent, say, stages, table
 
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ._options import AsJson, RecordedData, Seed, Strangers, option
 from ._output import print_json, say, stages
-from .evaluate import print_figures
+from .evaluate import in_options, print_figures
 from .explore import exploration_to_dict, print_attempt
 from .recognise import print_episode, recognise_episodes
 
@@ -66,7 +66,7 @@ def demo(
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
         )
-    recogniser = trials[0].recogniser
+    figures, recogniser = in_options(figures), trials[0].recogniser
     if not as_json:
         say(
             f"Learnt {len(recogniser.classes_)} objects from {len(train)} touches "

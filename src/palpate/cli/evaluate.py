@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import percent, print_json, say, stages, table
+from ._output import as_typed, percent, print_json, say, stages, table
 
 
 @_options.grouped
@@ -72,6 +72,7 @@ def evaluate(
         figures, trials = run(
             training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
+        figures = in_options(figures)
         if report is not None:
             stage(f"writing {report}")
             write_report(report, figures, trials)
@@ -81,6 +82,12 @@ def evaluate(
     print_figures(figures)
     if report is not None:
         say(report)
+
+
+def in_options(figures: dict[str, Any]) -> dict[str, Any]:
+    """Return figures whose recommendations name options of `palpate evaluate`."""
+    todo = [as_typed(sentence, "evaluate") for sentence in figures["recommendations"]]
+    return {**figures, "recommendations": todo}
 
 
 def print_figures(figures: dict[str, Any]) -> None:

@@ -141,11 +141,11 @@ def recognise(
     from .._checks import check_number
     from ..recognition import ObjectRecogniser
 
-    found = _one_object(thing, unit)
+    target = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
     stand = exploration.put_down(
-        found,
+        target,
         _camera(recogniser),
         face=face,
         yaw_rad=float(drawn if yaw is None else np.deg2rad(check_number("yaw", yaw))),
@@ -176,7 +176,7 @@ def recognise(
         clock=stand.robot.clock,
         on_attempt=None if as_json else print_attempt,
     )
-    about = {"object": found.name, "strategy": strategy}
+    about = {"object": target.name, "strategy": strategy}
     if picture is not None:
         _draw(end, way, picture)
     answer(
@@ -333,10 +333,10 @@ def _camera(recogniser: "ObjectRecogniser") -> Any:
     return DomeCamera(image_shape=(shape[0], shape[1]))
 
 
-def _faults(given: Sequence[str] | None) -> dict[int, str]:
+def _faults(texts: Sequence[str] | None) -> dict[int, str]:
     """Read '2=no force' as {2: "no force"}."""
     faults = {}
-    for text in given or ():
+    for text in texts or ():
         number, _, name = text.partition("=")
         if not number.strip().isdigit():
             raise ValueError(

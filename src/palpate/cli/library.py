@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import AsJson, Reading, TouchesPath, Where, argument, grouped, option
-from ._output import answer, counted, print_json, say, table
-from ._wording import as_typed
+from ._output import answer, as_typed, counted, print_json, say, table
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from . import _sensor
 from ._options import (
     AsJson,
     ErrorRate,
@@ -22,6 +21,18 @@ from ._options import (
     option,
 )
 from ._output import belief_line, print_json, say
+from .sensor import (
+    LogFile,
+    Patience,
+    Publish,
+    SensorAddress,
+    SensorOptions,
+    Summary,
+    check_publish,
+    logged,
+    need_baseline,
+    published,
+)
 
 if TYPE_CHECKING:
     from ..web import LiveSession
@@ -32,22 +43,22 @@ Episode = dict[str, Any]
 @grouped
 def live(
     model: ModelPath,
-    sensor: _sensor.SensorAddress,
+    sensor: SensorAddress,
     *,
     touches: Annotated[int, option("-n", "--touches", "Most of an episode.")] = 30,
     episodes: Annotated[int, option("How many episodes; 0 goes on until Ctrl-C.")] = 1,
-    timeout: _sensor.Patience = 120.0,
+    timeout: Patience = 120.0,
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
     strangers: Strangers = 0.05,
-    summary: _sensor.Summary = "peak",
-    log: _sensor.LogFile = None,
-    publish: _sensor.Publish = None,
+    summary: Summary = "peak",
+    log: LogFile = None,
+    publish: Publish = None,
     library: Annotated[
         Path | None,
         option("Folder for what --publish is told to teach; made if missing."),
     ] = None,
-    options: _sensor.SensorOptions,
+    options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
@@ -55,7 +66,7 @@ def live(
     from ..web import LiveSession
 
     done: list[Episode] = []
-    _sensor.check_publish(publish)
+    check_publish(publish)
     chosen = options.open(sensor)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
@@ -67,9 +78,9 @@ def live(
             events.put(event.values)
 
     session.listeners.add(listen, frames=False)
-    with _sensor.logged(session, log), session, ExitStack() as stack:
-        _sensor.need_baseline(session)
-        stack.enter_context(_sensor.published(session, publish))
+    with logged(session, log), session, ExitStack() as stack:
+        need_baseline(session)
+        stack.enter_context(published(session, publish))
         try:
             while episodes == 0 or len(done) < episodes:
                 ended = done[-1]["number"] if done else 0

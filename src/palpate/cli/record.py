@@ -9,7 +9,7 @@ import typer
 
 from ._options import AsJson, argument, grouped, option
 from ._output import answer, counted, say
-from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
+from .sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
 if TYPE_CHECKING:
     from ..web import LiveSession

@@ -1,15 +1,11 @@
-"""`palpate remount`: a model for another day, and what tells days apart."""
+"""`palpate remount`: a model for another day."""
 
 from typing import Annotated, Any
-
-import typer
 
 from . import _options
 from ._output import answer, stages
 
 TO_CONFIRM = 5  # objects
-
-sensor = typer.Typer(no_args_is_help=True, help="What a sensor does to touches.")
 
 
 @_options.grouped
@@ -64,36 +60,6 @@ def remount(
         "n_to_confirm": len(left),
     }
     answer(as_json, values, *_sentences(values), written)
-
-
-@sensor.command("learn-nuisance")
-@_options.grouped
-def learn_nuisance(
-    model: _options.ModelPath,
-    touches: _options.TouchesPath,
-    output: _options.ModelOutput,
-    *,
-    reading: _options.Reading,
-    max_model_mb: _options.MaxModelMb = 2000,
-    as_json: _options.AsJson = False,
-) -> None:
-    """Learn from any objects met in several sessions what tells sessions apart.
-
-    MODEL need not know the objects of TOUCHES, only the sensor: what differs between
-    their sessions is weighed down in the model that is written.
-    """
-    from ..recognition import ObjectRecogniser, check_model_path
-
-    check_model_path(output)
-    with stages() as stage:
-        stage(f"reading {touches}")
-        met = reading.touches(touches)
-        recogniser = ObjectRecogniser.load(_options.model_file(model))
-        stage(f"learning from {len(met)} touches")
-        n_differences = recogniser.learn_nuisance(met)
-        written = recogniser.save(output)
-    values = {"model": str(written), "n_differences": n_differences}
-    answer(as_json, values, f"{n_differences} differences are weighed down.", written)
 
 
 def _sentences(values: dict[str, Any]) -> list[str]:

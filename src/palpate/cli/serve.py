@@ -18,7 +18,7 @@ from ._options import (
     option,
 )
 from ._output import print_json, say
-from ._sensor import (
+from .sensor import (
     ADDRESS,
     LogFile,
     Publish,

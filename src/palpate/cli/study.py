@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import print_json, say, table
-from ._wording import as_typed
+from ._output import as_typed, print_json, say, table
 
 
 @_options.grouped

@@ -14,8 +14,8 @@ from ._principal import OrientedPCA, PrincipalShare, ZernikePCA
 from ._shape import FourierDescriptors, ShapeGeometry
 from ._shape import outer_boundary as outer_boundary
 from ._zernike import ZernikeMoments
-from ._zernike_polynomials import zernike_degrees as zernike_degrees
-from ._zernike_polynomials import zernike_values as zernike_values
+from ._zernike_tables import zernike_degrees as zernike_degrees
+from ._zernike_tables import zernike_values as zernike_values
 
 __all__ = [
     "CentroidMoments",

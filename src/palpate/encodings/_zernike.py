@@ -22,8 +22,15 @@ from .. import _checks
 from .._checks import check_count, check_finite, check_number, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Indices
-from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
-from ._zernike_tables import HIGHEST_SEPARABLE_ORDER, Disc, Grid, zernike_moments
+from ._zernike_tables import (
+    HIGHEST_SEPARABLE_ORDER,
+    Disc,
+    Grid,
+    noll_degrees,
+    signed_degrees,
+    zernike_degrees,
+    zernike_moments,
+)
 
 # As far as the recurrence has been compared with exact arithmetic.
 _HIGHEST_ORDER = 100

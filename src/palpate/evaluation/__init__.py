@@ -18,9 +18,6 @@ from ._episodes import Episodes as Episodes
 from ._episodes import decide_episodes as decide_episodes
 from ._episodes import run_episodes as run_episodes
 from ._evaluate import evaluate
-from ._metrics import calibration_bins as calibration_bins
-from ._metrics import calibration_error, davies_bouldin, roc_area
-from ._metrics import spread as spread
 from ._report import bound_said as bound_said
 from ._report import check_report_path as check_report_path
 from ._report import decision_table as decision_table
@@ -36,8 +33,10 @@ from ._splits import draw_touches as draw_touches
 from ._splits import protocol_folds as protocol_folds
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches
-from ._trial import Plan
+from ._trial import Plan, calibration_error, davies_bouldin, roc_area
 from ._trial import Trial as Trial
+from ._trial import calibration_bins as calibration_bins
+from ._trial import spread as spread
 
 __all__ = [
     "Plan",

@@ -22,10 +22,10 @@ from ..touches import Touches
 from ._controls import CONTROLS, without_contact
 from ._episodes import run_episodes
 from ._evaluate import Progress, silent
-from ._metrics import spread
 from ._report import as_text, check_report_path, html_table, report_page
 from ._simple import SIMPLE, STANDARDISED, taxels
 from ._splits import PROTOCOLS, RowFold, column_of, protocol_folds
+from ._trial import spread
 
 RECOGNISERS = (*PRESETS, *SIMPLE)
 # Papers as written stay on their sensor; `liu2014` learns each pair of labels.

@@ -19,8 +19,7 @@ from ..touches import Touches, as_shown, png_address
 from . import plots
 from ._controls import as_good_alone
 from ._episodes import Decisions, decide_episodes
-from ._metrics import calibration_bins, spread
-from ._trial import Trial, scored
+from ._trial import Trial, calibration_bins, scored, spread
 
 EXAMPLES = 6
 SIDE = 120

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._checks import check_option, check_positive
-from .._progress import Progress
+from .._parallel import Progress
 from ..touches import GEOMETRIES, Touches
 from ._changes import find_object
 from ._content import IDENTITY, Batch, Column, batch_of, earlier_cell, identity

@@ -5,7 +5,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from .._progress import Progress
+from .._parallel import Progress
 from ._changes import is_sound
 from ._content import Image, identity, wide_identity
 from ._names import Names

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from .._durable import flush_folder
-from .._progress import Progress
+from .._parallel import Progress
 from .._types import Array
 from ._changes import Change
 from ._content import (

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .._durable import PARTIAL, flush_all, flush_folder
-from .._progress import Progress
+from .._parallel import Progress
 from .._types import Array
 from ._changes import Change, enter_change, is_sound
 from ._checking import LEFT_OUT, check_store, next_rows, touch_fault

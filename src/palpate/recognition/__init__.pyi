@@ -5,7 +5,6 @@ from ._belief import Belief as Belief
 from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
 from ._contact import correlation as correlation
-from ._empty_touches import EmptyTouchError as EmptyTouchError
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
 from ._evidence import Evidence as Evidence
@@ -16,6 +15,7 @@ from ._evidence import given_prior as given_prior
 from ._evidence import log_posteriors as log_posteriors
 from ._evidence import n_informative as n_informative
 from ._evidence import with_floor as with_floor
+from ._learning import EmptyTouchError as EmptyTouchError
 from ._learning import what_matters as what_matters
 from ._memory import Memory as Memory
 from ._memory import left_out_groups as left_out_groups
@@ -29,16 +29,16 @@ from ._presets import PRESETS as PRESETS
 from ._presets import Label as Label
 from ._presets import Presentation as Presentation
 from ._presets import PresetName as PresetName
-from ._promise import about as about
-from ._promise import upper_bound as upper_bound
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt
 from ._remounting import across_sessions as across_sessions
 from ._remounting import said_of_sessions as said_of_sessions
 from ._senses import Modality as Modality
 from ._sentences import OTHER_SESSION as OTHER_SESSION
+from ._sentences import about as about
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note
+from ._sentences import upper_bound as upper_bound
 from ._strangers import episode_evidence as episode_evidence
 from ._strangers import stranger_log_shares as stranger_log_shares
 from ._used_to import Recentring as Recentring

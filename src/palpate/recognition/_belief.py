@@ -18,9 +18,8 @@ from ..touches import Touches
 from . import _evidence, _strangers
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
-from ._promise import Promise
 from ._senses import Modality
-from ._sentences import OTHER_SESSION, n_touches_of, sentence_of, share_of
+from ._sentences import OTHER_SESSION, Promise, n_touches_of, sentence_of, share_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +12,9 @@ from sklearn.base import clone
 
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, learns_by_landmarks
+from ..images import NoLivingTaxelError
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
-from ._empty_touches import naming_empty
 from ._encoder import Encoder, TouchEncoder, find_geometry
 from ._evidence import with_floor
 from ._memory import Memory, rows_of_each
@@ -21,6 +22,7 @@ from ._model_file import state_digest
 from ._presets import PRESENTATIONS, Preset
 from ._sessions import N_LOOKS
 
+_SAID = 3
 # An encoding is learnt from this many touches of a source, the same number of each
 # label where there are enough.
 SHOWN = 2000
@@ -326,3 +328,35 @@ def _tried(
     hit = log_posterior.argmax(axis=1) == codes
     loss = -log_posterior[np.arange(len(codes)), codes].mean()
     return {"log_loss": float(loss), "accuracy": float(hit.mean())}
+
+
+class EmptyTouchError(ValueError):
+    """Touches hold nothing but NaN; `touch_ids` are their ids."""
+
+    def __init__(self, touch_ids: list[str]) -> None:
+        self.touch_ids = touch_ids
+        more = " and more" * (len(touch_ids) > _SAID)
+        super().__init__(
+            "Touches must have at least one living taxel, got only NaN in touch "
+            f"{', '.join(touch_ids[:_SAID])}{more}. Leave it out: retract it, or "
+            f"choose others (id != {touch_ids[0]!r})."
+        )
+
+
+@contextmanager
+def naming_empty(touches: Touches | TouchSource) -> Iterator[None]:
+    """Name all the touches that hold no number, where learning stumbles over one."""
+    try:
+        yield
+    except NoLivingTaxelError:
+        ids = touches.touch_id
+        if ids is None:
+            raise
+        empty = [row for row in range(len(ids)) if _is_empty(touches, row)]
+        raise EmptyTouchError(ids[empty].tolist()) from None
+
+
+def _is_empty(touches: Touches | TouchSource, row: int) -> bool:
+    rows = np.array([row])
+    touch = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
+    return bool(np.isnan(touch.images.astype(np.float64)).all())

@@ -44,7 +44,7 @@ class Budget:
 
     n_bytes: int
     tensors: Mapping[str, Array]
-    known: Mapping[str, type]
+    classes: Mapping[str, type]
     foreign: Mapping[str, UserEncoding] = field(default_factory=dict)
     objects: int = 0
     text: float = 0.0

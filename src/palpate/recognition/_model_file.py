@@ -417,13 +417,13 @@ def _unpack_foreign(node: dict[str, Any], budget: Budget) -> Any:
 
 def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
     name = node["class"]
-    if name not in budget.known:
+    if name not in budget.classes:
         raise ModelFileError(
             f"The model names the class {name!r}, which this palpate does not know. "
             "Update palpate, or learn again."
         )
     params, learnt = _unpack_state(node, budget)
-    built = budget.known[name](**params)
+    built = budget.classes[name](**params)
     for attribute, value in learnt.items():
         setattr(built, attribute, value)
     return built

@@ -104,17 +104,18 @@ def fit_strangers(
     return replace(model, exceeded=np.quantile(nats, 0.95, axis=0))
 
 
-def _low_curve(known: Track, strangers: Track, n_names: int) -> Curve:
+def _low_curve(known_track: Track, strangers: Track, n_names: int) -> Curve:
     """Return the curves of the least level at which a kind is, or would be, named.
 
     A row for each of `n_names`: strangers get low as one object and not as another.
     What is counted of one name weighs as much as what is counted of all. A stranger
     counts where its best name is wrong: its category may be right.
     """
-    level, others = known.level, np.where(strangers.right, np.inf, strangers.level)
+    level = known_track.level
+    others = np.where(strangers.right, np.inf, strangers.level)
     lows = np.concatenate([level.min(axis=1), others.min(axis=1)])
     levels = _spread(lows[np.isfinite(lows)])
-    reached = _named_at(level, known.best, levels, n_names)
+    reached = _named_at(level, known_track.best, levels, n_names)
     of_others = _named_at(others, strangers.best, levels, n_names)
     ratios = np.log(of_others / reached)
     # Reached by all, a level tells nothing, whatever the name.

@@ -34,7 +34,7 @@ from ._evidence import (
     is_informative,
     summed_up,
 )
-from ._promise import Promise, promise_of
+from ._sentences import Promise, promise_of
 
 # Of a smaller logarithm the probability would be 0; below the least score, logarithms
 # are rounding.

@@ -8,11 +8,11 @@ ROS 2 that a node writes and reads.
 """
 
 from ._address import AddressError as AddressError
+from ._address import CalibratedSensor as CalibratedSensor
 from ._address import desk_of as desk_of
 from ._address import open_sensor
 from ._address import ros_place as ros_place
 from ._bench import SimulatedBench, SimulatedSensor
-from ._calibrated import CalibratedSensor as CalibratedSensor
 from ._camera import CameraSensor
 from ._camera import camera_names as camera_names
 from ._camera import find_camera as find_camera

@@ -11,7 +11,7 @@ from ._array import Press as Press
 from ._array import PressureArray
 from ._dome import DomeCamera
 from ._dome import DomePress as DomePress
-from ._gel import GelCamera
+from ._gel_and_pins import GelCamera, TacTipPins
 from ._membrane import Contact as Contact
 from ._membrane import Membrane
 from ._membrane import solve_contact as solve_contact
@@ -29,7 +29,6 @@ from ._optics import shade as shade
 from ._parts import PARTS as PARTS
 from ._parts import Part
 from ._parts import find_parts as find_parts
-from ._pins import TacTipPins
 from ._placed import PlacedObject, SensorPose, SimObject
 from ._placed import gap_map as gap_map
 from ._placed import sleeve_gap as sleeve_gap

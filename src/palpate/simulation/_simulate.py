@@ -19,10 +19,9 @@ from .._types import Indices
 from ..touches import Touches
 from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
-from ._gel import GelCamera
+from ._gel_and_pins import GelCamera, TacTipPins
 from ._objects import HOUSEHOLD, find_object, refuse_same_names
 from ._parts import PARTS, Part, find_parts
-from ._pins import TacTipPins
 from ._placed import PlacedObject, SensorPose, SimObject
 
 _PER_TASK = 25, 50  # touches, presses

@@ -1,19 +1,22 @@
-"""Folders of pictures: which they are, and labels from their names or folders."""
+"""Folders of pictures: which they are, which cannot be used, and their labels."""
 
+import hashlib
 import os
 import re
 import warnings
+from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._checks import nearest_path
 from .._types import Array
 from . import _pictures
-from ._check_folder import BadPicture, PictureCheck, check_pictures, without_bad
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
 from ._layout import (
@@ -26,9 +29,19 @@ from ._layout import (
     matched,
     odd_depths,
 )
-from ._pictures import RGB, Header, common_header, decode_picture, decode_pictures
+from ._pictures import (
+    RGB,
+    Header,
+    PictureError,
+    checked_picture,
+    common_header,
+    decode_picture,
+    decode_pictures,
+    n_cores,
+)
 from ._tables import TABLES, folder_levels, label_columns
 
+_GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
 PICTURES = (".jpg", ".jpeg", ".png")
 _OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
 _LABELS = "labels.csv"
@@ -36,6 +49,42 @@ _TEXT_GROUPS = ("object", "category", "session")
 _NEEDED = ("object", "category", "session", "order", "n", *sum(POSITIONS.values(), ()))
 _WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+class BadPicture(NamedTuple):
+    """A picture that cannot be used: its path in the folder, why, and the fix."""
+
+    picture: str
+    problem: str
+    fix: str
+
+
+@dataclass
+class PictureCheck:
+    """The findings in the pictures of a folder.
+
+    Attributes
+    ----------
+    bad : list of BadPicture
+        Those that cannot be read, are unlike most, or get no label.
+    usual : str
+        Size and format of the others.
+    turned : int
+        How many were turned upright, as their Exif orientation says.
+    flat : list of str
+        Pictures of one level all over.
+    same : list of (str, str)
+        Pictures that are a copy of another one.
+    coloured : bool
+        Whether the first that can be used shows colours, where it was read in grey.
+    """
+
+    bad: list[BadPicture] = field(default_factory=list)
+    usual: str = ""
+    turned: int = 0
+    flat: list[str] = field(default_factory=list)
+    same: list[tuple[str, str]] = field(default_factory=list)
+    coloured: bool = False
 
 
 def folder_arrays(
@@ -56,7 +105,7 @@ def folder_arrays(
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if skip_bad:
         check = _checked(root, names, pattern, max_pixels, colour)
-        names = without_bad(names, check.bad)
+        names = _without_bad(names, check.bad)
         if check.bad:
             warnings.warn(_left_out(check.bad, root, len(names)), stacklevel=4)
     try:
@@ -142,7 +191,7 @@ def _checked(
     colour: bool,
 ) -> PictureCheck:
     """Look at every picture, and at whether it gets a label like the others."""
-    check = check_pictures(root, names, max_pixels=max_pixels, colour=colour)
+    check = _check_pictures(root, names, max_pixels=max_pixels, colour=colour)
     are_bad = {bad.picture for bad in check.bad}
     fix = "move it to the folder of its object, or give it as `no_contact`"
     if pattern is not None:
@@ -161,6 +210,86 @@ def _checked(
     check.bad += [BadPicture(n, why, fix) for n, why in odd.items() if n not in are_bad]
     check.bad.sort(key=lambda bad: _natural_order(bad.picture))
     return check
+
+
+class _Seen(NamedTuple):
+    header: Header | None
+    orientation: int
+    flat: bool
+    digest: bytes
+    problem: str
+
+
+def _check_pictures(
+    root: Path, names: Sequence[str], *, max_pixels: int, colour: bool
+) -> PictureCheck:
+    """Decode every picture and say which cannot be used, and what else is odd."""
+
+    def look(name: str) -> _Seen:
+        try:
+            header, orientation, levels, data = checked_picture(
+                root / name, max_pixels=max_pixels, colour=colour
+            )
+        except (OSError, PictureError) as error:
+            strerror = getattr(error, "strerror", None)
+            return _Seen(None, 1, False, b"", strerror or str(error))
+        digest = hashlib.blake2b(data, digest_size=16).digest()
+        flat = bool(np.ptp(levels) == 0)
+        return _Seen(header, orientation, flat, digest, "")
+
+    with ThreadPoolExecutor(n_cores()) as pool:
+        seen = dict(zip(names, pool.map(look, names), strict=True))
+    headers = Counter(picture.header for picture in seen.values() if picture.header)
+    check = PictureCheck()
+    if not headers:
+        usual = None
+    else:
+        usual = headers.most_common(1)[0][0]
+        check.usual = str(usual)
+    first: dict[bytes, str] = {}
+    for name, picture in seen.items():
+        if picture.header is None:
+            check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
+        elif picture.header != usual:
+            fix = "convert it, or keep the two kinds in folders of their own"
+            check.bad.append(BadPicture(name, f"{picture.header}, not {usual}", fix))
+        else:
+            check.turned += picture.orientation > 1
+            check.flat += [name] * picture.flat
+            if (copy := first.setdefault(picture.digest, name)) != name:
+                check.same.append((name, copy))
+    if first and not colour:
+        check.coloured = _shows_colour(root / next(iter(first.values())))
+    return check
+
+
+def _shows_colour(path: Path) -> bool:
+    """Return whether red, green and blue differ by more than what JPEG does to grey."""
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        levels = np.asarray(picture.convert("RGB"), np.int16)
+    return bool(np.ptp(levels, axis=2).mean() > _GREY_DIFFERS)
+
+
+def _fix(problem: str) -> str:
+    if "grey where colour" in problem:
+        return "leave out `colour`, or take it out"
+    if "pixels" in problem and "more than" in problem:
+        return "make it smaller"
+    return "save it again as 8-bit JPEG or PNG, or take it out"
+
+
+def _without_bad(names: Sequence[str], bad: Sequence[BadPicture]) -> list[str]:
+    """Return the pictures that can be used; refuse a folder that has none."""
+    gone = {odd.picture for odd in bad}
+    kept = [name for name in names if name not in gone]
+    if not kept:
+        raise TouchesError(
+            f"Pictures must be usable, got {len(names)} of which none is: "
+            f"{bad[0].picture} is {bad[0].problem}. Fix: {bad[0].fix}."
+        )
+    return kept
 
 
 def _left_out(bad: Sequence[BadPicture], root: Path, n_kept: int) -> str:

@@ -25,7 +25,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from .._progress import Progress
+from .._parallel import Progress
 from .._types import Array
 from ._columns import TouchesError
 from ._jpeg_scans import MOST_SCANS, has_many_scans

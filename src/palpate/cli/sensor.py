@@ -1,0 +1,316 @@
+"""`palpate sensor`, and what the verbs with a live sensor share: options, baseline."""
+
+import re
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ._options import (
+    AsJson,
+    Calibration,
+    MaxModelMb,
+    ModelOutput,
+    ModelPath,
+    NamePattern,
+    NoContact,
+    Reading,
+    Report,
+    TouchesPath,
+    grouped,
+    model_file,
+    option,
+)
+from ._output import answer, printable, say, stages
+
+if TYPE_CHECKING:
+    from ..sensors import Frame, LiveSensor
+    from ..web import LiveSession
+
+_MOST_SIDE = 160
+sensor = typer.Typer(no_args_is_help=True, help="What a sensor does to touches.")
+ADDRESS = (
+    "camera:NAME, serial:PORT, ros:TOPIC, replay:PATH or sim:OBJECT, with options as "
+    "in 'camera:USB Camera?shape=480x640&rate=30'."
+)
+SensorAddress = Annotated[str, option("--sensor", ADDRESS)]
+Summary = Annotated[
+    str,
+    option(
+        "--summary",
+        'What stands for a touch: "peak", the frame of greatest change, or '
+        '"mean" over the hold.',
+    ),
+]
+Patience = Annotated[
+    float, option("--timeout", "Give up after so long without a touch.")
+]
+LogFile = Annotated[
+    str | None,
+    option(
+        "--log",
+        "Write frames, touches, beliefs to a file (.rrd, .mcap), or show them to a "
+        "running Foxglove: ws://127.0.0.1:8765 (plugs/look).",
+    ),
+]
+Publish = Annotated[
+    str | None,
+    option(
+        "--publish",
+        "Publish beliefs on ROS 2 and take commands there: "
+        "'ros:/palpate?domain=0&via=dds'.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """Options of a sensor beside its address, named as the sensor names them."""
+
+    image_shape: Annotated[
+        str | None,
+        option("--shape", "Rows x columns: 480x640, 16x16; of an array auto."),
+    ] = None
+    rate_hz: Annotated[float | None, option("--rate", "Frames per second.")] = None
+    colour: Annotated[
+        bool | None, option("--colour", "Read a camera in red, green and blue.")
+    ] = None
+    baud: Annotated[int | None, option("Bits per second of a serial port.")] = None
+    framing: Annotated[str | None, option('An array: "line" or "binary".')] = None
+    checksum: Annotated[
+        bool | None,
+        option("--checksum/--no-checksum", "Refuse serial lines without a checksum."),
+    ] = None
+    hold: Annotated[int | None, option("Frames a played touch is held.")] = None
+    gap: Annotated[int | None, option("Frames of nothing between two such.")] = None
+    place: Annotated[str | None, option("What lies there to be played first.")] = None
+    name_pattern: NamePattern = None
+    no_contact: NoContact = None
+    calibration: Calibration = None
+
+    def open(self, address: str) -> "LiveSensor":
+        """Return the sensor at an address; it is not connected yet."""
+        from ..sensors import AddressError, CalibratedSensor, open_sensor
+
+        settings = {**vars(self)}
+        path = settings.pop("calibration")
+        try:
+            sensor = open_sensor(address, **settings)
+        except AddressError as error:
+            raise typer.BadParameter(str(error)) from error
+        if path is None:
+            return sensor
+        from ..images import TaxelCalibration
+
+        return CalibratedSensor(sensor, TaxelCalibration.load(path))
+
+
+def need_baseline(session: "LiveSession") -> None:
+    """Take the frame of no contact where the sensor does not know it."""
+    from ..sensors import ContactError
+
+    if session.watch is not None and session.watch.sensor.unfixed:
+        say(session.watch.sensor.unfixed, file=sys.stderr)
+    if session.baseline is None:
+        say("Leave the sensor alone: taking its baseline.", file=sys.stderr)
+        try:
+            session.take_baseline()
+        except ContactError as error:
+            question = printable(f"{error} Does nothing touch it?")
+            if not sys.stdin.isatty() or not typer.confirm(question, err=True):
+                raise
+            session.take_baseline(force=True)
+
+
+@contextmanager
+def published(session: "LiveSession", address: str | None) -> Iterator[None]:
+    """Publish the beliefs of a session, and let it be told what to do, on ROS 2."""
+    from ..web import RosPublisher
+
+    if address is None:
+        yield
+        return
+    with closing(RosPublisher(session, address)):
+        yield
+
+
+def check_publish(address: str | None) -> None:
+    """Refuse an address of --publish that is none, before anything is started."""
+    from ..sensors import AddressError, ros_place
+
+    try:
+        _ = address and ros_place(address)
+    except AddressError as error:
+        raise typer.BadParameter(f"--publish: {error}") from error
+
+
+@contextmanager
+def logged(
+    session: "LiveSession", place: str | Path | None, number: int = 0
+) -> Iterator[None]:
+    """Let what a package has for the file's ending take the events of a session.
+
+    Entry points of the group `palpate.logs`, such as `rrd`, are called with the path,
+    `ws` with an address; what they return has `take(event)` and `close()`. Of several
+    sensors each has a `number`, and a file that ends in it, or the next port.
+    """
+    from importlib.metadata import entry_points
+
+    if place is None:
+        yield
+        return
+    path, served = Path(place), re.fullmatch(r"(ws://.*:)(\d+)", str(place))
+    name = "ws" if served else path.suffix[1:].lower()
+    plugged = [*entry_points(group="palpate.logs", name=name)]
+    if not plugged:
+        raise typer.BadParameter(
+            "--log must end in .rrd or .mcap or be ws://HOST:PORT, and what writes "
+            f"these be installed (plugs/look), got {path.name!r}."
+        )
+    path = path.with_stem(f"{path.stem}-{number}") if number else path
+    port = served and f"{served[1]}{int(served[2]) + max(0, number - 1)}"
+    with closing(plugged[0].load()(port or path)) as log:
+        session.listeners.add(log.take)
+        yield
+
+
+@sensor.command("check")
+@grouped
+def check(
+    sensor: SensorAddress,
+    *,
+    seconds: Annotated[float, option("How long; drift asks for minutes.")] = 60.0,
+    model: Annotated[Path | None, option("A model that remembers its rest.")] = None,
+    report: Report = None,
+    options: SensorOptions,
+    max_model_mb: MaxModelMb = 2000,
+    as_json: AsJson = False,
+) -> None:
+    """Watch a sensor that nothing touches: noise, dead taxels, drift, frame rate.
+
+    Exit code 1 where something is found.
+    """
+    from .._checks import check_positive
+    from .._durable import write_text
+    from ..recognition import ObjectRecogniser
+    from ..sensors import SensorMemory, sensor_health
+
+    check_positive("seconds", seconds)
+    if report is not None and report.suffix != ".html":
+        raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
+    memory = None
+    if model is not None:
+        stored = ObjectRecogniser.load(model).memory_.sensor
+        if stored is None:
+            raise ValueError(
+                f"{model} must remember its sensor's baseline, got a model without. "
+                "Learn it from a library that was recorded with one."
+            )
+        memory = SensorMemory.from_dict(stored)
+    with options.open(sensor) as live:
+        step = -(-max(live.image_shape[:2]) // _MOST_SIDE)
+        if memory is not None:
+            memory = replace(memory, no_contact=memory.no_contact[::step, ::step])
+        health = sensor_health(_frames(live, seconds, step), live.step, memory)
+        health |= {"sensor": live.name, "unit": live.unit, "seconds": seconds}
+    maps = {name: health.pop(name) for name in ("rest", "noise")}
+    if report is not None:
+        write_text(report, _page(health, maps))
+    findings = health["findings"] or ["Nothing is wrong."]
+    figures = (f"{name:20s} {value}" for name, value in _figures(health))
+    answer(as_json, health, *findings, "", *figures)
+    if not health["ok"]:
+        raise typer.Exit(1)
+
+
+@sensor.command("learn-nuisance")
+@grouped
+def learn_nuisance(
+    model: ModelPath,
+    touches: TouchesPath,
+    output: ModelOutput,
+    *,
+    reading: Reading,
+    max_model_mb: MaxModelMb = 2000,
+    as_json: AsJson = False,
+) -> None:
+    """Learn from any objects met in several sessions what tells sessions apart.
+
+    MODEL need not know the objects of TOUCHES, only the sensor: what differs between
+    their sessions is weighed down in the model that is written.
+    """
+    from ..recognition import ObjectRecogniser, check_model_path
+
+    check_model_path(output)
+    with stages() as stage:
+        stage(f"reading {touches}")
+        met = reading.touches(touches)
+        recogniser = ObjectRecogniser.load(model_file(model))
+        stage(f"learning from {len(met)} touches")
+        n_differences = recogniser.learn_nuisance(met)
+        written = recogniser.save(output)
+    values = {"model": str(written), "n_differences": n_differences}
+    answer(as_json, values, f"{n_differences} differences are weighed down.", written)
+
+
+def _frames(sensor: "LiveSensor", seconds: float, step: int) -> list["Frame"]:
+    end_s, frames = time.monotonic() + seconds, []
+    while time.monotonic() < end_s:
+        frame = sensor.read_next()
+        frames.append(replace(frame, image=frame.image[::step, ::step].copy()))
+    return frames
+
+
+def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
+    from ..evaluation import html_table, report_page
+    from ..touches import as_shown, png_address
+
+    findings = health["findings"] or ["Nothing is wrong."]
+    lines = "".join(
+        f"<p style='font-size:1.15rem'>{escape(line)}</p>" for line in findings
+    )
+    pictures = ""
+    for name, image in maps.items():
+        shown = as_shown(image[None], ("r", "g", "b") if image.ndim == 3 else None)[0]
+        pictures += (
+            f"<figure style='margin:0'><img alt='{name} of each taxel' width=240 "
+            f"style='image-rendering:pixelated' src='{png_address(shown, 240)}'>"
+            f"<figcaption class=note>{name}, {image.min():.3g} (dark) to "
+            f"{image.max():.3g}</figcaption></figure>"
+        )
+    title = f"{health['sensor']}: {'well' if health['ok'] else 'look at it'}"
+    colour = "#1d7a46" if health["ok"] else "#b3261e"
+    watched = f"Watched for {health['seconds']:g} s; in {escape(health['unit'])}."
+    head = (
+        f"<h1 style='border-left:.5rem solid {colour};padding-left:.8rem'>"
+        f"{escape(title)}</h1>{lines}<p class=note>{watched}</p>"
+        f"<div class=row>{pictures}</div>"
+        "<h2>Mean level over time, and the drift that does harm</h2>"
+    )
+    curve = _curve(health["levels"], health["figures"]["drift_limit"])
+    figures = html_table("Figures", ["", ""], _figures(health))
+    return report_page(title, [head, curve, figures])
+
+
+def _figures(health: dict[str, Any]) -> list[list[str]]:
+    shown = {n: "-" if v is None else f"{v:.4g}" for n, v in health["figures"].items()}
+    return [[name.replace("_", " "), text] for name, text in shown.items()]
+
+
+def _curve(levels: list[float], limit: float) -> str:
+    """Draw levels over time, and the limits at a third of the height."""
+    most = max(1.5 * limit, *(1.2 * abs(level) for level in levels))
+    ys = [50 - 50 * level / most for level in (*levels, limit, -limit)]
+    points = " ".join(f"{40 * i},{y:.1f}" for i, y in enumerate(ys[:-2]))
+    limits = "".join(f"M0 {y:.1f}H480" for y in ys[-2:])
+    return (
+        "<svg viewBox='0 0 480 100' width=480 role=img aria-label='level over time'>"
+        f"<path d='{limits}' stroke='#b3261e' stroke-dasharray=4 /><polyline "
+        f"points='{points}' fill=none stroke='#1f4e79' stroke-width=2 /></svg>"
+    )
