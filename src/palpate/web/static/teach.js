@@ -1,7 +1,7 @@
 // Teaching: a name, so many touches, undo, learn.
 
 import { get, post, url } from "./api.js";
-import { confirmed, drawn, find, make, pictures, show, step, text } from "./dom.js";
+import { confirmed, drawn, find, make, pictures, show, step, text, unbroken } from "./dom.js";
 import { openStored } from "./editor.js";
 import { mixed } from "./sensors.js";
 import { learnable } from "./steps.js";
@@ -50,7 +50,7 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   show(find("learn-error"), error !== "");
   text(find("learn-error"), error);
   show(find("advice"), advice.length > 0 && !lesson && !learning);
-  find("advice").lastElementChild.replaceChildren(...advice.map((one) => make("li", {}, one)));
+  find("advice").lastElementChild.replaceChildren(...advice.map((one) => make("li", {}, unbroken(one))));
   showKnown(library.objects);
   // A button that goes must not take the focus with it.
   if (began || (answered && lesson)) find("stop").focus();
