@@ -687,7 +687,7 @@ def test_several_sensors_are_live_side_by_side(
         }
         share = weights["disc"] / sum(weights.values())
         expect(page.locator("#together")).to_contain_text("All together: disc")
-        shown = re.search(r"disc >?([\d.]+) %", page.inner_text("#together"))
+        shown = re.search(r"disc >?([\d.]+)\s%", page.inner_text("#together"))
         assert float(shown[1]) == pytest.approx(100 * share, abs=0.6)
         tiles.nth(1).click()
         expect(page.locator(".tile[aria-current]")).to_contain_text("2 replay")

@@ -144,9 +144,10 @@ def test_without_a_library_there_is_one_next_step(page, make_session, serving, d
         session.post_touch(drawn.images[0])
         expect(page.locator("#strip li")).to_have_count(1)
         expect(page.locator("#decision")).to_have_text("Nothing learnt yet")
+        assert (step(page), primary(page)) == ("step-2", [])
         words = page.locator("main").inner_text()
         assert words.count("--library FOLDER") == 1
-        for other in ("two objects", "Name an object", "learn again"):
+        for other in ("Belief after", "two objects", "Name an object", "learn again"):
             assert other not in words
     assert "--library" in session.episode.sentence
 
@@ -205,6 +206,24 @@ def test_no_line_breaks_between_a_number_and_its_sign(page, taught, serving, dra
         assert "\u00a0%" in page.locator("main").inner_text()
 
 
+def test_a_lost_sensor_leaves_nothing_to_press(page, hand, serving, tmp_path):
+    session = LiveSession(hand, library=tmp_path / "library")
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#offer")).to_contain_text("No baseline yet")
+        session.take_baseline()
+        expect(page.locator("#start")).to_be_enabled()
+        hand.unplugged = True
+        expect(page.locator("#lost")).to_have_text("it is unplugged")
+        for button in ("#baseline", "#start"):
+            expect(page.locator(button)).to_be_disabled()
+        expect(page.locator("#offer")).to_be_hidden()
+        expect(page.locator("#why-not")).to_contain_text("the sensor gives no frames")
+        hand.unplugged = False
+        for button in ("#baseline", "#start"):
+            expect(page.locator(button)).to_be_enabled()
+
+
 def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
     page, make_session, taught_library, tmp_path, serving
 ):
@@ -222,11 +241,15 @@ def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
         page.click("#editor-remove")
         expect(page.locator("#editor-about")).to_contain_text("21 of 29")
         expect(page.locator("#editor-title")).to_be_focused()
+        page.fill("#editor-name", "...")
+        page.keyboard.press("Enter")
+        expect(editor.locator("#status")).to_contain_text("must hold a letter")
         page.fill("#editor-name", "bar")
         page.keyboard.press("Enter")
         expect(page.locator("#editor-about")).to_contain_text("21 of 28")
         page.keyboard.press("Escape")
         expect(editor).to_be_hidden()
+        expect(page.locator("#bar-top #status")).to_contain_text("moved to bar")
         expect(card.locator("h3")).to_be_focused()  # the picture pressed is gone
         expect(card.locator(".meta")).to_contain_text("28 touches")
         expect(page.locator("#step-2 span")).to_have_text("learn again")

@@ -145,7 +145,7 @@ function drawHistory() {
   const believed = touches.filter((touch) => touch.unknown !== null);
   show(find("history"), touches.length > 0);
   const from = touches.length < episode.touches.length ? `: the last ${WINDOW} of ${episode.touches.length}` : "";
-  text(find("history-title"), `Belief after each touch${from}`);
+  text(find("history-title"), `${believed.length ? "Belief after each touch" : "Touches"}${from}`);
   const chart = find("history").querySelector("svg");
   show(find("columns"), believed.length > 0);
   drawColumns(chart, believed);

@@ -91,8 +91,11 @@ export function decided({ decision, category, in_doubt: doubted }) {
 
 let hiding = 0;
 
+// What was done or refused, for a while; in the dialog that is open, which covers the rest.
 export function say(words) {
   const status = find("status");
+  const place = document.querySelector("dialog[open]") ?? find("bar-top");
+  if (status.parentElement !== place) place.append(status);
   text(status, words);
   status.classList.toggle("shown", words !== "");
   clearTimeout(hiding);

@@ -73,9 +73,9 @@ const WORDS = {
 // Each button that cannot be pressed has its reason beside it.
 function showButtons(library, model, learning, sensor) {
   const enough = learnable(library);
-  const why = [];
-  find("start").disabled = sensor !== null && !sensor.baseline;
-  if (find("start").disabled) why.push("Start: take the baseline first.");
+  const why = sensor ? [] : ["Start: there is no sensor here. Post touches to /api/teach/touch, or start palpate serve again with --sensor."];
+  find("start").disabled = sensor !== null && (!sensor.baseline || sensor.lost !== "");
+  if (find("start").disabled) why.push(`Start: ${sensor.lost ? "the sensor gives no frames" : "take the baseline first"}.`);
   find("undo").disabled = library.undo === null;
   text(find("undo"), library.undo === null ? "Undo" : WORDS[library.undo.kind](library.undo));
   if (find("undo").disabled) why.push("Undo: nothing was taught here.");
