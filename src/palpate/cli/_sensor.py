@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import Calibration, NamePattern, NoContact, option
+from ._options import Calibration, NamePattern, NoContact, flag, option
 from ._output import printable, say
 
 if TYPE_CHECKING:
@@ -61,13 +61,13 @@ class SensorOptions:
     ] = None
     rate_hz: Annotated[float | None, option("--rate", "Frames per second.")] = None
     colour: Annotated[
-        bool | None, option("--colour", "Read a camera in red, green and blue.")
+        bool | None, flag("--colour", "Read a camera in red, green and blue.")
     ] = None
     baud: Annotated[int | None, option("Bits per second of a serial port.")] = None
     framing: Annotated[str | None, option('An array: "line" or "binary".')] = None
     checksum: Annotated[
         bool | None,
-        option("--checksum/--no-checksum", "Refuse serial lines without a checksum."),
+        flag("--checksum/--no-checksum", "Refuse serial lines without a checksum."),
     ] = None
     hold: Annotated[int | None, option("Frames a played touch is held.")] = None
     gap: Annotated[int | None, option("Frames of nothing between two such.")] = None
