@@ -8,12 +8,12 @@ from palpate import Touches
 from palpate.evaluation import (
     as_good_alone,
     brightness,
+    control_log_likelihood,
     disc_centres,
     named_alone,
     sorted_pixels,
     without_contact,
 )
-from palpate.evaluation._controls import control_log_likelihood
 
 
 @pytest.fixture
