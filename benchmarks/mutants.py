@@ -62,7 +62,7 @@ CORE = {
     "touches_joining touch_archive_hostile",
     "touches/_folder.py": "touch_folder touch_labels",
     "touches/_parquet.py": "library_parquet",
-    "touches/_pictures.py": "touch_pictures touch_folder",
+    "touches/_pictures.py": "touch_pictures touch_folder picture_scans",
     "touches/_touches.py": "touches_set touches_joining touches_channels touch_archive",
     "exploration/_guarded.py": "guard_bounds guarded_touch force_limit faulty_arms",
     "exploration/_ways.py": "hemisphere explore faulty_arms",

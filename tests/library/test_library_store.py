@@ -24,7 +24,6 @@ from palpate.library import (
     check_library,
     repair_library,
 )
-from palpate.library._changes import make_change
 
 PAGE = 8192
 
@@ -163,7 +162,7 @@ def test_an_interrupt_concerns_one_thread_alone(library, monkeypatch, when):
         if left and left.pop():
             raise KeyboardInterrupt
 
-    changes = [lambda: make_change(store, "rename", old="o", new="x")]
+    changes = [lambda: library.rename_object("o", "x")]
     if when == "in a job":
         changes.append(lambda: store.write(interrupt))
     jobs = [*_adding(library, range(1, 9)), *changes]
