@@ -200,7 +200,7 @@ class KernelRidgeClassifier(BayesRule):
         self, X: ArrayLike, y: ArrayLike, groups: Groups, reset: bool = True
     ) -> tuple[Floats, Array, Array]:
         touches, labels = labelled_touches(self, X, y, reset=reset)
-        check_squarable("X", touches)
+        check_squarable(touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         return touches, codes, as_groups(groups, len(touches))
 
@@ -398,7 +398,7 @@ class KernelRidgeClassifier(BayesRule):
     def _bent_scores(self, X: ArrayLike) -> Floats:
         if not hasattr(self, "coefficients_"):  # the check itself takes a while
             check_is_fitted(self)
-        touches = check_squarable("X", as_touches(self, X))
+        touches = check_squarable(as_touches(self, X))
         return self.log_likelihood_checked(touches)
 
     def log_likelihood_checked(self, touches: Floats) -> Floats:

@@ -295,9 +295,7 @@ def n_at_once(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     return max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
 
 
-def packed_images(
-    tables: Tables, rows: Sequence[StoredTouch], *, with_more: bool = False
-) -> Iterator[Packed]:
+def packed_images(tables: Tables, rows: Sequence[StoredTouch]) -> Iterator[Packed]:
     """Return stored images of touches with one size and type, some at a time."""
     if not rows:
         return
