@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -313,6 +314,37 @@ def test_doctor_says_what_to_type(palpate, monkeypatch, name, command, code):
     (line,) = (line for line in done.stdout.splitlines() if f" {name} " in line)
     cells = [cell.strip() for cell in line.strip("│┃").split("│")]
     assert cells == [name, "missing", command]
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_doctor_keeps_names_whole_in_a_narrow_terminal(palpate, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    lines = palpate("doctor").stdout.splitlines()
+    assert max(map(len, lines)) <= width
+    names = {line.strip("│┃").split("│")[0].strip() for line in lines}
+    assert {"opencv-python-headless", "cv2-enumerate-cameras"} <= names
+    assert lines[-1] == "Try it: palpate demo"
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_help_breaks_its_lines_where_the_terminal_does(palpate, monkeypatch, width):
+    """Each paragraph fills its lines: the first word of the next would not fit."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    for verb in ("check", "learn", "recognise", "evaluate", "demo", "remount"):
+        said = palpate(verb, "--help").stdout
+        above = said[said.index("Usage") :].partition("╭")[0]
+        for paragraph in re.split(r"\n\s*\n", above):
+            lines = paragraph.rstrip().splitlines()
+            for line, after in pairwise(lines):
+                assert len(line.rstrip()) + 1 + len(after.split()[0]) > width - 2
+
+
+def test_an_option_without_a_value_shows_no_type_of_one(palpate, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    said = palpate("learn", "--help").stdout
+    for name in ("--json", "--skip-bad", "--colour"):
+        (line,) = (line for line in said.splitlines() if f" {name} " in line)
+        assert "<" not in line
 
 
 def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):

@@ -96,11 +96,12 @@ def test_odd_cells_are_only_text(library, cell):
 
 
 @pytest.mark.parametrize(
-    "name", ["x\ny", "x\0", "\ud800", "\x7f", " ", "", 5, None, "tab\t"]
+    "name",
+    ["x\ny", "x\0", "\ud800", "\x7f", " ", "", 5, None, "tab\t", "...", "\u200b"],
 )
 def test_names_that_cannot_be_shown_are_refused(library, name):
     library.add(_touches())
-    with pytest.raises(LibraryError, match="The new name must be"):
+    with pytest.raises(LibraryError, match="The name of an object must"):
         library.rename_object("a", name)
     assert [row.name for row in library.objects()] == ["a", "b", "c"]
 

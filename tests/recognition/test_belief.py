@@ -494,14 +494,16 @@ def test_a_decision_stays_until_it_is_as_improbable_as_it_was_probable(start, mo
         "cup, 19 % after 2 touches; mug is more probable now: touch again"
     )
     assert (episode.decision, episode.decided_at, episode.withdrawn) == ("cup", 1, [])
+    assert episode.in_doubt
     # 1 : 96 : 4000 : 1 : 1, the cup has 0.023.
     assert (
         episode.add(touch_evidence(model, 1, 1, 10, 1, 1))
         == "mug, 97 % after 3 touches"
     )
     assert (episode.decision, episode.decided_at) == ("mug", 3)
+    assert not episode.in_doubt
     assert episode.withdrawn == [
-        "cup is withdrawn after touch 3: mug is more probable now"
+        "cup was withdrawn after touch 3, when mug was more probable"
     ]
 
 
@@ -519,7 +521,7 @@ def test_unknown_is_withdrawn_when_it_is_less_probable_than_its_refusal(start, m
         episode._decide()
         assert episode.decision == decision
     assert episode.withdrawn == [
-        "nothing I know is withdrawn after touch 1: cup is more probable now"
+        "nothing I know was withdrawn after touch 1, when cup was more probable"
     ]
 
 

@@ -3,8 +3,9 @@
 For tests, those of `plugs/ros` too, and for `benchmarks/clients.py`.
 """
 
+import atexit
 import json
-import os
+import socket
 import subprocess
 import sys
 import time
@@ -17,13 +18,33 @@ from ros_robot import pressed
 from palpate import ObjectRecogniser, Touches
 
 ROBOT = Path(__file__).with_name("ros_robot.py")
-# A number a process of tests, so that those side by side do not meet.
-NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 50
+N_NUMBERS, FIRST_PORT = 50, 17_700
 LOOPBACK = """<CycloneDDS><Domain id="any">
 <General><AllowMulticast>false</AllowMulticast><Interfaces>
 <NetworkInterface address="127.0.0.1"/></Interfaces></General>
 <Discovery><ParticipantIndex>auto</ParticipantIndex>
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+
+
+def own_number():
+    """Take a number that no other process of this machine has while this one lives.
+
+    Domains and endpoints follow from it: processes of one number would hear each other,
+    whether they are of one run of the tests or of two.
+    """
+    for number in range(N_NUMBERS):
+        held = socket.socket()
+        try:
+            held.bind(("127.0.0.1", FIRST_PORT + number))
+        except OSError:
+            held.close()
+            continue
+        atexit.register(held.close)
+        return number
+    raise RuntimeError(f"{N_NUMBERS} processes of tests run on this machine already.")
+
+
+NUMBER = own_number()
 
 
 def variables(endpoint=""):

@@ -12,7 +12,7 @@ import pytest
 
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
-from palpate.sensors import LiveSensor, ReplaySensor
+from palpate.sensors import LiveSensor, ReplaySensor, SensorError
 from palpate.web import LiveSession, create_app, learn_job, new_token
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
@@ -96,7 +96,7 @@ class HandSensor(LiveSensor):
 
     def __init__(self, geometry="array"):
         super().__init__("hand", "count", (SIDE, SIDE), np.uint8, geometry)
-        self.pressed = False
+        self.pressed = self.unplugged = False
 
     def show(self, session, pressed):
         """Be pressed, or not, until a session has followed some frames of it.
@@ -110,10 +110,12 @@ class HandSensor(LiveSensor):
             time.sleep(0.005)
 
     def _open(self):
-        pass
+        if self.unplugged:
+            raise SensorError("it is unplugged")
 
     def _grab(self):
         time.sleep(0.005)
+        self._open()
         image = np.full((SIDE, SIDE), 20, np.uint8)
         if self.pressed:
             image[3:7, 4:9] = 200

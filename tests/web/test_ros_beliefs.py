@@ -12,7 +12,16 @@ from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec
 
 import pytest
-from ros_network import NUMBER, eventually, heard_by, learn, robot, router, variables
+from ros_network import (
+    NUMBER,
+    eventually,
+    heard_by,
+    learn,
+    own_number,
+    robot,
+    router,
+    variables,
+)
 
 from palpate.cli import main
 from palpate.library import TouchLibrary
@@ -123,6 +132,12 @@ def test_what_is_commanded_is_done_or_refused(via, learnt, tmp_path):
     ]
     with TouchLibrary.open(tmp_path / "lab") as library:
         assert library.touches().object.tolist() == ["knob"] * 3
+
+
+def test_what_holds_a_number_is_met_by_nobody_else():
+    """Two runs of the tests on one machine heard each other's robots."""
+    others = [own_number() for _ in range(3)]
+    assert len({NUMBER, *others}) == 4
 
 
 def test_a_listener_that_takes_no_frames_is_sent_none():

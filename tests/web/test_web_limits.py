@@ -261,7 +261,21 @@ def test_the_oldest_of_each_kind_gives_way(monkeypatch):
     assert [one.aborted for one in (*known, third)] == [True, False, False]
 
 
-@pytest.mark.parametrize("name", ["", "  ", "a" * 81, "a\x1bb", "unknown", " unknown "])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "  ",
+        "a" * 81,
+        "a\x1bb",
+        "a\u202eb",
+        "unknown",
+        " unknown ",
+        ".",
+        "...",
+        "?!",
+    ],
+)
 def test_names_that_are_none_are_refused(name):
     with pytest.raises(ValueError, match="The name of an object must"):
         checked_name(name)
@@ -270,3 +284,5 @@ def test_names_that_are_none_are_refused(name):
 def test_blanks_in_names_are_tidied():
     assert checked_name("  red \t mug ") == "red mug"
     assert checked_name("a" * 80) == "a" * 80
+    for name in ("C++", "☕", "7", "+", "می\u200cخواهم"):
+        assert checked_name(name) == name

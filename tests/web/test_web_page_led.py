@@ -96,6 +96,134 @@ def test_what_is_it_comes_first_once_something_is_learnt(page, taught, serving, 
         assert order == ["belief", "sensor", "teach", "objects"]
 
 
+def test_the_heading_says_what_is_decided_and_nothing_else(
+    page, taught, serving, drawn
+):
+    """What it may be stands below; the tile of a sensor says the same."""
+    disc, bar = (drawn.images[drawn.object == name] for name in ("disc", "bar"))
+    heading, seen = page.locator("#decision"), set()
+    with serving(taught) as (address, token):
+        opened(page, address, token)
+        expect(heading).to_have_text("Touch something")
+        for image in [*disc[:2], *bar[:12]]:
+            taught.post_touch(image)
+            episode = taught.episode.episode
+            state = episode.decision, episode.in_doubt
+            seen.add(state)
+            name = (
+                episode.decision
+                or ("Undecided", "Undecided again")[bool(episode.withdrawn)]
+            )
+            expect(heading).to_have_text(name + ", in doubt" * episode.in_doubt)
+            expect(page.locator("#reason")).to_contain_text(episode.sentence)
+            if episode.decision == "bar":
+                break
+        assert {("disc", False), ("bar", False)} <= seen
+        expect(page.locator("#reason")).to_contain_text("disc was withdrawn after")
+        said = taught.episode.to_dict()
+        for news, words, kind in (
+            ({"decision": None, "withdrawn": []}, "Undecided", "undecided"),
+            ({"decision": None}, "Undecided again", "undecided"),
+            ({"decision": "bar", "in_doubt": True}, "bar, in doubt", "undecided"),
+            ({"decision": "unknown"}, "Nothing I know", "unknown"),
+            ({"decision": None, "category": "urn"}, "an urn", "decided"),
+        ):
+            page.evaluate(
+                """async (episode) =>
+                (await import('/static/belief.js')).showEpisode(episode)""",
+                said | news,
+            )
+            expect(heading).to_have_text(words)
+            expect(heading).to_have_class(kind)
+
+
+def test_without_a_library_there_is_one_next_step(page, make_session, serving, drawn):
+    session = make_session(library=None)
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        session.post_touch(drawn.images[0])
+        expect(page.locator("#strip li")).to_have_count(1)
+        expect(page.locator("#decision")).to_have_text("Nothing learnt yet")
+        assert (step(page), primary(page)) == ("step-2", [])
+        words = page.locator("main").inner_text()
+        assert words.count("--library FOLDER") == 1
+        for other in ("Belief after", "two objects", "Name an object", "learn again"):
+            assert other not in words
+    assert "--library" in session.episode.sentence
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_what_is_said_covers_nothing(page, taught, serving, width):
+    """However long it is, and wherever the page is scrolled to at the top."""
+    page.set_viewport_size({"width": width, "height": 844})
+    with serving(taught) as (address, token):
+        opened(page, address, token)
+        for words in ("Short.", "A long sentence that wraps. " * 12):
+            page.evaluate(
+                "async (words) => (await import('/static/dom.js')).say(words)", words
+            )
+            status = page.locator("#status").bounding_box()
+            assert status["y"] + status["height"] <= top(page, "#belief")
+            assert page.locator("#status").evaluate(
+                "(e) => e.scrollHeight <= e.clientHeight + 1"
+            )
+
+
+def test_a_name_that_says_nothing_is_refused_in_one_sentence(
+    page, make_session, serving
+):
+    session = make_session()
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        for name, why in (
+            ("...", "must hold a letter"),
+            (".", "must hold a letter"),
+            ("   ", "must be a text"),
+            ("mug\u202e", "can be printed"),
+            ("m" * 81, "at most 80 characters, got 81"),
+            ("unknown", "must not be 'unknown'"),
+        ):
+            page.fill("#name", name)
+            page.click("#start")
+            status = page.locator("#status")
+            expect(status).to_contain_text("The name of an object must ")
+            expect(status).to_contain_text(why)
+            assert session.teacher.lesson is None
+
+
+def test_no_line_breaks_between_a_number_and_its_sign(page, taught, serving, drawn):
+    with serving([taught]) as (address, token):
+        opened(page, address, token)
+        for image in drawn.images[:3]:
+            taught.post_touch(image)
+        expect(page.locator("#strip li")).to_have_count(3)
+        broken = page.evaluate(
+            """() => [...document.querySelectorAll('main *, #steps *')]
+            .filter((e) => !e.children.length && /[0-9] %/.test(e.textContent))
+            .map((e) => e.outerHTML)"""
+        )
+        assert broken == []
+        assert "\u00a0%" in page.locator("main").inner_text()
+
+
+def test_a_lost_sensor_leaves_nothing_to_press(page, hand, serving, tmp_path):
+    session = LiveSession(hand, library=tmp_path / "library")
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#offer")).to_contain_text("No baseline yet")
+        session.take_baseline()
+        expect(page.locator("#start")).to_be_enabled()
+        hand.unplugged = True
+        expect(page.locator("#lost")).to_have_text("it is unplugged")
+        for button in ("#baseline", "#start"):
+            expect(page.locator(button)).to_be_disabled()
+        expect(page.locator("#offer")).to_be_hidden()
+        expect(page.locator("#why-not")).to_contain_text("the sensor gives no frames")
+        hand.unplugged = False
+        for button in ("#baseline", "#start"):
+            expect(page.locator(button)).to_be_enabled()
+
+
 def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
     page, make_session, taught_library, tmp_path, serving
 ):
@@ -113,11 +241,15 @@ def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
         page.click("#editor-remove")
         expect(page.locator("#editor-about")).to_contain_text("21 of 29")
         expect(page.locator("#editor-title")).to_be_focused()
+        page.fill("#editor-name", "...")
+        page.keyboard.press("Enter")
+        expect(editor.locator("#status")).to_contain_text("must hold a letter")
         page.fill("#editor-name", "bar")
         page.keyboard.press("Enter")
         expect(page.locator("#editor-about")).to_contain_text("21 of 28")
         page.keyboard.press("Escape")
         expect(editor).to_be_hidden()
+        expect(page.locator("#bar-top #status")).to_contain_text("moved to bar")
         expect(card.locator("h3")).to_be_focused()  # the picture pressed is gone
         expect(card.locator(".meta")).to_contain_text("28 touches")
         expect(page.locator("#step-2 span")).to_have_text("learn again")

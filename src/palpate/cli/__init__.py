@@ -12,12 +12,13 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from inspect import cleandoc
 from typing import Annotated, Any
 
 import typer
 
 from .. import __version__
-from ._options import option
+from ._options import flag
 from ._output import answer, as_typed, printable, say, translate_for
 
 app = typer.Typer(
@@ -27,6 +28,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Recognise things by touch: learn objects from touches, recognise them "
     "touch by touch, and say when something is unknown.",
+    epilog="To begin: `palpate demo`. With touches of your own: `palpate check`, then "
+    "`palpate learn`. `palpate COMMAND -h` says what each takes.",
 )
 # Each is the function, or the group of several, of that name in the file of that name.
 VERBS = (
@@ -42,6 +45,20 @@ for name in VERBS:
         app.command()(verb)
 translate_for(app)
 
+
+def _join_lines(group: typer.Typer) -> None:
+    """Let a terminal of any width break the lines of what is said of verbs."""
+    for verb in group.registered_commands:
+        if verb.callback is not None and verb.callback.__doc__:
+            parts = cleandoc(verb.callback.__doc__).split("\n\n")
+            verb.callback.__doc__ = "\n\n".join(" ".join(p.split()) for p in parts)
+    for inner in group.registered_groups:
+        if inner.typer_instance is not None:
+            _join_lines(inner.typer_instance)
+
+
+_join_lines(app)
+
 _Usage: Any = typer.BadParameter.__base__  # every wrong use of the command line
 # What a verb may fail with; anything else is a fault of palpate and shows where.
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
@@ -54,7 +71,7 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-_version = option(
+_version = flag(
     "--version", "Print the version.", callback=_print_version, is_eager=True
 )
 

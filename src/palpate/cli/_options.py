@@ -73,6 +73,11 @@ def option(*names_and_help: str, **more: Any) -> Any:
     return typer.Option(*names, help=_no_markup(text), **more)
 
 
+def flag(*names_and_help: str, **more: Any) -> Any:
+    """Return an option that takes no value, and so shows no type of one."""
+    return option(*names_and_help, metavar="", **more)
+
+
 def argument(*name_and_help: str) -> Any:
     """Return an argument of the command line: its name, if it has one, and its help."""
     *name, text = name_and_help
@@ -114,7 +119,7 @@ RecordedData = Annotated[
     Path | None,
     option("--data", "Folder of recorded touches. Default: `palpate data where`."),
 ]
-AsJson = Annotated[bool, option("--json", "Print one JSON object and nothing else.")]
+AsJson = Annotated[bool, flag("--json", "Print one JSON object and nothing else.")]
 Seed = Annotated[
     int, option("--seed", "Seed of everything random.", callback=checked_seed)
 ]
@@ -132,17 +137,17 @@ Refusal = Annotated[
     float | None,
     option(
         "--refusal",
-        "Unknown is said when its probability reaches 1 less this; as --error if none.",
+        "Unknown is said when its probability reaches 1 minus this. If none: --error.",
     ),
 ]
 Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
-ListNames = Annotated[bool, option("--list", "List them.")]
+ListNames = Annotated[bool, flag("--list", "List them.")]
 NamePattern = Annotated[
     str | None,
     option(
         "--name-pattern",
         "Regular expression for image names with named groups, such as "
-        r"'(?P<object>\w+)_(?P<order>\d+)'. Without it folders name the objects.",
+        r"'(?P<object>\w+)_.*'. Without it folders name the objects.",
     ),
 ]
 NoContact = Annotated[
@@ -153,8 +158,8 @@ Where = Annotated[
     option(
         "--where",
         "Of a library, the touches that meet this filter alone, such as "
-        '"object = mug and force_n > 0.5". Comparisons: = != < <= > >= in contains, '
-        "is null; joined by and, or, not.",
+        '"object = mug and force_n > 0.5". It compares by =, !=, <, <=, >, >=, in, '
+        "contains or is null, joined by and, or, not.",
     ),
 ]
 Calibration = Annotated[
@@ -229,14 +234,12 @@ class Reading:
     ] = None
     skip_bad: Annotated[
         bool,
-        option(
-            "--skip-bad", "Leave out pictures that `palpate check` finds fault with."
-        ),
+        flag("--skip-bad", "Leave out pictures that `palpate check` finds fault with."),
     ] = False
     no_contact: NoContact = None
     colour: Annotated[
         bool | None,
-        option("--colour", "Read pictures of a folder in red, green and blue."),
+        flag("--colour", "Read pictures of a folder in red, green and blue."),
     ] = None
     shape: Annotated[
         str | None,

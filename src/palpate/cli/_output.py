@@ -11,7 +11,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, Literal, TextIO
@@ -82,11 +82,11 @@ def table(
     title: str,
     columns: list[str],
     rows: list[list[str]],
-    whole: str = "",
+    whole: Collection[str] = (),
     *,
     text: bool = False,
 ) -> None:
-    """Print a table on standard output; the column `whole` is not wrapped.
+    """Print a table on standard output; the columns `whole` are not wrapped.
 
     All but the first column are figures, flush right, unless they are `text`.
     """
@@ -96,7 +96,7 @@ def table(
     drawn = Table(title=printable(title), title_justify="left")
     for number, column in enumerate(columns):
         side: Literal["left", "right"] = "left" if text or number == 0 else "right"
-        kept = column == whole
+        kept = column in whole
         drawn.add_column(column, justify=side, no_wrap=kept, overflow="fold")
     for row in rows:
         drawn.add_row(*map(printable, row))

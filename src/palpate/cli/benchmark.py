@@ -62,7 +62,7 @@ def benchmark(
         print_json(result)
         return
     for archive_table in evaluation.benchmark_tables(result):
-        table(*archive_table, whole="recogniser")
+        table(*archive_table, whole=["recogniser"])
     for line in evaluation.verdicts(result):
         say(line)
     if report is not None:

@@ -28,8 +28,9 @@ def check(
 ) -> None:
     """Look at touches before learning: bad pictures, counts, what is no touch.
 
-    Every picture that cannot be used is listed with its fix; exit code 1 if there are
-    some. --report writes the same with a sheet of touches of each object.
+    For example: palpate check touches/. Every picture that cannot be used is listed
+    with its fix; exit code 1 if there are some. --report writes the same with a sheet
+    of touches of each object.
     """
     from .._durable import write_text
     from ..evaluation import named_alone

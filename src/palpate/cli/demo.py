@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ._options import AsJson, RecordedData, Seed, Strangers, option
+from ._options import AsJson, RecordedData, Seed, Strangers, flag, option
 from ._output import print_json, say, stages
 from .evaluate import in_options, print_figures
 from .explore import exploration_to_dict, print_attempt
@@ -39,7 +39,7 @@ Sets = tuple["Touches", "Touches", "Touches"]
 
 
 def demo(
-    real: Annotated[bool, option("--real", "Recorded ones: see --data.")] = False,
+    real: Annotated[bool, flag("--real", "Recorded ones: see --data.")] = False,
     data: RecordedData = None,
     folder: Annotated[Path, option("--output", "For model and report.")] = Path("demo"),
     strangers: Strangers = STRANGERS,

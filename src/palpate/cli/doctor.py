@@ -3,6 +3,7 @@
 import os
 import platform
 import re
+import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -15,6 +16,7 @@ from ._options import AsJson
 from ._output import print_json, say, table
 
 # Extras of those who change palpate, not of those who use it.
+_WIDE = 80
 FOR_AUTHORS = ("test", "dev", "docs")
 
 
@@ -28,13 +30,25 @@ def doctor(as_json: AsJson = False) -> None:
         print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
     else:
         rows = [[c["name"], c["found"], c["fix"]] for c in checks]
-        table(
-            "palpate doctor", ["what", "found", "to do"], rows, whole="to do", text=True
-        )
-        missing = "Something palpate needs is missing; see above."
-        say("Healthy." if healthy else missing)
+        # What is to be typed stays in one line, unless the terminal is narrow.
+        narrow = shutil.get_terminal_size().columns < _WIDE
+        whole = ["what", "found"] if narrow else ["to do"]
+        table("palpate doctor", ["what", "found", "to do"], rows, whole, text=True)
+        say(_verdict(checks, healthy=healthy))
     if not healthy:
         raise typer.Exit(1)
+
+
+def _verdict(checks: list[dict[str, Any]], *, healthy: bool) -> str:
+    """Return whether palpate can work here, and what to do next."""
+    if not healthy:
+        lacking = [c["name"] for c in checks if c["needed"] and not c["ok"]]
+        return (
+            f"Missing, and needed: {', '.join(lacking)}. Type what stands beside it, "
+            "then `palpate doctor` again."
+        )
+    optional = any(not check["ok"] for check in checks)
+    return f"Healthy.{' What is missing is optional.' * optional}\nTry it: palpate demo"
 
 
 def _packages() -> list[tuple[str, str | None]]:

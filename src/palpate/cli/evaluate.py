@@ -20,8 +20,10 @@ def evaluate(
             "Split --train itself: between, last, unseen-objects, session or subject."
         ),
     ] = None,
-    touches: Annotated[str, option("Figures after so many.")] = "1,5,15,30",
-    train_touches: Annotated[int | None, option("Train on so many each.")] = None,
+    touches: Annotated[str, option("Accuracy after so many touches.")] = "1,5,15,30",
+    train_touches: Annotated[
+        int | None, option("Learn from so many touches of each object.")
+    ] = None,
     remount: Annotated[
         str,
         option(
@@ -31,9 +33,9 @@ def evaluate(
         ),
     ] = "none",
     orders: Annotated[int, option("Random orders of each object's touches.")] = 20,
-    unknown: Annotated[Path | None, option("Touches of objects not trained.")] = None,
-    test_where: Annotated[str | None, option("The same for --test.")] = None,
-    unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
+    unknown: Annotated[Path | None, option("Touches of things never learnt.")] = None,
+    test_where: Annotated[str | None, option("As --where, of --test.")] = None,
+    unknown_where: Annotated[str | None, option("As --where, of --unknown.")] = None,
     error: _options.ErrorRate = 0.01,
     refusal: _options.Refusal = None,
     strangers: _options.Strangers = 0.05,
@@ -43,7 +45,11 @@ def evaluate(
     working: _options.Working,
     as_json: _options.AsJson = False,
 ) -> None:
-    """Learn, recognise and score, with spread, calibration and nuisance controls."""
+    """Learn, recognise and score, with spread, calibration and nuisance controls.
+
+    For example: palpate evaluate --train touches/ --split last. With `session` in place
+    of `last` it says what to expect on another day.
+    """
     from ..evaluation import Plan, check_report_path, write_report
     from ..evaluation import evaluate as run
 

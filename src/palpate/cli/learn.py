@@ -37,7 +37,11 @@ def learn(
     max_model_mb: _options.MaxModelMb = 2000,
     as_json: _options.AsJson = False,
 ) -> None:
-    """Learn objects from labelled touches and write a model file."""
+    """Learn objects from labelled touches and write a model file.
+
+    For example: palpate learn touches/ -o desk.palpate. Before it, `palpate check`
+    finds bad pictures; after it, `palpate recognise` says what touches are of.
+    """
     from .. import recognition
     from ..library import TouchLibrary
 

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, Reading, TouchesPath, Where, argument, grouped, option
+from ._options import (
+    AsJson,
+    Reading,
+    TouchesPath,
+    Where,
+    argument,
+    flag,
+    grouped,
+    option,
+)
 from ._output import answer, as_typed, counted, print_json, say, table
 
 if TYPE_CHECKING:
@@ -47,7 +56,7 @@ def add(
     ] = 12,
     detect: Annotated[
         bool,
-        option(
+        flag(
             "--detect",
             "Of a bag: frames become touches where contact begins and ends, as those "
             "of a film always do. The first ten are taken for touching nothing.",
@@ -107,8 +116,8 @@ def list_touches(
     where: Where = None,
     limit: Annotated[int, option("At most so many.")] = 50,
     offset: Annotated[int, option("After so many.")] = 0,
-    retracted: Annotated[bool, option("--retracted", "Retracted ones too.")] = False,
-    objects: Annotated[bool, option("--objects", "List objects instead.")] = False,
+    retracted: Annotated[bool, flag("--retracted", "Retracted ones too.")] = False,
+    objects: Annotated[bool, flag("--objects", "List objects instead.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List touches (or objects) in the order in which they were added."""
@@ -195,7 +204,7 @@ def check(
     folder: LibraryPath,
     repair: Annotated[
         bool,
-        option("--repair", "Keep what is whole, and set the damaged file aside."),
+        flag("--repair", "Keep what is whole, and set the damaged file aside."),
     ] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -29,7 +29,7 @@ def recognise(
         str, _options.option("What may be named: object, category or any.")
     ] = "object",
     explain: Annotated[
-        bool, _options.option("--explain", "Print the figures behind each answer.")
+        bool, _options.flag("--explain", "Print the figures behind each answer.")
     ] = False,
     reading: _options.Reading,
     calibration: _options.Calibration = None,
@@ -37,7 +37,11 @@ def recognise(
     max_model_mb: _options.MaxModelMb = 2000,
     as_json: _options.AsJson = False,
 ) -> None:
-    """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
+    """Recognise touch by touch: one episode per object (and session) of TOUCHES.
+
+    For example: palpate recognise desk.palpate more/. How often it is right,
+    `palpate evaluate` says.
+    """
     from ..recognition import OTHER_MOUNTING, ObjectRecogniser
 
     with stages() as stage, working.started():

@@ -16,7 +16,7 @@ def remount(
     *,
     unlabelled: Annotated[
         bool,
-        _options.option(
+        _options.flag(
             "--unlabelled", "Do not use the labels of TOUCHES, if it has any."
         ),
     ] = False,

@@ -23,6 +23,7 @@ from ._options import (
     Reading,
     Report,
     TouchesPath,
+    flag,
     grouped,
     model_file,
     option,
@@ -79,13 +80,13 @@ class SensorOptions:
     ] = None
     rate_hz: Annotated[float | None, option("--rate", "Frames per second.")] = None
     colour: Annotated[
-        bool | None, option("--colour", "Read a camera in red, green and blue.")
+        bool | None, flag("--colour", "Read a camera in red, green and blue.")
     ] = None
     baud: Annotated[int | None, option("Bits per second of a serial port.")] = None
     framing: Annotated[str | None, option('An array: "line" or "binary".')] = None
     checksum: Annotated[
         bool | None,
-        option("--checksum/--no-checksum", "Refuse serial lines without a checksum."),
+        flag("--checksum/--no-checksum", "Refuse serial lines without a checksum."),
     ] = None
     hold: Annotated[int | None, option("Frames a played touch is held.")] = None
     gap: Annotated[int | None, option("Frames of nothing between two such.")] = None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, Seed, argument, checked_workers, grouped, option
+from ._options import AsJson, Seed, argument, checked_workers, flag, grouped, option
 from ._output import answer
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ class DomeTouches:
             "and rubber; in each the object is turned anew."
         ),
     ] = 1
-    any_pose: Annotated[bool, option("--any-pose", "Rest on any of its faces.")] = False
+    any_pose: Annotated[bool, flag("--any-pose", "Rest on any of its faces.")] = False
     aim_sd: Annotated[float, option("Presses miss the centre by this sd, mm.")] = 5.0
-    no_drift: Annotated[bool, option("--no-drift", "Keep the sensor as it is.")] = False
+    no_drift: Annotated[bool, flag("--no-drift", "Keep the sensor as it is.")] = False
     unit: Unit = "mm"
     workers: Workers = -1
     seed: Seed = 0

@@ -4,7 +4,7 @@ import sys
 from typing import Annotated, Any
 
 from . import _options
-from ._options import option
+from ._options import flag, option
 from ._output import as_typed, print_json, say, table
 
 
@@ -13,7 +13,7 @@ def study(
     *,
     name: Annotated[str, _options.argument("Which study; see --list.")] = "",
     data: _options.RecordedData = None,
-    quick: Annotated[bool, option("--quick", "A first look: few runs.")] = False,
+    quick: Annotated[bool, flag("--quick", "A first look: few runs.")] = False,
     protocol: Annotated[
         str | None,
         option(

@@ -7,6 +7,7 @@ from ._adding import SensorDescription
 from ._adding import TouchRow as TouchRow
 from ._bags import is_recording as is_recording
 from ._bags import read_bag
+from ._changes import checked_name as checked_name
 from ._checking import check_library
 from ._library import TouchLibrary
 from ._migrating import migrate_library as migrate_library

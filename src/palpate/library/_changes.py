@@ -1,6 +1,7 @@
 """Renaming, merging and retracting: every change is recorded, nothing is erased."""
 
 import time
+import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -9,6 +10,8 @@ from ._content import canonical, digest_of
 from ._rows import id_bytes
 from ._store import LibraryError, Store, chained, from_json, is_unicode
 
+# Persian and some emoji are written with them.
+_JOINERS = dict.fromkeys(map(ord, "\u200c\u200d"))
 _FOUND = (
     "SELECT o.id, o.name FROM objects given "
     "JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
@@ -175,11 +178,21 @@ _ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
 
 
 def checked_name(name: object) -> str:
+    """Return the name of an object in its one spelling, or say what it should be."""
     if not isinstance(name, str) or not name.strip():
-        raise LibraryError(f"The new name must be a text, got {name!r}. Give one.")
-    if (spelling := one_spelling(name)) is None:
         raise LibraryError(
-            "The new name must be of letters that can be printed, got "
+            f"The name of an object must be a text, got {name!r}. Give one."
+        )
+    spelling = one_spelling(name)
+    letters = (spelling or "").translate(_JOINERS)
+    if spelling is None or not letters.isprintable():
+        raise LibraryError(
+            "The name of an object must be of letters that can be printed, got "
             f"{name!r}. Leave out line breaks and control characters."
+        )
+    if all(unicodedata.category(letter)[0] in "PZ" for letter in letters):
+        raise LibraryError(
+            "The name of an object must hold a letter, a digit or a sign, got "
+            f"{name!r}. Call it what it is, such as 'mug'."
         )
     return spelling

@@ -153,8 +153,8 @@ class ContactCheck(BaseEstimator):
         "no contact", "saturated" (more taxels at the limit of the sensor than in
         training), "double contact" (two separate regions, on arrays; on pads, within
         the one that is pressed most), or "turned or shifted": known to the encodings
-        that are blind to that, and new to the others. `every` (n_touches, n_encodings)
-        is how much each encoding leaves unexplained.
+        that are blind to that, and new to the others. `novelty` (n_touches,
+        n_encodings) is how much each encoding leaves unexplained.
         """
         nothing = self.no_contact(touches, cleaned)
         full = self._share_at_limit(touches) > self.at_limit_ + SATURATED

@@ -159,8 +159,8 @@ class TouchEncoder(Encoder, BaseEstimator):
 
         What is unexplained (n_touches, n_encodings) is so with the touches of the same
         group left out of the components (NaN without groups): new touches are never as
-        close to them as those they were learnt from. Steps that `made` holds by the
-        encoding's name, and what they make of these images, are not learnt again.
+        close to them as those they were learnt from. Steps that `learnt_steps` holds by
+        the encoding's name, and what they make of these images, are not learnt again.
         """
         learnt_steps = {} if learnt_steps is None else learnt_steps
         self.encodings_, self.parts_, self.scales_ = {}, {}, {}

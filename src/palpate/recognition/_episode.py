@@ -150,9 +150,9 @@ class Episode:
                 return
         elif before is not None:
             self.withdrawn.append(
-                f"{_in_words(before.name)} is withdrawn after touch "
-                f"{len(self.touches)}: "
-                f"{_in_words(self._leader(before))} is more probable now"
+                f"{_in_words(before.name)} was withdrawn after touch "
+                f"{len(self.touches)}, when {_in_words(self._leader(before))} "
+                "was more probable"
             )
         self._named = now
         self.decided_at = len(self.touches) if now is not None else None
@@ -210,10 +210,16 @@ class Episode:
             return sentence_of(belief.posterior, belief.unknown, n_touches, None)
         decision = *named, belief.probability(named)
         words = sentence_of(belief.posterior, belief.unknown, n_touches, decision)
-        leader = self._leader(named)
-        if leader == named.name:
+        if not self.in_doubt:
             return words
-        return f"{words}; {_in_words(leader)} is more probable now: touch again"
+        leader = _in_words(self._leader(named))
+        return f"{words}; {leader} is more probable now: touch again"
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether something else is more probable now than what was decided."""
+        named = self._named
+        return named is not None and self._leader(named) != named.name
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.sentence}>"

@@ -30,6 +30,8 @@ _SHOWN, _NEAREST = 5, 6
 # Whose places count, of an episode: what every next one costs grows with their cube.
 _MOST_PLACED = 100
 _NOTHING_MET = "touch {}: nothing met"
+_TEACH = "teach two objects, then learn"
+_START_AGAIN = "start palpate serve again with --library FOLDER to teach"
 _TELLS_NOTHING = _NOTHING_MET + ", which tells nothing without a map of the objects"
 # How far back the way of a miss is known to be free.
 _FREE_WAY_MM = 300.0
@@ -75,7 +77,8 @@ class LiveEpisode:
 
     Without a recogniser touches are only kept. `nearest` holds the learnt touches most
     similar to the last one; `id` is None where one is not among `stored_ids`, those in
-    the library at hand. `accepted` is what `ObjectRecogniser.episode` takes.
+    the library at hand. `accepted` is what `ObjectRecogniser.episode` takes;
+    `can_teach` whether there is a library, without which nothing can be taught.
     """
 
     def __init__(
@@ -84,8 +87,10 @@ class LiveEpisode:
         recogniser: ObjectRecogniser | None,
         accepted: dict[str, Any],
         stored_ids: Set[str] = frozenset(),
+        *,
+        can_teach: bool = True,
     ) -> None:
-        self.number, self.accepted = number, accepted
+        self.number, self.accepted, self.can_teach = number, accepted, can_teach
         self.recogniser, self._stored_ids = recogniser, stored_ids
         self.nearest: list[dict[str, Any]] = []
         self.episode: Episode | None = None
@@ -227,7 +232,8 @@ class LiveEpisode:
     def sentence(self) -> str:
         """What is decided, or what it may be."""
         if self.episode is None:
-            return "nothing is learnt yet: teach two objects, then learn"
+            next_step = _TEACH if self.can_teach else _START_AGAIN
+            return f"nothing is learnt yet: {next_step}"
         by = " (by pictures alone)" if self.is_placed else ""
         return self.episode.sentence + (
             " (by pictures and places)" if self.by_place else by
@@ -241,6 +247,7 @@ class LiveEpisode:
             **self.accepted,
             "decision": self.decision,
             "category": self.category,
+            "in_doubt": episode is not None and episode.in_doubt,
             "best": episode.belief.best if episode and self.touches else None,
             "sentence": self.sentence,
             "reason": self.sentence,

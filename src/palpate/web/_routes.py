@@ -30,6 +30,10 @@ _Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Vector = tuple[_Number, _Number, _Number]
 Numbers = Annotated[list[float] | None, Query(min_length=3, max_length=3)]
 Name = Annotated[str, Field(min_length=1, max_length=80, description="Object's name.")]
+# What is wrong with a new name says `checked_name`, in one sentence.
+NewName = Annotated[
+    str, Field(max_length=1000, description="Object's name, 1 to 80 printed characters")
+]
 
 
 class Answer(BaseModel):
@@ -116,7 +120,13 @@ class OneObject(Order):
     object: Name
 
 
-class LessonOrder(OneObject):
+class NamedObject(Order):
+    """An object, which may be a new one."""
+
+    object: NewName
+
+
+class LessonOrder(NamedObject):
     """What to teach with the next touches of the sensor."""
 
     touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
@@ -128,11 +138,11 @@ class LessonOrder(OneObject):
 class Renaming(OneObject):
     """An object's name and its new one."""
 
-    name: Name
+    name: NewName
     merge: Annotated[bool, Field(description="Join the object of that name.")] = False
 
 
-class NamedPlace(OneObject, Place):
+class NamedPlace(NamedObject, Place):
     """An object, and where it was touched, if known."""
 
 
@@ -175,6 +185,9 @@ class EpisodeState(BaseModel):
     ]
     category: Annotated[
         str | None, Field(description="The category, where only that is sure.")
+    ]
+    in_doubt: Annotated[
+        bool, Field(description="Something else is more probable than what is decided.")
     ]
     best: str | None
     sentence: Annotated[str, Field(description="What is decided, or what it may be.")]

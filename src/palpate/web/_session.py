@@ -130,7 +130,8 @@ class LiveSession:
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
-        self.episode = LiveEpisode(1, None, self.accepted)
+        can_teach = self.teacher is not None
+        self.episode = LiveEpisode(1, None, self.accepted, can_teach=can_teach)
         self.learning, self.learn_error = False, ""
         self.unlearnt = False
         self.message = self.trouble = self.alarm = ""
@@ -498,7 +499,11 @@ class LiveSession:
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
         self.episode = LiveEpisode(
-            number, self.recogniser, self.accepted, self._stored_ids
+            number,
+            self.recogniser,
+            self.accepted,
+            self._stored_ids,
+            can_teach=self.teacher is not None,
         )
 
     def _take(self, image: Array, columns: Mapping[str, Any] | None = None) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from .._checks import check_count, did_you_mean
 from .._types import Array
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
+from ..library import checked_name as library_name
 from ..sensors import PLACE_COLUMNS, DetectedTouch, LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
@@ -422,11 +423,11 @@ def columns_of(touch: DetectedTouch) -> dict[str, Any]:
 
 def checked_name(name: str) -> str:
     """Return the name of an object without blanks at its ends, or explain."""
-    tidy = " ".join(name.split())
-    if not tidy or len(tidy) > LONGEST_NAME or not tidy.isprintable():
+    tidy = library_name(" ".join(name.split()))
+    if len(tidy) > LONGEST_NAME:
         raise ValueError(
-            f"The name of an object must be 1 to {LONGEST_NAME} printable characters, "
-            f"got {name[:LONGEST_NAME]!r}."
+            f"The name of an object must have at most {LONGEST_NAME} characters, got "
+            f"{len(tidy)}. Shorten it."
         )
     if tidy == "unknown":
         raise ValueError(

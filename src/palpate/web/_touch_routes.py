@@ -10,8 +10,8 @@ from ._routes import (
     REFUSALS,
     TOKEN,
     Done,
+    NamedObject,
     NameQuery,
-    OneObject,
     Order,
     Session,
     Stored,
@@ -31,7 +31,7 @@ class SomeTouches(Order):
     ]
 
 
-class Moving(SomeTouches, OneObject):
+class Moving(SomeTouches, NamedObject):
     """Stored touches, and the object that they are of."""
 
 

@@ -33,7 +33,9 @@ const handlers = {
     if (newest) showSteps({ ...newest, episode: currentEpisode() });
   },
   contact({ sensor, health }) {
+    const changed = newest?.sensor && newest.sensor.lost !== sensor.lost;
     if (newest) showSteps(newest = { ...newest, sensor, episode: currentEpisode() });
+    if (changed) showTeach(newest);
     showSensor(sensor);
     showHealth(health);
   },

@@ -2,7 +2,7 @@
 
 import { showAbove } from "./above.js";
 import { get, post, url } from "./api.js";
-import { drawn, find, make, percent, pictures, pressable, show, step, text } from "./dom.js";
+import { decided, drawn, find, make, percent, pictures, pressable, show, step, text, unbroken } from "./dom.js";
 import { openPicture, openStored } from "./editor.js";
 import { marked } from "./marks.js";
 import { teachThese } from "./teach.js";
@@ -70,7 +70,8 @@ function draw() {
   const unknown = episode.decision === "unknown";
   show(find("stranger"), unknown && !find("teaching").hidden && !find("lesson").hidden);
   const learnt = document.body.dataset.asks === "true";
-  step(3, !learnt ? "" : unknown ? "unknown" : episode.decision ?? (n ? `${n} touch${n === 1 ? "" : "es"}` : "ready"), episode.decision !== null);
+  const doubted = episode.in_doubt ? ", in doubt" : "";
+  step(3, !learnt ? "" : episode.decision ? episode.decision + doubted : n ? `${n} touch${n === 1 ? "" : "es"}` : "ready", episode.decision !== null && !doubted);
   text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
   drawBars(last?.posterior ?? {});
@@ -79,21 +80,23 @@ function draw() {
   showAbove(episode);
 }
 
-// The sentence is the library's: the terminal, reports and Python show the same.
+// The heading says what is decided and nothing else. What it may be says the sentence,
+// which is the library's: the terminal, reports and Python show the same.
 function drawDecision(n) {
   const place = find("decision");
-  const { decision, category, best, sentence, why, withdrawn } = episode;
-  const name = decision === "unknown" ? "Nothing I know" : decision ?? (category && `A ${category}`);
-  const { posterior = {}, unknown = 0 } = episode.touches.at(-1) ?? {};
-  const likely = unknown > Math.max(0, ...Object.values(posterior)) ? "Nothing I know" : best;
+  const { decision, in_doubt: doubted, sentence, why, withdrawn } = episode;
   const learnt = document.body.dataset.asks === "true";
-  text(place, name ?? (likely ? `${likely}?` : learnt ? "Touch something" : "Nothing learnt yet"));
-  place.className = decision === "unknown" ? "unknown" : decision ?? category ? "decided" : "undecided";
+  const named = decided(episode);
+  const open = !learnt ? "Nothing learnt yet" : n === 0 ? "Touch something" : withdrawn.length ? "Undecided again" : "Undecided";
+  text(place, decision === "unknown" ? capital(named) : named ?? open);
+  place.className = !named || doubted ? "undecided" : decision === "unknown" ? "unknown" : "decided";
   const note = episode.touches.at(-1)?.note;
-  text(find("reason"), [n ? sentence : "", note, withdrawn.at(-1)].filter(Boolean).join(". "));
+  text(find("reason"), learnt && n ? [sentence, note, withdrawn.at(-1)].filter(Boolean).join(". ") : "");
   show(find("why"), n > 0 && why.length > 0);
-  find("why").querySelector("ul").replaceChildren(...why.map((words) => make("li", {}, words)));
+  find("why").querySelector("ul").replaceChildren(...why.map((words) => make("li", {}, unbroken(words))));
 }
+
+const capital = (words) => words[0].toUpperCase() + words.slice(1);
 
 function ranked(posterior) {
   return Object.entries(posterior).sort((a, b) => b[1] - a[1]);
@@ -142,7 +145,7 @@ function drawHistory() {
   const believed = touches.filter((touch) => touch.unknown !== null);
   show(find("history"), touches.length > 0);
   const from = touches.length < episode.touches.length ? `: the last ${WINDOW} of ${episode.touches.length}` : "";
-  text(find("history-title"), `Belief after each touch${from}`);
+  text(find("history-title"), `${believed.length ? "Belief after each touch" : "Touches"}${from}`);
   const chart = find("history").querySelector("svg");
   show(find("columns"), believed.length > 0);
   drawColumns(chart, believed);

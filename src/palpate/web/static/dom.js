@@ -23,8 +23,12 @@ export function drawn(tag, place, words = "") {
 }
 
 export function text(element, words) {
-  if (element.textContent !== words) element.textContent = words;
+  const whole = unbroken(words);
+  if (element.textContent !== whole) element.textContent = whole;
 }
+
+// With a space between a number and its % at which no line breaks.
+export const unbroken = (words) => words.replace(/(\d) %/g, "$1\u00a0%");
 
 export function show(element, whether) {
   if (element.hidden === whether) element.hidden = !whether;
@@ -73,16 +77,25 @@ export function step(number, words, done) {
 
 // Rounded down: what has not reached a limit never reads as if it had, nor 100 %.
 export const percent = (share) => {
-  if (share > 0.999 && share < 1) return ">99.9 %";
-  if (share >= 0.99 && share < 1) return `${(Math.floor(1000 * share) / 10).toFixed(1)} %`;
-  if (share < 0.1) return `${(100 * share).toFixed(1)} %`;
-  return `${Math.floor(100 * share + 1e-9)} %`;
+  if (share > 0.999 && share < 1) return unbroken(">99.9 %");
+  if (share >= 0.99 && share < 1) return unbroken(`${(Math.floor(1000 * share) / 10).toFixed(1)} %`);
+  if (share < 0.1) return unbroken(`${(100 * share).toFixed(1)} %`);
+  return unbroken(`${Math.floor(100 * share + 1e-9)} %`);
 };
+
+// What is decided, in few words; nothing where nothing is.
+export function decided({ decision, category, in_doubt: doubted }) {
+  const name = decision === "unknown" ? "nothing I know" : decision ?? (category && `${/^[aeiou]/i.test(category) ? "an" : "a"} ${category}`);
+  return name && doubted ? `${name}, in doubt` : name;
+}
 
 let hiding = 0;
 
+// What was done or refused, for a while; in the dialog that is open, which covers the rest.
 export function say(words) {
   const status = find("status");
+  const place = document.querySelector("dialog[open]") ?? find("bar-top");
+  if (status.parentElement !== place) place.append(status);
   text(status, words);
   status.classList.toggle("shown", words !== "");
   clearTimeout(hiding);

@@ -20,6 +20,7 @@ export function startEditor() {
     change("touches/move", { object: find("editor-name").value });
   });
   find("editor").addEventListener("close", () => {
+    find("bar-top").append(find("status"));
     // The picture that was pressed has the focus again, unless it is gone.
     const focused = document.activeElement;
     if (focused === document.body || find("editor").contains(focused)) (after ?? find("objects-title")).focus();

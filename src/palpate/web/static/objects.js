@@ -26,6 +26,7 @@ export function showObjects(state) {
     .map((name) => ({ name, n_touches: 0 }));
   const known = new Map(quality.map((one) => [one.name, one]));
   const all = ordered([...objects, ...alone], known);
+  show(find("objects"), library !== null || all.length > 0);
   show(find("none"), all.length === 0);
   show(find("left-out"), quality.length > 0);
   for (const [name, card] of cards) {

@@ -56,7 +56,8 @@ export function showSensor(sensor) {
   if (sensor.lost) off("sensor lost");
   else touching(sensor.touching);
   note(find("lost"), sensor.lost);
-  note(find("offer"), sensor.offer);
+  note(find("offer"), sensor.lost ? "" : sensor.offer);
+  find("baseline").disabled = sensor.lost !== "";
   insist = sensor.offer !== "" && sensor.touching;
   text(find("baseline"), insist || refused ? "Take baseline anyway"
     : sensor.baseline ? "Take baseline" : "Nothing touches it: take baseline");

@@ -2,7 +2,7 @@
 
 import { draw } from "./sensor.js";
 import { here, OF_ALL } from "./api.js";
-import { find, make, percent, show, text } from "./dom.js";
+import { decided, find, make, percent, show, text } from "./dom.js";
 
 const NOTHING_LEARNT = "nothing learnt";
 const tiles = new Map();
@@ -22,8 +22,7 @@ export function showSensors({ kind, sensor_number: number, sensor, episode }) {
   if (!episode) return;
   const last = episode.touches.at(-1);
   tile.belief = last?.unknown === null || !last ? null : { ...last, strangers: episode.strangers };
-  const named = episode.decision === "unknown" ? "nothing I know" : episode.decision;
-  text(tile.words, named ?? (tile.belief ? `${worded(withUnknown(last), 1)}?` : ""));
+  text(tile.words, decided(episode) ?? (tile.belief ? `${worded(withUnknown(last), 1)}?` : ""));
   showTogether();
 }
 

@@ -25,7 +25,8 @@ export const showNoStep = () => BUTTONS.forEach((id) => find(id).classList.remov
 
 function stepOf({ sensor, lesson, model, library, learning }, next) {
   if (sensor && (!sensor.baseline || sensor.press)) return 1;
-  if (library && (lesson || learning || !model || ["resume", "learn"].includes(next))) return 2;
+  if (!library) return model ? 3 : 2;
+  if (lesson || learning || !model || ["resume", "learn"].includes(next)) return 2;
   return 3;
 }
 

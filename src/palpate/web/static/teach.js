@@ -1,7 +1,7 @@
 // Teaching: a name, so many touches, undo, learn.
 
 import { get, post, url } from "./api.js";
-import { confirmed, drawn, find, make, pictures, show, step, text } from "./dom.js";
+import { confirmed, drawn, find, make, pictures, show, step, text, unbroken } from "./dom.js";
 import { openStored } from "./editor.js";
 import { mixed } from "./sensors.js";
 import { learnable } from "./steps.js";
@@ -50,7 +50,7 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   show(find("learn-error"), error !== "");
   text(find("learn-error"), error);
   show(find("advice"), advice.length > 0 && !lesson && !learning);
-  find("advice").lastElementChild.replaceChildren(...advice.map((one) => make("li", {}, one)));
+  find("advice").lastElementChild.replaceChildren(...advice.map((one) => make("li", {}, unbroken(one))));
   showKnown(library.objects);
   // A button that goes must not take the focus with it.
   if (began || (answered && lesson)) find("stop").focus();
@@ -73,9 +73,9 @@ const WORDS = {
 // Each button that cannot be pressed has its reason beside it.
 function showButtons(library, model, learning, sensor) {
   const enough = learnable(library);
-  const why = [];
-  find("start").disabled = sensor !== null && !sensor.baseline;
-  if (find("start").disabled) why.push("Start: take the baseline first.");
+  const why = sensor ? [] : ["Start: there is no sensor here. Post touches to /api/teach/touch, or start palpate serve again with --sensor."];
+  find("start").disabled = sensor !== null && (!sensor.baseline || sensor.lost !== "");
+  if (find("start").disabled) why.push(`Start: ${sensor.lost ? "the sensor gives no frames" : "take the baseline first"}.`);
   find("undo").disabled = library.undo === null;
   text(find("undo"), library.undo === null ? "Undo" : WORDS[library.undo.kind](library.undo));
   if (find("undo").disabled) why.push("Undo: nothing was taught here.");
