@@ -42,13 +42,12 @@ CORE = {
     "classifiers/_touch_classifier.py": "touch_classifier classifier_inputs",
     "library/_adding.py": "touch_library library_again library_channels "
     "library_names library_store",
-    "library/_changes.py": "library_changes touch_library library_store "
-    "library_histories",
+    "library/_changes.py": "library_changes library_names touch_library "
+    "library_store library_histories",
     "library/_checking.py": "library_changes library_store library_flips",
     "library/_content.py": "touch_library library_channels library_store",
     "library/_exchange.py": "lerobot_contents library_export library_parquet",
     "library/_migrating.py": "library_migrating",
-    "library/_names.py": "library_changes library_names library_histories",
     "library/_reading.py": "library_reading touch_library library_channels "
     "library_learning",
     "library/_repairing.py": "library_changes library_store library_durability "

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .._checks import check_option
 from .._types import Array
+from ._changes import Names
 from ._content import (
     CELLS,
     PICTURE,
@@ -25,12 +26,12 @@ from ._content import (
     Image,
     canonical,
     digest_of,
+    id_bytes,
     image_digest,
     packed_array,
     unpacked_image,
     unpacked_rows,
 )
-from ._names import Names
 from ._store import (
     AT_ONCE,
     REPAIR,
@@ -239,15 +240,6 @@ def touch_row(tables: Tables, key: str) -> StoredTouch:
         )
     [[row]] = rows_at(tables, number)
     return row
-
-
-def id_bytes(key: str) -> bytes:
-    try:
-        return bytes.fromhex(key)
-    except (ValueError, TypeError) as error:
-        raise LibraryError(
-            f"id must be 32 hexadecimal digits as `add` returns them, got {key!r}."
-        ) from error
 
 
 class Packed(NamedTuple):
