@@ -33,7 +33,7 @@ CORE = {
     "recognition/_remounting.py": "remounting",
     "recognition/_strangers.py": "strangers calibration recogniser",
     "classifiers/_encoding_pool.py": "encoding_pool touch_classifier",
-    "classifiers/_growing_inverse.py": "kernel_ridge",
+    "classifiers/_growing.py": "kernel_ridge landmarks growth",
     "classifiers/_kernel_density.py": "kernel_density kernel_density_spread "
     "touch_classifier classifier_inputs",
     "classifiers/_kernel_density_index.py": "kernel_density_index",
@@ -83,7 +83,7 @@ CORE = {
     "web/_sensor_watch.py": "web_listening web_watching web_session web_sensors",
     "evaluation/_trial.py": "metrics cluster_quality",
     "evaluation/_splits.py": "splits benchmark",
-    "evaluation/_controls.py": "controls",
+    "evaluation/_comparisons.py": "controls",
     "evaluation/_evaluate.py": "advice",
 }
 # What takes long to import and is none of the sources: once, not for each mutant.

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from palpate.classifiers import (
     EncodingPool,
     KernelRidgeClassifier,
-    _landmarks,
+    _growing,
     _touch_classifier,
     learns_by_landmarks,
 )
@@ -33,7 +33,7 @@ def refitted_from_scratch(machine, X, labels, groups):
     other.__dict__.update(machine.__dict__)
     codes = np.searchsorted(machine.classes_, labels)
     landmarks = machine._summed.regression._landmarks
-    regression = _landmarks.LandmarkRegression(landmarks, machine.ridge_)
+    regression = _growing.LandmarkRegression(landmarks, machine.ridge_)
     return regression.learn(X - machine.mean_, codes, len(machine.classes_))
 
 
@@ -82,8 +82,8 @@ def test_other_touches_are_learnt_from_the_beginning():
 def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
     X, labels, groups = drawn(10, 30)
     whole = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
-    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 70)
-    monkeypatch.setattr(_landmarks, "TOUCHES_AT_ONCE", 16)
+    monkeypatch.setattr(_growing, "TOUCHES_A_TASK", 70)
+    monkeypatch.setattr(_growing, "TOUCHES_AT_ONCE", 16)
     with parallel_config("threading", n_jobs=2):
         apart = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
     assert_allclose(apart.scores(X), whole.scores(X), atol=1e-5)

@@ -26,8 +26,13 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_count, check_positive, check_squarable
 from .._numbers import exp, log_loss, log_softmax
 from .._types import Array, Floats, Indices
-from ._growing_inverse import GrowingInverse
-from ._landmarks import LandmarkRegression, Landmarks, Sums, group_members
+from ._growing import (
+    GrowingInverse,
+    LandmarkRegression,
+    Landmarks,
+    Sums,
+    group_members,
+)
 from ._touch_classifier import (
     BayesRule,
     Groups,

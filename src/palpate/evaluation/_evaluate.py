@@ -21,7 +21,12 @@ from ..recognition import (
     left_out_groups,
 )
 from ..touches import Touches
-from ._controls import CONTROLS, as_good_alone, control_log_likelihood, without_contact
+from ._comparisons import (
+    CONTROLS,
+    as_good_alone,
+    control_log_likelihood,
+    without_contact,
+)
 from ._episodes import Episodes, run_episodes
 from ._splits import (
     SPLITS,
