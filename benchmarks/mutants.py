@@ -40,9 +40,8 @@ CORE = {
     "classifiers/_kernel_ridge.py": "kernel_ridge growth touch_classifier "
     "classifier_inputs",
     "classifiers/_touch_classifier.py": "touch_classifier classifier_inputs",
-    "library/_adding.py": "touch_library library_again library_channels "
-    "library_names library_store",
-    "library/_changes.py": "library_changes library_names touch_library "
+    "library/_adding.py": "touch_library library_again library_channels library_store",
+    "library/_changes.py": "library_changes touch_library "
     "library_store library_histories",
     "library/_checking.py": "library_changes library_store library_flips",
     "library/_content.py": "touch_library library_channels library_store",
@@ -61,7 +60,7 @@ CORE = {
     "touches_joining touch_archive_hostile",
     "touches/_folder.py": "touch_folder touch_labels",
     "touches/_parquet.py": "library_parquet",
-    "touches/_pictures.py": "touch_pictures touch_folder picture_scans",
+    "touches/_pictures.py": "touch_pictures touch_folder",
     "touches/_touches.py": "touches_set touches_joining touches_channels touch_archive",
     "exploration/_guarded.py": "guard_bounds guarded_touch force_limit faulty_arms",
     "exploration/_ways.py": "hemisphere explore faulty_arms",
@@ -73,7 +72,7 @@ CORE = {
     "exploration/_touch_map.py": "touch_map placed_belief next_touch",
     "sensors/_framing.py": "framing serial_array",
     "sensors/_serial.py": "serial_array",
-    "sensors/_detector.py": "touch_detector sensor_drift films",
+    "sensors/_detector.py": "touch_detector sensor_health films",
     "sensors/_health.py": "sensor_health",
     "sensors/_contract.py": "live_contract",
     "web/_connections.py": "web_limits web_guard",
@@ -81,7 +80,7 @@ CORE = {
     "web/_images.py": "web_images web_colour web_api",
     "web/_teaching.py": "web_limits web_quality web_objects web_session",
     "web/_sensor_watch.py": "web_listening web_watching web_session web_sensors",
-    "evaluation/_trial.py": "metrics cluster_quality",
+    "evaluation/_trial.py": "metrics",
     "evaluation/_splits.py": "splits benchmark",
     "evaluation/_comparisons.py": "controls",
     "evaluation/_evaluate.py": "advice",
