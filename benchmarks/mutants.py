@@ -27,28 +27,25 @@ CORE = {
     "recognition/_belief.py": "belief beside_touch recogniser",
     "recognition/_calibration.py": "calibration beside_touch fair_weight",
     "recognition/_contact.py": "contact_on_pads contact",
-    "recognition/_evidence.py": "sequence belief recogniser",
+    "recognition/_evidence.py": "calibration belief recogniser",
     "recognition/_memory.py": "memory belief recogniser",
     "recognition/_model_checks.py": "hostile_models model_file",
     "recognition/_remounting.py": "remounting",
     "recognition/_strangers.py": "strangers calibration recogniser",
     "classifiers/_encoding_pool.py": "encoding_pool touch_classifier",
-    "classifiers/_growing_inverse.py": "kernel_ridge",
+    "classifiers/_growing.py": "kernel_ridge landmarks",
     "classifiers/_kernel_density.py": "kernel_density kernel_density_spread "
-    "touch_classifier classifier_inputs",
+    "touch_classifier",
     "classifiers/_kernel_density_index.py": "kernel_density_index",
-    "classifiers/_kernel_ridge.py": "kernel_ridge growth touch_classifier "
-    "classifier_inputs",
-    "classifiers/_touch_classifier.py": "touch_classifier classifier_inputs",
-    "library/_adding.py": "touch_library library_again library_channels "
-    "library_names library_store",
-    "library/_changes.py": "library_changes touch_library library_store "
-    "library_histories",
+    "classifiers/_kernel_ridge.py": "kernel_ridge landmarks touch_classifier",
+    "classifiers/_touch_classifier.py": "touch_classifier",
+    "library/_adding.py": "touch_library library_again library_channels library_store",
+    "library/_changes.py": "library_changes touch_library "
+    "library_store library_histories",
     "library/_checking.py": "library_changes library_store library_flips",
     "library/_content.py": "touch_library library_channels library_store",
     "library/_exchange.py": "lerobot_contents library_export library_parquet",
     "library/_migrating.py": "library_migrating",
-    "library/_names.py": "library_changes library_names library_histories",
     "library/_reading.py": "library_reading touch_library library_channels "
     "library_learning",
     "library/_repairing.py": "library_changes library_store library_durability "
@@ -74,7 +71,7 @@ CORE = {
     "exploration/_touch_map.py": "touch_map placed_belief next_touch",
     "sensors/_framing.py": "framing serial_array",
     "sensors/_serial.py": "serial_array",
-    "sensors/_detector.py": "touch_detector sensor_drift films",
+    "sensors/_detector.py": "touch_detector sensor_health films",
     "sensors/_health.py": "sensor_health",
     "sensors/_contract.py": "live_contract",
     "web/_connections.py": "web_limits web_guard",
@@ -82,9 +79,9 @@ CORE = {
     "web/_images.py": "web_images web_colour web_api",
     "web/_teaching.py": "web_limits web_quality web_objects web_session",
     "web/_sensor_watch.py": "web_listening web_watching web_session web_sensors",
-    "evaluation/_trial.py": "metrics cluster_quality",
+    "evaluation/_trial.py": "metrics",
     "evaluation/_splits.py": "splits benchmark",
-    "evaluation/_controls.py": "controls",
+    "evaluation/_comparisons.py": "controls",
     "evaluation/_evaluate.py": "advice",
 }
 # What takes long to import and is none of the sources: once, not for each mutant.

@@ -228,24 +228,24 @@ def check_levels(images: NDArray[Any]) -> NDArray[Any]:
     return images
 
 
-def check_squarable(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `values` if sums of their squares are finite, or explain."""
-    largest = float(max(values.max(initial=0), -values.min(initial=0)))
+def check_squarable(X: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return features if sums of their squares are finite, or explain."""
+    largest = float(max(X.max(initial=0), -X.min(initial=0)))
     if largest > LARGEST_TO_SQUARE:
         raise ValueError(
-            f"{name} must be at most {LARGEST_TO_SQUARE:g} in size, since distances "
+            f"X must be at most {LARGEST_TO_SQUARE:g} in size, since distances "
             f"are squared, got {largest:.3g}. Scale the features first."
         )
-    return values
+    return X
 
 
-def check_width(name: str, value: object) -> float:
+def check_width(sigma: object) -> float:
     """Return a kernel's width whose square is an ordinary number, or explain."""
-    width = check_positive(name, value)
+    width = check_positive("sigma", sigma)
     if not 1 / LARGEST_TO_SQUARE <= width <= LARGEST_TO_SQUARE:
         raise ValueError(
-            f"{name} must be between {1 / LARGEST_TO_SQUARE:g} and "
-            f"{LARGEST_TO_SQUARE:g}, since it is squared, got {value}. Choose one near "
+            f"sigma must be between {1 / LARGEST_TO_SQUARE:g} and "
+            f"{LARGEST_TO_SQUARE:g}, since it is squared, got {sigma}. Choose one near "
             "the distances between touches."
         )
     return width

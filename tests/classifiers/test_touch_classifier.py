@@ -1,4 +1,4 @@
-"""What a belief asks of every classifier: the same likelihoods, left out and not."""
+"""What a belief asks of every classifier, and what each refuses with a sentence."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,14 @@ from sklearn.svm import LinearSVC
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import (
+    MKLSVC,
     FromProbabilities,
+    GaussianKernel,
     KernelDensityBayes,
+    KernelDensityNaiveBayes,
     KernelRidgeClassifier,
     NearbyTouches,
+    OnePerLabelSVC,
     TouchClassifier,
 )
 
@@ -115,3 +119,64 @@ def test_classifiers_without_probabilities_are_refused():
         FromProbabilities(LinearSVC()).fit([[0.0], [1.0]], ["a", "b"])
     with pytest.raises(ValueError, match=r"one entry per training touch \(2\)"):
         FromProbabilities(GaussianNB()).fit([[0.0], [1.0]], ["a", "b"], groups=[1])
+
+
+PUBLIC_CLASSIFIERS = [
+    KernelDensityBayes,
+    KernelDensityNaiveBayes,
+    KernelRidgeClassifier,
+    MKLSVC,
+    OnePerLabelSVC,
+]
+every_public = pytest.mark.parametrize("classifier", PUBLIC_CLASSIFIERS)
+
+
+@every_public
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        ([1, "b", None], "got numbers and text and NoneType: 1, 'b', None. Make all"),
+        (np.array(["a", 2.5, "a"], dtype=object), "got text and numbers: 'a', 2.5"),
+        (["a", "b", None], "got text and NoneType: 'a', None.*leave out touches"),
+    ],
+)
+def test_labels_of_several_kinds_are_refused(classifier, labels, message):
+    with pytest.raises(TypeError, match=f"y must hold labels of one kind, {message}"):
+        classifier().fit(np.eye(3), labels)
+
+
+@every_public
+def test_labels_of_one_kind_may_be_objects(classifier, rng):
+    X = rng.normal(size=(20, 2)) + np.repeat([[0, 0], [4, 0]], 10, axis=0)
+    names = np.repeat(["a", "b"], 10).astype(object)
+    assert set(classifier().fit(X, names).predict(X)) == {"a", "b"}
+
+
+@every_public
+def test_features_whose_squares_leave_the_range_are_refused(classifier, rng):
+    X, labels = 1e200 * rng.normal(size=(20, 2)), np.repeat(["a", "b"], 10)
+    with pytest.raises(ValueError, match=r"X must .*[Ss]cale the features"):
+        classifier().fit(X, labels)
+
+
+def test_immense_touches_are_refused_by_a_learnt_machine(rng):
+    X = rng.normal(size=(20, 2)) + np.repeat([[0, 0], [4, 0]], 10, axis=0)
+    machine = MKLSVC().fit(X, np.repeat(["a", "b"], 10))
+    with pytest.raises(ValueError, match=r"X must be at most 1e\+150 in size"):
+        machine.predict(1e200 * X)
+
+
+@pytest.mark.parametrize("sigma", [1e200, 1e-200])
+def test_widths_whose_squares_leave_the_range_are_refused(sigma):
+    with pytest.raises(
+        ValueError, match=r"sigma must be between 1e-150 .*got 1e[+-]200"
+    ):
+        GaussianKernel(sigma)
+
+
+@pytest.mark.parametrize("sigma", [1e150, 1e-150])
+def test_widths_at_the_ends_of_the_range_have_a_defined_answer(sigma, rng):
+    X = rng.normal(size=(20, 2)) + np.repeat([[0, 0], [4, 0]], 10, axis=0)
+    machine = MKLSVC(kernels=[GaussianKernel(sigma), GaussianKernel(1.0)])
+    machine.fit(X, np.repeat(["a", "b"], 10))
+    assert np.isfinite(machine.decision_function(X)).all()

@@ -32,9 +32,10 @@ def slow_moments(image, degrees, scale):
 @pytest.mark.parametrize("order", [0, 1, 8, 14])
 def test_agrees_with_the_slow_integral(order, touches):
     encoder = CentroidMoments(order, width=0.4).fit(touches)
-    expected = [slow_moments(t, encoder.degrees_, 0.4 * 5) for t in touches]
+    slow = np.stack([slow_moments(t, encoder.degrees_, 0.4 * 5) for t in touches])
+    expected = np.where(encoder.degrees_[:, 1] > 0, np.abs(slow), slow.real)
     # Powers up to x^14 cancel to about five digits fewer than they have.
-    assert_allclose(encoder.complex_moments(touches), expected, atol=1e-10)
+    assert_allclose(encoder.transform(touches), expected, atol=1e-10)
 
 
 def test_orders_and_waves_of_the_moments(touches):
@@ -74,13 +75,6 @@ def test_patterns_are_orthonormal():
     values = np.einsum("rci,rcj,pij->prc", *table, encoder.patterns_)
     values = (values * np.exp(-(np.abs(u) ** 2) / 2) / scale).reshape(len(values), -1)
     assert_allclose(values @ values.conj().T, np.eye(len(values)), atol=1e-6)
-
-
-def test_turning_turns_the_phase_by_the_number_of_waves(touches):
-    encoder = CentroidMoments().fit(touches)
-    turned = encoder.complex_moments(repose(touches, 90))
-    phase = np.exp(-1j * encoder.degrees_[:, 1] * np.pi / 2)
-    assert_allclose(turned, encoder.complex_moments(touches) * phase, atol=1e-12)
 
 
 def test_place_angle_and_gain_do_not_matter(rng):

@@ -8,12 +8,12 @@ from palpate import Touches
 from palpate.evaluation import (
     as_good_alone,
     brightness,
+    control_log_likelihood,
     disc_centres,
     named_alone,
     sorted_pixels,
     without_contact,
 )
-from palpate.evaluation._controls import control_log_likelihood
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_rims_are_found_in_the_mean_over_channels(monkeypatch):
     shares = np.array([0.5, 1.0, 1.5])  # of mean 1
     names = {"channels": ["r", "g", "b"], "geometry": "dome"}
     colour = Touches(grey.images[..., np.newaxis] * shares, **names)
-    module = "palpate.evaluation._controls.find_geometry"
+    module = "palpate.evaluation._comparisons.find_geometry"
     monkeypatch.setattr(module, lambda touches: touches.geometry)
     found = disc_centres(colour)
     assert_allclose(found, disc_centres(grey))

@@ -5,8 +5,13 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.evaluation import draw_touches, split_by_count, split_touches
-from palpate.evaluation._splits import PROTOCOLS, protocol_folds
+from palpate.evaluation import (
+    PROTOCOLS,
+    draw_touches,
+    protocol_folds,
+    split_by_count,
+    split_touches,
+)
 
 
 @pytest.fixture

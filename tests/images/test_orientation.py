@@ -11,7 +11,6 @@ from palpate.images import (
     inscribed_mask,
     orientations,
 )
-from palpate.images._orientation import above_least
 
 
 def steepness(images):
@@ -56,9 +55,13 @@ def test_the_mask_is_of_pixel_centres_within_half_the_shorter_side(shape):
     assert_array_equal(inscribed_mask(*shape), away <= min(shape) / 2)
 
 
-def test_levels_count_from_the_least_in_the_mask():
-    levels = above_least([[[-9.0, 2.0], [5.0, 3.0]]], np.array([[False, True]] * 2))
-    assert_array_equal(levels, [[[0, 0], [0, 1]]])
+def test_levels_count_from_the_least_in_the_disc():
+    image = drop(30)
+    lowered = np.where(inscribed_mask(*image.shape), image - 7, -99.0)
+    shown, expected = orientations([lowered]), orientations([image])
+    # Taking off 7 and adding it again rounds.
+    assert_allclose(shown.angle_deg, expected.angle_deg, rtol=1e-9)
+    assert_allclose(shown.anisotropy, expected.anisotropy, rtol=1e-9)
 
 
 @pytest.mark.parametrize("angle", [-170, -90, -30, 0, 20, 45, 90, 135, 180])

@@ -10,6 +10,17 @@ from palpate.library import TouchLibrary
 from palpate.touches import Touches
 
 
+def press_of(seed, n_touches=1, side=5):
+    """Return touches drawn by a seed, of an object with a name as long."""
+    rng = np.random.default_rng(seed)
+    return Touches(
+        rng.integers(0, 255, (n_touches, side, 6), dtype=np.uint8),
+        object=["o" * (1 + seed % 9)] * n_touches,  # texts of any length
+        press=[seed] * n_touches,
+        loads=rng.normal(size=(n_touches, 20)),
+    )
+
+
 @pytest.fixture
 def alter():
     """Run statements on the database of a library, as another program might."""

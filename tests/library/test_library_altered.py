@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate import Touches
 from palpate.library import (
     LibraryError,
     TouchLibrary,
@@ -23,17 +22,9 @@ from palpate.library._content import Image, image_digest
 from palpate.library._rows import _row_digest, stored_touches
 from palpate.library._store import chained
 
+from .conftest import press_of
+
 PAGE = 8192
-
-
-def _press(seed, n_touches=1, side=5):
-    rng = np.random.default_rng(seed)
-    return Touches(
-        rng.integers(0, 255, (n_touches, side, 6), dtype=np.uint8),
-        object=["o" * (1 + seed % 9)] * n_touches,  # texts of any length
-        press=[seed] * n_touches,
-        loads=rng.normal(size=(n_touches, 20)),
-    )
 
 
 def _rows(folder):
@@ -190,7 +181,7 @@ def test_an_older_database_put_back_is_told_until_it_is_accepted(folder):
     """Also when touches have been added to it since."""
     before = (folder / "library.sqlite").read_bytes()
     with TouchLibrary.open(folder) as library:
-        library.add(_press(1, 3))
+        library.add(press_of(1, 3))
         library.rename_object("mug", "cup")
     (folder / "library.sqlite").write_bytes(before)
     for n_added in range(2):
@@ -200,7 +191,7 @@ def test_an_older_database_put_back_is_told_until_it_is_accepted(folder):
         assert warned[0].filename == __file__
         with library:
             if n_added:
-                library.add(_press(2))
+                library.add(press_of(2))
         [problem] = check_library(folder).problems
         assert problem.kind == "lost"
         assert "3 more touches and 1 more changes" in problem.what
@@ -216,9 +207,9 @@ def large(tmp_path_factory):
     place = tmp_path_factory.mktemp("large") / "lab"
     with TouchLibrary.open(place, create=True) as library:
         for seed in range(8):
-            library.add(_press(seed, 50, side=60), session=f"s{seed}")
+            library.add(press_of(seed, 50, side=60), session=f"s{seed}")
         library.rename_object("oo", "cup")
-        library.add(_press(1, 20, side=60), session="later")
+        library.add(press_of(1, 20, side=60), session="later")
         library.merge_objects("ooo", "o")
         library.retract(object="oooo", reason="wet")
     return place
@@ -270,7 +261,7 @@ def test_a_repair_keeps_all_that_is_whole_and_deletes_nothing(
     assert check_library(folder).ok
     with TouchLibrary.open(folder) as library:
         for seed in range(8):
-            library.add(_press(seed, 50, side=60), session=f"s{seed}")
+            library.add(press_of(seed, 50, side=60), session=f"s{seed}")
         assert library.stats().n_touches + library.stats().n_retracted >= len(kept)
         assert library.check().ok
 
@@ -304,7 +295,7 @@ def test_what_another_adds_after_a_repair_is_not_lost(folder, alter):
         with suppress(LibraryError):
             repair_library(folder)
         with suppress(LibraryError):
-            ids = other.add(_press(1))
+            ids = other.add(press_of(1))
     assert {*ids} <= {row.id for row in _rows_left(folder)}
 
 
@@ -351,7 +342,7 @@ def test_a_backup_is_a_library_made_while_others_add(large, tmp_path):
     def stream():
         with TouchLibrary.open(folder) as other:
             while not stop.is_set():
-                added.append(other.add(_press(100 + len(added)))[0])
+                added.append(other.add(press_of(100 + len(added)))[0])
 
     with TouchLibrary.open(folder) as library:
         before = [row.id for row in library.list(limit=None, retracted=True)]

@@ -1,12 +1,14 @@
 """Renames, merges, retractions: what they leave behind, also after a repair."""
 
 import time
+import unicodedata
 
 import numpy as np
 import pytest
 
 from palpate import Touches
 from palpate.library import LibraryError, TouchLibrary, check_library, repair_library
+from palpate.touches import TouchesError
 
 
 def touches(names, seed=0, **columns):
@@ -207,3 +209,56 @@ def test_a_change_that_cannot_be_read_is_counted_and_the_touches_stay(folder, al
     assert [row.object for row in rows] == list("aabbcc")
     assert [row.reason for row in rows] == [*[None] * 4, "wet", "wet"]
     assert check_library(folder).ok
+
+
+NFC = unicodedata.normalize("NFC", "café")
+NFD = unicodedata.normalize("NFD", "café")
+IMAGES = np.zeros((2, 3, 3), np.uint8)
+BAD = {
+    "escape": "\x1b[2Jmug",
+    "a terminal's own control": "\x9b2Jmug",
+    "line break": "mug\n",
+    "line separator": "mug\u2028",
+    "NUL within": "m\0ug",
+}
+
+
+def test_two_spellings_are_one_object(tmp_path):
+    assert NFC != NFD
+    touches = Touches(IMAGES, object=[NFC, NFD], category=[NFD, NFD])
+    assert [*touches.object] == [NFC, NFC]
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        ids = library.add(touches)
+        assert ids[0] == ids[1]
+        assert library.add(Touches(IMAGES[:1], object=[NFD])) == ids[:1]
+        assert [row.name for row in library.objects()] == [NFC]
+        assert library.count(f"object = {NFD}") == 1
+        library.rename_object(NFD, "mug")
+        library.rename_object("mug", NFD)
+        assert [row.name for row in library.objects()] == [NFC]
+        assert library.check().ok
+
+
+@pytest.mark.parametrize("name", BAD.values(), ids=BAD)
+def test_a_name_that_no_terminal_should_print_is_refused(name, tmp_path):
+    for column in ("object", "category"):
+        with pytest.raises(
+            TouchesError, match="must be of letters that can be printed"
+        ):
+            Touches(IMAGES, **{column: ["pen", name]})
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(Touches(IMAGES, object=["pen", "cup"]))
+        with pytest.raises(LibraryError, match="letters that can be printed"):
+            library.rename_object("pen", name)
+
+
+@pytest.mark.parametrize("given", [["pen", "mug\0"], ("pen", "mug\0")])
+def test_a_trailing_nul_is_refused_rather_than_lost(given):
+    """Numpy drops it without a word."""
+    with pytest.raises(TouchesError, match="must be of letters that can be printed"):
+        Touches(IMAGES, object=given)
+
+
+def test_other_scripts_and_emoji_are_names():
+    names = ["杯子", "👩‍🔧"]
+    assert [*Touches(IMAGES, object=names).object] == names

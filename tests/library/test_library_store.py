@@ -24,7 +24,8 @@ from palpate.library import (
     check_library,
     repair_library,
 )
-from palpate.library._changes import make_change
+
+from .conftest import press_of
 
 PAGE = 8192
 
@@ -32,20 +33,10 @@ PAGE = 8192
 N_THREADS = 40  # more than share a transaction
 
 
-def _press(seed, n_touches=1, side=5):
-    rng = np.random.default_rng(seed)
-    return Touches(
-        rng.integers(0, 255, (n_touches, side, 6), dtype=np.uint8),
-        object=["o" * (1 + seed % 9)] * n_touches,  # texts of any length
-        press=[seed] * n_touches,
-        loads=rng.normal(size=(n_touches, 20)),
-    )
-
-
 @pytest.fixture
 def library(tmp_path):
     with TouchLibrary.open(tmp_path / "lab", create=True) as opened:
-        opened.add(_press(0))
+        opened.add(press_of(0))
         yield opened
 
 
@@ -70,7 +61,7 @@ def _at_once(library, *jobs):
 
 
 def _adding(library, seeds, **how):
-    return [lambda seed=seed: library.add(_press(seed, **how)) for seed in seeds]
+    return [lambda seed=seed: library.add(press_of(seed, **how)) for seed in seeds]
 
 
 def test_those_who_wait_share_a_transaction_and_get_their_own_ids(library, tmp_path):
@@ -82,12 +73,12 @@ def test_those_who_wait_share_a_transaction_and_get_their_own_ids(library, tmp_p
     # That of the one who held them up, 32 of them, and the others.
     assert run.count("COMMIT") == 3
     with TouchLibrary.open(tmp_path / "alone", create=True) as alone:
-        assert [f.result() for f in futures] == [alone.add(_press(s)) for s in seeds]
+        assert [f.result() for f in futures] == [alone.add(press_of(s)) for s in seeds]
     for seed, future in zip(seeds, futures, strict=True):
-        assert_array_equal(library.image(future.result()[0]), _press(seed).images[0])
+        assert_array_equal(library.image(future.result()[0]), press_of(seed).images[0])
     touches = library.touches()
     for place, seed in enumerate(touches.columns["press"]):
-        loads = _press(seed).columns["loads"][0]
+        loads = press_of(seed).columns["loads"][0]
         assert_array_equal(touches.columns["loads"][place], loads)
     assert library.check().ok
 
@@ -99,7 +90,7 @@ def test_unlike_touches_do_not_mix_and_equal_ones_are_one(library):
     futures = _at_once(
         library,
         *_adding(library, (1, 2, 3, 3, 3)),
-        lambda: library.add(_press(4), sensor=pad),
+        lambda: library.add(press_of(4), sensor=pad),
         lambda: library.add(Touches(np.ones((2, 9, 9)), object=["a", "b"])),
         lambda: library.add(forces),
         lambda: library.add(forces.with_columns(force_n=[1.5])),
@@ -119,7 +110,7 @@ def test_a_job_that_fails_takes_back_what_it_did_alone(library):
         raise ZeroDivisionError
 
     pad = SensorDescription("pad")
-    library.add(_press(1), sensor=pad)
+    library.add(press_of(1), sensor=pad)
     colour = Touches(np.ones((1, 5, 6, 3), np.uint8), channels=["r", "g", "b"])
     futures = _at_once(
         library,
@@ -163,7 +154,7 @@ def test_an_interrupt_concerns_one_thread_alone(library, monkeypatch, when):
         if left and left.pop():
             raise KeyboardInterrupt
 
-    changes = [lambda: make_change(store, "rename", old="o", new="x")]
+    changes = [lambda: library.rename_object("o", "x")]
     if when == "in a job":
         changes.append(lambda: store.write(interrupt))
     jobs = [*_adding(library, range(1, 9)), *changes]
@@ -190,7 +181,7 @@ def test_an_interrupt_concerns_one_thread_alone(library, monkeypatch, when):
 
 def test_a_stream_from_several_threads_keeps_each_threads_order(library):
     def stream(first):
-        return [library.add(_press(seed))[0] for seed in range(first, first + 10)]
+        return [library.add(press_of(seed))[0] for seed in range(first, first + 10)]
 
     with ThreadPoolExecutor(8) as pool:
         streams = list(pool.map(stream, range(10, 90, 10)))
@@ -215,7 +206,7 @@ def test_a_library_whose_making_was_killed_is_made(tmp_path, n_bytes):
             database.execute("PRAGMA page_size = 8192")
             database.execute("PRAGMA journal_mode = WAL")
     with TouchLibrary.open(tmp_path, create=True) as library:
-        library.add(_press(1))
+        library.add(press_of(1))
         assert library.check().ok
 
 
@@ -346,7 +337,7 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
 
     def add():
         with TouchLibrary.open(place) as library:
-            library.add(_press(1))
+            library.add(press_of(1))
 
     def backup():
         with TouchLibrary.open(place) as library, tempfile.TemporaryDirectory() as to:
@@ -376,14 +367,14 @@ def test_a_database_that_another_keeps_to_itself_is_left_alone(folder, monkeypat
             other.execute("BEGIN IMMEDIATE")
             assert len(library.touches()) == 5  # readers wait for nobody
             for write in (
-                lambda: library.add(_press(1)),
+                lambda: library.add(press_of(1)),
                 lambda: library.rename_object("mug", "cup"),
             ):
                 with pytest.raises(
                     LibraryError, match=r"locked\. Another.*wait, or en"
                 ):
                     write()
-        library.add(_press(1))
+        library.add(press_of(1))
     with closing(sqlite3.connect(folder / "library.sqlite")) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("SELECT * FROM touches").fetchall()

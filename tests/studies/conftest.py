@@ -31,6 +31,15 @@ LEAST = {
 }
 
 
+def held(result, **wanted):
+    """Return the rows of a result that have these entries."""
+    return [
+        row
+        for row in result["rows"]
+        if all(row.get(key) == value for key, value in wanted.items())
+    ]
+
+
 @pytest.fixture(scope="session")
 def tiny_plan():
     """Make the tiny plan, with changes."""

@@ -14,6 +14,8 @@ from palpate.studies import STUDIES, run_study
 from palpate.studies.corradi2015 import Corradi2015Plan, pictures
 from palpate.studies.corradi2015.episodes import worst_pairs
 
+from .conftest import held
+
 STUDY = STUDIES["corradi2015"]
 
 TINY = {
@@ -46,14 +48,6 @@ def result(small_camera):
         patch.delenv("PALPATE_DATA", raising=False)
         plan = Corradi2015Plan(**TINY)
         return run_study("corradi2015", plan=plan, workers=1, progress=False)
-
-
-def held(result, **wanted):
-    return [
-        row
-        for row in result["rows"]
-        if all(row.get(key) == value for key, value in wanted.items())
-    ]
 
 
 def test_every_recogniser_has_a_figure_after_each_number_of_touches(result):

@@ -9,6 +9,8 @@ import pytest
 from palpate.studies import STUDIES, run_study
 from palpate.studies.liu2014 import Liu2014Plan
 
+from .conftest import held
+
 STUDY = STUDIES["liu2014"]
 
 TABLE_2 = {
@@ -58,14 +60,6 @@ def named_pictures(page):
     assert len(found) == page.count("<svg")
     assert re.findall(r"<figcaption><b>(.*?)\.</b>", page) == found
     return found
-
-
-def held(result, **wanted):
-    return [
-        row
-        for row in result["rows"]
-        if all(row.get(key) == value for key, value in wanted.items())
-    ]
 
 
 def test_every_row_is_a_figure_in_per_cent(result):

@@ -37,6 +37,14 @@ def drawn_touches(name, count, rng):
     return np.rint(images).clip(0, 255).astype(np.uint8)
 
 
+def waited(condition, seconds=20.0):
+    """Wait until something is so; tell whether it became so."""
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    return condition()
+
+
 @pytest.fixture(scope="session")
 def drawn():
     """Thirty touches each of a disc, a bar, and a thing that is both by turns."""

@@ -12,6 +12,8 @@ from palpate.library import TouchLibrary
 from palpate.sensors import CameraSensor, ReplaySensor
 from palpate.web import LiveSession, learn_job
 
+from .conftest import waited
+
 
 def red_left(side=60):
     """A picture that is red on its left half and blue on its right."""
@@ -153,10 +155,10 @@ def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connec
     with connected(session) as client:
         session.teach("rose", 3)
         session.place("rose")
-        waited(lambda: session.teacher.lesson is None)
-        waited(lambda: session.episode.touches)
+        assert waited(lambda: session.teacher.lesson is None)
+        assert waited(lambda: session.episode.touches)
         # Only some frames are shown: until one of them is a press.
-        waited(lambda: np.ptp(strongest(events), axis=(0, 1)).max() > 50)
+        assert waited(lambda: np.ptp(strongest(events), axis=(0, 1)).max() > 50)
         session.place(None)
         key = session.teacher.newest("rose", 3)[0].id
         shown = seen(client.get(f"/api/touches/{key}/picture").content)
@@ -220,13 +222,6 @@ class Gel:
         return True, np.rint(picture).astype(np.uint8)
 
 
-def waited(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert condition()
-
-
 def seen(picture):
     return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
 
@@ -249,7 +244,7 @@ def camera(gel):
 def pressed_by(session, gel, hue, done):
     """Let a thing press until something is done, and let what comes late pass."""
     gel.hue = hue
-    waited(done)
+    assert waited(done)
     gel.hue = None
     time.sleep(0.3)
 

@@ -4,7 +4,8 @@ import time
 
 import pytest
 
-from palpate.web._sensor_watch import Event, Health, Listeners
+from palpate.web import Event
+from palpate.web._sensor_watch import Health, Listeners
 
 
 def test_one_listener_goes_and_the_others_stay():

@@ -12,6 +12,8 @@ from palpate.sensors import LiveSensor
 from palpate.web import LiveSession, Variety, advice, object_quality
 from palpate.web._teaching import Teacher
 
+from .conftest import waited
+
 REST = np.full((40, 60), 7.0)
 
 
@@ -152,13 +154,6 @@ def test_advice_follows_from_the_figures(qualities, said):
     assert advice(qualities) == said
 
 
-def waited(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert condition()
-
-
 def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
     make_session, hand, tmp_path, drawn
 ):
@@ -168,13 +163,13 @@ def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
         for number in range(1, 6):
             hand.show(session, pressed=True)
             hand.show(session, pressed=False)
-            waited(lambda n=number: session.teacher.library.count() == n)
+            assert waited(lambda n=number: session.teacher.library.count() == n)
             if number < 5:
                 lesson = session.to_dict()["lesson"]
                 assert lesson["n_new"] == 1
                 assert ("elsewhere" in lesson["prompt"]) == (number > 2)
         verdict = "Of 5 touches of cup 4 are like others"
-        waited(lambda: verdict in session.message)
+        assert waited(lambda: verdict in session.message)
         assert session.advice[0].startswith(verdict)
         session.forget("cup")
         assert session.advice == []
@@ -183,7 +178,7 @@ def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
         for name in ("disc", "bar"):
             session.teach(name, 8)
             session.place(name)
-            waited(lambda: session.teacher.lesson is None)
+            assert waited(lambda: session.teacher.lesson is None)
             session.place(None)
             time.sleep(0.3)
         assert session.advice == []

@@ -23,13 +23,7 @@ from palpate.sensors import (
 )
 from palpate.web import LearningError, LiveSession
 
-
-def waited(condition, seconds=20.0):
-    """Wait until something is so; tell whether it became so."""
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    return condition()
+from .conftest import waited
 
 
 @pytest.fixture(scope="module")

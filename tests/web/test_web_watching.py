@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from palpate.sensors import Frame, LiveSensor, SensorError
-from palpate.web._sensor_watch import Event, Health, Listeners, SensorWatch, _kind
+from palpate.web import Event
+from palpate.web._sensor_watch import Health, Listeners, SensorWatch, _kind
 
 
 class Still(LiveSensor):

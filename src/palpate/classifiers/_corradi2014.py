@@ -254,7 +254,7 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
         else:
             check_positive("gamma", self.gamma)
         touches, labels = labelled_touches(self, X, y)
-        check_squarable("X", touches)
+        check_squarable(touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         n_labels = len(self.classes_)
         if n_labels < 2:

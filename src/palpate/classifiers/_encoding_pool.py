@@ -113,7 +113,7 @@ class EncodingPool(BayesRule):
             If `parts` do not add up to the features, or as `KernelRidgeClassifier.fit`.
         """
         touches, labels = labelled_touches(self, X, y)
-        check_squarable("X", touches)
+        check_squarable(touches)
         counts = [check_count(f"parts[{n!r}]", c) for n, c in self.parts.items()]
         if sum(counts) != touches.shape[1]:
             raise ValueError(
@@ -161,7 +161,7 @@ class EncodingPool(BayesRule):
         """
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
-        check_squarable("X", touches)
+        check_squarable(touches)
         more = {} if weights is None else {"weights": weights}
         with config_context(assume_finite=True):  # as was just found
             self.machines_ = {
@@ -186,7 +186,7 @@ class EncodingPool(BayesRule):
         """
         if not hasattr(self, "machines_"):
             check_is_fitted(self)
-        touches = check_squarable("X", _touch_classifier.as_touches(self, X))
+        touches = check_squarable(_touch_classifier.as_touches(self, X))
         shape = len(self.machines_), len(touches), len(self.classes_)
         log_likelihood, weighing = np.zeros(shape), []
         for row, (name, part) in enumerate(self._parts(touches).items()):

@@ -26,8 +26,13 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_count, check_positive, check_squarable
 from .._numbers import exp, log_loss, log_softmax
 from .._types import Array, Floats, Indices
-from ._growing_inverse import GrowingInverse
-from ._landmarks import LandmarkRegression, Landmarks, Sums, group_members
+from ._growing import (
+    GrowingInverse,
+    LandmarkRegression,
+    Landmarks,
+    Sums,
+    group_members,
+)
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -200,7 +205,7 @@ class KernelRidgeClassifier(BayesRule):
         self, X: ArrayLike, y: ArrayLike, groups: Groups, reset: bool = True
     ) -> tuple[Floats, Array, Array]:
         touches, labels = labelled_touches(self, X, y, reset=reset)
-        check_squarable("X", touches)
+        check_squarable(touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         return touches, codes, as_groups(groups, len(touches))
 
@@ -398,7 +403,7 @@ class KernelRidgeClassifier(BayesRule):
     def _bent_scores(self, X: ArrayLike) -> Floats:
         if not hasattr(self, "coefficients_"):  # the check itself takes a while
             check_is_fitted(self)
-        touches = check_squarable("X", as_touches(self, X))
+        touches = check_squarable(as_touches(self, X))
         return self.log_likelihood_checked(touches)
 
     def log_likelihood_checked(self, touches: Floats) -> Floats:

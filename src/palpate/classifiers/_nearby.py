@@ -211,7 +211,7 @@ class NearbyTouches(BayesRule):
     ) -> tuple[Singles, _Groups, Indices]:
         """Store touches; return those to be left out, groups, and label's columns."""
         touches, labels = labelled_touches(self, X, y, reset=reset)
-        check_squarable("X", touches)
+        check_squarable(touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         group = as_groups(groups, len(touches))
         order = np.argsort(codes, kind="stable")
@@ -275,7 +275,7 @@ class NearbyTouches(BayesRule):
         """
         if not hasattr(self, "touches_"):
             check_is_fitted(self)
-        touches = check_squarable("X", as_touches(self, X)) - self.mean_
+        touches = check_squarable(as_touches(self, X)) - self.mean_
         centred = touches.astype(np.float32)
         at_once = max(1, _PAIRS_AT_ONCE // len(self.touches_))
         parts = [

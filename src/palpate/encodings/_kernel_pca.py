@@ -108,7 +108,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
         """Return the scores of `X`, shape (n_touches, n_components_)."""
         check_is_fitted(self)
         touches = validate_data(self, X, dtype=np.float64, reset=False)
-        check_squarable("X", touches)
+        check_squarable(touches)
         kernel = _kernel(touches - self.mean_, self.touches_, self.sigma_)
         return self._scores(kernel)
 
@@ -119,7 +119,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
     def _fit(self, X: ArrayLike) -> Floats:
         """Fit, and return the kernel of the training touches."""
         touches = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
-        check_squarable("X", touches)
+        check_squarable(touches)
         check_option("scaling", self.scaling, ("unit", "paper"))
         wanted = check_components(self.n_components, whole=True)
         self.mean_ = touches.mean(axis=0)
@@ -133,7 +133,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
                 )
             self.sigma_ = float(np.median(distance[distance > 0]))
         else:
-            self.sigma_ = check_width("sigma", self.sigma)
+            self.sigma_ = check_width(self.sigma)
         kernel = _kernel(self.touches_, self.touches_, self.sigma_)
         column_mean = kernel.mean(axis=0)
         centred = kernel - column_mean

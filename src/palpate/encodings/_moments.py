@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
-from .._image_estimator import ImageEstimator, by_channel
+from .._image_estimator import ImageEstimator
 from .._types import Array, Complexes, Floats, Indices
 from ..images import central_moments, inscribed_mask
 
@@ -116,14 +116,6 @@ class CentroidMoments(ImageEstimator):
         moments = self._moments_of(images)
         waves = self.degrees_[:, 1] > 0
         return np.where(waves, np.abs(moments), moments.real)
-
-    def complex_moments(self, X: ArrayLike) -> Complexes:
-        """Return the moments with their phases, shape (n_touches, n_moments).
-
-        A press turned by an angle a from the column axis towards the row axis has
-        its moments multiplied by exp(-i m a).
-        """
-        return by_channel(self._moments_of, self._images(X))
 
     def _moments_of(self, images: Array) -> Complexes:
         images = images.astype(np.float64, copy=False)

@@ -6,13 +6,14 @@ from ._benchmark import benchmark
 from ._benchmark import benchmark_tables as benchmark_tables
 from ._benchmark import verdicts as verdicts
 from ._benchmark import write_benchmark as write_benchmark
-from ._controls import as_good_alone as as_good_alone
-from ._controls import brightness as brightness
-from ._controls import control_log_likelihood as control_log_likelihood
-from ._controls import disc_centres as disc_centres
-from ._controls import named_alone as named_alone
-from ._controls import sorted_pixels as sorted_pixels
-from ._controls import without_contact as without_contact
+from ._comparisons import SIMPLE as SIMPLE
+from ._comparisons import as_good_alone as as_good_alone
+from ._comparisons import brightness as brightness
+from ._comparisons import control_log_likelihood as control_log_likelihood
+from ._comparisons import disc_centres as disc_centres
+from ._comparisons import named_alone as named_alone
+from ._comparisons import sorted_pixels as sorted_pixels
+from ._comparisons import without_contact as without_contact
 from ._episodes import Decisions as Decisions
 from ._episodes import Episodes as Episodes
 from ._episodes import decide_episodes as decide_episodes
@@ -26,7 +27,6 @@ from ._report import figure_lines as figure_lines
 from ._report import html_table as html_table
 from ._report import report_page as report_page
 from ._report import write_report
-from ._simple import SIMPLE as SIMPLE
 from ._splits import PROTOCOLS as PROTOCOLS
 from ._splits import Fold as Fold
 from ._splits import draw_touches as draw_touches

@@ -19,11 +19,10 @@ from .._parallel import in_parallel
 from .._types import Array, Bools, Floats
 from ..recognition import PRESETS, Label, ObjectRecogniser, PresetName, find_geometry
 from ..touches import Touches
-from ._controls import CONTROLS, without_contact
+from ._comparisons import CONTROLS, SIMPLE, STANDARDISED, taxels, without_contact
 from ._episodes import run_episodes
 from ._evaluate import Progress, silent
 from ._report import as_text, check_report_path, html_table, report_page
-from ._simple import SIMPLE, STANDARDISED, taxels
 from ._splits import PROTOCOLS, RowFold, column_of, protocol_folds
 from ._trial import spread
 

@@ -21,7 +21,7 @@ from ..recognition import (
     left_out_groups,
 )
 from ..touches import Touches
-from ._controls import (
+from ._comparisons import (
     CONTROLS,
     as_good_alone,
     control_log_likelihood,

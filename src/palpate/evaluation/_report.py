@@ -17,7 +17,7 @@ from .._types import Bools, Indices
 from ..recognition import about, said_of_sessions
 from ..touches import Touches, as_shown, png_address
 from . import plots
-from ._controls import as_good_alone
+from ._comparisons import as_good_alone
 from ._episodes import Decisions, decide_episodes
 from ._trial import Trial, calibration_bins, scored, spread
 

@@ -16,7 +16,6 @@ from ._orientation import inscribed_mask as inscribed_mask
 from ._orientation import orientations as orientations
 from ._press_pose import Poses as Poses
 from ._press_pose import PressPose
-from ._press_pose import press_pose as press_pose
 from ._rim import Circle as Circle
 from ._rim import Rims as Rims
 from ._rim import find_rim as find_rim

@@ -74,7 +74,7 @@ def inscribed_mask(n_rows: int, n_cols: int) -> Bools:
     return inside
 
 
-def above_least(images: ArrayLike, mask: Bools) -> Floats:
+def _above_least(images: ArrayLike, mask: Bools) -> Floats:
     """Return levels above each image's least level in the mask, zero outside it."""
     checked = check_images(images)
     least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
@@ -157,7 +157,7 @@ def orientations(images: ArrayLike) -> Orientations:
     """
     checked = check_images(images)
     mask = inscribed_mask(*checked.shape[1:])
-    moments = central_moments(above_least(checked, mask))
+    moments = central_moments(_above_least(checked, mask))
     mu = moments.mu
     both = mu[:, 0, 2] + mu[:, 2, 0]
     difference, mixed = mu[:, 0, 2] - mu[:, 2, 0], 2 * mu[:, 1, 1]

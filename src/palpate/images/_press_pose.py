@@ -1,9 +1,8 @@
-"""Place and angle of parts from presses: of one outline, or after learning the parts.
+"""Place and angle of parts from presses, after learning the parts.
 
-A robot that assembles a part needs its place and angle. `press_pose` takes them from
-the outline of one press, without training. `PressPose` builds a template of each part
-from presses in unknown poses, finds out how symmetric it is, and registers new presses
-on it.
+A robot that assembles a part needs its place and angle. `PressPose` builds a template
+of each part from presses in unknown poses, finds out how symmetric it is, and registers
+new presses on it.
 
 Positions are in mm from the middle of the array, x along columns and y along rows
 (downwards); angles turn x towards y, clockwise as displayed.
@@ -13,34 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import product
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_erosion, generate_binary_structure
 from sklearn.base import BaseEstimator
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_label_kinds, check_positive
-from .._types import Array, Bools, Complexes, Floats, Indices
+from .._types import Array, Bools, Floats, Indices
 from . import _pose_template
-from ._array import binarise, correct_gamma, fill_dead_taxels, otsu_threshold, resize
+from ._array import binarise, correct_gamma, fill_dead_taxels, resize
 from ._pose_template import find_symmetry, learn_template, pose_variances, register
 
-Waves = Complexes
-
-# The first of each is the answer; the others tell how much hangs on the choice.
-_PARTITIONS, _GAMMAS = (2, 1, 3), (0.65, 0.3, 1.0)
-# Partitions that show only background have low thresholds: no lower than this share
-# of the whole image's, or their noise would count as pressed.
-_LEAST_THRESHOLD = 0.8
-_PIXELS_PER_TAXEL = 3
-_COVERAGE_VARIANCE = 1 / 12  # of a number between 0 and 1 drawn at random
-# The outline that registration starts from: one threshold, which a background over
-# the whole array does not disturb.
-_N_PARTITIONS, _GAMMA = 1, 0.8
+_PIXELS_PER_TAXEL, _GAMMA = 3, 0.8  # of the outline that registration starts from
 # With fewer presses no half can teach a template, and symmetry cannot be tested.
 _LEAST_FOR_SYMMETRY = 6
 # A template of n presses makes the angle's variance 1 + 3 / n times what registration
@@ -80,116 +66,6 @@ class Poses:
 
     def __len__(self) -> int:
         return len(self.x_mm)
-
-
-def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
-    """Estimate poses of a part of known symmetry from presses (n_touches, rows, cols).
-
-    Place is the centroid of the outline, much as of `ArrayCleanUp`; the angle is that
-    of the wave with `symmetry` crests around it (symmetry 0: none), 0 when the part
-    reaches farthest along the columns: a bar at 0 lies along x, a square at 0 stands on
-    a corner. A part longer than the array is placed where its visible piece is. NaN is
-    a dead taxel.
-
-    The variances are those over nine outlines (1, 2 and 3 partitions, three gammas),
-    and what pixels at the edge may each be wrong by, as if independent.
-    """
-    filled = fill_dead_taxels(check_images(images, allow_nan=True))
-    pitch = check_positive("pitch_mm", pitch_mm)
-    order = check_count("symmetry", symmetry, at_least=0)
-    shapes = [outlines(filled, n, g) for n, g in product(_PARTITIONS, _GAMMAS)]
-    places = np.stack([outline_centres(shape) for shape in shapes])
-    pairs = zip(shapes, places, strict=True)
-    waves = np.stack([outline_wave(*pair, max(order, 1)) for pair in pairs])
-    of_place, of_wave = _pixel_variances(shapes[0], places[0])
-    sd = np.sqrt(places.var(axis=0).sum(axis=1) + of_place)
-    angle, sd_deg = _angle(waves, of_wave, order)
-    empty = np.isnan(places[0, :, 0])
-    return Poses(
-        x_mm=np.where(empty, 0.0, places[0, :, 0] * pitch),
-        y_mm=np.where(empty, 0.0, places[0, :, 1] * pitch),
-        angle_deg=np.where(empty, 0.0, angle),
-        sd_mm=np.where(np.isnan(sd), np.inf, sd * pitch),
-        sd_deg=np.where(empty, np.inf, sd_deg),
-        symmetry=np.full(len(filled), order),
-    )
-
-
-def outlines(images: Floats, n_partitions: int, gamma: float) -> Bools:
-    """Make presses binary, three pixels per taxel."""
-    shape = (images.shape[1] * _PIXELS_PER_TAXEL, images.shape[2] * _PIXELS_PER_TAXEL)
-    enlarged = correct_gamma(resize(images, shape), gamma)
-    floor = _LEAST_THRESHOLD * otsu_threshold(enlarged)
-    above_floor = enlarged > floor[:, np.newaxis, np.newaxis]
-    return binarise(enlarged, n_partitions) & above_floor
-
-
-def outline_centres(shapes: Bools) -> Floats:
-    """Centroids (x, y) of `outlines` in taxels from the middle, NaN where empty."""
-    count = shapes.sum(axis=(1, 2))
-    count = np.where(count > 0, count, np.nan)
-    y, x = _grid(shapes.shape[1:])
-    by_col, by_row = shapes.sum(axis=1), shapes.sum(axis=2)
-    return np.column_stack([by_col @ x / count, by_row @ y / count])
-
-
-def outline_wave(shapes: Array, centres: Floats, order: int) -> Waves:
-    """Sum of r^2 exp(i order phi) over each shape, about its centre."""
-    y, x = _grid(shapes.shape[1:])
-    u = (x - centres[:, [0]])[:, None, :] + 1j * (y - centres[:, [1]])[:, :, None]
-    radius = np.abs(u)
-    unit = np.divide(u, radius, out=np.ones_like(u), where=radius > 0)
-    return np.asarray((shapes * radius**2 * unit**order).sum(axis=(1, 2)))
-
-
-def doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
-    """Standard deviations in degrees of variances in square radians.
-
-    Infinite from 360 / symmetry / sqrt(12) degrees, those of an angle drawn at random.
-    """
-    if symmetry == 0:
-        return np.full(len(variance), np.inf)
-    sd: Floats = np.rad2deg(np.sqrt(variance))
-    return np.where(sd < 360 / symmetry / np.sqrt(12), sd, np.inf)
-
-
-def within_period(angle: Floats, period: float) -> Floats:
-    """Return angles from 0 to below the period, also where rounding reaches it."""
-    rest = angle % period
-    return np.where(rest < period, rest, 0.0)
-
-
-def _pixel_variances(shapes: Bools, centres: Floats) -> tuple[Floats, Floats]:
-    """Variances of place (square taxels) and wave, as edge pixels may count or not."""
-    cross = generate_binary_structure(2, 1)[np.newaxis]
-    edge = (shapes & ~binary_erosion(shapes, cross)) * _COVERAGE_VARIANCE
-    y, x = _grid(shapes.shape[1:])
-    across, down = (x - centres[:, [0]]) ** 2, (y - centres[:, [1]]) ** 2
-    squared = across[:, np.newaxis, :] + down[:, :, np.newaxis]
-    count = np.maximum(shapes.sum(axis=(1, 2)), 1)
-    of_place = (edge * squared).sum(axis=(1, 2)) / count**2
-    return of_place, (edge * squared**2).sum(axis=(1, 2))
-
-
-def _angle(waves: Waves, of_wave: Floats, order: int) -> tuple[Floats, Floats]:
-    """Angle of the first clean-up and its standard deviation, in degrees."""
-    n_touches = waves.shape[1]
-    if order == 0:
-        return np.zeros(n_touches), np.full(n_touches, np.inf)
-    period = 360 / order
-    angle = within_period(np.rad2deg(np.angle(waves[0])) / order, period)
-    size = np.abs(waves)
-    unit = np.divide(waves, size, out=np.zeros_like(waves), where=size > 0)
-    agreement = np.abs(unit.mean(axis=0)).clip(1e-300, 1)
-    # Half of the wave's variance lies across it, where it turns the wave.
-    across = of_wave / 2 / np.maximum(size[0], 1e-150) ** 2
-    return angle, doubt_of_angle((across - 2 * np.log(agreement)) / order**2, order)
-
-
-def _grid(shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Y of the rows and x of the columns of `outlines`, in taxels."""
-    y, x = ((np.arange(n) - (n - 1) / 2) / _PIXELS_PER_TAXEL for n in shape)
-    return y, x
 
 
 class PressPose(BaseEstimator):
@@ -275,7 +151,8 @@ class PressPose(BaseEstimator):
             The part pressed.
         angle_deg : array-like of shape (n_touches,), optional
             True angles; they fix what is reported as 0. Otherwise 0 is where the
-            part reaches farthest along the columns, as in `press_pose`.
+            part reaches farthest along the columns: a bar at 0 lies along x, a
+            square at 0 stands on a corner.
         """
         images = check_images(X, allow_nan=True)
         labels = _check_labels(y, len(images))
@@ -313,7 +190,7 @@ class PressPose(BaseEstimator):
         if len(unknown):
             raise ValueError(
                 f"y must hold labels seen by fit, got {unknown.tolist()[0]!r}. Fit "
-                "with presses of that part, or use press_pose."
+                "with presses of that part."
             )
         which = np.searchsorted(self.labels_, labels)
         poses = np.empty((len(images), 5))
@@ -372,10 +249,10 @@ class PressPose(BaseEstimator):
         angle = np.zeros(len(poses))
         if symmetry:
             angle = np.rad2deg(poses[:, 0]) - self.zeros_deg_[index]
-            angle = within_period(angle, 360 / symmetry)
+            angle = _within_period(angle, 360 / symmetry)
         sd_deg = np.full(len(poses), np.inf)
         if np.isfinite(self.inflation_[index]):
-            sd_deg = doubt_of_angle(variance[:, 0] * self.inflation_[index], symmetry)
+            sd_deg = _doubt_of_angle(variance[:, 0] * self.inflation_[index], symmetry)
         rows = np.column_stack([place, angle, sd, sd_deg])
         rows[empty] = [0, 0, 0, np.inf, np.inf]
         return rows
@@ -386,8 +263,49 @@ def _prepare(images: Floats) -> tuple[Floats, Floats]:
     filled = fill_dead_taxels(images)
     root = np.sqrt(np.maximum(filled, 0))
     size = np.sqrt((root**2).sum(axis=(1, 2), keepdims=True))
-    shapes = outlines(filled, _N_PARTITIONS, _GAMMA)
-    return root / np.where(size > 0, size, 1.0), outline_centres(shapes)
+    shapes = _outlines(filled)
+    return root / np.where(size > 0, size, 1.0), _outline_centres(shapes)
+
+
+def _outlines(images: Floats) -> Bools:
+    """Make presses binary, three pixels per taxel.
+
+    By one threshold, which a background over the whole array does not disturb.
+    """
+    shape = (images.shape[1] * _PIXELS_PER_TAXEL, images.shape[2] * _PIXELS_PER_TAXEL)
+    return binarise(correct_gamma(resize(images, shape), _GAMMA), n_partitions=1)
+
+
+def _outline_centres(shapes: Bools) -> Floats:
+    """Centroids (x, y) of `_outlines` in taxels from the middle, NaN where empty."""
+    count = shapes.sum(axis=(1, 2))
+    count = np.where(count > 0, count, np.nan)
+    y, x = _grid(shapes.shape[1:])
+    by_col, by_row = shapes.sum(axis=1), shapes.sum(axis=2)
+    return np.column_stack([by_col @ x / count, by_row @ y / count])
+
+
+def _grid(shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Y of the rows and x of the columns of `_outlines`, in taxels."""
+    y, x = ((np.arange(n) - (n - 1) / 2) / _PIXELS_PER_TAXEL for n in shape)
+    return y, x
+
+
+def _doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
+    """Standard deviations in degrees of variances in square radians.
+
+    Infinite from 360 / symmetry / sqrt(12) degrees, those of an angle drawn at random.
+    """
+    if symmetry == 0:
+        return np.full(len(variance), np.inf)
+    sd: Floats = np.rad2deg(np.sqrt(variance))
+    return np.where(sd < 360 / symmetry / np.sqrt(12), sd, np.inf)
+
+
+def _within_period(angle: Floats, period: float) -> Floats:
+    """Return angles from 0 to below the period, also where rounding reaches it."""
+    rest = angle % period
+    return np.where(rest < period, rest, 0.0)
 
 
 def _turn(points: Floats, angles: Floats) -> Floats:

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .._parallel import Progress
-from ._changes import is_sound
+from ._changes import Names, is_sound
 from ._content import Image, identity, wide_identity
-from ._names import Names
 from ._reading import is_whole, stored_array
 from ._rows import (
     LOST,

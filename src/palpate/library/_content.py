@@ -192,6 +192,15 @@ def canonical(value: Any) -> str:
     return _CANONICAL.encode(value)
 
 
+def id_bytes(key: str) -> bytes:
+    try:
+        return bytes.fromhex(key)
+    except (ValueError, TypeError) as error:
+        raise LibraryError(
+            f"id must be 32 hexadecimal digits as `add` returns them, got {key!r}."
+        ) from error
+
+
 def digest_of(values: Iterable[Any]) -> bytes:
     """Return the SHA-256 of the values of a row as Python writes them in a tuple."""
     return hashlib.sha256(repr(tuple(values)).encode()).digest()

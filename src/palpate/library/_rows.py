@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .._checks import check_option
 from .._types import Array
+from ._changes import Names
 from ._content import (
     CELLS,
     PICTURE,
@@ -25,12 +26,12 @@ from ._content import (
     Image,
     canonical,
     digest_of,
+    id_bytes,
     image_digest,
     packed_array,
     unpacked_image,
     unpacked_rows,
 )
-from ._names import Names
 from ._store import (
     AT_ONCE,
     REPAIR,
@@ -241,15 +242,6 @@ def touch_row(tables: Tables, key: str) -> StoredTouch:
     return row
 
 
-def id_bytes(key: str) -> bytes:
-    try:
-        return bytes.fromhex(key)
-    except (ValueError, TypeError) as error:
-        raise LibraryError(
-            f"id must be 32 hexadecimal digits as `add` returns them, got {key!r}."
-        ) from error
-
-
 class Packed(NamedTuple):
     """Some touches of one recording, as the database keeps their images.
 
@@ -295,9 +287,7 @@ def n_at_once(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     return max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
 
 
-def packed_images(
-    tables: Tables, rows: Sequence[StoredTouch], *, with_more: bool = False
-) -> Iterator[Packed]:
+def packed_images(tables: Tables, rows: Sequence[StoredTouch]) -> Iterator[Packed]:
     """Return stored images of touches with one size and type, some at a time."""
     if not rows:
         return

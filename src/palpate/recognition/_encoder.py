@@ -178,7 +178,7 @@ class TouchEncoder(Encoder, BaseEstimator):
                             after = step.fit_transform(values)
                         else:
                             step.fit(values)
-                            after = _transformed(step, values, checked=True)
+                            after = _transformed(step, values)
                     done.append((step, after))
                 values = done[number][1]
             self.encodings_[name] = [step for step, _ in done]
@@ -234,7 +234,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         if self.channels and images.ndim == 4:
             batches = in_batches(images)
             return np.concatenate([self.clean_up_.by_channel(s) for s in batches])
-        return _transformed(self.clean_up_, grey(images), checked=True)
+        return _transformed(self.clean_up_, grey(images))
 
     def encode_fully(self, cleaned: Array) -> tuple[Floats, Floats]:
         """Return features and what components leave out; see `Encoder`."""
@@ -380,10 +380,10 @@ def in_batches(values: Any) -> Iterator[Any]:
         yield values[start : start + BATCH]
 
 
-def _transformed(step: Any, values: Array, *, checked: bool = False) -> Array:
+def _transformed(step: Any, values: Array) -> Array:
     """Return what a step makes of values, which it does not check again."""
     transform = step.transform
-    if checked and isinstance(step, ImageEstimator):
+    if isinstance(step, ImageEstimator):
         transform = step.transform_checked
     elif isinstance(step, StandardScaler):
         # Its own checks take as long as an encoding does.

@@ -130,8 +130,8 @@ def parquet_parts(
     """
     pq = needed("pyarrow.parquet", "parquet", READING)
     pa = needed("pyarrow", "parquet", READING)
-    with ExitStack() as stack:
-        for name, file in _files(path, stack):
+    for name in parquet_files(path):
+        with open_parquet(name) as file:
             try:
                 reader = pq.ParquetFile(file)
                 yield from _parts(pa, name, reader, max_bytes, max_pixels)
@@ -189,13 +189,6 @@ def file_stamp(name: str) -> tuple[str, ...]:
     system, place = _in_store(name)
     about = system.info(place)
     return tuple(str(about[key]) for key in _STAMPS if key in about)
-
-
-def _files(path: str | PathLike[str], stack: ExitStack) -> Iterator[tuple[str, Any]]:
-    """Yield the files of a path in their order, opened one at a time."""
-    for name in parquet_files(path):
-        with open_parquet(name) as stream:
-            yield name, stream
 
 
 class FileIndex(NamedTuple):

@@ -13,6 +13,7 @@ stay 16 bits.
 """
 
 import os
+import re
 import stat
 import struct
 from collections import Counter
@@ -28,8 +29,13 @@ import numpy as np
 from .._parallel import Progress
 from .._types import Array
 from ._columns import TouchesError
-from ._jpeg_scans import MOST_SCANS, has_many_scans
 
+_MOST_SCANS = 100  # progressive files of cameras have about ten
+# A scan has ten bytes at least and takes at most some 0.4 ns a pixel: where bytes times
+# pixels are fewer, as of a camera's 640 x 480, no picture takes longer than a second.
+_FEW = 5 * 2**32
+_HEAD, _SCAN_MARKER = 2, np.frombuffer(b"\xff\xda", np.uint16)[0]
+_MARKER = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])")
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
@@ -364,8 +370,8 @@ def _stored_levels(data: bytes, header: Header, out: Array | None = None) -> Arr
 def _jpeg_levels(data: bytes, header: Header, out: Array | None) -> Array:
     import simplejpeg
 
-    if has_many_scans(data, header.n_rows * header.n_cols):
-        raise PictureError(f"a JPEG of more than {MOST_SCANS} scans")
+    if _has_many_scans(data, header.n_rows * header.n_cols):
+        raise PictureError(f"a JPEG of more than {_MOST_SCANS} scans")
     out = np.empty(header.shape, header.dtype) if out is None else out
     space = "RGB" if header.colour else "GRAY"
     try:
@@ -493,3 +499,27 @@ def _refuse_missing_colours(data: bytes) -> None:
         largest = int(np.asarray(image).max())
     if largest >= n_colours:
         raise PictureError(f"a PNG with colour {largest} of a palette of {n_colours}")
+
+
+def _has_many_scans(data: bytes, n_pixels: int) -> bool:
+    """Tell whether a JPEG of so many pixels has more than 100 scans and may take long.
+
+    Each takes time over every pixel, whatever it says: some of nothing, a dozen bytes
+    each, can keep a decoder busy for minutes. Cameras write one, programs that write
+    progressive JPEGs at most some twenty.
+    """
+    if len(data) * n_pixels <= _FEW:
+        return False
+    pairs = (np.frombuffer(data, np.uint16, (len(data) - n) // 2, n) for n in (0, 1))
+    if sum(np.count_nonzero(pair == _SCAN_MARKER) for pair in pairs) <= _MOST_SCANS:
+        return False
+    # Some may lie in a preview, or behind the end: follow the segments.
+    n_scans, place = 0, _HEAD
+    while n_scans <= _MOST_SCANS and (marker := _MARKER.search(data, place)):
+        code = marker[1][0]
+        if code == _END:
+            return False
+        n_scans += code == _SCAN
+        size = int.from_bytes(data[marker.end() : marker.end() + 2], "big")
+        place = marker.end() + max(size, 1)
+    return n_scans > _MOST_SCANS

@@ -45,7 +45,7 @@ class GaussianKernel:
     sigma: float = 1.0
 
     def __post_init__(self) -> None:
-        check_width("sigma", self.sigma)
+        check_width(self.sigma)
 
 
 @dataclass(frozen=True)

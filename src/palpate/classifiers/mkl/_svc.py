@@ -260,7 +260,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             touches = check_given(X, (self.n_features_in_, self.weights_.shape[1]))
         else:
             touches = validate_data(self, X, dtype=np.float64, reset=False)
-            check_squarable("X", touches)
+            check_squarable(touches)
         return self._decisions(touches)
 
     def predict(self, X: ArrayLike) -> Array:
@@ -347,7 +347,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             self.n_features_in_ = len(touches)
         else:
             touches, labels = validate_data(self, X, y, dtype=np.float64)
-            check_squarable("X", touches)
+            check_squarable(touches)
         check_targets(labels)
         return touches, labels
 
