@@ -206,9 +206,12 @@ class TouchEncoder(Encoder, BaseEstimator):
         """Refuse images of another size than those that were learnt."""
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
+            fix = "Use the same sensor and resolution"
+            if taught[:2] == got[:2] and taught[2:] in ((), (3,)):
+                fix = "Leave `colour` out" if len(got) > len(taught) else "Add `colour`"
             raise ValueError(
                 f"touches must have {size_said(taught)} like the training touches, got "
-                f"{size_said(got)}. Use the same sensor and resolution, or learn again."
+                f"{size_said(got)}. {fix}, or learn again."
             )
 
     def cleaned(self, images: Array) -> Array:
