@@ -207,9 +207,12 @@ class TouchEncoder(Encoder, BaseEstimator):
         self.check_channels(images)
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
+            fix = "Use the same sensor and resolution"
+            if taught[:2] == got[:2] and taught[2:] in ((), (3,)):
+                fix = "Leave `colour` out" if len(got) > len(taught) else "Add `colour`"
             raise ValueError(
                 f"touches must have {size_said(taught)} like the training touches, got "
-                f"{size_said(got)}. Use the same sensor and resolution, or learn again."
+                f"{size_said(got)}. {fix}, or learn again."
             )
 
     def check_channels(self, images: Array) -> None:
