@@ -207,12 +207,9 @@ class TouchEncoder(Encoder, BaseEstimator):
         self.check_channels(images)
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
-            fix = "Use the same sensor and resolution"
-            if taught[:2] == got[:2] and taught[2:] in ((), (3,)):
-                fix = "Leave `colour` out" if len(got) > len(taught) else "Add `colour`"
             raise ValueError(
                 f"touches must have {size_said(taught)} like the training touches, got "
-                f"{size_said(got)}. {fix}, or learn again."
+                f"{size_said(got)}. Use the same sensor and resolution, or learn again."
             )
 
     def check_channels(self, images: Array) -> None:
@@ -222,12 +219,12 @@ class TouchEncoder(Encoder, BaseEstimator):
             return
         learnt = "one level" if self.channels_ is None else ", ".join(self.channels_)
         seen = f"{got[0]} numbers" if got else "one level"
-        fix = "Name channels as in training"
+        fix = "Use the same sensor"
         if "one level" in (learnt, seen):
-            fix = f"Read pictures {'with' if taught else 'without'} `colour`"
+            fix = "Read pictures with `colour`" if taught else "Leave `colour` out"
         raise ValueError(
             f"touches must have {learnt} a pixel like the training touches, got "
-            f"{seen}. {fix}, use the same sensor, or learn again."
+            f"{seen}. {fix}, or learn again."
         )
 
     def cleaned(self, images: Array) -> Array:
