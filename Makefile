@@ -163,7 +163,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.demo-installed: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing palpate into $(VENV) (once, about a minute)..."
-	@$(BIN)/python $(PIP_INSTALL) -c constraints.txt -e ".[plot,sim]"
+	@$(BIN)/python $(PIP_INSTALL) -c constraints.txt -e ".[plot,sim,web]"
 	@touch $@
 
 $(VENV)/.test-installed: pyproject.toml constraints.txt | $(VENV)/bin/python

@@ -53,13 +53,23 @@ def test_remount_writes_a_model_for_the_session(palpate, files, unlabelled):
 
 
 def test_remount_says_what_it_found(palpate, files):
+    tuesday = Touches.load(files / "tue.npz")
+    few = np.concatenate([np.flatnonzero(tuesday.object == n)[:2] for n in "abcd"])
+    tuesday[few].save(files / "few.npz")
     done = palpate(
-        *["remount", files / "m.palpate", files / "tue.npz", "-o", files / "o.palpate"]
+        *["remount", files / "m.palpate", files / "few.npz", "-o", files / "o.palpate"]
     )
     assert "show another mounting or light" in done.stdout
     assert "confirm 1 to 5 touches of each" in done.stdout
     assert done.stdout.count(OTHER_SESSION) == 1
     assert done.stdout.rstrip().endswith("o.palpate")
+
+
+def test_of_objects_with_five_confirmed_touches_no_more_are_asked_for(palpate, files):
+    done = palpate(
+        *["remount", files / "m.palpate", files / "tue.npz", "-o", files / "o.palpate"]
+    )
+    assert "confirm" not in done.stdout
 
 
 def test_what_is_left_to_confirm_is_said(palpate, files):

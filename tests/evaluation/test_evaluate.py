@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import Plan, decide_episodes, evaluate, plots, write_report
+from palpate.evaluation import (
+    Plan,
+    decide_episodes,
+    decision_table,
+    evaluate,
+    plots,
+    write_report,
+)
 
 PLAN = Plan(touches=(1, 3, 6), orders=5)
 
@@ -69,6 +76,19 @@ def test_decisions_are_right_and_use_few_touches(result):
     assert decision["right"] == decision["n_episodes"]
     assert decision["wrong"] == decision["refused"] == decision["undecided"] == 0
     assert not decision["can_be_verified"]
+
+
+def test_what_becomes_of_strangers_is_told_as_they_are_decided(result):
+    figures, trials = result
+    decision = figures["unknown_decision"]
+    n_episodes = sum(len(b) for b in trials[0].unknown_episodes.beliefs)
+    assert decision["n_episodes"] == n_episodes
+    undecided = round(decision["undecided"] * n_episodes)
+    assert decision["right"] == 0
+    assert decision["wrong"] + decision["refused"] + undecided == n_episodes
+    _, columns, (known, strangers) = decision_table(figures)
+    assert (columns[0], known[0], strangers[0]) == ("objects", "known", "strangers")
+    assert strangers[3].startswith(f"{decision['refused']} (")
 
 
 def test_every_episode_ends_as_a_belief_asked_after_each_touch_does():

@@ -12,11 +12,11 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, get_args
 from warnings import catch_warnings, simplefilter
 
 import typer
@@ -26,6 +26,7 @@ from ._output import say
 
 if TYPE_CHECKING:
     from ..library import Selection, TouchLibrary
+    from ..recognition import ObjectRecogniser
     from ..touches import ParquetTouches, Touches
 
     # Touches to learn from, held or read as they are needed.
@@ -279,6 +280,21 @@ class Reading:
             library.refuse_unknown(self.where)
             return library.touches(self.where)
 
+    def like(self, recogniser: "ObjectRecogniser", path: Path) -> Self:
+        """Return this, in colour where the model's pictures were and nothing is said.
+
+        Archives, libraries, bags and Parquet say themselves what they hold.
+        """
+        from ..library import TouchLibrary, is_recording
+        from ..touches import FILMS, PICTURES, RGB, is_parquet
+
+        kept = TouchLibrary.is_library(path) or is_recording(path) or is_parquet(path)
+        pictures = path.suffix.lower() in (*FILMS, *PICTURES) or path.is_dir()
+        in_colour = tuple(recogniser.encoder_.channels_ or ()) == RGB
+        if self.colour is None and in_colour and pictures and not kept:
+            return replace(self, colour=True)
+        return self
+
     def parts(self, path: Path, topic: str | None = None) -> "Iterator[Touches]":
         """Read touches to be kept, those of Parquet some at a time."""
         from itertools import chain
@@ -402,6 +418,20 @@ class Reading:
         if len(levels) < 2:
             return ""
         return f"folders were read as {'/'.join(levels)}; --levels says otherwise"
+
+    def colour_left(self, path: Path, touches: "Labelled") -> str:
+        """Return that pictures in colour were read in grey, if nobody said it."""
+        from ..touches import shows_colour
+
+        names = getattr(touches, "columns", {}).get("source_path")
+        if self.colour is not None or names is None or not path.is_dir():
+            return ""
+        if not shows_colour(path / str(names[0])):
+            return ""
+        return (
+            "pictures in colour were read in grey: --colour, if colour tells, as "
+            "behind a gel"
+        )
 
 
 def _read_profile(path: Path) -> dict[str, Any]:

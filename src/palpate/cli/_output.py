@@ -74,8 +74,13 @@ def belief_line(touch: int, posterior: dict[str, float], unknown: float) -> str:
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     name, share = ranked[0]
     bar = ("█" * round(share * BAR_WIDTH)).ljust(BAR_WIDTH, "·")
-    others = "  ".join(f"{n} {p:.2f}" for n, p in ranked[1:SHOWN])
-    return f"  touch {touch:3d}  {bar} {share:4.2f} {name}   {others}"
+    others = "  ".join(f"{n} {_rounded_down(p)}" for n, p in ranked[1:SHOWN])
+    return f"  touch {touch:3d}  {bar} {_rounded_down(share)} {name}   {others}"
+
+
+def _rounded_down(share: float) -> str:
+    """Return a share of 1 as sentences round it, so that both say the same."""
+    return f"{math.floor(100 * share + 1e-9) / 100:4.2f}"
 
 
 def table(

@@ -79,6 +79,8 @@ def evaluate(
             training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
         figures = in_options(figures)
+        if left := reading.colour_left(train, training):
+            figures["recommendations"].insert(0, f"{left[0].upper()}{left[1:]}.")
         if report is not None:
             stage(f"writing {report}")
             write_report(report, figures, trials)
@@ -106,6 +108,8 @@ def print_figures(figures: dict[str, Any]) -> None:
         f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
         f"touches, chance {percent(figures['chance'])} %"
     )
+    if figures["remount"] != "none":
+        title += f", remount {figures['remount']}"
     say(figures["verdict"])
     table(
         title, ["after touches", *figures["accuracy"]], evaluation.figure_lines(figures)
@@ -114,7 +118,7 @@ def print_figures(figures: dict[str, Any]) -> None:
         say(f"Found out from the training touches: {sentence}.")
     for flag, share in figures["flags"].items():
         say(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
-    table(*evaluation.decision_table(figures["decision"]))
+    table(*evaluation.decision_table(figures))
     say(evaluation.bound_said(figures["decision"]))
     for sentence in evaluation.as_good_alone(figures):
         say(sentence)

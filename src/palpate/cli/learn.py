@@ -48,13 +48,17 @@ def learn(
     recognition.check_model_path(output)
     with stages() as stage, working.started():
         stage(f"reading {touches}")
+        before = None
+        if extend is not None:
+            before = recognition.ObjectRecogniser.load(_options.model_file(extend))
+            reading = reading.like(before, touches)
         with reading.selection(touches) as selection:
             training = selection
             if calibration is not None:
                 training = _options.calibrated(_held(selection), calibration)
             stage(f"learning from {len(training)} touches")
-            if extend is not None:
-                recogniser = _extended(extend, training)
+            if before is not None:
+                recogniser = _extended(before, training)
             else:
                 settings = vars(how) | {"random_state": how.seed}
                 del settings["seed"]
@@ -71,8 +75,11 @@ def learn(
     across = recognition.across_sessions(recogniser)
     sentences = learnt["chosen"].get("found", ())
     if not TouchLibrary.is_library(touches):
-        read = reading.read_as(touches, training)
-        sentences = [*sentences, read] if read else sentences
+        how_read = (
+            reading.read_as(touches, training),
+            reading.colour_left(touches, training),
+        )
+        sentences = [*sentences, *filter(None, how_read)]
     findings = "".join(
         f" {sentence[0].upper()}{sentence[1:]}." for sentence in sentences
     )
@@ -88,16 +95,15 @@ def learn(
     )
 
 
-def _extended(model: Path, training: "_options.Labelled") -> "ObjectRecogniser":
+def _extended(
+    recogniser: "ObjectRecogniser", training: "_options.Labelled"
+) -> "ObjectRecogniser":
     """Return a model that knows the new labels of `training` as well.
 
     Where all labels are known, their touches join those that the model has.
     """
     import numpy as np
 
-    from ..recognition import ObjectRecogniser
-
-    recogniser = ObjectRecogniser.load(model)
     labels = training.object if recogniser.label == "object" else training.category
     if labels is None:
         raise ValueError(
@@ -112,7 +118,7 @@ def _extended(model: Path, training: "_options.Labelled") -> "ObjectRecogniser":
             fresh = ~np.isin(training.touch_id, recogniser.memory_.touch_ids)
         if not fresh.any():
             raise ValueError(
-                f"TOUCHES must hold some that {model} has not learnt, got none. Add "
+                "TOUCHES must hold some that the model has not learnt, got none. Add "
                 "touches, or name other ones with --where."
             )
         for name in np.unique(labels[fresh]).tolist():

@@ -48,7 +48,9 @@ def recognise(
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(_options.model_file(model))
         stage(f"reading {touches}")
-        tested = _options.calibrated(reading.touches(touches), calibration)
+        tested = _options.calibrated(
+            reading.like(recogniser, touches).touches(touches), calibration
+        )
         stage(f"recognising {len(tested)} touches")
         evidence = recogniser.evidence(tested)
         check = recogniser.check_mounting(evidence)
@@ -61,7 +63,8 @@ def recognise(
         print_json({"episodes": episodes, "mounting": mounting})
         return
     if check.changed:
-        say(OTHER_MOUNTING.format("; see palpate remount"))
+        again = " with more labelled touches" if "remount" in recogniser.chosen_ else ""
+        say(OTHER_MOUNTING.format(f"; see palpate remount{again}"))
     for episode in episodes:
         print_episode(episode, explain=explain)
 

@@ -34,12 +34,13 @@ def remount(
 
     check_model_path(output)
     with stages() as stage:
+        stage(f"reading {model}")
+        recogniser = ObjectRecogniser.load(_options.model_file(model))
         stage(f"reading {touches}")
-        session = reading.touches(touches)
+        session = reading.like(recogniser, touches).touches(touches)
         if unlabelled:
             named = {"object", "category"} & set(session.columns)
             session = session.without(*named)
-        recogniser = ObjectRecogniser.load(_options.model_file(model))
         stage(f"getting used to {len(session)} touches")
         same_shape = session.images.shape[1:] == tuple(recogniser.encoder_.image_shape_)
         check = recogniser.check_mounting(session) if same_shape else None
@@ -58,6 +59,7 @@ def remount(
         **report,
         "confirm": names[:TO_CONFIRM],
         "n_to_confirm": len(left),
+        "n_objects": len(weakest),
     }
     answer(as_json, values, *_sentences(values), written)
 
@@ -75,15 +77,16 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         sentences.append("How training sessions differ is weighed down.")
     way = "their labels" if values["labelled"] else "what they are taken for"
     sentences.append(
-        f"{values['n_touches']} touches were moved by {values['moved']:.0%} of the "
-        f"variance of all, by {way}."
+        f"By {way}, {values['n_touches']} touches tell what this session does to all: "
+        f"it is taken off, {values['moved']:.0%} of the variance of training touches."
     )
     if values.get("weight", 1) < 1:
         sentences.append(
-            f"Each counts as 1/{1 / values['weight']:.0f} of a training touch: so they "
-            "tell each other best."
+            f"Each is learnt too, as 1/{1 / values['weight']:.0f} of a training touch: "
+            "so they recognise each other best."
         )
-    sentences.append(OTHER_SESSION)
+    if values["changed"]:
+        sentences.append(OTHER_SESSION)
     return [*sentences, *_what_to_confirm(values)]
 
 
@@ -92,7 +95,8 @@ def _what_to_confirm(values: dict[str, Any]) -> list[str]:
     names, n_left = ", ".join(values["confirm"]), values["n_to_confirm"]
     further = "To go further, confirm 1 to 5 touches of each object, in any order"
     if not n_left:
-        return [f"{further}, such as: {names}."]
+        enough = values["labelled"] and values["n_touches"] >= 5 * values["n_objects"]
+        return [] if enough else [f"{further}, such as: {names}."]
     n_more = n_left - len(values["confirm"])
     more = f" and {n_more} more" if n_more else ""
     sentences = [f"{further}; of these there is none yet: {names}{more}."]

@@ -250,9 +250,10 @@ def learn_nuisance(
 
     check_model_path(output)
     with stages() as stage:
-        stage(f"reading {touches}")
-        met = reading.touches(touches)
+        stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model_file(model))
+        stage(f"reading {touches}")
+        met = reading.like(recogniser, touches).touches(touches)
         stage(f"learning from {len(met)} touches")
         n_differences = recogniser.learn_nuisance(met)
         written = recogniser.save(output)

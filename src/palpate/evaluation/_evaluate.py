@@ -23,6 +23,7 @@ from ..recognition import (
 from ..touches import Touches
 from ._comparisons import (
     CONTROLS,
+    as_good_after,
     as_good_alone,
     control_log_likelihood,
     without_contact,
@@ -305,7 +306,8 @@ def verdict(figures: dict[str, Any]) -> str:
     if alone:
         best = max(alone, key=lambda name: alone[name])
         beside += f", and {best} alone, which is no touch, {alone[best]:.0%}"
-        if alone[best] >= right > 1.5 * chance:
+        as_good = any(last in each for each in as_good_after(figures).values())
+        if as_good and right > 1.5 * chance:
             return (
                 f"This does not show that touch works: {after}, but {best} alone, "
                 f"which is no touch, names {alone[best]:.0%}."

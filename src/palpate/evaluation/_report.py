@@ -105,7 +105,7 @@ def write_report(
             f"<p><b>{escape(sentence)}</b></p>" for sentence in as_good_alone(figures)
         ),
         _recommended(figures.get("recommendations", ())),
-        _ends(figures["decision"]),
+        _ends(figures),
         f"<p class=note>{bound_said(figures['decision'])}</p>",
         _confusion(figures, trials),
         _explanations(figures, trials),
@@ -116,12 +116,12 @@ def write_report(
     return target
 
 
-def _ends(decision: dict[str, Any]) -> str:
+def _ends(figures: dict[str, Any]) -> str:
     """Return how many episodes ended how, a line each: that fits a phone."""
-    title, columns, (cells,) = decision_table(decision)
-    named = {"touches": "touches on average"}
-    rows = [[named.get(n, n), cell] for n, cell in zip(columns, cells, strict=True)]
-    return html_table(title, ["", "episodes"], rows)
+    title, columns, lines = decision_table(figures)
+    columns[-1] = "touches on average"
+    head, *rows = zip(columns, *lines, strict=True)
+    return html_table(title, head, rows)
 
 
 def _recommended(sentences: Sequence[str]) -> str:
@@ -169,7 +169,8 @@ def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
         label = "touches without contact, %" if bare else f"{name} alone, %"
         rows.append((label, curve or dict.fromkeys(figures["accuracy"]), 100, 1))
     rows.append(("unknown, ROC area", figures.get("unknown_auroc", {}), 1, 3))
-    rows.append(("unknown refused, %", figures.get("unknown_refused", {}), 100, 1))
+    refused = "strangers refused, where 5 % of known are, %"
+    rows.append((refused, figures.get("unknown_refused", {}), 100, 1))
     return [
         [name, *(as_text(values.get(k), scale, n) for k in figures["accuracy"])]
         for name, values, scale, n in rows
@@ -178,22 +179,30 @@ def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
 
 
 def decision_table(
-    decision: dict[str, Any],
+    figures: dict[str, Any],
 ) -> tuple[str, list[str], list[list[str]]]:
-    """Return title, columns and the one line of how many episodes ended how."""
-    n_episodes = decision["n_episodes"]
-    ends = {
-        "named right": decision["right"],
-        "named wrong": decision["wrong"],
-        "called unknown": decision["refused"],
-        "undecided": round(n_episodes * decision["undecided"]),
-    }
-    cells = [f"{n} ({as_text(n / n_episodes, 100)} %)" for n in ends.values()]
+    """Return title, columns and lines of how many episodes ended how.
+
+    One line is of known objects, another of strangers, where there are any.
+    """
+    decision = figures["decision"]
     title = (
         f"Stopping at an error of {decision['error']:g}, a refusal of "
-        f"{decision['refusal']:g}, in {n_episodes} episodes"
+        f"{decision['refusal']:g}, in {decision['n_episodes']} episodes"
     )
-    return title, [*ends, "touches"], [[*cells, as_text(decision["mean_touches"])]]
+    ends = ["named right", "named wrong", "called unknown", "undecided", "touches"]
+    lines = [["known", *_ended(decision)]]
+    if "unknown_decision" in figures:
+        lines.append(["strangers", *_ended(figures["unknown_decision"])])
+    return title, ["objects", *ends], lines
+
+
+def _ended(decision: dict[str, Any]) -> list[str]:
+    n_episodes = decision["n_episodes"]
+    undecided = round(n_episodes * decision["undecided"])
+    counts = decision["right"], decision["wrong"], decision["refused"], undecided
+    cells = [f"{n} ({as_text(n / n_episodes, 100)} %)" for n in counts]
+    return [*cells, as_text(decision["mean_touches"])]
 
 
 def bound_said(decision: dict[str, Any]) -> str:
@@ -274,9 +283,9 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     return (
         "<h2>Accuracy against touches, and whether the belief can be trusted</h2>"
         f"<div class=row>{plot}{plots.calibration_plot(bins)}</div>"
-        "<p class=note>Left: mean and one standard deviation over objects (over folds "
+        "<p class=note>First: mean and one standard deviation over objects (over folds "
         "where there are several). Dashed: what nuisance values achieve by themselves."
-        " Right: a belief of 0.9 should be right nine times in ten.</p>"
+        " Second: a belief of 0.9 should be right nine times in ten.</p>"
         + html_table("", ["after touches", *figures["accuracy"]], figure_lines(figures))
     )
 
@@ -348,9 +357,10 @@ def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         return ""
     return (
         "<h2>Why: the touches that moved the belief most</h2>"
-        "<p class=note>Of some episodes, wrong decisions first. Left: a touch, and how "
-        "far it moved the balance between the two most probable labels (nats; 2.3 are "
-        "a factor of ten). Right of it: the training touches most like it, and how far "
+        "<p class=note>Of some episodes, wrong decisions first where there are any: a "
+        "touch, and how far it moved the balance between the two most probable labels "
+        "(nats; 2.3 are a factor of ten). Beside it the training touches most like "
+        "it, and how far "
         f"they are (1: as two middling training touches).</p>{shown}"
     )
 

@@ -175,6 +175,10 @@ def figures_of(
     accepted = *plan.accepted, plan.strangers
     ends = [decide_episodes(t.episodes, *accepted) for t in trials]
     figures["decision"] = Decisions.pooled(ends).to_dict(*accepted)
+    strange = [t.unknown_episodes for t in trials if t.unknown_episodes is not None]
+    if strange:
+        ends = [decide_episodes(episodes, *accepted) for episodes in strange]
+        figures["unknown_decision"] = Decisions.pooled(ends).to_dict(*accepted)
     figures["controls"] = _mean_controls(trials)
     seen = dict.fromkeys(flag for t in trials for flag in t.flags)
     shares = {f: [t.flags.get(f, 0.0) for t in trials] for f in seen}

@@ -49,7 +49,8 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
         xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
     )
     axes.set_xticks(whole_ticks(max(2, len(curve))))
-    axes.legend(frameon=False, loc="center right", fontsize=8)
+    # Beside the curves there is no place that is always free.
+    figure.legend(frameon=False, loc="outside upper left", ncols=2, fontsize=8)
     return svg(figure, "Share right against touches")
 
 

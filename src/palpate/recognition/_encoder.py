@@ -204,12 +204,28 @@ class TouchEncoder(Encoder, BaseEstimator):
 
     def check_size(self, images: Array) -> None:
         """Refuse images of another size than those that were learnt."""
+        self.check_channels(images)
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
             raise ValueError(
                 f"touches must have {size_said(taught)} like the training touches, got "
                 f"{size_said(got)}. Use the same sensor and resolution, or learn again."
             )
+
+    def check_channels(self, images: Array) -> None:
+        """Refuse images in colour where grey ones were learnt, and the reverse."""
+        taught, got = tuple(self.image_shape_)[2:], images.shape[3:]
+        if got == taught:
+            return
+        learnt = "one level" if self.channels_ is None else ", ".join(self.channels_)
+        seen = f"{got[0]} numbers" if got else "one level"
+        fix = "Name channels as in training"
+        if "one level" in (learnt, seen):
+            fix = f"Read pictures {'with' if taught else 'without'} `colour`"
+        raise ValueError(
+            f"touches must have {learnt} a pixel like the training touches, got "
+            f"{seen}. {fix}, use the same sensor, or learn again."
+        )
 
     def cleaned(self, images: Array) -> Array:
         """Return images that `living` has checked, after the clean-up."""

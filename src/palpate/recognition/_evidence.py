@@ -92,13 +92,20 @@ class SequenceCalibration:
         return np.asarray(self.strength / (1 + others * self.correlation))
 
 
-def as_touches(touch: Any) -> Touches:
-    """Return touches, lists of them, an image or images as `Touches`, or explain."""
+def as_touches(touch: Any, channels: Sequence[str] | None = None) -> Touches:
+    """Return touches, lists of them, an image or images as `Touches`, or explain.
+
+    An array whose last axis is as long as `channels` holds them there.
+    """
     if isinstance(touch, Touches):
         return touch
     if isinstance(touch, list) and touch and isinstance(touch[0], Touches):
         return Touches.concatenate(touch)
     images = np.asarray(unmasked("touch", touch))
+    if channels and images.ndim in (3, 4) and images.shape[-1] == len(channels):
+        if images.ndim == 3:
+            images = images[np.newaxis]
+        return Touches(images, channels=channels)
     if images.ndim not in (2, 3):
         named = 'Touches(images, channels=["r", "g", "b"])'
         hint = f" Name its channels: {named}." if images.ndim == 4 else ""

@@ -373,7 +373,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
            1/64), as they tell each other best.
         """
         self._check_fitted()
-        new = as_touches(touches)
+        new = self._as_touches(touches)
         labels = new.object if self.label == "object" else new.category
         learnt, remount_report = remounted(self.learnt(), new, labels)
         self.serve(learnt)
@@ -414,7 +414,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         rim: list[str] = []
         if not isinstance(touches, Evidence):
-            new = as_touches(touches)
+            new = self._as_touches(touches)
             touches, rim = self.evidence(new), rim_moved(self.encoder_, new)
         check = check_mounting(self.learnt(), touches, rim, self.random_state)
         self._mounting = check
@@ -809,7 +809,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def _as_touches(self, X: Any) -> Touches:
         """Return touches, or what is like what `fit` saw, as touches."""
         if isinstance(X, Touches) or not hasattr(self, "n_features_in_"):
-            return as_touches(X)
+            return as_touches(X, self.encoder_.channels_)
         X = unmasked("X", X)
         return _without_places(validate_data(self, X, reset=False, dtype=np.float64))
 

@@ -55,6 +55,7 @@ class RemountedEncoder(Encoder):
         """
         earlier = wrapped(before)
         taught = earlier.encoder
+        taught.check_channels(touches.images)
         broken, drift = taught.stuck(touches), None
         if taught.baseline_ is not None and touches.no_contact is not None:
             now = taught.living(touches.no_contact[np.newaxis], broken)[0]

@@ -99,6 +99,7 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         **_DESK,
         "no-contact": _Option("no_contact", Path, "a picture"),
         "name-pattern": _Option("name_pattern", str, "a regular expression"),
+        "colour": _word("colour", **_YES_NO),
     },
     "ros": {
         **_SHAPE,
@@ -160,8 +161,8 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
         more = f" (or {', '.join(others)} of packages installed)" if others else ""
         raise AddressError(
             "sensor must be camera:NAME, serial:PORT, ros:TOPIC, replay:PATH or "
-            f"sim:OBJECT"
-            f"{more}, got {address!r}."
+            f"sim:OBJECT{more}, got {address!r}. digit:, gelsight-mini:, anyskin: and "
+            "others come with plugs/drivers: pip install plugs/drivers."
         )
     arguments = _written(address, kind, written)
     for keyword, value in options.items():

@@ -154,6 +154,8 @@ class ReplaySensor(PlayedSensor):
         nothing, which are all alike. Without any, `gap` must be 0.
     name_pattern : str, optional
         For folders: see `Touches.load`.
+    colour : bool, default=False
+        Whether pictures of a folder are read in red, green and blue.
 
     Notes
     -----
@@ -193,14 +195,19 @@ class ReplaySensor(PlayedSensor):
         gap: int = 8,
         no_contact: Array | str | PathLike[str] | None = None,
         name_pattern: str | None = None,
+        colour: bool = False,
     ) -> None:
         frame: Any = no_contact if isinstance(no_contact, np.ndarray) else None
         path: Any = no_contact if frame is None else None
         try:
             recorded = touches
             if not isinstance(recorded, Touches):
-                options = {"name_pattern": name_pattern, "no_contact": path}
-                recorded = Touches.load(recorded, **options)
+                recorded = Touches.load(
+                    recorded,
+                    name_pattern=name_pattern,
+                    no_contact=path,
+                    colour=colour,
+                )
             if frame is not None:
                 recorded = recorded.with_columns(no_contact=frame)
         except TouchesError as error:
@@ -227,7 +234,7 @@ class ReplaySensor(PlayedSensor):
                 )
         super().__init__(
             f"replay of {source}",
-            "grey level" if recorded.images.dtype.kind == "u" else "as recorded",
+            _unit_of(recorded),
             recorded.images.shape[1:],
             recorded.images.dtype,
             recorded.geometry,
@@ -259,6 +266,12 @@ def _places_of(recorded: Touches) -> list[dict[str, float]]:
         for place, vector in zip(places, vectors.tolist(), strict=True):
             place |= dict(zip(parts, vector, strict=True))
     return [place if np.isfinite([*place.values()]).all() else {} for place in places]
+
+
+def _unit_of(recorded: Touches) -> str:
+    if recorded.images.dtype.kind != "u":
+        return "as recorded"
+    return "grey level" if recorded.channels is None else "colour level"
 
 
 def _quiet_mean(images: Array, labels: Array) -> Array | None:
@@ -337,7 +350,7 @@ class SimulatedStream(PlayedSensor):
         self._next: tuple[str, Future[Array]] | None = None
         super().__init__(
             f"simulated {_NAMES[kind]}",
-            "grey level",
+            "colour level" if kind == "gel" else "grey level",
             rest.shape,
             np.uint8,
             "plane" if kind == "gel" else kind,

@@ -259,11 +259,11 @@ def _check_pictures(
             if (copy := first.setdefault(picture.digest, name)) != name:
                 check.same.append((name, copy))
     if first and not colour:
-        check.coloured = _shows_colour(root / next(iter(first.values())))
+        check.coloured = shows_colour(root / next(iter(first.values())))
     return check
 
 
-def _shows_colour(path: Path) -> bool:
+def shows_colour(path: Path) -> bool:
     """Return whether red, green and blue differ by more than what JPEG does to grey."""
     from PIL import Image
 

@@ -1,0 +1,116 @@
+"""Pictures in colour: a model reads new ones as it read those that taught it."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from palpate import ObjectRecogniser, Touches
+from palpate.sensors import open_sensor
+
+TINTS = {"ball": (60, 0, 0), "pen": (0, 60, 0)}
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """Eight of each thing, and as many of another part of the same things."""
+    root, rng = tmp_path_factory.mktemp("gel"), np.random.default_rng(0)
+    for part in ("taught", "new"):
+        for name, tint in TINTS.items():
+            folder = root / part / name
+            folder.mkdir(parents=True)
+            for number in range(8):
+                levels = rng.integers(60, 120, (16, 20, 1)) + np.array(tint)
+                Image.fromarray(levels.astype("u1")).save(folder / f"{number}.png")
+    return root
+
+
+@pytest.fixture(scope="module")
+def models(pictures):
+    """Of the same pictures, in colour and in grey."""
+    return [
+        ObjectRecogniser()
+        .fit(Touches.load(pictures / "taught", colour=colour))
+        .save(pictures / f"{colour}.palpate")
+        for colour in (True, False)
+    ]
+
+
+def test_learning_says_that_colours_were_left(palpate, pictures):
+    def said(*colour):
+        model = pictures / "said.palpate"
+        done = palpate("learn", pictures / "taught", *colour, "-o", model)
+        assert done.returncode == 0, done.stderr
+        return "Pictures in colour were read in grey: --colour" in done.stdout
+
+    assert said()
+    assert not said("--colour")
+
+
+def test_evaluating_says_it_too(palpate, pictures):
+    words = "evaluate", "--train", pictures / "taught", "--test", pictures / "new"
+    grey = json.loads(palpate(*words, "--json").stdout)
+    assert "read in grey: --colour" in grey["recommendations"][0]
+    coloured = json.loads(palpate(*words, "--colour", "--json").stdout)
+    assert not any("read in grey" in s for s in coloured["recommendations"])
+
+
+def test_a_model_of_colours_reads_colours(palpate, pictures, models):
+    done = palpate("recognise", models[0], pictures / "new", "--json")
+    assert done.returncode == 0, done.stderr
+    episodes = json.loads(done.stdout)["episodes"]
+    assert [e["beliefs"][-1]["posterior"][e["object"]] > 0.9 for e in episodes] == [
+        True,
+        True,
+    ]
+    again = pictures / "again.palpate"
+    done = palpate("remount", models[0], pictures / "new", "-o", again)
+    assert done.returncode == 0, done.stderr
+    done = palpate(
+        *["learn", pictures / "new", "--extend", models[0]],
+        *["-o", pictures / "extended.palpate"],
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_grey_is_refused_where_colours_were_learnt(pictures, models):
+    recogniser = ObjectRecogniser.load(models[0])
+    grey = Touches.load(pictures / "new")
+    for ask in (recogniser.evidence, recogniser.remount):
+        with pytest.raises(ValueError, match=r"have r, g, b a pixel.*with `colour`"):
+            ask(grey)
+
+
+def test_colours_are_refused_where_grey_was_learnt(palpate, pictures, models):
+    done = palpate("recognise", models[1], pictures / "new", "--colour")
+    assert done.returncode == 1
+    assert "must have one level a pixel" in done.stderr
+    assert "without --colour" in done.stderr
+
+
+def test_an_array_in_colour_is_one_picture_or_several(pictures, models):
+    recogniser = ObjectRecogniser.load(models[0])
+    touches = Touches.load(pictures / "new", colour=True)
+    wanted = recogniser.evidence(touches).log_likelihood
+    several = recogniser.evidence(touches.images).log_likelihood
+    np.testing.assert_array_equal(several, wanted)
+    alone = recogniser.evidence(touches.images[3]).log_likelihood
+    np.testing.assert_allclose(alone, wanted[3:4], atol=1e-9)  # sums in another order
+    assert (recogniser.predict(touches.images) == touches.object).all()
+
+
+def test_pictures_are_replayed_in_colour(pictures):
+    still = pictures / "new" / "ball" / "0.png"
+    address = f"replay:{pictures / 'new'}?colour=1&no-contact={still}"
+    sensor = open_sensor(address)
+    assert sensor.image_shape == (16, 20, 3)
+    assert sensor.unit == "colour level"
+    assert open_sensor(address.replace("colour=1&", "")).unit == "grey level"
+    with pytest.raises(ValueError, match="contradict each other"):
+        open_sensor(address, colour=False)
+
+
+def test_a_driver_that_is_not_installed_is_named():
+    with pytest.raises(ValueError, match=r"digit:, .* pip install plugs/drivers"):
+        open_sensor("digit2:DIGIT")
