@@ -159,16 +159,6 @@ def stages() -> Iterator[Callable[[str], None]]:
         yield lambda stage: bar.update(task, description=printable(stage))
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def translate_for(app: typer.Typer) -> None:
     """Take the command whose verbs and options messages are to name."""
     _ROOT[:] = [app]
@@ -181,6 +171,16 @@ def as_typed(text: str, *words: str) -> str:
     options = _options_of(words or tuple(sys.argv[1:]))
     text = _QUOTED.sub(partial(_as_quoted, options), text)
     return _FIRST_WORD.sub(lambda word: options.get(word[1], (word[1],))[0], text)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def _as_quoted(options: dict[str, tuple[str, str]], word: re.Match[str]) -> str:

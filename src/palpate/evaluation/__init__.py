@@ -14,7 +14,6 @@ from ._comparisons import disc_centres as disc_centres
 from ._comparisons import named_alone as named_alone
 from ._comparisons import sorted_pixels as sorted_pixels
 from ._comparisons import without_contact as without_contact
-from ._episodes import Decisions as Decisions
 from ._episodes import Episodes as Episodes
 from ._episodes import decide_episodes as decide_episodes
 from ._episodes import run_episodes as run_episodes

@@ -24,7 +24,6 @@ from ._pictures import FILMS as FILMS
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
-from ._touches import Episode as Episode
 from ._touches import Labelled as Labelled
 from ._touches import Touches, TouchSource, read_folder, read_parquet
 
