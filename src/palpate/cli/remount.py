@@ -112,10 +112,15 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         f"{values['n_touches']} touches were moved by {values['moved']:.0%} of the "
         f"variance of all, by {way}."
     )
+    if values.get("trust") == 0:
+        sentences.append(
+            "One object alone tells nothing of the others, as rehearsed sessions say: "
+            "confirm touches of more objects."
+        )
     if values.get("weight", 1) < 1:
         sentences.append(
-            f"Each counts as 1/{1 / values['weight']:.0f} of a training touch: so they "
-            "tell each other best."
+            f"Each counts {values['weight']:.2g} of a training touch: so they tell "
+            "each other best."
         )
     sentences.append(OTHER_SESSION)
     return [*sentences, *_what_to_confirm(values)]

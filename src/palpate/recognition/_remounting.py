@@ -34,11 +34,12 @@ WEIGHT_STEP, N_WEIGHTS = 4.0, 4
 
 
 def remounted(
-    learnt: Learnt, new: Touches, labels: Array | None
+    learnt: Learnt, new: Touches, labels: Array | None, trust: float = 1.0
 ) -> tuple[Learnt, dict[str, Any]]:
     """Return what was learnt as it serves in the session of `new`, and what was found.
 
-    `labels` (n_touches,) where they are confirmed. See `ObjectRecogniser.remount`.
+    `labels` (n_touches,) where they are confirmed; of one object alone `trust` is what
+    is believed of what they tell. See `ObjectRecogniser.remount`.
     """
     if labels is not None:
         unknown = np.setdiff1d(labels, learnt.classes)
@@ -68,6 +69,10 @@ def remounted(
         report["objects"] = round(_sessions.effective_number(sums.shares), 1)
     confirmed = None if labels is None else labels[counts]
     shift = _shift(learnt, features[counts], confirmed)
+    if confirmed is not None:
+        # Each more object tells of the session by itself.
+        trust = 1 - (1 - trust) / len(np.unique(confirmed))
+        shift, report["trust"] = trust * shift, trust
     if labels is None and not report.get("centred", True):
         shift = np.zeros_like(shift)
     there = wrapped(learnt.encoder).shifted(shift)
@@ -80,32 +85,34 @@ def remounted(
     variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     report["moved"] = float((shift**2).sum() / variance)
     learnt = replace(learnt, encoder=there)
-    if labels is None:
+    if labels is None or not trust:
         return learnt, report
     objects = labels if new.object is None else new.object
     encoding = replace(encoding, features=features + shift, looks=there.look(new))
     one_group = np.zeros(len(new), dtype=np.intp)
     joined = memory_of(new, encoding, labels, objects, one_group)
-    joined, report["weight"] = _weighed_by_themselves(learnt, joined)
+    joined, report["weight"] = _weighed_by_themselves(learnt, joined, trust**2)
     return learnt.relearnt(learnt.memory.plus(joined)), report
 
 
-def _weighed_by_themselves(learnt: Learnt, joined: Memory) -> tuple[Memory, float]:
+def _weighed_by_themselves(
+    learnt: Learnt, joined: Memory, most: float
+) -> tuple[Memory, float]:
     """Return confirmed touches with what they count when they are learnt, and that.
 
     Touches of one session share what it does to them, so that one may be nearer to a
     confirmed touch of another object than to its own in training. How much they are to
-    count is what tells them best, each left out by itself; a priori as much as others,
-    a quarter less probable by half a nat, and so on.
+    count is what tells them best, each left out by itself; a priori `most`, a quarter
+    of it less probable by half a nat, and so on.
     """
     if not learnt.takes_weights:
         return joined, 1.0
-    n_new, n_before, best, weight = len(joined), len(learnt.memory), np.inf, 1.0
+    n_new, n_before, best, weight = len(joined), len(learnt.memory), np.inf, most
     by_itself = replace(joined, blocks=np.arange(n_new))
     counts = ~joined.nothing | learnt.uses_no_contact
     codes = np.searchsorted(learnt.classes, joined.labels)
     for step in range(N_WEIGHTS):
-        each = np.full(n_new, WEIGHT_STEP**-step)
+        each = np.full(n_new, most * WEIGHT_STEP**-step)
         memory = learnt.memory.plus(replace(by_itself, weights=each))
         again = learnt.refitted(memory)
         said = log_softmax(left_out_log_likelihood(again), axis=1)
