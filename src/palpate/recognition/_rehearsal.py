@@ -23,8 +23,9 @@ from ._encoder import Encoder, TouchEncoder
 from ._learning import shown_rows
 from ._memory import Memory
 
-# So many touches are seen again in so many invented sessions.
-N_TOUCHES, N_SESSIONS = 120, 5
+# At most so many touches are seen again in so many invented sessions, of few as many as
+# make this many times the training touches: encoding them is what rehearsal costs.
+N_TOUCHES, N_SESSIONS, SEEN_AGAIN = 120, 3, 2
 # What may be believed of what one confirmed touch tells of a session.
 TRUSTS = 1 / 2, 1.0
 # No feature moves by more than this, in standard deviations of the training touches.
@@ -221,8 +222,9 @@ def _rows(memory: Memory) -> Indices:
     good = np.flatnonzero(~memory.nothing)
     if len(np.unique(memory.labels[good])) < len(memory.classes):
         good = np.arange(len(memory))
-    rows = good[shown_rows(memory.labels[good], N_TOUCHES)]
-    spread = np.linspace(0, len(rows) - 1, min(N_TOUCHES, len(rows)))
+    at_most = min(N_TOUCHES, -(-SEEN_AGAIN * len(memory) // N_SESSIONS))
+    rows = good[shown_rows(memory.labels[good], at_most)]
+    spread = np.linspace(0, len(rows) - 1, min(at_most, len(rows)))
     return rows[spread.round().astype(np.intp)]
 
 
@@ -267,8 +269,9 @@ def in_another_session(
 
     `rest` is what `at_rest` returns for them.
     """
-    images = np.asarray(touches.images, dtype=np.float64)
-    dead, images = np.isnan(images), np.nan_to_num(images)
+    images, dead = np.asarray(touches.images, dtype=np.float64), None
+    if touches.images.dtype.kind not in "ui":
+        dead, images = np.isnan(images), np.nan_to_num(images)
     shape, colours = images.shape[1:3], images.shape[3:]
     still, signal = at_rest(touches) if rest is None else rest
     gains = np.exp(rng.normal(0, ranges.gain) + rng.normal(0, ranges.taxels, shape))
@@ -286,7 +289,7 @@ def in_another_session(
     if kind.kind in "ui":
         limits = np.iinfo(kind)
         return np.clip(np.rint(images), limits.min, limits.max).astype(kind)
-    if not dead.any():
+    if dead is None or not dead.any():
         return images
     return np.where(dead, np.nan, images)
 
