@@ -26,8 +26,9 @@ from ._memory import Memory
 # At most so many touches are seen again in so many invented sessions, of few as many as
 # make this many times the training touches: encoding them is what rehearsal costs.
 N_TOUCHES, N_SESSIONS, SEEN_AGAIN = 120, 3, 2
-# What may be believed of what one confirmed touch tells of a session.
-TRUSTS = 1 / 2, 1.0
+# What may be believed of what one confirmed touch tells of a session; a log loss (nats)
+# that is larger by less than this costs nothing.
+TRUSTS, NO_COST = (1 / 4, 1 / 2, 1.0), 0.05
 # No feature moves by more than this, in standard deviations of the training touches.
 FARTHEST = 10.0
 # Pads and pictures whose zero wanders do so smoothly, over this share of their side.
@@ -182,12 +183,12 @@ def _trust_in_one(replays: Sequence[_Replay]) -> float:
     """Return how far what one confirmed touch tells of its session is to be believed.
 
     It is moved by this share of what the touch tells, which then counts the square of
-    it: as much as does not cost by more than one standard error of the log loss.
+    it: as much as does not cost, by more than `NO_COST` and one standard error.
     """
     trust, before = 0.0, np.array([replay.loss(0.0) for replay in replays])
     for more in TRUSTS if len(replays) > 1 else ():
         lost = np.array([replay.loss(more) for replay in replays]) - before
-        if lost.mean() > lost.std(ddof=1) / np.sqrt(len(lost)):
+        if lost.mean() > max(NO_COST, lost.std(ddof=1) / np.sqrt(len(lost))):
             break
         trust = more
     return trust
