@@ -261,7 +261,7 @@ def said(recogniser: ObjectRecogniser, right: list[float]) -> str:
     """Return what was expected of another day, and what came."""
     rehearsal, words = recogniser.chosen_["rehearsal"], []
     for name, came in (("expected", right[0]), ("confirmed", right[3])):
-        if name in rehearsal:
+        if name in rehearsal and np.isfinite(came):
             low, high = rehearsal[name]
             words.append(f"{name} {100 * low:.0f}-{100 * high:.0f}, came {came:.0f}")
     return "; ".join(words)

@@ -49,7 +49,11 @@ def remounted(
                 "not learnt. Remount first, then add it with add_object; or leave the "
                 "labels out to remount without them."
             )
-    encoder, gain = _as_taught(learnt, new, labels)
+        # Each more object tells of the session by itself.
+        trust = 1 - (1 - trust) / len(np.unique(labels))
+    else:
+        trust = 1.0
+    encoder, gain = _as_taught(learnt, new, labels, trust)
     other_kind = new.images.shape[1:] != tuple(learnt.encoder.image_shape_)
     contact = learnt.contact
     if new.no_contact is not None or other_kind:
@@ -68,17 +72,14 @@ def remounted(
         sums = _sums(learnt, features[counts])
         report["objects"] = round(_sessions.effective_number(sums.shares), 1)
     confirmed = None if labels is None else labels[counts]
-    shift = _shift(learnt, features[counts], confirmed)
-    if confirmed is not None:
-        # Each more object tells of the session by itself.
-        trust = 1 - (1 - trust) / len(np.unique(confirmed))
-        shift, report["trust"] = trust * shift, trust
+    shift = trust * _shift(learnt, features[counts], confirmed)
     if labels is None and not report.get("centred", True):
         shift = np.zeros_like(shift)
     there = wrapped(learnt.encoder).shifted(shift)
     report |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
     left = np.ones(len(learnt.classes), dtype=bool)
     if confirmed is not None:
+        report["trust"] = trust
         left = ~np.isin(learnt.classes, confirmed)
     report["confirm"] = learnt.classes[left].astype(str).tolist()
     report["broken"] = 0 if there.broken is None else int(there.broken.sum())
@@ -141,12 +142,13 @@ def _sums(learnt: Learnt, features: Floats) -> SessionSums:
 
 
 def _as_taught(
-    learnt: Learnt, new: Touches, labels: Array | None
+    learnt: Learnt, new: Touches, labels: Array | None, trust: float
 ) -> tuple[RemountedEncoder, float]:
     """Return an encoder that makes images of the session as they were, and the gain.
 
     The gain of an array is told by the loads, of the same objects where labels tell
-    them; kept where touches come nearer to training touches (one standard error).
+    them, as far as those are believed (`trust`); kept where touches come nearer to
+    training touches (one standard error).
     """
     kept, memory = RemountedEncoder.of(learnt.encoder, new), learnt.memory
     seen, taught = kept.look(new), memory.looks[learnt.counted]
@@ -160,12 +162,12 @@ def _as_taught(
             - np.median(seen[labels_of == name, -1])
             for name in np.unique(labels_of)
         ]
-        gain = float(np.exp(np.mean(ratios)))
+        gain = float(np.exp(trust * np.mean(ratios)))
         other = RemountedEncoder.of(learnt.encoder, new, gain)
         near = []
         for encoder in (kept, other):
             features = encoder.transform(new)
-            moved = features + _shift(learnt, features, labels)
+            moved = features + trust * _shift(learnt, features, labels)
             near.append(memory.nearest.log_distances(moved).min(axis=1))
         better = near[0] - near[1]
         if better.mean() > better.std() / np.sqrt(len(better)):
