@@ -4,8 +4,9 @@
 
 Prints, for each set, the accuracy after one touch (per cent, mean over objects, spread
 over splits) with and without rehearsal: as it is, recentred with all of the session's
-touches without labels, and with one and three confirmed touches of each object. Those
-`within` a session tell what rehearsal costs; those `across` what it is worth.
+touches without labels, with one confirmed touch of one object (mean of three), and with
+one and three of each. Those `within` a session tell what rehearsal costs; those
+`across` what it is worth. Below it what `learn` expects of another day, split by split.
 """
 
 import sys
@@ -20,7 +21,7 @@ from palpate.recognition import ObjectRecogniser, adapt
 from palpate.simulation import simulate_presses, simulate_touches
 from palpate.studies.corradi2015.beside import MOVED, before_the_move, labels
 
-WAYS = "as it is", "recentred", "one confirmed", "three confirmed"
+WAYS = "as it is", "recentred", "one object", "one of each", "three of each"
 SEED = 0
 
 
@@ -239,23 +240,41 @@ def measured(recogniser: ObjectRecogniser, test: Touches) -> list[float]:
     found.append(accuracy(there, test))
     rng = np.random.default_rng(SEED)
     order = rng.permutation(len(test))
+    found.append(np.mean([confirmed(recogniser, test, order[[k]]) for k in range(3)]))
     for n_each in (1, 3):
-        given = np.zeros(len(test), dtype=bool)
-        for name in np.unique(test.object):
-            given[order[test.object[order] == name][:n_each]] = True
+        given = [
+            order[test.object[order] == n][:n_each] for n in np.unique(test.object)
+        ]
         found.append(np.nan)
         if np.bincount(np.unique(test.object, return_inverse=True)[1]).min() > n_each:
-            there = adapt(recogniser, test[np.flatnonzero(given)])
-            found[-1] = accuracy(there, test[np.flatnonzero(~given)])
+            found[-1] = confirmed(recogniser, test, np.sort(np.concatenate(given)))
     return found
 
 
+def confirmed(recogniser: ObjectRecogniser, test: Touches, rows: np.ndarray) -> float:
+    """Return what is right of the others when some touches are confirmed."""
+    there = adapt(recogniser, test[rows])
+    return accuracy(there, test[np.setdiff1d(np.arange(len(test)), rows)])
+
+
+def said(recogniser: ObjectRecogniser, right: list[float]) -> str:
+    """Return what was expected of another day, and what came."""
+    rehearsal, words = recogniser.chosen_["rehearsal"], []
+    for name, came in (("expected", right[0]), ("confirmed", right[3])):
+        if name in rehearsal and np.isfinite(came):
+            low, high = rehearsal[name]
+            words.append(f"{name} {100 * low:.0f}-{100 * high:.0f}, came {came:.0f}")
+    return "; ".join(words)
+
+
 def main(folder: Path, names: list[str]) -> None:
-    print(f"{'':46}" + "".join(f"{way:>22}" for way in WAYS) + "   share, learning")
+    print(
+        f"{'':46}" + "".join(f"{way:>22}" for way in WAYS) + "   share, learning, trust"
+    )
     for name, make in SETS.items():
         if names and not any(one in name for one in names):
             continue
-        rows, costs, shares = [], [], []
+        rows, costs, shares, trusts, words = [], [], [], [], []
         for split in make(folder):
             both, cost = [], []
             for rehearse in (False, True):
@@ -266,6 +285,8 @@ def main(folder: Path, names: list[str]) -> None:
             rows.append(both)
             costs.append(cost[1] / cost[0])
             shares.append(recogniser.chosen_["rehearsal"]["share"])
+            trusts.append(recogniser.chosen_["rehearsal"].get("trust", np.nan))
+            words.append(said(recogniser, both[1]))
         mean, spread = np.mean(rows, axis=0), np.std(rows, axis=0)
         cells = [
             f"{mean[0, k]:5.1f} {mean[1, k]:5.1f} ({spread[1, k]:4.1f})"
@@ -274,8 +295,10 @@ def main(folder: Path, names: list[str]) -> None:
         print(
             f"{name:46}" + "".join(f"{cell:>22}" for cell in cells),
             f"  {np.mean(shares):.2f}, {np.mean(costs):.1f} times",
+            f"{np.mean(trusts):.2f}",
             flush=True,
         )
+        print(*(f"  {one}" for one in words if one), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,8 @@ from palpate.recognition._rehearsal import (
     RANGES,
     Ranges,
     _and_confirmed,
+    _replays,
+    _trust_in_one,
     in_another_session,
 )
 from palpate.recognition._sessions import Parts
@@ -194,6 +196,62 @@ def test_what_confirming_is_expected_to_bring_is_said(both):
     there = copy(both[1]).remount(_presses(1, 4)[:3])
     assert there.chosen_["remount"]["confirm"] == ["ring"]
     assert there.chosen_["remount"]["expected"] == [low, high]
+
+
+def _rehearsed_by(moves, rng):
+    """Return the pool, memory, draws and parts of four objects in a row, so moved.
+
+    By `moves` (n_sessions, 4, 1), along the row, each object in each session.
+    """
+    labels = np.repeat(list("abcd"), 12)
+    features = rng.normal(0, 0.5, (48, 2))
+    features[:, 0] += 4.0 * np.repeat(np.arange(4), 12)
+    memory = SimpleNamespace(
+        features=features,
+        labels=labels,
+        classes=np.unique(labels),
+        blocks=np.arange(48),
+    )
+    moved = features + np.repeat(moves, 12, axis=1) * [1, 0]
+    drawn = Drawn(np.concatenate([features[np.newaxis], moved]), np.arange(48))
+    pool = EncodingPool({"felt": 2}).fit(features, labels, groups=memory.blocks)
+    return pool, memory, drawn, Parts(np.array([0, 2]))
+
+
+def test_one_object_is_believed_where_rehearsed_sessions_move_all_alike(rng):
+    to_one_side = 1.5 * rng.choice([-1, 1], size=(5, 1, 1))
+    alike, apart = np.ones((4, 1)), np.array([1, -1, 1, -1])[:, None]
+    for moves, trust in ((alike, 1.0), (apart, 0.0)):
+        replays = [*_replays(*_rehearsed_by(to_one_side * moves, rng), 0)]
+        assert len(replays) == 10
+        assert _trust_in_one(replays) == trust
+
+
+def test_of_one_object_no_more_is_taken_over_than_is_believed(both):
+    learnt = both[1]
+    there = _presses(6, 4, lambda images: 1.5 * images + 30)
+    one, others = there[:1], there[6:]
+    moved, right, gains = [], [], []
+    for trust in (0.0, 0.5, 1.0):
+        there = copy(learnt)
+        there.chosen_ = {**learnt.chosen_, "rehearsal": {"share": 0.0, "trust": trust}}
+        there.remount(one)
+        found = there.chosen_["remount"]
+        assert found["trust"] == trust
+        assert found.get("weight", 0.0) == trust**2
+        assert len(there.memory_) == len(learnt.memory_) + (trust > 0)
+        moved.append(found["moved"])
+        gains.append(found["gain"])
+        right.append(there.score(others))
+    # Neither gain nor shift nor the touch itself where nothing is believed.
+    assert (moved[0], gains[0]) == (0, 1)
+    assert min(moved[1:]) > 0
+    assert min(gains) < 1
+    assert right[0] == learnt.score(others)
+    # Of four objects three quarters of the doubt are gone.
+    there.chosen_ = {**learnt.chosen_, "rehearsal": {"share": 0.0, "trust": 0.0}}
+    there.remount(_presses(1, 4))
+    assert there.chosen_["remount"]["trust"] == 0.75
 
 
 def test_objects_of_one_touch_each_are_not_confirmed():

@@ -9,6 +9,7 @@ from ._kernel_ridge import learns_by_landmarks as learns_by_landmarks
 from ._nearby import NearbyTouches as NearbyTouches
 from ._rehearsed import Drawn as Drawn
 from ._rehearsed import RehearsedMachine as RehearsedMachine
+from ._rehearsed import halves as halves
 from ._rehearsed import rehearsed as rehearsed
 from ._touch_classifier import BayesRule as BayesRule
 from ._touch_classifier import FromProbabilities, TouchClassifier

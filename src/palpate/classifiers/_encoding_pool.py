@@ -154,15 +154,17 @@ class EncodingPool(BayesRule):
         y: ArrayLike,
         groups: Groups = None,
         weights: Floats | None = None,
+        keep_shape: bool = False,
     ) -> Self:
         """Learn other touches with the widths, ridges and weights already chosen.
 
-        Of machines that take it, what each touch counts (`weights`, (n_touches,)).
+        Of machines that take it, what each touch counts (`weights`, (n_touches,)), and
+        `keep_shape` of `KernelRidgeClassifier.refit`.
         """
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
         check_squarable(touches)
-        more = {} if weights is None else {"weights": weights}
+        more = weights_if_any(weights, keep_shape)
         with config_context(assume_finite=True):  # as was just found
             self.machines_ = {
                 name: copy(self.machines_[name]).refit(part, labels, groups, **more)
@@ -259,6 +261,13 @@ def _machine_for(n_touches: int, n_labels: int) -> TouchClassifier:
     if few and learns_by_landmarks(n_touches, n_labels):
         return NearbyTouches()
     return machine
+
+
+def weights_if_any(weights: Floats | None, keep_shape: bool) -> dict[str, Any]:
+    """Return what `refit` is given beside touches, of machines that may not take it."""
+    if weights is None and not keep_shape:
+        return {}
+    return {"weights": weights, "keep_shape": keep_shape}
 
 
 def pool_weights(left_out: Floats, codes: Array) -> Floats:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from .._numbers import log_softmax
 from .._types import Array, Bools, Floats, Indices
-from ._encoding_pool import TOGETHER, EncodingPool, pool_weights
+from ._encoding_pool import TOGETHER, EncodingPool, pool_weights, weights_if_any
 from ._touch_classifier import BayesRule, Groups, TouchClassifier
 
 # A smaller share changes next to nothing, and would double the work of each touch.
@@ -79,10 +79,11 @@ class RehearsedMachine(BayesRule):
         y: ArrayLike,
         groups: Groups = None,
         weights: Floats | None = None,
+        keep_shape: bool = False,
     ) -> Self:
         """Let both machines learn other touches with the choices they made."""
         touches = np.asarray(X, dtype=np.float64)
-        more = {} if weights is None else {"weights": weights}
+        more = weights_if_any(weights, keep_shape)
         self.plain = copy(self.plain).refit(touches, y, groups, **more)
         weighed = touches @ self.weighing
         self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups, **more)
@@ -247,17 +248,11 @@ def _answers_of_drawn(
     Shape (2, n_sessions, n_drawn, n_classes), of machines that learnt one half of each
     label's groups, with the choices made for all; and which touches could be asked.
     """
-    half = _halves(y, groups)
     n_sessions, n_drawn, n_features = drawn.features.shape
     answers = np.zeros((2, n_sessions, n_drawn, len(pool.classes_)))
     is_asked = np.zeros(n_drawn, dtype=bool)
-    for k in range(2):
-        learnt = np.flatnonzero(half != k)
-        learnt = _thinned(learnt, y)
-        rows = half[drawn.rows] == k
-        rows &= np.isin(y[drawn.rows], y[learnt])
-        if len(np.unique(y[learnt])) < 2 or not rows.any():
-            continue
+    for learnt, asked in halves(y, groups, drawn.rows):
+        rows = np.isin(np.arange(n_drawn), asked)
         is_asked |= rows
         asked_features = drawn.features[:, rows].reshape(-1, n_features)
         for kind, (machines, matrix) in enumerate(((pool, None), (weighed, weighing))):
@@ -272,13 +267,23 @@ def _answers_of_drawn(
     return log_softmax(answers, axis=-1), is_asked
 
 
-def _halves(y: Array, groups: Indices) -> Indices:
-    """Return 0 or 1 for each touch, in turn by each label's groups."""
+def halves(
+    y: Array, groups: Indices, drawn: Indices
+) -> Iterator[tuple[Indices, Indices]]:
+    """Yield touches to learn, of half of each label's groups, and to ask of the rest.
+
+    Those are some of the touches `drawn`, by their place in it, of labels that are
+    learnt; nothing where fewer than two labels are, or none can be asked.
+    """
     half = np.zeros(len(y), dtype=np.intp)
     for name in np.unique(y):
         of_label = y == name
         half[of_label] = np.unique(groups[of_label], return_inverse=True)[1] % 2
-    return half
+    for k in range(2):
+        learnt = _thinned(np.flatnonzero(half != k), y)
+        asked = (half[drawn] == k) & np.isin(y[drawn], y[learnt])
+        if len(np.unique(y[learnt])) > 1 and asked.any():
+            yield learnt, np.flatnonzero(asked)
 
 
 def _thinned(rows: Indices, y: Array) -> Indices:

@@ -80,10 +80,15 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         f"By {way}, {values['n_touches']} touches tell what this session does to all: "
         f"it is taken off, {values['moved']:.0%} of the variance of training touches."
     )
+    if values.get("trust") == 0:
+        sentences.append(
+            "One object alone tells nothing of the others, as rehearsed sessions say: "
+            "confirm touches of more objects."
+        )
     if values.get("weight", 1) < 1:
         sentences.append(
-            f"Each is learnt too, as 1/{1 / values['weight']:.0f} of a training touch: "
-            "so they recognise each other best."
+            f"Each is learnt too, as {values['weight']:.2g} of a training touch: so "
+            "they recognise each other best."
         )
     if values["changed"]:
         sentences.append(OTHER_SESSION)

@@ -371,13 +371,16 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
            same objects lie, less what chance would move (docs/explanation/sessions.md).
         4. Confirmed touches count as other training touches do, or less (1/4, 1/16,
            1/64), as they tell each other best.
+        5. One object alone is believed all, half or not at all, as rehearsed sessions
+           tell (`trust`); of more objects the doubt is shared out.
         """
         self._check_fitted()
         new = self._as_touches(touches)
         labels = new.object if self.label == "object" else new.category
-        learnt, remount_report = remounted(self.learnt(), new, labels)
-        self.serve(learnt)
         rehearsal = self.chosen_.get("rehearsal", {})
+        trust = rehearsal.get("trust", 1.0)
+        learnt, remount_report = remounted(self.learnt(), new, labels, trust)
+        self.serve(learnt)
         if "confirmed" in rehearsal:
             remount_report["expected"] = list(rehearsal["confirmed"])
         self.chosen_ = {**self.chosen_, "remount": remount_report}

@@ -7,22 +7,28 @@ how far those count is found out (`classifiers.rehearsed`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from .._numbers import log_softmax
 from .._types import Array, Floats, Indices
-from ..classifiers import Drawn, EncodingPool, learns_by_landmarks, rehearsed
+from ..classifiers import Drawn, EncodingPool, halves, learns_by_landmarks, rehearsed
 from ..touches import Touches, TouchSource
 from . import _sessions
 from ._encoder import Encoder, TouchEncoder
 from ._learning import shown_rows
 from ._memory import Memory
 
-# So many touches are seen again in so many invented sessions.
-N_TOUCHES, N_SESSIONS = 120, 5
+# At most so many touches are seen again in so many invented sessions, of few as many as
+# make this many times the training touches: encoding them is what rehearsal costs.
+N_TOUCHES, N_SESSIONS, SEEN_AGAIN = 120, 3, 2
+# What may be believed of what one confirmed touch tells of a session; a log loss (nats)
+# that is larger by less than this costs nothing.
+TRUSTS, NO_COST = (1 / 4, 1 / 2, 1.0), 0.05
 # No feature moves by more than this, in standard deviations of the training touches.
 FARTHEST = 10.0
 # Pads and pictures whose zero wanders do so smoothly, over this share of their side.
@@ -85,8 +91,8 @@ def rehearse(
     weighing = _sessions.weighed_down(differences, memory.features, parts)
     sessions_known = "sessions" in memory.units[1]
     taught = memory.features, memory.labels, memory.blocks
-    drawn = _and_confirmed(drawn, memory, parts)
-    rehearsal = rehearsed(pool, *taught, weighing, drawn, sessions_known)
+    moved = _and_confirmed(drawn, memory, parts)
+    rehearsal = rehearsed(pool, *taught, weighing, moved, sessions_known)
     right, confirmed = np.split(rehearsal.right, [N_SESSIONS + 1])
     report = {
         "share": rehearsal.share,
@@ -98,6 +104,9 @@ def rehearse(
         report["expected"] = _expected(rehearsal.pool, memory, right[0], right[1:])
         if len(confirmed):
             report["confirmed"] = _expected(rehearsal.pool, memory, right[0], confirmed)
+    if rehearsal.pool.takes_weights:
+        replays = [*_replays(rehearsal.pool, memory, drawn, parts, seed)]
+        report["trust"] = _trust_in_one(replays)
     return rehearsal.pool, report
 
 
@@ -118,6 +127,71 @@ def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Draw
         shift = _sessions.shift_by_labels(session[first], drawn_codes[first], taught)
         moved.append((session + shift)[np.newaxis])
     return Drawn(np.concatenate(moved), drawn.rows, len(drawn.features) - 1)
+
+
+@dataclass(frozen=True)
+class _Replay:
+    """A rehearsed session in which one touch is confirmed, and the others are asked.
+
+    `pool` has learnt `features` and `labels`, in `groups`; of the touches `session`
+    (n_asked, n_features), labels `of`, the first one is confirmed.
+    """
+
+    pool: EncodingPool
+    taught: tuple[Floats, Array, Indices]
+    session: Floats
+    of: Array
+    shift: Floats
+
+    def loss(self, trust: float) -> float:
+        """Return the log loss (nats) of those asked, as far as the one is believed."""
+        pool, session = self.pool, self.session + trust * self.shift
+        if trust:
+            features, labels, groups = self.taught
+            weights = np.append(np.ones(len(labels)), trust**2)
+            pool = copy(pool).refit(
+                np.vstack([features, session[:1]]),
+                np.append(labels, self.of[:1]),
+                groups=np.append(groups, groups.max() + 1),
+                weights=weights,
+                keep_shape=True,
+            )
+        log_posterior = log_softmax(pool.log_likelihood(session[1:]), axis=1)
+        codes = np.searchsorted(pool.classes_, self.of[1:])
+        return float(-log_posterior[np.arange(len(codes)), codes].mean())
+
+
+def _replays(
+    pool: EncodingPool, memory: Memory, drawn: Drawn, parts: _sessions.Parts, seed: int
+) -> Iterator[_Replay]:
+    """Yield each rehearsed session twice, asked of machines that learnt one half."""
+    rng = np.random.default_rng(seed)
+    for learnt, asked in halves(memory.labels, memory.blocks, drawn.rows):
+        taught = memory.features[learnt], memory.labels[learnt], memory.blocks[learnt]
+        again = copy(pool).refit(*taught)
+        codes = np.searchsorted(again.classes_, taught[1])
+        to_compare = _sessions.Taught(taught[0], codes, parts)
+        for session in drawn.features[1:] if len(asked) > 1 else ():
+            order = rng.permutation(asked)
+            features, of = session[order], memory.labels[drawn.rows[order]]
+            code = np.searchsorted(again.classes_, of[:1])
+            shift = _sessions.shift_by_labels(features[:1], code, to_compare)
+            yield _Replay(again, taught, features, of, shift)
+
+
+def _trust_in_one(replays: Sequence[_Replay]) -> float:
+    """Return how far what one confirmed touch tells of its session is to be believed.
+
+    It is moved by this share of what the touch tells, which then counts the square of
+    it: as much as does not cost, by more than `NO_COST` and one standard error.
+    """
+    trust, before = 0.0, np.array([replay.loss(0.0) for replay in replays])
+    for more in TRUSTS if len(replays) > 1 else ():
+        lost = np.array([replay.loss(more) for replay in replays]) - before
+        if lost.mean() > max(NO_COST, lost.std(ddof=1) / np.sqrt(len(lost))):
+            break
+        trust = more
+    return trust
 
 
 def _expected(
@@ -149,8 +223,9 @@ def _rows(memory: Memory) -> Indices:
     good = np.flatnonzero(~memory.nothing)
     if len(np.unique(memory.labels[good])) < len(memory.classes):
         good = np.arange(len(memory))
-    rows = good[shown_rows(memory.labels[good], N_TOUCHES)]
-    spread = np.linspace(0, len(rows) - 1, min(N_TOUCHES, len(rows)))
+    at_most = min(N_TOUCHES, -(-SEEN_AGAIN * len(memory) // N_SESSIONS))
+    rows = good[shown_rows(memory.labels[good], at_most)]
+    spread = np.linspace(0, len(rows) - 1, min(at_most, len(rows)))
     return rows[spread.round().astype(np.intp)]
 
 
@@ -195,8 +270,9 @@ def in_another_session(
 
     `rest` is what `at_rest` returns for them.
     """
-    images = np.asarray(touches.images, dtype=np.float64)
-    dead, images = np.isnan(images), np.nan_to_num(images)
+    images, dead = np.asarray(touches.images, dtype=np.float64), None
+    if touches.images.dtype.kind not in "ui":
+        dead, images = np.isnan(images), np.nan_to_num(images)
     shape, colours = images.shape[1:3], images.shape[3:]
     still, signal = at_rest(touches) if rest is None else rest
     gains = np.exp(rng.normal(0, ranges.gain) + rng.normal(0, ranges.taxels, shape))
@@ -214,7 +290,7 @@ def in_another_session(
     if kind.kind in "ui":
         limits = np.iinfo(kind)
         return np.clip(np.rint(images), limits.min, limits.max).astype(kind)
-    if not dead.any():
+    if dead is None or not dead.any():
         return images
     return np.where(dead, np.nan, images)
 

@@ -34,11 +34,12 @@ WEIGHT_STEP, N_WEIGHTS = 4.0, 4
 
 
 def remounted(
-    learnt: Learnt, new: Touches, labels: Array | None
+    learnt: Learnt, new: Touches, labels: Array | None, trust: float = 1.0
 ) -> tuple[Learnt, dict[str, Any]]:
     """Return what was learnt as it serves in the session of `new`, and what was found.
 
-    `labels` (n_touches,) where they are confirmed. See `ObjectRecogniser.remount`.
+    `labels` (n_touches,) where they are confirmed; of one object alone `trust` is what
+    is believed of what they tell. See `ObjectRecogniser.remount`.
     """
     if labels is not None:
         unknown = np.setdiff1d(labels, learnt.classes)
@@ -48,7 +49,11 @@ def remounted(
                 "not learnt. Remount first, then add it with add_object; or leave the "
                 "labels out to remount without them."
             )
-    encoder, gain = _as_taught(learnt, new, labels)
+        # Each more object tells of the session by itself.
+        trust = 1 - (1 - trust) / len(np.unique(labels))
+    else:
+        trust = 1.0
+    encoder, gain = _as_taught(learnt, new, labels, trust)
     other_kind = new.images.shape[1:] != tuple(learnt.encoder.image_shape_)
     contact = learnt.contact
     if new.no_contact is not None or other_kind:
@@ -67,45 +72,48 @@ def remounted(
         sums = _sums(learnt, features[counts])
         report["objects"] = round(_sessions.effective_number(sums.shares), 1)
     confirmed = None if labels is None else labels[counts]
-    shift = _shift(learnt, features[counts], confirmed)
+    shift = trust * _shift(learnt, features[counts], confirmed)
     if labels is None and not report.get("centred", True):
         shift = np.zeros_like(shift)
     there = wrapped(learnt.encoder).shifted(shift)
     report |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
     left = np.ones(len(learnt.classes), dtype=bool)
     if confirmed is not None:
+        report["trust"] = trust
         left = ~np.isin(learnt.classes, confirmed)
     report["confirm"] = learnt.classes[left].astype(str).tolist()
     report["broken"] = 0 if there.broken is None else int(there.broken.sum())
     variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     report["moved"] = float((shift**2).sum() / variance)
     learnt = replace(learnt, encoder=there)
-    if labels is None:
+    if labels is None or not trust:
         return learnt, report
     objects = labels if new.object is None else new.object
     encoding = replace(encoding, features=features + shift, looks=there.look(new))
     one_group = np.zeros(len(new), dtype=np.intp)
     joined = memory_of(new, encoding, labels, objects, one_group)
-    joined, report["weight"] = _weighed_by_themselves(learnt, joined)
+    joined, report["weight"] = _weighed_by_themselves(learnt, joined, trust**2)
     return learnt.relearnt(learnt.memory.plus(joined)), report
 
 
-def _weighed_by_themselves(learnt: Learnt, joined: Memory) -> tuple[Memory, float]:
+def _weighed_by_themselves(
+    learnt: Learnt, joined: Memory, most: float
+) -> tuple[Memory, float]:
     """Return confirmed touches with what they count when they are learnt, and that.
 
     Touches of one session share what it does to them, so that one may be nearer to a
     confirmed touch of another object than to its own in training. How much they are to
-    count is what tells them best, each left out by itself; a priori as much as others,
-    a quarter less probable by half a nat, and so on.
+    count is what tells them best, each left out by itself; a priori `most`, a quarter
+    of it less probable by half a nat, and so on.
     """
     if not learnt.takes_weights:
         return joined, 1.0
-    n_new, n_before, best, weight = len(joined), len(learnt.memory), np.inf, 1.0
+    n_new, n_before, best, weight = len(joined), len(learnt.memory), np.inf, most
     by_itself = replace(joined, blocks=np.arange(n_new))
     counts = ~joined.nothing | learnt.uses_no_contact
     codes = np.searchsorted(learnt.classes, joined.labels)
     for step in range(N_WEIGHTS):
-        each = np.full(n_new, WEIGHT_STEP**-step)
+        each = np.full(n_new, most * WEIGHT_STEP**-step)
         memory = learnt.memory.plus(replace(by_itself, weights=each))
         again = learnt.refitted(memory)
         said = log_softmax(left_out_log_likelihood(again), axis=1)
@@ -134,12 +142,13 @@ def _sums(learnt: Learnt, features: Floats) -> SessionSums:
 
 
 def _as_taught(
-    learnt: Learnt, new: Touches, labels: Array | None
+    learnt: Learnt, new: Touches, labels: Array | None, trust: float
 ) -> tuple[RemountedEncoder, float]:
     """Return an encoder that makes images of the session as they were, and the gain.
 
     The gain of an array is told by the loads, of the same objects where labels tell
-    them; kept where touches come nearer to training touches (one standard error).
+    them, as far as those are believed (`trust`); kept where touches come nearer to
+    training touches (one standard error).
     """
     kept, memory = RemountedEncoder.of(learnt.encoder, new), learnt.memory
     seen, taught = kept.look(new), memory.looks[learnt.counted]
@@ -153,12 +162,12 @@ def _as_taught(
             - np.median(seen[labels_of == name, -1])
             for name in np.unique(labels_of)
         ]
-        gain = float(np.exp(np.mean(ratios)))
+        gain = float(np.exp(trust * np.mean(ratios)))
         other = RemountedEncoder.of(learnt.encoder, new, gain)
         near = []
         for encoder in (kept, other):
             features = encoder.transform(new)
-            moved = features + _shift(learnt, features, labels)
+            moved = features + trust * _shift(learnt, features, labels)
             near.append(memory.nearest.log_distances(moved).min(axis=1))
         better = near[0] - near[1]
         if better.mean() > better.std() / np.sqrt(len(better)):
