@@ -246,15 +246,23 @@ class PlaceBelief(Belief):
         if other.any():
             by_state = logsumexp(evidence[~other], axis=1) - np.log(self.map.n_turns)
             alike = logsumexp(self.map.log_alike_ + by_state, axis=1)
-            either = np.logaddexp(alike, self._faces.log_evidence)
-            evidence[other] = (either + _LOG_HALF)[:, None]
+            either = np.logaddexp(alike, self._faces.log_evidence)[:, None]
+            evidence[other] = np.logaddexp(either, evidence[other]) - np.log(3)
         return evidence.ravel()
 
     @property
     def unknown_evidence(self) -> float:
-        """What pictures and places say for a stranger (nats); see `Belief`."""
+        """What pictures and places say for a stranger (nats); see `Belief`.
+
+        On a face that was never learnt half of the pictures are like anything, so that
+        these tell it from a stranger by a factor of two at most.
+        """
         unlike = float(self._stranger.log_evidence[0]) - self._known_nats
-        return super().unknown_evidence + float(np.logaddexp(0.0, unlike) + _LOG_HALF)
+        shares = np.exp(self.log_joint).reshape(self._pictures.shape).sum(axis=1)
+        half = np.clip(shares[self.map.is_other_].sum(), 1e-9, 1.0) / 2
+        pictures = super().unknown_evidence
+        pictures -= np.logaddexp(np.log1p(-half), np.log(half) + pictures)
+        return float(pictures + np.logaddexp(0.0, unlike) + _LOG_HALF)
 
     @property
     def n_contacts(self) -> int:
