@@ -410,6 +410,7 @@ class PlaceBelief(Belief):
         if start is not None:
             title = "\n".join([title, *wrap(advice(self, start), len(title))])
             middle, out = self.centre_mm[:2], -np.asarray(start.direction)[:2]
+            out = out / max(float(np.hypot(*out)), 0.5)
             reach = np.linalg.norm(points[:, :2] - middle, axis=1).max()
             ends = middle + 1.1 * reach * out, middle + 1.6 * reach * out
             style = {"arrowstyle": "->", "color": "#c43c39"}

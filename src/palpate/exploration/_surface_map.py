@@ -322,11 +322,12 @@ class SurfaceMap:
         # Faces that were learnt are equally likely, and so are turns.
         never = self.is_other_
         of_state, size = self.object_of_state_, len(self.other_share_)
-        counts = np.stack(
-            [np.bincount(of_state[rows], minlength=size) for rows in (~never, never)]
-        )[:, of_state]
+        counts = [
+            np.bincount(of_state[rows], minlength=size) for rows in (~never, never)
+        ]
+        learnt, others = np.maximum(counts, 1)[:, of_state]
         other = self.other_share_[of_state]
-        share = np.where(never, other / counts[1], (1 - other) / counts[0])
+        share = np.where(never, other / others, (1 - other) / learnt)
         return np.asarray(np.log(share / self.n_turns))
 
     def middles(self, tips_mm: Floats, ways: Floats, forces_n: Floats) -> Floats:
