@@ -36,7 +36,7 @@ from palpate.exploration._surface import (
     mesh_surface,
     turned_surfaces,
 )
-from palpate.recognition import ObjectRecogniser
+from palpate.recognition import Belief, ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 
 CAMERA = DomeCamera(image_shape=(48, 48), n_nodes=24)
@@ -458,6 +458,26 @@ def test_a_body_turned_is_met_where_its_mesh_on_that_side_is():
 def _extent(surface):
     level = surface.mean_mm[HEIGHTS == 0]
     return surface.mean_mm[-1].mean(), level.min(), level.max()
+
+
+def test_heights_that_are_not_of_the_table_turn_no_body(recogniser, taught):
+    tips = taught.columns["position_mm"] - np.array([0, 0, 10.0])
+    learnt = SurfaceMap(n_turns=12)
+    learnt.fit(recogniser, taught.with_columns(position_mm=tips))
+    assert {face for _, face in learnt.states_} == {-1, 0, 1, 2}
+
+
+@pytest.mark.parametrize(("face", "expected"), [(0, 9.0), (-1, np.log(2))])
+def test_pictures_like_nothing_are_those_of_a_stranger_or_of_an_unlearnt_face(
+    surface_map, monkeypatch, face, expected
+):
+    monkeypatch.setattr(Belief, "unknown_evidence", property(lambda belief: 9.0))
+    belief = surface_map.start()
+    belief.log_joint = np.full(belief.log_joint.shape, -np.inf)
+    row = surface_map.states_.index(("mug", face)) * surface_map.n_turns
+    belief.log_joint[row] = 0.0
+    # No contact yet, which says nothing; e^9 against half of it is 2 but for 2e-4.
+    assert_allclose(belief.unknown_evidence, expected, atol=1e-3)
 
 
 def test_touches_that_span_no_body_tell_of_no_other_face():

@@ -35,9 +35,10 @@ _FAR_AWAY = 3.0
 # no thing that can be touched.
 _FEW_CONTACTS, _LEAST_MM, _OTHER_SIDE = 3, 0.5, 0.5
 _DOWN = np.array([0.0, 0.0, -1.0])
-# Half of the things, and of the faces, that were never learnt may have the shape of
-# one that was: a mug that lies may well be met where a pot is.
-_LOG_HALF = -np.log(2)
+# Half of the things that were never learnt may have the shape of one that was. So may a
+# third of such faces (a mug that lies may well be met where a pot is), and a third may
+# be the object's own body turned.
+_LOG_HALF, _LOG_THIRD = -np.log(2), -np.log(3)
 
 
 @dataclass(frozen=True)
@@ -247,7 +248,7 @@ class PlaceBelief(Belief):
             by_state = logsumexp(evidence[~other], axis=1) - np.log(self.map.n_turns)
             alike = logsumexp(self.map.log_alike_ + by_state, axis=1)
             either = np.logaddexp(alike, self._faces.log_evidence)[:, None]
-            evidence[other] = np.logaddexp(either, evidence[other]) - np.log(3)
+            evidence[other] = np.logaddexp(either, evidence[other]) + _LOG_THIRD
         return evidence.ravel()
 
     @property

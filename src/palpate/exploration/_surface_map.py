@@ -128,7 +128,9 @@ class SurfaceMap:
         touches : Touches
             The same, in the same order, with the columns `position_mm` (of the tip at
             the contact) and `direction` (unit vectors of the approach) in the frame of
-            the object as it stands, z up; perhaps with `face` and `force_n`.
+            the object as it stands, z up; perhaps with `face` and `force_n`. Where z
+            is counted from the ground, and the approaches of all objects aim at one
+            height, faces that were never learnt may be learnt bodies turned.
         meshes : mapping of str to SimObject, optional
             Objects whose surface is taken from a mesh, on all its resting faces.
         camera : DomeCamera, optional
@@ -177,7 +179,7 @@ class SurfaceMap:
         """Return the surfaces of all objects but those that a mesh is given for.
 
         And the middles of the tip's ball about the point that approaches aim at, of
-        all, and how high that is, None where it differs.
+        all, and how high above the ground that is, None where it differs or is not.
         """
         tips, ways = contacts_of(touches)
         recording = touches.session
@@ -199,8 +201,9 @@ class SurfaceMap:
             reach = float(np.linalg.norm(middles, axis=1).max()) - self.tip_radius_mm
             _refuse_unit(name, reach)
             surfaces[name, face] = learnt_surface(middles, number[rows], _PLACEMENT_MM)
-        same = bool(aims) and max(aims) - min(aims) < _SAME_AIM_MM
-        return surfaces, of_state, float(np.median(aims)) if same else None
+        low, high = min(aims, default=0.0), max(aims, default=0.0)
+        same = low > _SAME_AIM_MM > high - low
+        return surfaces, of_state, (low + high) / 2 if same else None
 
     def _other_surfaces(
         self,
