@@ -104,6 +104,8 @@ class PlaceBelief(Belief):
         shape = len(surface_map.states_), surface_map.n_turns
         self._pictures = np.zeros(shape)
         self.log_place: Floats = np.zeros(self._pictures.size)
+        # How probable it is of each hypothesis that its surface is a body turned.
+        self._turned = np.zeros(shape)
         self._known_nats = 0.0
         self._weigh()
 
@@ -248,19 +250,21 @@ class PlaceBelief(Belief):
             by_state = logsumexp(evidence[~other], axis=1) - np.log(self.map.n_turns)
             alike = logsumexp(self.map.log_alike_ + by_state, axis=1)
             either = np.logaddexp(alike, self._faces.log_evidence)[:, None]
-            evidence[other] = np.logaddexp(either, evidence[other]) + _LOG_THIRD
+            turned = evidence[other]
+            evidence[other] = np.logaddexp(either, turned) + _LOG_THIRD
+            self._turned = np.zeros(evidence.shape)
+            self._turned[other] = np.exp(turned + _LOG_THIRD - evidence[other])
         return evidence.ravel()
 
     @property
     def unknown_evidence(self) -> float:
         """What pictures and places say for a stranger (nats); see `Belief`.
 
-        On a face that was never learnt half of the pictures are like anything, so that
-        these tell it from a stranger by a factor of two at most.
+        Where contacts lie on a learnt body turned, half of the pictures are like
+        anything, so that these tell it from a stranger by a factor of two at most.
         """
         unlike = float(self._stranger.log_evidence[0]) - self._known_nats
-        shares = np.exp(self.log_joint).reshape(self._pictures.shape).sum(axis=1)
-        half = np.clip(shares[self.map.is_other_].sum(), 1e-9, 1.0) / 2
+        half = np.clip(np.exp(self.log_joint) @ self._turned.ravel(), 1e-9, 1.0) / 2
         pictures = super().unknown_evidence
         pictures -= np.logaddexp(np.log1p(-half), np.log(half) + pictures)
         return float(pictures + np.logaddexp(0.0, unlike) + _LOG_HALF)

@@ -88,7 +88,7 @@ class SurfaceMap:
     pictures_ : TouchMap
         What their touches are like from every side, its "objects" being the states.
     other_share_ : ndarray of shape (n_objects,)
-        How often each stands on a face that was never learnt.
+        How often each stands on a face that was never learnt; 0 by a mesh.
     force_n_ : float
         Middling force of the training touches.
     """
@@ -157,8 +157,10 @@ class SurfaceMap:
             for face in range(len(thing.resting_rotations)):
                 surfaces[name, face] = mesh_surface(thing, face, dome, aim_mm)
         self._refuse_unmapped(surfaces)
-        if self.other_faces != 0:
-            surfaces |= self._other_surfaces(surfaces, middles, aim_mm)
+        self.other_share_ = self._other_share(touches, faces)
+        # A mesh has all faces that it can rest on.
+        self.other_share_[np.isin(recogniser.classes_, list(of_meshes))] = 0.0
+        surfaces |= self._other_surfaces(surfaces, middles, aim_mm)
         self.states_ = sorted(surfaces)
         self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
         names = [name for name, _ in self.states_]
@@ -166,7 +168,6 @@ class SurfaceMap:
         number_of = {state: number for number, state in enumerate(pictures.states)}
         # Faces of a mesh that were never touched have no pictures of their own.
         self.picture_of_state_ = np.array([number_of.get(s, -1) for s in self.states_])
-        self.other_share_ = self._other_share(touches, faces)
         forces = touches.columns.get("force_n")
         self.force_n_ = (
             np.nan if forces is None else float(np.nanmedian(np.asarray(forces, float)))
@@ -213,7 +214,11 @@ class SurfaceMap:
     ) -> dict[State, RadialSurface]:
         """Return what each object's surface may be on faces that were never learnt."""
         others = {}
-        for name in self.recogniser.classes_.tolist():
+        for name, share in zip(
+            self.recogniser.classes_.tolist(), self.other_share_, strict=True
+        ):
+            if share == 0:
+                continue
             learnt = [part for (owner, _), part in surfaces.items() if owner == name]
             bodies = [part for (owner, _), part in middles.items() if owner == name]
             turned = []
