@@ -266,8 +266,8 @@ class PlaceBelief(Belief):
         unlike = float(self._stranger.log_evidence[0]) - self._known_nats
         half = np.clip(np.exp(self.log_joint) @ self._turned.ravel(), 1e-9, 1.0) / 2
         pictures = super().unknown_evidence
-        pictures -= np.logaddexp(np.log1p(-half), np.log(half) + pictures)
-        return float(pictures + np.logaddexp(0.0, unlike) + _LOG_HALF)
+        like_any = np.logaddexp(np.log1p(-half), np.log(half) + pictures)
+        return float(pictures - like_any + np.logaddexp(0.0, unlike) + _LOG_HALF)
 
     @property
     def n_contacts(self) -> int:
