@@ -41,14 +41,15 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
 
 
 PLACES = {
-    "turns, all": "turns, taught on all faces",
-    "places before, all": "before, taught on all faces",
-    "places, all": "places, taught on all faces",
-    "turns, usual": "turns, usual face",
-    "places before, usual": "before, usual face",
-    "places, usual": "places, usual face",
-    "places, usual, wrong pose": "places, usual face, arm off by 2 mm, 2 degrees",
-    "mesh before, all": "before, meshes alone, no picture",
+    "places, all": "taught on all faces",
+    "places, usual": "usual face",
+    "places, usual, wrong pose": "usual face, arm off by 2 mm, 2 degrees",
+    "places, all, known height": "height known, all faces",
+    "places, usual, known height": "height known, usual face",
+    "places before, all, known height": "before, height known, all faces",
+    "places before, usual, known height": "before, height known, usual face",
+    "turns, all, known height": "turns, height known, all faces",
+    "turns, usual, known height": "turns, height known, usual face",
 }
 
 

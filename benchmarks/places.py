@@ -71,20 +71,31 @@ STRANGERS = UNSEEN + UNLIKE_OTHERS
 Row = dict[str, Any]
 
 
-def taught(teaching: int, faces: str, cache: Path | None = None) -> Touches:
-    """Touch every object, 60 times in six sessions."""
-    path = None if cache is None else cache / f"taught-{teaching}-{faces}.npz"
+def taught(
+    teaching: int, faces: str, cache: Path | None = None, known_height: bool = False
+) -> Touches:
+    """Touch every object, 60 times in six sessions, each time in one step."""
+    name = f"taught-{teaching}-{faces}{'-known' * known_height}.npz"
+    path = None if cache is None else cache / name
     if path is not None and path.exists():
         return Touches.load(path)
     touches = explore_to_learn(
-        camera=CAMERA, n_sessions=6, faces=faces, random_state=seed_of(1, teaching)
+        camera=CAMERA,
+        n_sessions=6,
+        faces=faces,
+        known_height=known_height,
+        guarded=False,
+        random_state=seed_of(1, teaching),
+        n_jobs=1,
     )
     if path is not None:
         touches.save(path)
     return touches
 
 
-def placed(thing: SimObject, condition: str, seed: int) -> Stand | None:
+def placed(
+    thing: SimObject, condition: str, seed: int, known_height: bool = False
+) -> Stand | None:
     """Put an object down as a condition says; None if it has no other face."""
     rng = np.random.default_rng(seed)
     yaw, n_faces = float(rng.uniform(0, 2 * np.pi)), len(thing.resting_rotations)
@@ -94,7 +105,8 @@ def placed(thing: SimObject, condition: str, seed: int) -> Stand | None:
         face = int(rng.integers(least, max(n_faces, least + 1)))
     if face >= n_faces:
         return None
-    return put_down(thing, CAMERA, face=face, yaw_rad=yaw, random_state=seed)
+    how = {"face": face, "yaw_rad": yaw, "known_height": known_height}
+    return put_down(thing, CAMERA, random_state=seed, **how)
 
 
 def strategy_of(name: str, stand: Stand, learnt: Any, seed: int) -> Any:
@@ -246,7 +258,7 @@ def table_of(kept: dict[str, list[Row]]) -> dict[str, Row]:
 
 
 def placements(
-    seed: int, condition: str, n_episodes: int
+    seed: int, condition: str, n_episodes: int, known_height: bool = False
 ) -> Iterator[tuple[int, Stand]]:
     """Put things down in turn, so often that there are as many episodes."""
     things = STRANGERS if condition == "stranger" else HOUSEHOLD
@@ -254,7 +266,7 @@ def placements(
     for number in count():
         for code, thing in enumerate(things):
             where = seed_of(2, seed, number, code, CONDITIONS.index(condition))
-            stand = placed(thing, condition, where)
+            stand = placed(thing, condition, where, known_height)
             if stand is not None:
                 yield where, stand
                 done += 1
@@ -295,6 +307,7 @@ def main() -> None:
     parser.add_argument("--conditions", nargs="+", default=["new yaw", "other face"])
     parser.add_argument("--strategies", nargs="+", default=list(STRATEGIES))
     parser.add_argument("--wrong-pose", action="store_true", help="by 2 mm, 2 deg")
+    parser.add_argument("--known-height", action="store_true", help="see put_down")
     parser.add_argument("--seeds", type=int, default=3, help="one teaching each")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=40, help="a seed, at least")
@@ -304,12 +317,13 @@ def main() -> None:
     asked = parser.parse_args()
     kept: dict[str, list[Row]] = {}
     for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
-        touches = taught(seed, asked.faces, asked.cache)
+        known = asked.known_height
+        touches = taught(seed, asked.faces, asked.cache, known)
         recogniser = ObjectRecogniser(random_state=seed).fit(touches)
         learnt = map_of(asked.belief, recogniser, touches, seed)
         for condition, name in product(asked.conditions, asked.strategies):
             rows = kept.setdefault(f"{condition}, {name}", [])
-            for where, stand in placements(seed, condition, asked.episodes):
+            for where, stand in placements(seed, condition, asked.episodes, known):
                 row = one_episode(stand, learnt, name, where, asked.wrong_pose)
                 rows.append({"seed": seed, "placement": where, **row})
                 if asked.rows:
@@ -321,7 +335,7 @@ def main() -> None:
         for key, row in table.items():
             print(f"up to seed {seed}: {key:22s} {json.dumps(row)}", flush=True)
         if asked.out:
-            name = f"{asked.belief}, {asked.faces}"
+            name = f"{asked.belief}, {asked.faces}" + ", known height" * known
             keep_rows(asked.out, name + ", wrong pose" * asked.wrong_pose, table)
 
 

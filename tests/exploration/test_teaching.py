@@ -121,7 +121,8 @@ def test_nothing_to_touch_is_told(guarded):
 
 
 def test_an_object_is_put_down_near_the_middle_turned_and_on_a_face():
-    stand = put_down(BOX, CAMERA, face=1, yaw_rad=0.5, placement_sd_mm=0.0)
+    how = {"face": 1, "yaw_rad": 0.5, "placement_sd_mm": 0.0}
+    stand = put_down(BOX, CAMERA, **how, known_height=True)
     assert stand.thing is BOX
     x, y, z = stand.hemisphere.centre_mm
     # Turned by half a radian, its middle is above the origin all the same; face 1 of
@@ -135,6 +136,27 @@ def test_an_object_is_put_down_near_the_middle_turned_and_on_a_face():
         300,
         atol=1e-6,
     )
+
+
+def test_the_arm_aims_at_one_height_whatever_stands_there():
+    stands = [put_down(find_object(name), CAMERA) for name in ("pen", "water bottle")]
+    heights = [stand.hemisphere.centre_mm[2] for stand in stands]
+    assert heights == [10.0, 10.0]
+    bottle = stands[1]
+    above = bottle.touch_at_once(bottle.hemisphere.pose(0.0, np.pi / 2))
+    # So high, less the press.
+    assert above.position_mm[2] == pytest.approx(225, abs=6)
+
+
+def test_taught_about_their_middle_when_their_height_is_known():
+    how = {"n_sessions": 1, "placement_sd_mm": 0.0}
+    thing = find_object("water bottle")
+    for known_height, height_mm in ((True, 112.5), (False, 10.0)):
+        made = explore_to_learn([thing], 6, CAMERA, known_height=known_height, **how)
+        tips, ways = made.columns["position_mm"], made.columns["direction"]
+        aim = np.array([0, 0, height_mm])
+        aside = np.linalg.norm(np.cross(tips - aim, ways), axis=1)
+        assert_allclose(aside, 0, atol=0.1)
 
 
 def test_a_face_that_is_none_is_refused():

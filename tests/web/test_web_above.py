@@ -190,6 +190,8 @@ def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
     path = "/api/episode/touches/2/picture"
     assert placed_client.get(path).status_code == 404
     assert len(Touches.load(archive(placed_client))) == 1
+    kept = placed_client.get("/api/episode").json()["touches"][-1]
+    assert (kept["miss"], kept["position_mm"]) == (True, [0, 0, 40])
     assert "nothing met" in placed_client.get("/api/episode/report").text
 
 

@@ -483,24 +483,27 @@ class _Approach:
                 f"Still {self.force_n:.3f} N {guard.max_press_mm:g} mm "
                 "beyond the first contact."
             )
+        if pressed < guard.flat_mm - 1e-9:
+            return
         recent = [n for mm, n in self._in_contact if mm >= here - guard.flat_mm - 1e-9]
-        self._refuse_soft(pressed, recent)
-        if pressed >= guard.flat_mm - 1e-9 and max(recent) - min(recent) < self._flat_n:
+        change_n = max(recent) - min(recent)
+        self._refuse_soft(change_n)
+        if change_n < self._flat_n:
             raise _Fault(
                 f"{self.force_n:.3f} N for {guard.flat_mm:g} mm in contact, without "
                 "a change: the force sensor is stuck. If the object is that soft or "
                 "the sensor that coarse, raise flat_mm."
             )
 
-    def _refuse_soft(self, pressed_mm: float, recent: list[float]) -> None:
+    def _refuse_soft(self, change_n: float) -> None:
         """Refuse a force that rises by less than half of what the sensor's end does."""
         guard = self.guard
-        if guard.expected_n_mm is None or pressed_mm < guard.flat_mm - 1e-9:
+        if guard.expected_n_mm is None:
             return
         least_n = guard.expected_n_mm * guard.flat_mm / 2
-        if max(recent) - min(recent) < least_n:
+        if change_n < least_n:
             raise _Fault(
-                f"The force rose by {max(recent) - min(recent):.3f} N over "
+                f"The force rose by {change_n:.3f} N over "
                 f"{guard.flat_mm:g} mm of contact, less than {least_n:.3f}, half of "
                 f"what expected_n_mm = {guard.expected_n_mm:g} gives: it reads too "
                 "little."

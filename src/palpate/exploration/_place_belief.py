@@ -35,9 +35,10 @@ _FAR_AWAY = 3.0
 # no thing that can be touched.
 _FEW_CONTACTS, _LEAST_MM, _OTHER_SIDE = 3, 0.5, 0.5
 _DOWN = np.array([0.0, 0.0, -1.0])
-# Half of the things, and of the faces, that were never learnt may have the shape of
-# one that was: a mug that lies may well be met where a pot is.
-_LOG_HALF = -np.log(2)
+# Half of the things that were never learnt may have the shape of one that was. So may a
+# third of such faces (a mug that lies may well be met where a pot is), and a third may
+# be the object's own body turned.
+_LOG_HALF, _LOG_THIRD = -np.log(2), -np.log(3)
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,8 @@ class PlaceBelief(Belief):
         shape = len(surface_map.states_), surface_map.n_turns
         self._pictures = np.zeros(shape)
         self.log_place: Floats = np.zeros(self._pictures.size)
+        # How probable it is of each hypothesis that its surface is a body turned.
+        self._turned = np.zeros(shape)
         self._known_nats = 0.0
         self._weigh()
 
@@ -246,15 +249,25 @@ class PlaceBelief(Belief):
         if other.any():
             by_state = logsumexp(evidence[~other], axis=1) - np.log(self.map.n_turns)
             alike = logsumexp(self.map.log_alike_ + by_state, axis=1)
-            either = np.logaddexp(alike, self._faces.log_evidence)
-            evidence[other] = (either + _LOG_HALF)[:, None]
+            either = np.logaddexp(alike, self._faces.log_evidence)[:, None]
+            turned = evidence[other]
+            evidence[other] = np.logaddexp(either, turned) + _LOG_THIRD
+            self._turned = np.zeros(evidence.shape)
+            self._turned[other] = np.exp(turned + _LOG_THIRD - evidence[other])
         return evidence.ravel()
 
     @property
     def unknown_evidence(self) -> float:
-        """What pictures and places say for a stranger (nats); see `Belief`."""
+        """What pictures and places say for a stranger (nats); see `Belief`.
+
+        Where contacts lie on a learnt body turned, half of the pictures are like
+        anything, so that these tell it from a stranger by a factor of two at most.
+        """
         unlike = float(self._stranger.log_evidence[0]) - self._known_nats
-        return super().unknown_evidence + float(np.logaddexp(0.0, unlike) + _LOG_HALF)
+        half = np.clip(np.exp(self.log_joint) @ self._turned.ravel(), 1e-9, 1.0) / 2
+        pictures = super().unknown_evidence
+        like_any = np.logaddexp(np.log1p(-half), np.log(half) + pictures)
+        return float(pictures - like_any + np.logaddexp(0.0, unlike) + _LOG_HALF)
 
     @property
     def n_contacts(self) -> int:
@@ -402,6 +415,7 @@ class PlaceBelief(Belief):
         if start is not None:
             title = "\n".join([title, *wrap(advice(self, start), len(title))])
             middle, out = self.centre_mm[:2], -np.asarray(start.direction)[:2]
+            out = out / max(float(np.hypot(*out)), 0.5)
             reach = np.linalg.norm(points[:, :2] - middle, axis=1).max()
             ends = middle + 1.1 * reach * out, middle + 1.6 * reach * out
             style = {"arrowstyle": "->", "color": "#c43c39"}

@@ -39,6 +39,8 @@ from ._touching import Toucher, touch_from_hemisphere
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
 QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0, lag_readings=0)
 VECTORS = ("position_mm", "direction")
+# How high above the ground an arm aims that does not know how high the object is.
+_AIM_MM = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +98,7 @@ def put_down(
     face: int = 0,
     yaw_rad: float = 0.0,
     placement_sd_mm: float = 5.0,
+    known_height: bool = False,
     random_state: int = 0,
     faults: Mapping[int, str] = MappingProxyType({}),
 ) -> Stand:
@@ -113,6 +116,10 @@ def put_down(
         How it is turned about the vertical.
     placement_sd_mm : float, default=5.0
         How far from the centre of the hemisphere it is put, along x and y each.
+    known_height : bool, default=False
+        Whether the centre of the hemisphere is at the height of the object's middle,
+        which an arm knows of no object that it has yet to recognise. Else it is 10 mm
+        above the ground, low enough for what is flat.
     random_state : int, default=0
         Same number, same place and noise.
     faults : mapping of int to str, default={}
@@ -132,25 +139,32 @@ def put_down(
     check_number("placement_sd_mm", placement_sd_mm, low=0.0)
     rng = np.random.default_rng(random_state)
     placed = PlacedObject.resting(thing, face, yaw_rad)
-    x, y, z = placed.centre_mm
+    x, y, middle_mm = map(float, placed.centre_mm)
     aside = np.array([*rng.normal(0, placement_sd_mm, 2), 0.0])
     place = np.asarray(placed.position_mm) + aside
     moved = PlacedObject(thing, placed.rotation, yaw_rad, place)
     seeds = [int(seed) for seed in rng.integers(2**31, size=3)]
     bench = SimulatedBench(moved, camera, random_state=seeds[0])
-    hemisphere = Hemisphere((float(x), float(y), float(z)))
-    reach = float(np.linalg.norm(np.ptp(placed.bounds_mm, axis=0))) / 2
+    height_mm = middle_mm if known_height else _AIM_MM
+    hemisphere = Hemisphere((x, y, height_mm))
+    reach = _reach_mm(placed, hemisphere)
     shift = float(np.linalg.norm(aside))
     if reach + shift >= hemisphere.radius_mm:  # the arm would begin inside it
         raise ValueError(
             f"thing must fit into a hemisphere of {hemisphere.radius_mm:g} mm, got "
-            f"{thing.name!r}, which reaches {reach:.0f} mm from its middle and was put "
+            f"{thing.name!r}, which reaches {reach:.0f} mm from its centre and was put "
             f"{shift:.0f} mm aside. Is its unit right, or placement_sd_mm too large?"
         )
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
     sensor = SimulatedSensor(bench, random_state=seeds[2], missing=MissingFrames(robot))
     return Stand(thing, hemisphere, robot, sensor, bench)
+
+
+def _reach_mm(placed: PlacedObject, hemisphere: Hemisphere) -> float:
+    """Return how far a corner of an object's box is from a hemisphere's centre."""
+    from_centre = np.abs(placed.bounds_mm - np.asarray(hemisphere.centre_mm))
+    return float(np.linalg.norm(from_centre.max(axis=0)))
 
 
 def explore_to_learn(
@@ -163,6 +177,7 @@ def explore_to_learn(
     faces: str = "usual",
     drift: bool = False,
     placement_sd_mm: float = 5.0,
+    known_height: bool = False,
     guarded: bool = True,
     folder: str | Path | None = None,
     random_state: int = 0,
@@ -190,8 +205,8 @@ def explore_to_learn(
     drift : bool, default=False
         Whether exposure and place of the picture change between sessions, see
         `DomeCamera.drifted`.
-    placement_sd_mm : float, default=5.0
-        See `put_down`.
+    placement_sd_mm, known_height : float and bool, default=5.0 and False
+        See `put_down`; both are to be as where the objects will be met.
     guarded : bool, default=True
         Whether the arm feels its way, step by step. Else each touch is made in one
         step (`Stand.touch_at_once`): the same contacts by a seventh of the work.
@@ -233,7 +248,8 @@ def explore_to_learn(
     home = None if folder is None else Path(folder)
     check_option("faces", faces, ("usual", "all"))
     turns = turned, faces == "all"
-    how = (seen_by, turns, drift, placement_sd_mm, guarded, home, random_state)
+    where = {"placement_sd_mm": placement_sd_mm, "known_height": known_height}
+    how = (seen_by, turns, drift, where, guarded, home, random_state)
     parts = in_parallel(
         partial(_session, *how),
         [(*thing, *part) for thing in enumerate(objects) for part in enumerate(shares)],
@@ -249,7 +265,7 @@ def _session(
     camera: DomeCamera,
     turns: tuple[bool, bool],
     drift: bool,
-    placement_sd_mm: float,
+    where: Mapping[str, Any],
     guarded: bool,
     home: Path | None,
     random_state: int,
@@ -269,8 +285,8 @@ def _session(
         camera.drifted(rng) if drift else camera,
         face=face,
         yaw_rad=yaw,
-        placement_sd_mm=placement_sd_mm,
         random_state=seed,
+        **where,
     )
     strategy = RandomHemisphere(stand.hemisphere, seed)
     if guarded:

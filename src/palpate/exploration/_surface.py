@@ -22,6 +22,8 @@ from itertools import product
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
 from .._types import Floats, Indices
@@ -40,6 +42,8 @@ _WIDTHS, _LOCAL_MM, _NOISES_MM = (0.2, 0.35, 0.6), (4.0, 10.0, 25.0), (1.0, 2.0,
 _ROUGHNESSES = tuple(product(_WIDTHS, _LOCAL_MM, _NOISES_MM))
 _MESH_SD_MM, _PRESSES_AROUND = 1.5, 36
 _START_MM = 300.0
+# By how much a press goes in, and how far off the hull is that stands for an object.
+_PRESS_MM, _TURNED_SD_MM = 5.0, 5.0
 # Radii that differ by less look alike.
 _ALIKE_MM = 2.0
 
@@ -172,25 +176,88 @@ def last_log_density(
     return np.asarray(logsumexp(each.sum(axis=1), axis=0) - before)
 
 
-def mesh_surface(thing: SimObject, face: int, camera: DomeCamera) -> RadialSurface:
+def mesh_surface(
+    thing: SimObject, face: int, camera: DomeCamera, aim_mm: float | None = None
+) -> RadialSurface:
     """Return the surface of a mesh on one of its faces, by pressing a simulated dome.
 
-    Where a line through the middle of its bounding box meets nothing the radius is 0.
+    Lines aim at `aim_mm` above the ground, by default at the middle of its box; the
+    radius of one that meets nothing is 0.
     """
     placed = PlacedObject.resting(thing, face)
     step = N_AROUND // _PRESSES_AROUND
     nodes = directions()[-_LOWEST::step, ::step]
-    radii = np.array([[_met_mm(placed, out, camera) for out in row] for row in nodes])
+    x, y, middle_mm = placed.centre_mm
+    aim = np.array([x, y, middle_mm if aim_mm is None else aim_mm])
+    radii = np.array(
+        [[_met_mm(placed, aim, out, camera) for out in row] for row in nodes]
+    )
     heights = HEIGHTS[-_LOWEST::step]
     around = np.append(AZIMUTHS[::step], 2 * np.pi)
     closed = np.concatenate([radii, radii[:, :1]], axis=1)
     wide = np.array([np.interp(AZIMUTHS, around, row) for row in closed])
     mean = np.array([np.interp(HEIGHTS, heights, column) for column in wide.T]).T
-    # Between presses an edge may lie: half of the step to the neighbours is possible.
-    slope = np.abs(mean - np.roll(mean, 1, axis=1)) + np.abs(
-        np.diff(mean, axis=0, append=mean[-1:])
+    return RadialSurface(mean, _of_edges_mm2(mean) + 0.25, _MESH_SD_MM)
+
+
+def turned_surfaces(
+    middles_mm: Floats, aim_mm: float, tip_mm: float
+) -> list[RadialSurface]:
+    """Return how the surface of an object would be on other faces than this one.
+
+    As if it were its convex hull, down to the ground under what is met low. The
+    middles of the tip's ball (n_touches, 3), about a point `aim_mm` above the ground,
+    lie on the hull grown by the ball, which turns with the object. Empty where they
+    span no body.
+    """
+    grown_mm, points = tip_mm - _PRESS_MM, middles_mm + np.array([0, 0, aim_mm])
+    low = points[points[:, 2] < 2 * tip_mm] * [1, 1, 0]
+    narrower = np.maximum(1 - grown_mm / np.maximum(np.hypot(*low[:, :2].T), 1e-9), 0)
+    below = low * narrower[:, None] - [0, 0, grown_mm]
+    try:
+        corners = np.concatenate([points, low, below])
+        corners = corners[ConvexHull(corners).vertices]
+        downs = _downs(corners)
+        return [_resting_hull(corners, down, aim_mm, grown_mm) for down in downs]
+    except QhullError:
+        return []
+
+
+def _downs(corners: Floats) -> list[Floats]:
+    """Return the ways in its own frame that point down where it rests otherwise.
+
+    On the top, or on a side of its narrowest upright box.
+    """
+    angles = np.linspace(0, np.pi / 2, 18, endpoint=False)
+    sides = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    across = np.stack([-sides[:, 1], sides[:, 0], 0 * angles], axis=1)
+    areas = np.ptp(corners @ sides.T, axis=0) * np.ptp(corners @ across.T, axis=0)
+    best = int(areas.argmin())
+    return [np.array([0.0, 0.0, 1.0]), sides[best], across[best]]
+
+
+def _resting_hull(
+    corners: Floats, down: Floats, aim_mm: float, grown_mm: float
+) -> RadialSurface:
+    """Return the surface of a grown hull that is turned until `down` points down."""
+    turn, _ = Rotation.align_vectors([[0, 0, -1]], [down])
+    turned = turn.apply(corners)
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    x, y, _ = (low + high) / 2
+    hull = ConvexHull(turned - [x, y, low[2] + grown_mm])
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    inside = np.maximum(-(offsets + normals @ [0, 0, aim_mm]), 0.0)
+    rising = np.maximum(directions().reshape(-1, 3) @ normals.T, 1e-9)
+    mean = (inside / rising).min(axis=1).reshape(N_HEIGHTS, N_AROUND)
+    return RadialSurface(mean, _of_edges_mm2(mean) + _TURNED_SD_MM**2, _MESH_SD_MM)
+
+
+def _of_edges_mm2(mean_mm: Floats) -> Floats:
+    """Return the variance that edges between nodes add: of half of the step there."""
+    slope = np.abs(mean_mm - np.roll(mean_mm, 1, axis=1)) + np.abs(
+        np.diff(mean_mm, axis=0, append=mean_mm[-1:])
     )
-    return RadialSurface(mean, (slope / 2) ** 2 + 0.25, _MESH_SD_MM)
+    return np.asarray((slope / 2) ** 2)
 
 
 def directions() -> Floats:
@@ -258,8 +325,10 @@ def met_along(
     return radius, variance
 
 
-def _met_mm(placed: PlacedObject, out: Floats, camera: DomeCamera) -> float:
-    start = SensorPose(placed.centre_mm + _START_MM * out, -out)
+def _met_mm(
+    placed: PlacedObject, aim: Floats, out: Floats, camera: DomeCamera
+) -> float:
+    start = SensorPose(aim + _START_MM * out, -out)
     reach = _START_MM + camera.membrane_radius_mm
     press = camera.press(placed, start, reach_mm=reach)
     if not press.touched:

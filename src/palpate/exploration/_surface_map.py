@@ -34,6 +34,7 @@ from ._surface import (
     SurfaceTable,
     learnt_surface,
     mesh_surface,
+    turned_surfaces,
 )
 from ._touch_map import TouchMap, Weights
 
@@ -46,7 +47,10 @@ _LEAST_MM, _MOST_MM = 3.0, 3000.0
 _PLACEMENT_MM = 5.0
 _OTHER_FACE_MM = 10.0
 _LEAST_WEIGHT = 1e-3
+_SAME_AIM_MM = 2.0
+# These and below: faces that were never learnt.
 OTHER_FACE = -1
+State = tuple[str, int]
 
 
 class SurfaceMap:
@@ -84,7 +88,7 @@ class SurfaceMap:
     pictures_ : TouchMap
         What their touches are like from every side, its "objects" being the states.
     other_share_ : ndarray of shape (n_objects,)
-        How often each stands on a face that was never learnt.
+        How often each stands on a face that was never learnt; 0 by a mesh.
     force_n_ : float
         Middling force of the training touches.
     """
@@ -124,7 +128,9 @@ class SurfaceMap:
         touches : Touches
             The same, in the same order, with the columns `position_mm` (of the tip at
             the contact) and `direction` (unit vectors of the approach) in the frame of
-            the object as it stands, z up; perhaps with `face` and `force_n`.
+            the object as it stands, z up; perhaps with `face` and `force_n`. Where z
+            is counted from the ground, and the approaches of all objects aim at one
+            height, faces that were never learnt may be learnt bodies turned.
         meshes : mapping of str to SimObject, optional
             Objects whose surface is taken from a mesh, on all its resting faces.
         camera : DomeCamera, optional
@@ -145,18 +151,16 @@ class SurfaceMap:
         pictures = FacedMap(n_turns=self.n_turns, random_state=self.random_state)
         self.pictures_ = pictures.fit_faces(recogniser, touches, faces)
         of_meshes = dict(meshes or {})
-        surfaces = self._learnt(touches, faces, set(of_meshes))
+        surfaces, middles, aim_mm = self._learnt(touches, faces, set(of_meshes))
         dome = DomeCamera((64, 64), n_nodes=16) if camera is None else camera
         for name, thing in of_meshes.items():
             for face in range(len(thing.resting_rotations)):
-                surfaces[name, face] = mesh_surface(thing, face, dome)
+                surfaces[name, face] = mesh_surface(thing, face, dome, aim_mm)
         self._refuse_unmapped(surfaces)
-        if self.other_faces != 0:
-            for name in recogniser.classes_.tolist():
-                learnt_faces = [
-                    surface for (owner, _), surface in surfaces.items() if owner == name
-                ]
-                surfaces[name, OTHER_FACE] = _any_face(learnt_faces)
+        self.other_share_ = self._other_share(touches, faces)
+        # A mesh has all faces that it can rest on.
+        self.other_share_[np.isin(recogniser.classes_, list(of_meshes))] = 0.0
+        surfaces |= self._other_surfaces(surfaces, middles, aim_mm)
         self.states_ = sorted(surfaces)
         self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
         names = [name for name, _ in self.states_]
@@ -164,7 +168,6 @@ class SurfaceMap:
         number_of = {state: number for number, state in enumerate(pictures.states)}
         # Faces of a mesh that were never touched have no pictures of their own.
         self.picture_of_state_ = np.array([number_of.get(s, -1) for s in self.states_])
-        self.other_share_ = self._other_share(touches, faces)
         forces = touches.columns.get("force_n")
         self.force_n_ = (
             np.nan if forces is None else float(np.nanmedian(np.asarray(forces, float)))
@@ -173,27 +176,57 @@ class SurfaceMap:
 
     def _learnt(
         self, touches: Touches, faces: Indices, skipped: set[str]
-    ) -> dict[tuple[str, int], RadialSurface]:
-        """Return the surfaces of all objects but those that a mesh is given for."""
+    ) -> tuple[dict[State, RadialSurface], dict[State, Floats], float | None]:
+        """Return the surfaces of all objects but those that a mesh is given for.
+
+        And the middles of the tip's ball about the point that approaches aim at, of
+        all, and how high above the ground that is, None where it differs or is not.
+        """
         tips, ways = contacts_of(touches)
         recording = touches.session
         names = np.asarray(self._labels(touches))
         number = np.zeros(len(touches), int)
         if recording is not None:
             number = np.unique(recording, return_inverse=True)[1]
-        surfaces = {}
+        surfaces, of_state, aims = {}, {}, []
         for name, face in sorted(set(zip(names.tolist(), faces.tolist(), strict=True))):
-            if name in skipped:
-                continue
             rows = np.flatnonzero((names == name) & (faces == face))
             if len(rows) < _LEAST_TOUCHES:
                 continue
-            middles = tips[rows] - self.tip_radius_mm * ways[rows]
-            middles = middles - middle_of(tips[rows], ways[rows])
+            aim = middle_of(tips[rows], ways[rows])
+            aims.append(float(aim[2]))
+            middles = tips[rows] - self.tip_radius_mm * ways[rows] - aim
+            of_state[name, face] = middles
+            if name in skipped:
+                continue
             reach = float(np.linalg.norm(middles, axis=1).max()) - self.tip_radius_mm
             _refuse_unit(name, reach)
             surfaces[name, face] = learnt_surface(middles, number[rows], _PLACEMENT_MM)
-        return surfaces
+        low, high = min(aims, default=0.0), max(aims, default=0.0)
+        same = low > _SAME_AIM_MM > high - low
+        return surfaces, of_state, (low + high) / 2 if same else None
+
+    def _other_surfaces(
+        self,
+        surfaces: Mapping[State, RadialSurface],
+        middles: Mapping[State, Floats],
+        aim_mm: float | None,
+    ) -> dict[State, RadialSurface]:
+        """Return what each object's surface may be on faces that were never learnt."""
+        others = {}
+        for name, share in zip(
+            self.recogniser.classes_.tolist(), self.other_share_, strict=True
+        ):
+            if share == 0:
+                continue
+            learnt = [part for (owner, _), part in surfaces.items() if owner == name]
+            bodies = [part for (owner, _), part in middles.items() if owner == name]
+            turned = []
+            if aim_mm is not None and bodies:
+                turned = turned_surfaces(bodies[0], aim_mm, self.tip_radius_mm)
+            for number, surface in enumerate(turned or [_any_face(learnt)]):
+                others[name, OTHER_FACE - number] = surface
+        return others
 
     def _other_share(self, touches: Touches, faces: Indices) -> Floats:
         """Return how often each object stands on a face that was never learnt."""
@@ -279,7 +312,7 @@ class SurfaceMap:
     @property
     def is_other_(self) -> Bools:
         """Whether each state is a face that was never learnt, (n_states,)."""
-        return np.array([face == OTHER_FACE for _, face in self.states_])
+        return np.array([face <= OTHER_FACE for _, face in self.states_])
 
     @property
     def log_alike_(self) -> Floats:
@@ -296,9 +329,13 @@ class SurfaceMap:
         """Log share of a turn of each state in its object, (n_states,)."""
         # Faces that were learnt are equally likely, and so are turns.
         never = self.is_other_
-        counts = np.bincount(self.object_of_state_[~never])[self.object_of_state_]
-        other = self.other_share_[self.object_of_state_]
-        share = np.where(never, other, (1 - other) / counts)
+        of_state, size = self.object_of_state_, len(self.other_share_)
+        counts = [
+            np.bincount(of_state[rows], minlength=size) for rows in (~never, never)
+        ]
+        learnt, others = np.maximum(counts, 1)[:, of_state]
+        other = self.other_share_[of_state]
+        share = np.where(never, other / others, (1 - other) / learnt)
         return np.asarray(np.log(share / self.n_turns))
 
     def middles(self, tips_mm: Floats, ways: Floats, forces_n: Floats) -> Floats:

@@ -378,7 +378,7 @@ class BeliefObservations(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Put another object down; see `TouchEnv.reset`."""
         _, info = self.env.reset(seed=seed, options=options)
         self.belief = self.surface_map.start_before(self._touch.hemisphere)
-        name = self._touch.object_names[self._touch.target]
+        name = info["object"]
         self._truth = name if name in self._names else UNKNOWN
         self._shares = self._believed()
         return self._observation(), info
