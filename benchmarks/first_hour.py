@@ -1,6 +1,6 @@
 """From nothing to a recognised touch of three recorded things, as the page does it.
 
-`python benchmarks/first_hour.py FOLDER OUT.json [--draws 30] [--first 0] [--table]`,
+`python benchmarks/first_hour.py FOLDER OUT.json [--draws 90] [--first 0] [--table]`,
 with the folder of recorded touches (`bathtip/bathtip50.npz`); half an hour on one core,
 and docs/reference/live.md has the table that `--table` prints of OUT.json. Each draw
 takes three of the 50 things. A simulated hand presses recorded touches on a live
@@ -242,7 +242,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--draws", type=int, default=30)
+    parser.add_argument("--draws", type=int, default=90)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--table", action="store_true")
     asked = parser.parse_args()

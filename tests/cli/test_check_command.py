@@ -1,5 +1,6 @@
 """`palpate check`: every bad picture in one list, layouts asked about, advice."""
 
+import io
 import json
 import shutil
 
@@ -8,6 +9,7 @@ import pytest
 from PIL import Image
 
 from palpate import Touches
+from palpate.cli._output import say
 from palpate.recognition import ObjectRecogniser
 from palpate.touches import TouchesError
 
@@ -64,6 +66,94 @@ def test_pictures_in_colour_are_told_unless_colour_is_read(palpate, tmp_path):
     assert noted(tmp_path / "gel")
     assert not noted(tmp_path / "gel", "--colour")
     assert not noted(tmp_path / "grey")
+
+
+@pytest.fixture
+def jpegs(tmp_path):
+    """JPEGs in colour, five of them odd: cut, turned, small, words, grey."""
+    root, rng = tmp_path / "jpegs", np.random.default_rng(0)
+    for name, red in (("mug", 60), ("pen", 160)):
+        for number in range(8):
+            levels = rng.normal((red, 90, 40), 9, (24, 32, 3)).clip(0, 255)
+            put(root / name / f"{number}.jpg", levels.astype(np.uint8))
+    cut = root / "mug" / "1.jpg"
+    cut.write_bytes(cut.read_bytes()[:300])
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    with Image.open(root / "mug" / "2.jpg") as picture:
+        turned = picture.transpose(Image.Transpose.ROTATE_90)
+    turned.save(root / "mug" / "2.jpg", exif=exif.tobytes())
+    put(root / "mug" / "3.jpg", np.zeros((12, 16, 3), np.uint8))
+    (root / "pen" / "1.jpg").write_text("my notes")
+    put(root / "pen" / "2.jpg", rng.integers(0, 255, (24, 32), np.uint8))
+    return root
+
+
+def test_a_folder_with_five_odd_jpegs_is_told_learnt_and_recognised(
+    palpate, jpegs, tmp_path
+):
+    found = json.loads(palpate("check", jpegs, "--json").stdout)
+    bad = ["mug/1.jpg", "mug/3.jpg", "pen/1.jpg"]
+    assert [one["picture"] for one in found["bad"]] == bad
+    assert found["notes"] == [
+        "1 picture turned upright, as the camera noted (Exif)",
+        (
+            "12 pictures in colour and 1 in grey, all read in grey: --colour, if "
+            "colour tells, as on a gel"
+        ),
+    ]
+    in_colour = json.loads(palpate("check", jpegs, "--colour", "--json").stdout)
+    odd = {one["picture"]: one["fix"] for one in in_colour["bad"]}
+    assert [*odd] == [*bad, "pen/2.jpg"]
+    assert odd["pen/2.jpg"] == "leave out --colour, or take it out"
+    grey, colour = tmp_path / "grey.palpate", tmp_path / "colour.palpate"
+    for model, *words in ((grey,), (colour, "--colour")):
+        done = palpate("learn", jpegs, "--skip-bad", "-o", model, *words)
+        assert done.returncode == 0, done.stderr
+        shown = palpate("recognise", model, jpegs, "--skip-bad", *words)
+        assert shown.returncode == 0, shown.stderr
+        assert "Touches of mug" in shown.stdout
+    refused = palpate("recognise", grey, jpegs, "--skip-bad", "--colour")
+    assert refused.returncode == 1
+    assert refused.stderr.splitlines()[-1].endswith(
+        "Leave --colour out, or learn again."
+    )
+    shown = palpate("recognise", colour, jpegs, "--skip-bad")  # as it was learnt
+    assert shown.returncode == 0, shown.stderr
+    for name in ("mug/1.jpg", "mug/3.jpg", "pen/1.jpg"):
+        (jpegs / name).unlink()
+    refused = palpate("learn", jpegs, "--colour", "-o", colour)
+    assert "pen/2.jpg" in refused.stderr
+    assert "Leave --colour out, or take it out." in refused.stderr
+
+
+def test_pictures_without_a_folder_of_their_object_are_not_learnt(
+    palpate, jpegs, tmp_path
+):
+    refused = palpate(
+        "learn", jpegs / "pen", "--skip-bad", "-o", tmp_path / "m.palpate"
+    )
+    assert refused.returncode == 1
+    assert "Name folders after objects, pass --name-pattern" in refused.stderr
+
+
+def test_a_sentence_breaks_between_words_on_a_terminal(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setenv("COLUMNS", "20")
+    terminal, file = Terminal(), io.StringIO()
+    for out in (terminal, file):
+        say("- A sentence of several words/and-a-long-path.", file=out)
+        say("  touch 1: a line that is drawn", file=out)
+    assert terminal.getvalue().splitlines() == [
+        "- A sentence of",
+        "  several",
+        "  words/and-a-long-path.",
+        "  touch 1: a line that is drawn",
+    ]
+    assert len(file.getvalue().splitlines()) == 2
 
 
 def test_levels_that_fit_no_picture_are_the_fault_not_the_pictures(palpate, odd):
@@ -222,12 +312,12 @@ def test_layouts_that_people_have(tmp_path, paths, objects, sessions):
 @pytest.mark.parametrize(
     ("paths", "message"),
     [
-        (["train/mug", "test/mug"], r"test and train, .* levels -/object"),
+        (["train/mug", "test/mug"], r"test and train, .* `levels=-/object`"),
         (["train", "val"], r"train and val, which are parts of a set"),
-        (["mug/gel", "mug/video", "pen/gel", "pen/video"], r"levels object/=gel"),
+        (["mug/gel", "mug/video", "pen/gel", "pen/video"], r"`levels=object/=gel`"),
         (
             ["mug/run_1/gel", "mug/run_1/cam", "pen/run_2/gel", "pen/run_2/cam"],
-            r"levels object/-/=cam",
+            r"`levels=object/-/=cam`",
         ),
     ],
     ids=lambda value: value[0],
@@ -236,7 +326,9 @@ def test_layouts_that_are_asked_about(palpate, tmp_path, paths, message):
     folders(tmp_path / "set", *paths)
     with pytest.raises(TouchesError, match=message):
         Touches.load(tmp_path / "set")
-    assert palpate("check", tmp_path / "set").returncode == 1
+    done = palpate("check", tmp_path / "set")
+    assert done.returncode == 1
+    assert (" --levels " in done.stderr) == ("levels" in message)
 
 
 def test_levels_are_skipped_and_chosen(tmp_path):

@@ -86,7 +86,7 @@ def test_colours_are_refused_where_grey_was_learnt(palpate, pictures, models):
     done = palpate("recognise", models[1], pictures / "new", "--colour")
     assert done.returncode == 1
     assert "must have one level a pixel" in done.stderr
-    assert "without --colour" in done.stderr
+    assert "Leave --colour out" in done.stderr
 
 
 def test_an_array_in_colour_is_one_picture_or_several(pictures, models):

@@ -175,7 +175,10 @@ def test_one_sentence_says_whether_it_is_good_and_why():
     assert as_good.startswith("This does not show that touch works: 97% right")
     assert "brightness alone" in as_good
     # Where all are right, a control that was behind before has only come to the end.
-    assert verdict(figured(1.0, 1.0)).startswith("Good: 100%")
+    assert verdict(figured(1.0, 1.0)) == (
+        "Good: 100% right after 5 touches (50% after 1), where chance is 25%, and "
+        "brightness alone, which is no touch, 10% after 1."
+    )
     always = {"accuracy": {"1": 1.0, "5": 1.0}, "controls": {"b": {"1": 1, "5": 1}}}
     assert verdict({**always, "chance": 0.25}).startswith("This does not show")
     assert verdict({**figured(0.9, 0.1), "accuracy": {}}).startswith("Nothing can be")

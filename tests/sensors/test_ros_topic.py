@@ -60,10 +60,11 @@ def test_frames_are_those_that_were_sent_with_their_stamps(what):
         assert sensor.dtype == np.uint8
         with sensor:
             frames = [sensor.read_next() for _ in range(40)]
-    levels = [int(frame.image[0, 0]) for frame in frames]
-    assert levels == list(range(levels[0], levels[0] + 40))
+    numbers = [frame.device_time_s - 1000.5 for frame in frames]
+    assert numbers == list(np.arange(numbers[0], numbers[0] + 40))
     assert all(np.ptp(frame.image) == 0 for frame in frames)
-    assert [f.device_time_s for f in frames] == [1000.5 + level for level in levels]
+    # Of a slow machine the 250th is sent before the first is read.
+    assert [int(frame.image[0, 0]) for frame in frames] == [n % 250 for n in numbers]
 
 
 def test_the_contract_is_kept():

@@ -10,7 +10,9 @@ them into options and verbs of what was typed; what it does not know stays as it
 import json
 import math
 import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
@@ -55,8 +57,27 @@ def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
 
 
 def say(line: object = "", *, file: TextIO | None = None, flush: bool = False) -> None:
-    """Print a line in which names of files and objects can do a terminal no harm."""
-    print(printable(str(line)), file=file, flush=flush)
+    """Print a line in which names of files and objects can do a terminal no harm.
+
+    On a terminal a sentence that is longer than its lines breaks between words.
+    """
+    text = printable(str(line))
+    out = sys.stdout if file is None else file
+    if out.isatty() and not text.startswith(" "):
+        width = shutil.get_terminal_size().columns
+        text = "\n".join(_broken(part, width) for part in text.split("\n"))
+    print(text, file=file, flush=flush)
+
+
+def _broken(line: str, width: int) -> str:
+    hang = "  " * line.startswith("- ")
+    return textwrap.fill(
+        line,
+        width,
+        subsequent_indent=hang,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def printable(text: str) -> str:

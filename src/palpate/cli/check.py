@@ -104,8 +104,10 @@ def _notes(pictures: "PictureCheck | None", others: dict[str, int]) -> list[str]
         turned = counted(pictures.turned, "picture")
         notes.append(f"{turned} turned upright, as the camera noted (Exif)")
     if pictures.coloured:
+        mixed = f" and {pictures.grey} in grey, all" * bool(pictures.grey)
         notes.append(
-            "in colour and read in grey: --colour, if colour tells, as on a gel"
+            f"{counted(pictures.coloured, 'picture')} in colour{mixed} read in grey: "
+            "--colour, if colour tells, as on a gel"
         )
     if pictures.flat:
         flat = counted(len(pictures.flat), "picture")

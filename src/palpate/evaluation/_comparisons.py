@@ -142,30 +142,37 @@ def _blocks(images: Array) -> Iterator[Floats]:
         yield images[rows].reshape(len(images[rows]), -1).astype(np.float64)
 
 
-def as_good_after(figures: dict[str, Any]) -> dict[str, list[str]]:
-    """Return after how many touches each nuisance control does as well as touch.
+def telling(figures: dict[str, Any]) -> str:
+    """Return after how many touches touch and controls are to be compared.
 
-    Where touch gets all right, a control that was behind before only follows it: both
-    can do no better, which tells nothing.
+    After the most, unless both get all right there, which tells nothing.
     """
-    right, as_good = figures["accuracy"], {}
-    for name, curve in figures["controls"].items():
-        after = [k for k in right if (curve or {}).get(k, -1) >= right[k]]
-        if len(after) < len(right):
-            after = [k for k in after if right[k] < 1]
-        if after and name != "no contact":
-            as_good[name] = after
-    return as_good
+    right: dict[str, float] = figures["accuracy"]
+    controls: dict[str, dict[str, float] | None] = figures["controls"]
+    curves = [c for name, c in controls.items() if c and name != "no contact"]
+    some_wrong = [
+        k for k in right if right[k] < 1 or all(c.get(k, 0) < 1 for c in curves)
+    ]
+    return [*right, *some_wrong][-1]
 
 
 def as_good_alone(figures: dict[str, Any]) -> list[str]:
-    """Return a sentence for each nuisance control that does as well as touch."""
-    return [
-        f"{name} alone does as well after {', '.join(after)} "
-        f"touch{'es' * (after != ['1'])}: the recogniser may have learnt the "
-        "recording, not the objects."
-        for name, after in as_good_after(figures).items()
-    ]
+    """Return a sentence for each nuisance control that does as well as touch.
+
+    Where touch gets all right, a control that was behind before only follows it.
+    """
+    sentences, right = [], figures["accuracy"]
+    for name, curve in figures["controls"].items():
+        as_good = [k for k in right if (curve or {}).get(k, -1) >= right[k]]
+        if len(as_good) < len(right):
+            as_good = [k for k in as_good if right[k] < 1]
+        if as_good and name != "no contact":
+            after = f"{', '.join(as_good)} touch{'es' * (as_good != ['1'])}"
+            sentences.append(
+                f"{name} alone does as well after {after}: the recogniser may have "
+                "learnt the recording, not the objects."
+            )
+    return sentences
 
 
 def _pictures(images: Array) -> Floats:

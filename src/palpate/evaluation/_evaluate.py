@@ -23,9 +23,9 @@ from ..recognition import (
 from ..touches import Touches
 from ._comparisons import (
     CONTROLS,
-    as_good_after,
     as_good_alone,
     control_log_likelihood,
+    telling,
     without_contact,
 )
 from ._episodes import Episodes, run_episodes
@@ -300,17 +300,20 @@ def verdict(figures: dict[str, Any]) -> str:
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
     after = f"{right:.0%} right after {last} touch{'es' * (last != '1')}"
-    beside = f"chance is {chance:.0%}"
-    alone = {k: v[last] for k, v in figures["controls"].items() if v and last in v}
+    beside, k = f"chance is {chance:.0%}", telling(figures)
+    alone = {name: v[k] for name, v in figures["controls"].items() if v and k in v}
     alone.pop("no contact", None)
     if alone:
         best = max(alone, key=lambda name: alone[name])
-        beside += f", and {best} alone, which is no touch, {alone[best]:.0%}"
-        as_good = any(last in each for each in as_good_after(figures).values())
-        if as_good and right > 1.5 * chance:
+        reached = f"{alone[best]:.0%}"
+        if k != last:
+            after += f" ({accuracy[k]:.0%} after {k})"
+            reached += f" after {k}"
+        beside += f", and {best} alone, which is no touch, {reached}"
+        if alone[best] >= accuracy[k] and right > 1.5 * chance:
             return (
                 f"This does not show that touch works: {after}, but {best} alone, "
-                f"which is no touch, names {alone[best]:.0%}."
+                f"which is no touch, names {reached}."
             )
     if right <= 1.5 * chance:
         return f"Not better than guessing: {after}, where {beside}."

@@ -149,7 +149,7 @@ def column_of(touches: Touches, name: str) -> Array:
         held = ", ".join(touches.columns) or "none"
         raise ValueError(
             f"touches must have a column {name!r}, got {held}. Add it, or name folders "
-            "after objects or pass a name pattern."
+            "after objects or pass `name_pattern`."
         )
     return touches.columns[name]
 

@@ -219,12 +219,12 @@ class TouchEncoder(Encoder, BaseEstimator):
             return
         learnt = "one level" if self.channels_ is None else ", ".join(self.channels_)
         seen = f"{got[0]} numbers" if got else "one level"
-        fix = "Name channels as in training"
+        fix = "Use the same sensor"
         if "one level" in (learnt, seen):
-            fix = f"Read pictures {'with' if taught else 'without'} `colour`"
+            fix = "Read pictures with `colour`" if taught else "Leave `colour` out"
         raise ValueError(
             f"touches must have {learnt} a pixel like the training touches, got "
-            f"{seen}. {fix}, use the same sensor, or learn again."
+            f"{seen}. {fix}, or learn again."
         )
 
     def cleaned(self, images: Array) -> Array:

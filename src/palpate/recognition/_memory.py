@@ -372,7 +372,7 @@ def named_labels(touches: Touches | TouchSource, label: str) -> Array:
     if labels is None:
         raise ValueError(
             f"touches must have a column {label!r} to learn from. Name "
-            "folders after objects, pass a name pattern, or add the column to the "
+            "folders after objects, pass `name_pattern`, or add the column to the "
             "archive."
         )
     return labels

@@ -30,6 +30,7 @@ from ._layout import (
     odd_depths,
 )
 from ._pictures import (
+    GREY_WHERE_COLOUR,
     RGB,
     Header,
     PictureError,
@@ -75,8 +76,9 @@ class PictureCheck:
         Pictures of one level all over.
     same : list of (str, str)
         Pictures that are a copy of another one.
-    coloured : bool
-        Whether the first that can be used shows colours, where it was read in grey.
+    coloured, grey : int
+        How many of those that can be used are in colour, and in grey, where all were
+        read in grey and the first in colour shows some; else 0.
     """
 
     bad: list[BadPicture] = field(default_factory=list)
@@ -84,7 +86,8 @@ class PictureCheck:
     turned: int = 0
     flat: list[str] = field(default_factory=list)
     same: list[tuple[str, str]] = field(default_factory=list)
-    coloured: bool = False
+    coloured: int = 0
+    grey: int = 0
 
 
 def folder_arrays(
@@ -214,6 +217,7 @@ def _checked(
 
 class _Seen(NamedTuple):
     header: Header | None
+    coloured: bool
     orientation: int
     flat: bool
     digest: bytes
@@ -232,10 +236,11 @@ def _check_pictures(
             )
         except (OSError, PictureError) as error:
             strerror = getattr(error, "strerror", None)
-            return _Seen(None, 1, False, b"", strerror or str(error))
+            return _Seen(None, False, 1, False, b"", strerror or str(error))
         digest = hashlib.blake2b(data, digest_size=16).digest()
         flat = bool(np.ptp(levels) == 0)
-        return _Seen(header, orientation, flat, digest, "")
+        counted = header.checked(colour)
+        return _Seen(counted, header.colour, orientation, flat, digest, "")
 
     with ThreadPoolExecutor(n_cores()) as pool:
         seen = dict(zip(names, pool.map(look, names), strict=True))
@@ -258,8 +263,12 @@ def _check_pictures(
             check.flat += [name] * picture.flat
             if (copy := first.setdefault(picture.digest, name)) != name:
                 check.same.append((name, copy))
-    if first and not colour:
-        check.coloured = shows_colour(root / next(iter(first.values())))
+    if not colour:
+        alike = {name: one for name, one in seen.items() if one.header == usual}
+        in_colour = [name for name, one in alike.items() if one.coloured]
+        if in_colour and shows_colour(root / in_colour[0]):
+            check.coloured = len(in_colour)
+            check.grey = len(alike) - len(in_colour)
     return check
 
 
@@ -273,7 +282,7 @@ def shows_colour(path: Path) -> bool:
 
 
 def _fix(problem: str) -> str:
-    if "grey where colour" in problem:
+    if GREY_WHERE_COLOUR in problem:
         return "leave out `colour`, or take it out"
     if "pixels" in problem and "more than" in problem:
         return "make it smaller"

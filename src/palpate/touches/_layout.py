@@ -205,7 +205,7 @@ def _refuse_parts(folders: list[list[str]]) -> None:
     if not all(map(_PARTS.fullmatch, parts)):
         return
     what = "which is a part" if len(parts) == 1 else "which are parts"
-    together = f", or together with levels {SKIPPED}/object" * (len(folders[0]) > 1)
+    together = f", or together with `levels={SKIPPED}/object`" * (len(folders[0]) > 1)
     raise TouchesError(
         f"Folders must name objects, got {' and '.join(parts)}, {what} of a set. "
         f"Give each by itself, as .../{parts[0]}{together}."
@@ -244,6 +244,6 @@ def _refuse_sensors(folders: list[list[str]]) -> None:
     levels = "/".join(["object", *[SKIPPED] * (len(folders[0]) - 2), KEPT + named[0]])
     raise TouchesError(
         f"Folders must name objects, got {' and '.join(named)} in each of "
-        f"{len(below)} folders. If these are cameras, read one: levels {levels}; if "
-        "they are objects, say so: levels category/object."
+        f"{len(below)} folders. If these are cameras, read one: `levels={levels}`; if "
+        "they are objects, say so: `levels=category/object`."
     )

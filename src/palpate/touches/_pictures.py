@@ -47,6 +47,7 @@ _ALPHA = (4, 6)
 _GREY = (0, 4)
 RGB = ("r", "g", "b")
 FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # palpate.sensors reads them
+GREY_WHERE_COLOUR = "in grey where colour is asked for"
 _CUT_SHORT = "a file that is cut short"
 _EXIF = b"Exif\0\0"
 _ORIENTATION = 0x0112
@@ -99,7 +100,7 @@ class Header(NamedTuple):
     def checked(self, colour: bool) -> "Header":
         """Return it as it counts; refuse a grey picture where colours are asked for."""
         if colour and not self.colour:
-            raise PictureError(f"{self} in grey where colour is asked for")
+            raise PictureError(f"{self} {GREY_WHERE_COLOUR}")
         return self if colour else self._replace(colour=False)
 
 
@@ -176,15 +177,16 @@ def checked_picture(
 ) -> tuple[Header, int, Array, bytes]:
     """Return header, orientation, levels and the bytes of one picture.
 
+    The header is the file's, also of a picture in colour that is read in grey.
     Raises PictureError or OSError.
     """
     with _opened(path, max_pixels) as file:
         data = file.read()
     header, orientation = _read_header(BytesIO(data))
-    header = header.checked(colour)
+    counted = header.checked(colour)
     if header.n_rows * header.n_cols > max_pixels:
         raise PictureError(f"{header}, more than {max_pixels} pixels")
-    return header, orientation, _levels(data, header, orientation), data
+    return header, orientation, _levels(data, counted, orientation), data
 
 
 def decode_picture(path: Path, header: Header) -> Array:
@@ -253,9 +255,11 @@ def refusal(path: Path, error: OSError | PictureError) -> TouchesError:
             f"{path} must be readable, got: {error.strerror or error}. "
             "Check the file and its permissions, or take it out of the folder."
         )
+    fix = "Save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out."
+    if GREY_WHERE_COLOUR in str(error):
+        fix = "Leave `colour` out, or take it out."
     return TouchesError(
-        f"{path} must be a whole JPEG or PNG in grey or colour, got {error}. "
-        "Save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out."
+        f"{path} must be a whole JPEG or PNG in grey or colour, got {error}. {fix}"
     )
 
 
