@@ -208,11 +208,17 @@ def test_an_error_becomes_a_row_and_a_bad_archive_a_reason(tmp_path):
     assert all(reason in said for reason in [*reasons[:2], *left.values()])
 
 
-def test_without_scikit_image_the_row_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "skimage.feature", None)
-    hog, nearest = entry_of(drawn(), recognisers=["HOG SVM", "3-NN"])["rows"]
-    assert 'pip install "palpate[bench]"' in hog["reason"]
-    assert hog["accuracy"] is None
+@pytest.mark.parametrize(
+    ("recogniser", "module", "extra"),
+    [("HOG SVM", "skimage.feature", "bench"), ("small CNN", "torch", "cnn")],
+)
+def test_without_its_package_the_row_says_what_to_install(
+    monkeypatch, recogniser, module, extra
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    row, nearest = entry_of(drawn(), recognisers=[recogniser, "3-NN"])["rows"]
+    assert f'pip install "palpate[{extra}]"' in row["reason"]
+    assert row["accuracy"] is None
     assert nearest["reason"] is None
 
 
@@ -258,14 +264,6 @@ def test_a_cnn_tells_stripes_from_stripes_the_other_way():
     row = entry_of(drawn(images), "halves", ["small CNN"])["rows"][0]
     # Nothing but the direction of the stripes tells; of 30 touches one may be wrong.
     assert row["accuracy"] > 0.96
-
-
-def test_without_torch_the_row_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "torch", None)
-    cnn, nearest = entry_of(drawn(), recognisers=["small CNN", "3-NN"])["rows"]
-    assert 'pip install "palpate[cnn]"' in cnn["reason"]
-    assert cnn["accuracy"] is None
-    assert nearest["reason"] is None
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from ... import studies as shared
 from ...evaluation import plots
-from .. import _study as shared
-from .._study import BATHTIP, Figures, Row, Table, Work, recorded_touches
+from .. import BATHTIP, Figures, Row, Table, Work, recorded_touches
 from . import judging
 from . import plan as stated
 from .judging import DATA, Judged, candidate_features, compare_fold, compared_rows, holm

@@ -30,7 +30,7 @@ from ..._types import Floats
 from ...encodings import RootScaler, encoder_named
 from ...evaluation import davies_bouldin
 from ...touches import Touches
-from .._study import Codes, Row, coded, fitted, mean_row, row
+from .. import Codes, Row, coded, fitted, mean_row, row
 from . import plan as stated
 from .plan import CANDIDATES, CLASSIFIERS, Corradi2014Plan, Images, Shapes
 

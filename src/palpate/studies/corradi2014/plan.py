@@ -20,7 +20,7 @@ from ...images import (
 )
 from ...simulation import BASIC_SHAPES, TacTipPins, simulate_touches
 from ...touches import Touches
-from .._study import Archive, Codes, Plan, coded
+from .. import Archive, Codes, Plan, coded
 
 # Table 2: (our sensor, TacTip) on the image, then on the derivative.
 TABLE_2: dict[str, dict[str, tuple[float, float]]] = {

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from ... import studies as shared
 from ...evaluation import plots
-from .. import _study as shared
-from .._study import BATHTIP, Figures, Row, Table, Work, recorded_touches
+from .. import BATHTIP, Figures, Row, Table, Work, recorded_touches
 from . import episodes
 from . import plan as stated
 from .beside import MOVES, SIGHT, beside_tasks

@@ -18,7 +18,7 @@ from ...datasets import where
 from ...evaluation import Fold, Plan, evaluate, split_touches
 from ...recognition import Label, ObjectRecogniser
 from ...touches import Touches
-from .._study import Row, labels, row, spread
+from .. import Row, labels, row, spread
 from .episodes import DEFAULT, after_touches
 from .plan import LATER_SIGHT, Corradi2015Plan
 

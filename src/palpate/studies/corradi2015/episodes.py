@@ -18,7 +18,7 @@ from ..._types import Bools, Floats
 from ...classifiers import KernelDensityBayes
 from ...recognition import Label, ObjectRecogniser, PresetName
 from ...touches import Touches
-from .._study import Codes, Row, coded, labels, mean_row, row, spread
+from .. import Codes, Row, coded, labels, mean_row, row, spread
 from . import plan as stated
 from . import recognisers as known_by
 from .plan import LATER_TRAIN, PAPER_MS, Corradi2015Plan, Encoded, Encoder, Objects

@@ -21,7 +21,7 @@ from ...images import DomeCrop, Rims, crop_discs, standardise_discs
 from ...recognition import PRESETS
 from ...simulation import HOUSEHOLD, UNSEEN, simulate_touches
 from ...touches import Touches
-from .._study import Codes, Plan, labels
+from .. import Codes, Plan, labels
 
 N_KNOWN = 10  # as in the paper
 # Share right in per cent after so many touches, as the text of the paper gives it.

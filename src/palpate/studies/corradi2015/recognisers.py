@@ -22,7 +22,7 @@ from ..._types import Array, Floats
 from ...classifiers import KernelDensityBayes
 from ...evaluation import control_log_likelihood
 from ...recognition import with_floor
-from .._study import Codes, fitted
+from .. import Codes, fitted
 
 # Share of the training touches that choose the number of clusters.
 _VALIDATION = 1 / 3

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from .. import _study as shared
-from .._study import Figures, Row, Table, Work, recorded_touches
+from ... import studies as shared
+from .. import Figures, Row, Table, Work, recorded_touches
 from . import drawing
 from .drawing import CURVES
 from .methods import condition_jobs, run_jobs, study_jobs

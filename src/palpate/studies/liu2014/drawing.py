@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from ... import studies as shared
 from ..._types import Floats
 from ...encodings import outer_boundary
 from ...evaluation import plots
 from ...images import ArrayCleanUp, stage_pictures
 from ...simulation import find_parts
 from ...touches import Touches
-from .. import _study as shared
-from .._study import Row, labels
+from .. import Row, labels
 from .plan import CLASS_SETS, PAPER_LOAD_KGF, Liu2014Plan, simulated_presses
 
 STAGES_SHOWN, WAVES_KEPT = 3, 3  # what a picture has room for

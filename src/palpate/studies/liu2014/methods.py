@@ -30,7 +30,7 @@ from ..._types import Floats
 from ...classifiers import MKLSVC
 from ...encodings import CentroidMoments, KernelPCA, sorted_taxels
 from ...touches import Touches
-from .._study import Codes, Row, Work, coded, fitted, spread
+from .. import Codes, Row, Work, coded, fitted, spread
 from . import plan as stated
 from .plan import PAPER_N, PAPER_PARTITIONS, Encoded, Liu2014Plan, encode, overlap
 

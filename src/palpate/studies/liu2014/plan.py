@@ -19,7 +19,7 @@ from ...encodings import FourierDescriptors, ShapeGeometry
 from ...images import ArrayCleanUp, repose
 from ...simulation import PressureArray, find_parts, simulate_presses
 from ...touches import Touches
-from .._study import Archive, Codes, Plan
+from .. import Archive, Codes, Plan
 
 PROTOCOLS = ("both", "nested", "paper")
 SCALINGS = ("z-scored", "raw")

@@ -13,14 +13,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ... import studies as shared
 from ...datasets import where
 from ...evaluation import Plan as Asked
 from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
 from ...recognition import Label, MountingCheck, ObjectRecogniser
 from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
-from .. import _study as shared
-from .._study import Figures, Plan, Row, Table, Work, coded
+from .. import Figures, Plan, Row, Table, Work, coded
 from ..corradi2015.beside import lacks_move, moved
 
 WAYS = {
