@@ -182,3 +182,9 @@ def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     with pytest.raises(ValueError, match=r"--model must be left out where .*desk has"):
         _copied(path, Path("sim-dome"), desk)
     assert _copied(path, Path("sim-dome"), None) == _copied(path, path, desk) == path
+
+
+def test_a_ready_model_that_is_nearly_named_is_asked_about(palpate, tmp_path):
+    code, _, err = palpate("recognise", "sim-dom", tmp_path)
+    assert code == 1
+    assert "There is no model file sim-dom. Did you mean 'sim-dome'?" in err

@@ -118,7 +118,7 @@ def test_how_episodes_end_is_in_the_report(result, tmp_path):
     assert escape(result[0]["verdict"]) in page
     assert re.search(r"<td>[^<]*</td>(<td>-</td>)+</tr>", page) is None
     assert re.search(r"<b>([^<]+)</b>[^<]* taken for <b>\1</b>", page) is None
-    assert "objects cannot prove an error of 1 %, about 300 would." in page
+    assert "named objects cannot prove an error of 1 %, about 300 would." in page
     assert "category right, %" in page
 
 

@@ -140,16 +140,16 @@ def test_confused_pairs_are_of_two_objects_the_most_confused_first(result, tmp_p
             20,
             1,
             (
-                "0 of 20 names were wrong; 1 object cannot prove an error of 1 %, "
-                "about 300 would"
+                "0 of 20 names were wrong; 1 named object cannot prove an error of "
+                "1 %, about 300 would"
             ),
         ),
         (
             40,
             2,
             (
-                "0 of 40 names were wrong; 2 objects cannot prove an error of 1 %, "
-                "about 300 would"
+                "0 of 40 names were wrong; 2 named objects cannot prove an error of "
+                "1 %, about 300 would"
             ),
         ),
         (0, 0, "No episode ended with a name"),

@@ -270,3 +270,16 @@ def test_a_hundred_thousand_touches_open_at_once(tmp_path, rng, alter):
         assert len(library.list(limit=100, offset=50_000)) == 100
         assert len(library) == 100_000
         assert library.count("object = o7 and order < 50000") == 1000
+
+
+def test_a_library_does_not_mix_with_pictures(tmp_path):
+    (tmp_path / "mug").mkdir()
+    with pytest.raises(LibraryError, match=r"got mug in it\. Give .* of its own"):
+        TouchLibrary.open(tmp_path, create=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["mug"]
+
+
+def test_a_file_in_the_place_of_a_library_is_named(tmp_path):
+    (tmp_path / "desk").write_text("notes")
+    with pytest.raises(LibraryError, match="desk must be a folder, got a file"):
+        TouchLibrary.open(tmp_path / "desk", create=True)

@@ -304,7 +304,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
         ("mug?rate=3", "must be camera:NAME"),
         ("sim:", "must be camera:NAME"),
         ("sim:?rate=3", "must be camera:NAME"),
-        ("sim:unicorn", "name must be one of .*'mug'"),
+        ("sim:unicorn", "sim:OBJECT must be one of .*'mug'"),
         ("sim:mug?place=unicorn", "name must be one of .*'mug'"),
         ("serial:/dev/ttyUSB0", "`shape=16x16`"),
         ("camera:0?baud=9", "'baud' is no option .* are shape, rate, exposure"),

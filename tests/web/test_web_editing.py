@@ -129,6 +129,19 @@ def test_editing_says_that_the_model_is_behind_until_it_learns(folder):
         assert len(session.recogniser.memory_) == 15
 
 
+def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
+    make_session, folder
+):
+    with make_session(library=folder) as session:
+        session.place("disc")
+        session.teach("bar", 8)
+    with make_session(library=folder) as session:
+        session.place("disc")
+        session.resume_teaching()
+        assert session.watch.sensor.placed == "bar"
+        session.stop_teaching()
+
+
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
     with make_session(library=folder) as session:
         session.teach("shoe", 8)

@@ -431,6 +431,12 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
         page.click("#teach-this")
         expect(page.locator("#first-touches")).to_contain_text("the 3 you just made")
         expect(page.locator("#name")).to_be_focused()
+        page.fill("#wanted", "2")
+        expect(page.locator("#first-touches")).to_contain_text(
+            "the last 2 of the 3 you"
+        )
+        page.fill("#wanted", "12")
+        page.focus("#name")
         page.keyboard.type("lid")
         page.keyboard.press("Enter")
         expect(page.locator("#step-2")).to_contain_text("lid: 3 of 12")

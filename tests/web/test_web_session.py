@@ -154,7 +154,8 @@ def test_the_touches_of_an_episode_begin_a_lesson(make_session, drawn):
         session.teach("disc", 2, keep_episode=True)
         assert session.teacher.lesson is None  # two were wanted
         kept = session.teacher.library.touches("object = disc")
-        np.testing.assert_array_equal(kept.images, drawn.images[:2])
+        # The last two: before them something else may have lain there.
+        np.testing.assert_array_equal(kept.images, drawn.images[1:3])
         session.post_touch(drawn.images[5])
         session.teach("bar", 4, keep_episode=True)
         lesson = session.to_dict()["lesson"]

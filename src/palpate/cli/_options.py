@@ -177,7 +177,14 @@ def model_file(model: Path) -> Path:
     """Return the file of a model; a ready one's name, where no file has it, is made."""
     from .. import datasets
 
-    if model.exists() or str(model) not in datasets.ready_models():
+    from .._checks import did_you_mean, nearest_path
+
+    if model.exists():
+        return model
+    ready = datasets.ready_models()
+    if str(model) not in ready:
+        if not nearest_path(model) and (near := did_you_mean(model, ready)):
+            raise ValueError(f"There is no model file {model}.{near}")
         return model
     return datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
 

@@ -219,8 +219,8 @@ def bound_said(decision: dict[str, Any]) -> str:
         )
     n_needed = ceil(log(0.05) / log1p(-error))
     return (
-        f"{counts}; {n_objects} object{'s' * (n_objects != 1)} cannot prove an error "
-        f"of {100 * error:g} %, about {about(n_needed)} would."
+        f"{counts}; {n_objects} named object{'s' * (n_objects != 1)} cannot prove an "
+        f"error of {100 * error:g} %, about {about(n_needed)} would."
     )
 
 

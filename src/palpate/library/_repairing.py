@@ -23,6 +23,7 @@ from ._content import Batch
 from ._reading import stored_array
 from ._rows import StoredTouch, Tables, packed_images, plain_values, write_rows
 from ._store import (
+    DAMAGED,
     FILE_NAME,
     PAGE_BYTES,
     DatabaseDamaged,
@@ -33,7 +34,6 @@ from ._store import (
     room_for,
 )
 
-DAMAGED = "damaged"
 _LOGS = ("-wal", "-shm")
 _N_PAGES = slice(28, 32)  # of a header, by the format of SQLite's files
 

@@ -25,7 +25,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 T = TypeVar("T")
 FILE_NAME, COUNT_NAME = "library.sqlite", "library.count"
-FEATURES = "features"
+FEATURES, DAMAGED = "features", "damaged"
 VERSION = 3  # 1 and 2 had images in files of their own
 OLD_VERSIONS = (1, 2)  # migrate_library reads them
 PATIENCE_S = 60.0  # for another program that writes
@@ -534,13 +534,33 @@ def warn_of_network(folder: Path) -> None:
 
 
 def make_folder(place: Path) -> None:
-    """Make the folder of a library where there is none, or explain."""
+    """Make the folder of a library where there is none, or explain.
+
+    Files of something else are not mixed with it.
+    """
     try:
         place.mkdir(parents=True, exist_ok=True)
+        own = any((place / name).is_file() for name in (FILE_NAME, COUNT_NAME))
+        others = () if own else sorted(each.name for each in place.iterdir())
+    except FileExistsError:
+        raise LibraryError(
+            f"{place} must be a folder, got a file. Give the library another name."
+        ) from None
     except OSError as error:
         raise LibraryError(
             f"{place} must be a folder that can be made, got: {error.strerror}."
         ) from error
+    if other := next((name for name in others if not _may_lie_beside(name)), None):
+        raise LibraryError(
+            f"{place} must be a new or empty folder, or a library, got {other} in it. "
+            "Give the library a folder of its own."
+        )
+
+
+def _may_lie_beside(name: str) -> bool:
+    """Whether a file is hidden, or of a library that is being made or lost."""
+    ours = FEATURES, DAMAGED
+    return name in ours or name.startswith((".", "library.", "page."))
 
 
 @contextmanager

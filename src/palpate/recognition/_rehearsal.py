@@ -214,8 +214,9 @@ def said_of_rehearsal(rehearsal: dict[str, Any]) -> str:
         return f"no sessions were rehearsed: {rehearsal['why']}"
     by = f"as {rehearsal['told_by']} tell"
     if not rehearsal["share"]:
-        return f"rehearsed sessions count for nothing, {by}"
-    return f"machines that know rehearsed sessions count {rehearsal['share']:.0%}, {by}"
+        return f"invented sessions (another day, light or mounting) do not help, {by}"
+    learnt = "what was learnt from invented sessions (another day, light or mounting)"
+    return f"{learnt} counts {rehearsal['share']:.0%}, {by}"
 
 
 def _rows(memory: Memory) -> Indices:

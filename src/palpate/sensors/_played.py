@@ -327,7 +327,7 @@ class SimulatedStream(PlayedSensor):
             thing.name for thing in (*HOUSEHOLD, *simulation.UNSEEN, *UNLIKE_OTHERS)
         ]
         parts = [part.name for part in PARTS]
-        check_option("name", name, [*_KINDS, *solids, *parts])
+        check_option("sim:OBJECT", name, [*_KINDS, *solids, *parts])
         kind = name if name in _KINDS else "dome" if name in solids else "array"
         noise_sd, first = _KINDS[kind]
         self._rng = np.random.default_rng(random_state)

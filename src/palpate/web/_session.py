@@ -253,7 +253,8 @@ class LiveSession:
     def teach(self, name: str, wanted: int, *, keep_episode: bool = False) -> None:
         """Store the next touches of the sensor as touches of an object.
 
-        With `keep_episode` those of the episode become its first, up to `wanted`.
+        With `keep_episode` the last `wanted` of the episode become its first: earlier
+        ones may be of a thing that lay there before.
         """
         teacher = self._teacher()
         start_learning()
@@ -262,7 +263,7 @@ class LiveSession:
             self._watched().end_press()
             self.message = self.trouble = ""
             episode = self.episode
-            touched = list(episode.pictured())[:wanted]
+            touched = list(episode.pictured())[-wanted:]
             for touch, image in touched if keep_episode else ():
                 self.message = self._take(image, touch.columns)
             self._new_episode()
@@ -273,11 +274,17 @@ class LiveSession:
             self._teacher().end()
 
     def resume_teaching(self) -> None:
-        """Go on with the lesson that a restart interrupted."""
+        """Go on with the lesson that a restart interrupted.
+
+        Before a simulated sensor its object is put down again.
+        """
         teacher, watch = self._teacher(), self._watched()
         start_learning()
         with self._changing():
-            teacher.resume(self.baseline, watch.detector.noise)
+            name = teacher.resume(self.baseline, watch.detector.noise)
+            desk = desk_of(watch.sensor)
+            if desk is not None and name in desk.objects:
+                desk.place(name)
             watch.end_press()
             self.message = self.trouble = ""
             self._new_episode()

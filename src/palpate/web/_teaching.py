@@ -112,8 +112,8 @@ class Teacher:
         self.lesson = lesson
         self.journal.begin_lesson(lesson.name, wanted)
 
-    def resume(self, baseline: Array | None, noise: float) -> None:
-        """Go on with the lesson that a restart interrupted."""
+    def resume(self, baseline: Array | None, noise: float) -> str:
+        """Go on with the lesson that a restart interrupted; return its object."""
         interrupted = self.journal.interrupted
         if interrupted is None:
             raise ValueError("There is no interrupted lesson. Start one with a name.")
@@ -128,6 +128,7 @@ class Teacher:
             if image.shape == size:
                 self.lesson.ids.append(key)
                 self.lesson.variety.add(image, baseline, noise)
+        return name
 
     def end(self) -> None:
         """End the lesson under way, if any; what was stored stays."""

@@ -75,6 +75,7 @@ async function change(path, order) {
   if (!done) return;
   say(`${done.message} Undo takes it back.`);
   touches.splice(at, 1);
+  find("editor-name").value = "";
   if (!touches.length) {
     find("editor").close();
     return;

@@ -39,7 +39,8 @@ function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode 
   if (library?.interrupted) return "resume";
   if (library && learnable(library) && (unlearnt || isBehind(library, model))) return "learn";
   if (library && !model) return "start";
-  if (episode.decision === "unknown" && library) return "teach-this";
+  // What was withdrawn may have been of another thing.
+  if (episode.decision === "unknown" && library && !episode.withdrawn.length) return "teach-this";
   return episode.decision === null ? null : "fresh";
 }
 

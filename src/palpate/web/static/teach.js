@@ -16,14 +16,21 @@ export function startTeach() {
   find("resume").addEventListener("click", () => post("teach/resume"));
   find("undo").addEventListener("click", () => post("teach/undo"));
   find("learn").addEventListener("click", () => post("learn"));
+  find("wanted").addEventListener("input", sayKept);
 }
 
 // The touches just made become the first of the object that is named next.
 export function teachThese(count) {
   keeping = count;
   show(find("first-touches"), count > 0);
-  text(find("first-touches"), `Its first touches are the ${count} you just made. Say what it is.`);
+  sayKept();
   if (count) find("name").focus();
+}
+
+function sayKept() {
+  const kept = Math.min(keeping, Number(find("wanted").value) || keeping);
+  const which = kept < keeping ? `the last ${kept} of the ${keeping}` : kept === 1 ? "the one" : `the ${kept}`;
+  text(find("first-touches"), `Its first touches are ${which} you just made. Say what it is.`);
 }
 
 export function showTeach({ library, lesson, learning, learn_error: error, model, sensor, advice, unlearnt }) {
@@ -35,13 +42,16 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   text(find("learnt"), learning ? "learning…"
     : model ? `${model.objects.length} objects learnt` : "nothing learnt yet");
   find("learnt").className = model && !learning ? "pill on" : "pill";
-  show(find("learn"), library !== null && lesson === null);
+  const interrupted = lesson === null ? library?.interrupted ?? null : null;
+  show(find("resume"), interrupted !== null);
+  show(find("learn"), library !== null && lesson === null && interrupted === null);
   show(find("stop"), lesson !== null);
   show(find("progress"), lesson !== null);
   show(find("why-not"), lesson === null);
   document.body.dataset.lesson = String(lesson !== null);
-  step(2, lesson ? `${lesson.name}: ${lesson.done} of ${lesson.wanted}` : learning ? "learning…"
-    : unlearnt ? "learn again" : model ? `${model.objects.length} learnt` : "", model !== null && !lesson);
+  const shown = lesson ?? interrupted;
+  step(2, shown ? `${shown.name}: ${shown.done} of ${shown.wanted}` : learning ? "learning…"
+    : unlearnt ? "learn again" : model ? `${model.objects.length} learnt` : "", model !== null && !shown);
   if (library === null) return;
   showInterrupted(library.interrupted);
   show(find("lesson"), sensor !== null && lesson === null);
