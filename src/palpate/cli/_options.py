@@ -176,7 +176,6 @@ Calibration = Annotated[
 def model_file(model: Path) -> Path:
     """Return the file of a model; a ready one's name, where no file has it, is made."""
     from .. import datasets
-
     from .._checks import did_you_mean, nearest_path
 
     if model.exists():
