@@ -44,12 +44,10 @@ PLACES = {
     "places, all": "taught on all faces",
     "places, usual": "usual face",
     "places, usual, wrong pose": "usual face, arm off by 2 mm, 2 degrees",
-    "places, all, known height": "height known, all faces",
-    "places, usual, known height": "height known, usual face",
-    "places before, all, known height": "before, height known, all faces",
-    "places before, usual, known height": "before, height known, usual face",
-    "turns, all, known height": "turns, height known, all faces",
-    "turns, usual, known height": "turns, height known, usual face",
+    "places, all, unknown height": "height unknown, all faces",
+    "places, usual, unknown height": "height unknown, usual face",
+    "turns, all": "turns, all faces",
+    "turns, usual": "turns, usual face",
 }
 
 

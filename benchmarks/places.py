@@ -72,10 +72,10 @@ Row = dict[str, Any]
 
 
 def taught(
-    teaching: int, faces: str, cache: Path | None = None, known_height: bool = False
+    teaching: int, faces: str, cache: Path | None = None, known_height: bool = True
 ) -> Touches:
     """Touch every object, 60 times in six sessions, each time in one step."""
-    name = f"taught-{teaching}-{faces}{'-known' * known_height}.npz"
+    name = f"taught-{teaching}-{faces}{'-low' * (not known_height)}.npz"
     path = None if cache is None else cache / name
     if path is not None and path.exists():
         return Touches.load(path)
@@ -94,7 +94,7 @@ def taught(
 
 
 def placed(
-    thing: SimObject, condition: str, seed: int, known_height: bool = False
+    thing: SimObject, condition: str, seed: int, known_height: bool = True
 ) -> Stand | None:
     """Put an object down as a condition says; None if it has no other face."""
     rng = np.random.default_rng(seed)
@@ -258,7 +258,7 @@ def table_of(kept: dict[str, list[Row]]) -> dict[str, Row]:
 
 
 def placements(
-    seed: int, condition: str, n_episodes: int, known_height: bool = False
+    seed: int, condition: str, n_episodes: int, known_height: bool = True
 ) -> Iterator[tuple[int, Stand]]:
     """Put things down in turn, so often that there are as many episodes."""
     things = STRANGERS if condition == "stranger" else HOUSEHOLD
@@ -307,7 +307,7 @@ def main() -> None:
     parser.add_argument("--conditions", nargs="+", default=["new yaw", "other face"])
     parser.add_argument("--strategies", nargs="+", default=list(STRATEGIES))
     parser.add_argument("--wrong-pose", action="store_true", help="by 2 mm, 2 deg")
-    parser.add_argument("--known-height", action="store_true", help="see put_down")
+    parser.add_argument("--unknown-height", action="store_true", help="see put_down")
     parser.add_argument("--seeds", type=int, default=3, help="one teaching each")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=40, help="a seed, at least")
@@ -317,7 +317,7 @@ def main() -> None:
     asked = parser.parse_args()
     kept: dict[str, list[Row]] = {}
     for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
-        known = asked.known_height
+        known = not asked.unknown_height
         touches = taught(seed, asked.faces, asked.cache, known)
         recogniser = ObjectRecogniser(random_state=seed).fit(touches)
         learnt = map_of(asked.belief, recogniser, touches, seed)
@@ -335,7 +335,10 @@ def main() -> None:
         for key, row in table.items():
             print(f"up to seed {seed}: {key:22s} {json.dumps(row)}", flush=True)
         if asked.out:
-            name = f"{asked.belief}, {asked.faces}" + ", known height" * known
+            name = (
+                f"{asked.belief}, {asked.faces}"
+                + ", unknown height" * asked.unknown_height
+            )
             keep_rows(asked.out, name + ", wrong pose" * asked.wrong_pose, table)
 
 

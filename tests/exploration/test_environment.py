@@ -121,12 +121,11 @@ def test_an_episode_ends_with_its_budget(env):
 def test_place_is_where_the_ball_is(env):
     env.reset(seed=0, options={"object": "ball"})
     observation, *_ = env.step(_act([0.3, 0.4, 0.5], [0, 0, 0]))
+    distance = np.linalg.norm(observation["place"]) * 300
+    # The ball has a radius of 36 mm, stands a few mm aside, and is pressed into the
+    # dome by some 7 mm.
+    assert distance == pytest.approx(36 - 7, abs=6)
     direction = observation["place"] / np.linalg.norm(observation["place"])
-    # The dome of 20 mm aims 10 mm above the ground, 26 below the middle of the ball of
-    # 36 mm, which stands a few mm aside and is pressed into the dome by some 7 mm.
-    of_dome = observation["place"] * 300 + 20 * direction
-    distance = np.linalg.norm(of_dome - np.array([0, 0, 26]))
-    assert distance == pytest.approx(36 + 20 - 7, abs=6)
     assert_allclose(direction, np.array([3, 4, 5]) / np.sqrt(50), atol=1e-5)
 
 

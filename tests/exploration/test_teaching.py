@@ -121,8 +121,7 @@ def test_nothing_to_touch_is_told(guarded):
 
 
 def test_an_object_is_put_down_near_the_middle_turned_and_on_a_face():
-    how = {"face": 1, "yaw_rad": 0.5, "placement_sd_mm": 0.0}
-    stand = put_down(BOX, CAMERA, **how, known_height=True)
+    stand = put_down(BOX, CAMERA, face=1, yaw_rad=0.5, placement_sd_mm=0.0)
     assert stand.thing is BOX
     x, y, z = stand.hemisphere.centre_mm
     # Turned by half a radian, its middle is above the origin all the same; face 1 of
@@ -138,8 +137,11 @@ def test_an_object_is_put_down_near_the_middle_turned_and_on_a_face():
     )
 
 
-def test_the_arm_aims_at_one_height_whatever_stands_there():
-    stands = [put_down(find_object(name), CAMERA) for name in ("pen", "water bottle")]
+def test_an_arm_that_does_not_know_heights_aims_at_one_whatever_stands_there():
+    stands = [
+        put_down(find_object(name), CAMERA, known_height=False)
+        for name in ("pen", "water bottle")
+    ]
     heights = [stand.hemisphere.centre_mm[2] for stand in stands]
     assert heights == [10.0, 10.0]
     bottle = stands[1]

@@ -35,9 +35,9 @@ _FAR_AWAY = 3.0
 # no thing that can be touched.
 _FEW_CONTACTS, _LEAST_MM, _OTHER_SIDE = 3, 0.5, 0.5
 _DOWN = np.array([0.0, 0.0, -1.0])
-# Half of the things that were never learnt may have the shape of one that was. So may a
-# third of such faces (a mug that lies may well be met where a pot is), and a third may
-# be the object's own body turned.
+# Half of the things, and of the faces, that were never learnt may have the shape of one
+# that was (a mug that lies may well be met where a pot is). Where such a face may also
+# be the object's own body turned, each of the three is as likely.
 _LOG_HALF, _LOG_THIRD = -np.log(2), -np.log(3)
 
 
@@ -250,6 +250,9 @@ class PlaceBelief(Belief):
             by_state = logsumexp(evidence[~other], axis=1) - np.log(self.map.n_turns)
             alike = logsumexp(self.map.log_alike_ + by_state, axis=1)
             either = np.logaddexp(alike, self._faces.log_evidence)[:, None]
+            if not self.map.turns_bodies_:
+                evidence[other] = either + _LOG_HALF
+                return evidence.ravel()
             turned = evidence[other]
             evidence[other] = np.logaddexp(either, turned) + _LOG_THIRD
             self._turned = np.zeros(evidence.shape)

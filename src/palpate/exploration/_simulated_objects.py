@@ -98,7 +98,7 @@ def put_down(
     face: int = 0,
     yaw_rad: float = 0.0,
     placement_sd_mm: float = 5.0,
-    known_height: bool = False,
+    known_height: bool = True,
     random_state: int = 0,
     faults: Mapping[int, str] = MappingProxyType({}),
 ) -> Stand:
@@ -116,10 +116,10 @@ def put_down(
         How it is turned about the vertical.
     placement_sd_mm : float, default=5.0
         How far from the centre of the hemisphere it is put, along x and y each.
-    known_height : bool, default=False
-        Whether the centre of the hemisphere is at the height of the object's middle,
-        which an arm knows of no object that it has yet to recognise. Else it is 10 mm
-        above the ground, low enough for what is flat.
+    known_height : bool, default=True
+        Whether the centre of the hemisphere is at the height of the object's middle, as
+        somebody who puts it down, or a camera beside the arm, may tell. Else it is 10
+        mm above the ground, low enough for what is flat.
     random_state : int, default=0
         Same number, same place and noise.
     faults : mapping of int to str, default={}
@@ -177,7 +177,7 @@ def explore_to_learn(
     faces: str = "usual",
     drift: bool = False,
     placement_sd_mm: float = 5.0,
-    known_height: bool = False,
+    known_height: bool = True,
     guarded: bool = True,
     folder: str | Path | None = None,
     random_state: int = 0,
@@ -205,7 +205,7 @@ def explore_to_learn(
     drift : bool, default=False
         Whether exposure and place of the picture change between sessions, see
         `DomeCamera.drifted`.
-    placement_sd_mm, known_height : float and bool, default=5.0 and False
+    placement_sd_mm, known_height : float and bool, default=5.0 and True
         See `put_down`; both are to be as where the objects will be met.
     guarded : bool, default=True
         Whether the arm feels its way, step by step. Else each touch is made in one

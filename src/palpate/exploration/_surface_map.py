@@ -89,6 +89,8 @@ class SurfaceMap:
         What their touches are like from every side, its "objects" being the states.
     other_share_ : ndarray of shape (n_objects,)
         How often each stands on a face that was never learnt; 0 by a mesh.
+    turns_bodies_ : bool
+        Whether a face that was never learnt may be the learnt body turned.
     force_n_ : float
         Middling force of the training touches.
     """
@@ -160,6 +162,7 @@ class SurfaceMap:
         self.other_share_ = self._other_share(touches, faces)
         # A mesh has all faces that it can rest on.
         self.other_share_[np.isin(recogniser.classes_, list(of_meshes))] = 0.0
+        self.turns_bodies_ = aim_mm is not None
         surfaces |= self._other_surfaces(surfaces, middles, aim_mm)
         self.states_ = sorted(surfaces)
         self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
