@@ -30,9 +30,9 @@ def doctor(as_json: AsJson = False) -> None:
         print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
     else:
         rows = [[c["name"], c["found"], c["fix"]] for c in checks]
-        # What is to be typed stays in one line, unless the terminal is narrow.
+        # Names stay whole, and so does what is to be typed, unless there is no room.
         narrow = shutil.get_terminal_size().columns < _WIDE
-        whole = ["what", "found"] if narrow else ["to do"]
+        whole = ["what", "found"] if narrow else ["what", "to do"]
         table("palpate doctor", ["what", "found", "to do"], rows, whole, text=True)
         say(_verdict(checks, healthy=healthy))
     if not healthy:
