@@ -582,7 +582,9 @@ class Belief:
         Returns matplotlib's axes (extra `plot`), `ax` or new ones.
         """
         pyplot = needed("matplotlib.pyplot", "plot", "A picture of a belief")
-        axes = pyplot.subplots(figsize=(5, 3))[1] if ax is None else ax
+        axes = ax
+        if axes is None:
+            axes = pyplot.subplots(figsize=(5, 3), layout="constrained")[1]
         shares = {**self._most_probable(), "nothing learnt": self.unknown}
         names = [*shares][::-1]
         colours = ["#888888", *["#4c78a8"] * (len(names) - 1)]

@@ -254,7 +254,9 @@ class Episode:
         from .._extras import needed
 
         pyplot = needed("matplotlib.pyplot", "plot", "A picture of an episode")
-        axes = pyplot.subplots(figsize=(6, 3))[1] if ax is None else ax
+        axes = ax
+        if axes is None:
+            axes = pyplot.subplots(figsize=(6, 3), layout="constrained")[1]
         numbers = [touch.touch for touch in self.touches]
         last = self.touches[-1].posterior if self.touches else self.belief.posterior
         for name in sorted(last, key=lambda name: -last[name])[:5]:
@@ -265,7 +267,7 @@ class Episode:
         axes.axhline(1 - self.error, color="#cccccc", linewidth=1)
         axes.set(ylim=(0, 1.02), xlabel="touch", ylabel="probability")
         axes.set_title(self.sentence)
-        axes.legend()
+        axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
         return axes
 
 
