@@ -112,8 +112,10 @@ def test_the_recogniser_that_was_learnt_stays_as_it_is(learnt):
 def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
     there = _day(3.0, 1, n_each=4)
     unlabelled = adapt(learnt, _day(3.0, 1, n_each=4, labels=False))
+    two = adapt(learnt, _day(3.0, 1, "ab", n_each=4))
     for belief in (
         unlabelled.start().update(there[:1]),
+        two.start().update(there[:1]),
         Recentring(learnt).start().update(there[:1]),
     ):
         assert belief.promise().other_session

@@ -47,7 +47,7 @@ class Judge:
     evidence of an episode adds up, what tells `strangers`, other senses, the category
     of each object, "" where none is known (`categories`, (n_objects,)), the training
     touches (`memory`), for `Belief.explain`, and whether it serves in another session
-    without confirmed touches (`other_session`).
+    without a confirmed touch of each object (`other_session`).
     """
 
     classes: NDArray[np.str_]
