@@ -41,7 +41,10 @@ _BUFFERS = (
 
 
 class DdsNode:
-    """A participant in a domain of DDS; see `RosNode`."""
+    """A participant in a domain of DDS, what `ROS_DOMAIN_ID` is to ROS.
+
+    `hint` is what to look at where a topic is not found.
+    """
 
     hint = "CYCLONEDDS_URI"
 
@@ -94,7 +97,7 @@ class DdsNode:
 
 
 class DdsReader:
-    """The messages of one topic, as bytes; see `RosReader`."""
+    """The messages of one topic, as bytes."""
 
     def __init__(
         self, participant: Any, topic: Any, kind: str, *, reliable: bool
@@ -127,7 +130,7 @@ class DdsReader:
 
 
 class DdsWriter:
-    """Writes messages of one kind to one topic; see `RosWriter`."""
+    """Writes messages of one kind to one topic."""
 
     def __init__(
         self, participant: Any, topic: Any, kind: str, *, keep_last: bool = False
@@ -150,7 +153,7 @@ class DdsWriter:
 
 
 class DdsService:
-    """A service in the layout of rmw_cyclonedds; see `RosService`."""
+    """A service in the layout of rmw_cyclonedds."""
 
     def __init__(
         self, participant: Any, service: str, kind: str, answer: Answer
