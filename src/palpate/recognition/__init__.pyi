@@ -4,6 +4,7 @@ from ._belief import STRANGERS as STRANGERS
 from ._belief import Belief as Belief
 from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
+from ._contact import NO_CONTACT as NO_CONTACT
 from ._contact import correlation as correlation
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
@@ -37,6 +38,7 @@ from ._remounting import said_of_sessions as said_of_sessions
 from ._senses import Modality as Modality
 from ._sentences import OTHER_SESSION as OTHER_SESSION
 from ._sentences import about as about
+from ._sentences import figure_of as figure_of
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note
 from ._sentences import upper_bound as upper_bound
