@@ -278,8 +278,8 @@ def _check_pictures(
 
 def _is_on_its_side(header: Header, usual: Header) -> bool:
     """Whether a picture is as large as most, with its sides changed over."""
-    sides = {"n_rows": header.n_cols, "n_cols": header.n_rows}
-    return header != usual and header._replace(**sides) == usual
+    turned = header._replace(n_rows=header.n_cols, n_cols=header.n_rows)
+    return header != usual and turned == usual
 
 
 def shows_colour(path: Path) -> bool:
