@@ -17,7 +17,6 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import validate_data
 
 from .._checks import check_count, check_number, check_option, unmasked
-from .._extras import needed
 from .._numbers import log_softmax
 from .._parallel import on_one_thread, opencv_on_one_thread, results_of
 from .._types import Array, Bools, Floats, Indices
@@ -48,6 +47,7 @@ from ._learnt import Learnt
 from ._memory import Memory, Nearest
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
+from ._pictures import draw_confusion
 from ._presets import (
     PRESENTATIONS,
     Label,
@@ -70,8 +70,6 @@ if TYPE_CHECKING:
 
 # Touches of one task; a multiple of the encoder's batches, for the same results.
 SHARD = 4 * BATCH
-# Of more objects a picture has no names.
-MOST_LABELLED = 30
 
 
 class ObjectRecogniser(ClassifierMixin, BaseEstimator):
@@ -688,26 +686,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         ones.
         """
         self._check_fitted()
-        pyplot = needed("matplotlib.pyplot", "plot", "A picture of confusions")
-        counts = self._confusion()
-        shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-        side = float(np.clip(1.5 + 0.3 * len(shares), 3.5, 9))
-        axes = ax
-        if axes is None:
-            axes = pyplot.subplots(figsize=(side, side), layout="constrained")[1]
-        axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
-        right = np.trace(counts) / max(counts.sum(), 1)
-        title = f"Touches left out, one at a time: {right:.0%} right"
-        axes.set(xlabel="taken for", ylabel="object", title=title)
-        places = range(len(shares)) if len(shares) <= MOST_LABELLED else []
-        names = self._names() if places else []
-        axes.set_xticks(places, names, rotation=90)
-        axes.set_yticks(places, names)
-        for row, col in np.argwhere(shares >= 1) if places else ():
-            colour = "white" if shares[row, col] > 50 else "black"
-            label = f"{shares[row, col]:.0f}"
-            axes.text(col, row, label, ha="center", va="center", color=colour, size=7)
-        return axes
+        return draw_confusion(self._confusion(), self._names(), ax)
 
     def save(self, path: str | Path) -> Path:
         """Write the recogniser to a `.palpate` file, all or nothing."""
