@@ -489,7 +489,7 @@ def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
         asked.append(left_out)
         return fit_strangers(left_out, *rest)
 
-    monkeypatch.setattr("palpate.recognition._recogniser.fit_strangers", kept)
+    monkeypatch.setattr("palpate.recognition._learner.fit_strangers", kept)
     learnt = ObjectRecogniser().fit(touches)
     (left_out,) = asked
     by_column, in_earnest = [], []
