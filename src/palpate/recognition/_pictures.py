@@ -26,7 +26,9 @@ def draw_belief(
 ) -> Axes:
     """Draw a bar for each object's probability, the first one on top, and for none."""
     pyplot = needed("matplotlib.pyplot", "plot", "A picture of a belief")
-    axes: Axes = pyplot.subplots(figsize=(5, 3))[1] if ax is None else ax
+    axes = ax
+    if axes is None:
+        axes = pyplot.subplots(figsize=(5, 3), layout="constrained")[1]
     bars = {**shares, _NOTHING: unknown}
     names = [*bars][::-1]
     colours = [_GREY, *["#4c78a8"] * len(shares)]
@@ -62,14 +64,16 @@ def draw_episode(
 ) -> Axes:
     """Draw probabilities touch by touch, and the limit from which one is named."""
     pyplot = needed("matplotlib.pyplot", "plot", "A picture of an episode")
-    axes: Axes = pyplot.subplots(figsize=(6, 3))[1] if ax is None else ax
+    axes = ax
+    if axes is None:
+        axes = pyplot.subplots(figsize=(6, 3), layout="constrained")[1]
     numbers = range(1, len(unknown) + 1)
     for name, of_object in shares.items():
         axes.plot(numbers, of_object, marker="o", label=name)
     axes.plot(numbers, unknown, "--", color=_GREY, label=_NOTHING)
     axes.axhline(limit, color="#cccccc", linewidth=1)
     axes.set(ylim=(0, 1.02), xlabel="touch", ylabel="probability", title=title)
-    axes.legend()
+    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
     return axes
 
 
