@@ -45,8 +45,6 @@ class PolarGradients(ImageEstimator):
 
     Attributes
     ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
     scale_ : ndarray of shape (6,)
         Root mean power of each channel over the training touches, by which it is
         divided; 1 for a channel that is always zero.
