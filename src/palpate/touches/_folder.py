@@ -256,8 +256,8 @@ def _check_pictures(
             if (copy := first.setdefault(picture.digest, name)) != name:
                 check.same.append((name, copy))
     if not colour:
-        alike = {name: one for name, one in seen.items() if one.header == usual}
-        in_colour = [name for name, one in alike.items() if one.coloured]
+        alike = {n: picture for n, picture in seen.items() if picture.header == usual}
+        in_colour = [n for n, picture in alike.items() if picture.coloured]
         if in_colour and shows_colour(root / in_colour[0]):
             check.coloured = len(in_colour)
             check.grey = len(alike) - len(in_colour)
