@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
+from math import floor
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
@@ -47,7 +48,7 @@ class Judge:
     evidence of an episode adds up, what tells `strangers`, other senses, the category
     of each object, "" where none is known (`categories`, (n_objects,)), the training
     touches (`memory`), for `Belief.explain`, and whether it serves in another session
-    without confirmed touches (`other_session`).
+    without a confirmed touch of each object (`other_session`).
     """
 
     classes: NDArray[np.str_]
@@ -635,8 +636,9 @@ _BARS, _LETTERS = 10, 24
 
 
 def _bar(name: str, share: float) -> str:
+    shown = floor(1000 * share + 1e-9) / 1000  # so that none sum to more than 1
     style = f"background:#4c78a8;height:0.8em;width:{max(share, 0.002) * 12:.2f}em"
-    bar = f'<div style="{style};display:inline-block"></div> {share:.3f}'
+    bar = f'<div style="{style};display:inline-block"></div> {shown:.3f}'
     return f'<tr><td>{escape(name)}</td><td style="text-align:left">{bar}</td></tr>'
 
 

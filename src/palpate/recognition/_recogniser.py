@@ -562,7 +562,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         """Return what beliefs are made by."""
         self._check_fitted()
         check = self._mounting
-        unconfirmed = not self.chosen_.get("remount", {}).get("labelled", True)
+        remount = self.chosen_.get("remount", {})
+        unconfirmed = not remount.get("labelled", True) or bool(remount.get("confirm"))
         return Judge(
             classes=self.classes_.astype(str),
             log_prior=self.log_prior(),

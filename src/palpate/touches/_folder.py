@@ -70,24 +70,24 @@ class PictureCheck:
         Those that cannot be read, are unlike most, or get no label.
     usual : str
         Size and format of the others.
-    turned : int
-        How many were turned upright, as their Exif orientation says.
+    turned : list of str
+        Those that were turned upright, as their Exif orientation says.
     flat : list of str
         Pictures of one level all over.
     same : list of (str, str)
         Pictures that are a copy of another one.
-    coloured, grey : int
-        How many of those that can be used are in colour, and in grey, where all were
-        read in grey and the first in colour shows some; else 0.
+    coloured, grey : list of str
+        Which of those that can be used are in colour, and in grey, where all were
+        read in grey and the first in colour shows some; else none.
     """
 
     bad: list[BadPicture] = field(default_factory=list)
     usual: str = ""
-    turned: int = 0
+    turned: list[str] = field(default_factory=list)
     flat: list[str] = field(default_factory=list)
     same: list[tuple[str, str]] = field(default_factory=list)
-    coloured: int = 0
-    grey: int = 0
+    coloured: list[str] = field(default_factory=list)
+    grey: list[str] = field(default_factory=list)
 
 
 def folder_arrays(
@@ -248,10 +248,14 @@ def _check_pictures(
         if picture.header is None:
             check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
         elif picture.header != usual:
-            fix = "convert it, or keep the two kinds in folders of their own"
-            check.bad.append(BadPicture(name, f"{picture.header}, not {usual}", fix))
+            problem = f"{picture.header}, not {usual}"
+            fix = "convert it"
+            if usual is not None and _is_on_its_side(picture.header, usual):
+                problem, fix = f"{problem}: on its side", "turn it by 90 degrees"
+            fix += ", or keep the two kinds in folders of their own"
+            check.bad.append(BadPicture(name, problem, fix))
         else:
-            check.turned += picture.orientation > 1
+            check.turned += [name] * (picture.orientation > 1)
             check.flat += [name] * picture.flat
             if (copy := first.setdefault(picture.digest, name)) != name:
                 check.same.append((name, copy))
@@ -259,9 +263,15 @@ def _check_pictures(
         alike = {n: picture for n, picture in seen.items() if picture.header == usual}
         in_colour = [n for n, picture in alike.items() if picture.coloured]
         if in_colour and shows_colour(root / in_colour[0]):
-            check.coloured = len(in_colour)
-            check.grey = len(alike) - len(in_colour)
+            check.coloured = in_colour
+            check.grey = [name for name, one in alike.items() if not one.coloured]
     return check
+
+
+def _is_on_its_side(header: Header, usual: Header) -> bool:
+    """Whether a picture is as large as most, with its sides changed over."""
+    turned = header._replace(n_rows=header.n_cols, n_cols=header.n_rows)
+    return header != usual and turned == usual
 
 
 def shows_colour(path: Path) -> bool:
