@@ -526,8 +526,8 @@ def make_folder(place: Path) -> None:
     """
     try:
         place.mkdir(parents=True, exist_ok=True)
-        own = any((place / name).is_file() for name in (FILE_NAME, COUNT_NAME))
-        others = () if own else sorted(each.name for each in place.iterdir())
+        is_ours = any((place / name).is_file() for name in (FILE_NAME, COUNT_NAME))
+        others = () if is_ours else sorted(each.name for each in place.iterdir())
     except FileExistsError:
         raise LibraryError(
             f"{place} must be a folder, got a file. Give the library another name."

@@ -66,11 +66,14 @@ class DdsNode:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """Return the publishers of ROS topics that are seen now, of any topic."""
+        alive = needed("cyclonedds.core", "ros", WHAT).InstanceState.Alive
         seen = []
         for sample in self._discovery.read(N=1000):
             name = str(getattr(sample, "topic_name", "") or "")
             kind = ros_kind(str(getattr(sample, "type_name", "") or ""))
-            if name.startswith("rt/") and kind is not None and _alive(sample):
+            about = getattr(sample, "sample_info", None)
+            is_there = about is None or about.instance_state & alive
+            if name.startswith("rt/") and kind is not None and is_there:
                 seen.append(Endpoint(name.removeprefix("rt"), kind))
         return seen
 
@@ -257,12 +260,3 @@ def _policy(status: Any) -> str:
         return ""
     number = int(status.last_policy_id)
     return _POLICIES.get(number, f"policy {number}")
-
-
-def _alive(sample: Any) -> bool:
-    """Tell whether what DDS has discovered is still there."""
-    core = needed("cyclonedds.core", "ros", WHAT)
-    information = getattr(sample, "sample_info", None)
-    return information is None or bool(
-        information.instance_state & core.InstanceState.Alive
-    )
