@@ -101,7 +101,7 @@ def _odd(pictures: "PictureCheck | None") -> dict[str, list[Any]]:
     """Return the pictures that can be used and are odd, by what is odd about them."""
     if pictures is None:
         return {}
-    odd = {
+    odd: dict[str, list[Any]] = {
         "turned": pictures.turned,
         "grey": pictures.grey if pictures.coloured else [],
         "flat": pictures.flat,

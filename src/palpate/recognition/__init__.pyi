@@ -30,6 +30,7 @@ from ._presets import PRESETS as PRESETS
 from ._presets import Label as Label
 from ._presets import Presentation as Presentation
 from ._presets import PresetName as PresetName
+from ._recentring import Recentring as Recentring
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt
 from ._remounting import across_sessions as across_sessions
@@ -43,4 +44,3 @@ from ._sentences import touch_note as touch_note
 from ._sentences import upper_bound as upper_bound
 from ._strangers import episode_evidence as episode_evidence
 from ._strangers import stranger_log_shares as stranger_log_shares
-from ._used_to import Recentring as Recentring

@@ -120,8 +120,8 @@ class Promise(NamedTuple):
     n_units : int
         How many objects, or objects in a session, that were.
     other_session : bool
-        Whether the recogniser serves in another session without confirmed touches: no
-        touches of such a session were left out.
+        Whether the recogniser serves in another session without a confirmed touch of
+        each object: of the others none of such a session were left out.
     """
 
     level: float
