@@ -16,11 +16,10 @@ from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
 from ._advice import advice
-from ._contacts import contacts_of
 from ._place_filter import out_of_frames
 from ._record import History, TouchRecord
 from ._record import as_touches as touches_of
-from ._surface import AZIMUTHS, HEIGHTS, directions
+from ._surface import AZIMUTHS, HEIGHTS, contacts_of, directions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
