@@ -464,8 +464,8 @@ def test_a_body_turned_is_met_where_its_mesh_on_that_side_is(aim_mm):
     box, seen = find_object("box"), HEIGHTS >= 0
     usual, *others = [mesh_surface(box, face, CAMERA, aim_mm) for face in range(3)]
     middles = (directions() * usual.mean_mm[..., None])[seen].reshape(-1, 3)
-    tip_mm = CAMERA.membrane_radius_mm
-    turned = turned_surfaces(middles, aim_mm or 30.0, tip_mm, aim_mm is None)
+    body = aim_mm or 30.0, middles
+    turned = turned_surfaces(body, aim_mm, CAMERA.membrane_radius_mm)
     # Top, nearest and farthest side of 160 x 110 x 60 mm on its three sides; on its
     # top it is as it was. A hull of points 5 degrees apart, and 5 mm for any press.
     expected = sorted(map(_extent, [usual, *others]))
@@ -506,7 +506,7 @@ def test_pictures_like_nothing_are_those_of_a_stranger_or_of_a_body_turned(
 
 
 def test_touches_that_span_no_body_tell_of_no_other_face():
-    assert turned_surfaces(np.zeros((6, 3)), 10.0, 20.0) == []
+    assert turned_surfaces((10.0, np.zeros((6, 3))), 10.0, 20.0) == []
 
 
 def test_a_first_contact_with_an_unlearnt_surface_has_the_density_of_the_process():

@@ -17,6 +17,7 @@ Either way it is kept as a table of means and variances, and looked up between n
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 
@@ -45,9 +46,15 @@ _ROUGHNESSES = tuple(product(_WIDTHS, _LOCAL_MM, _NOISES_MM))
 _MESH_SD_MM, _PRESSES_AROUND = 1.5, 36
 _START_MM = 300.0
 # By how much a press goes in, and how far off the hull is that stands for an object.
-PRESS_MM, _TURNED_SD_MM = 5.0, 5.0
+_PRESS_MM, _TURNED_SD_MM = 5.0, 5.0
 # Radii that differ by less look alike.
 _ALIKE_MM = 2.0
+# Approaches aim at one height where these differ by less, and at middles where the
+# ground is as far below as tops are above, to so much.
+_SAME_AIM_MM, _MIDDLE_MM = 2.0, 10.0
+# How high above the ground approaches aim (mm), and the middles of the tip's ball
+# about that point, (n_touches, 3).
+Body = tuple[float, Floats]
 # Lines of approach that pass within this (mm) of one point aim at it.
 _AIM_MM = 10.0
 
@@ -251,18 +258,33 @@ def mesh_surface(
     return RadialSurface(mean, _of_edges_mm2(mean) + 0.25, _MESH_SD_MM)
 
 
+def one_aim(bodies: Iterable[Body]) -> float | None:
+    """Return the height above the ground that all approaches aim at, if there is."""
+    aims_mm = [aim_mm for aim_mm, _ in bodies]
+    low, high = min(aims_mm, default=0.0), max(aims_mm, default=0.0)
+    return (low + high) / 2 if low > _SAME_AIM_MM > high - low else None
+
+
+def aims_at_middles(bodies: Iterable[Body], tip_mm: float) -> bool:
+    """Whether tops are as far above the point aimed at as the ground is below."""
+    tops = [
+        middles[:, 2].max() - tip_mm + _PRESS_MM - aim_mm for aim_mm, middles in bodies
+    ]
+    return bool(np.median(np.abs(tops or [np.inf])) < _MIDDLE_MM)
+
+
 def turned_surfaces(
-    middles_mm: Floats, aim_mm: float, tip_mm: float, aims_at_middle: bool = False
+    body: Body, aim_mm: float | None, tip_mm: float
 ) -> list[RadialSurface]:
     """Return how the surface of an object would be on other faces than this one.
 
-    As if it were its convex hull, down to the ground under what is met low. The
-    middles of the tip's ball (n_touches, 3), about a point `aim_mm` above the ground,
-    lie on the hull grown by the ball, which turns with the object. Then lines aim at
-    `aim_mm` again, or at the middle of the hull as it stands. Empty where they span no
-    body.
+    As if it were its convex hull, down to the ground under what is met low: the
+    middles of the tip's ball lie on the hull grown by the ball, which turns with the
+    object. Lines aim at `aim_mm` above the ground then, or at the middle of the hull.
+    Empty where they span no body.
     """
-    grown_mm, points = tip_mm - PRESS_MM, middles_mm + np.array([0, 0, aim_mm])
+    height_mm, middles = body
+    grown_mm, points = tip_mm - _PRESS_MM, middles + np.array([0, 0, height_mm])
     low = points[points[:, 2] < 2 * tip_mm] * [1, 1, 0]
     narrower = np.maximum(1 - grown_mm / np.maximum(np.hypot(*low[:, :2].T), 1e-9), 0)
     below = low * narrower[:, None] - [0, 0, grown_mm]
@@ -270,8 +292,7 @@ def turned_surfaces(
         corners = np.concatenate([points, low, below])
         corners = corners[ConvexHull(corners).vertices]
         downs = _downs(corners)
-        aim = None if aims_at_middle else aim_mm
-        return [_resting_hull(corners, down, aim, grown_mm) for down in downs]
+        return [_resting_hull(corners, down, aim_mm, grown_mm) for down in downs]
     except QhullError:
         return []
 

@@ -29,14 +29,16 @@ from ._place_belief import PlaceBelief
 from ._place_filter import Looseness, PlaceFilter, UnlearntSurfaces
 from ._surface import (
     MEAN_SD_MM,
-    PRESS_MM,
+    Body,
     RadialSurface,
     SurfaceTable,
+    aims_at_middles,
     contacts_of,
     faces_of,
     learnt_surface,
     mesh_surface,
     middle_of,
+    one_aim,
     turned_surfaces,
 )
 from ._touch_map import TouchMap, Weights
@@ -50,13 +52,9 @@ _LEAST_MM, _MOST_MM = 3.0, 3000.0
 _PLACEMENT_MM = 5.0
 _OTHER_FACE_MM = 10.0
 _LEAST_WEIGHT = 1e-3
-_SAME_AIM_MM, _MIDDLE_MM = 2.0, 10.0
 # These and below: faces that were never learnt.
 OTHER_FACE = -1
 State = tuple[str, int]
-# How high above the ground approaches aim (mm), and the middles of the tip's ball
-# about that point, (n_touches, 3).
-Body = tuple[float, Floats]
 
 
 class SurfaceMap:
@@ -160,7 +158,7 @@ class SurfaceMap:
         self.pictures_ = pictures.fit_faces(recogniser, touches, faces)
         of_meshes = dict(meshes or {})
         surfaces, bodies = self._learnt(touches, faces, set(of_meshes))
-        aim_mm = _one_aim(bodies)
+        aim_mm = one_aim(bodies.values())
         dome = DomeCamera((64, 64), n_nodes=16) if camera is None else camera
         for name, thing in of_meshes.items():
             for face in range(len(thing.resting_rotations)):
@@ -169,9 +167,9 @@ class SurfaceMap:
         self.other_share_ = self._other_share(touches, faces)
         # A mesh has all faces that it can rest on.
         self.other_share_[np.isin(recogniser.classes_, list(of_meshes))] = 0.0
-        at_middles = aim_mm is None and self._aims_at_middles(bodies)
+        at_middles = aims_at_middles(bodies.values(), self.tip_radius_mm)
         self.turns_bodies_ = at_middles or aim_mm is not None
-        surfaces |= self._other_surfaces(surfaces, bodies, at_middles)
+        surfaces |= self._other_surfaces(surfaces, bodies, aim_mm)
         self.states_ = sorted(surfaces)
         self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
         names = [name for name, _ in self.states_]
@@ -213,19 +211,11 @@ class SurfaceMap:
             surfaces[name, face] = learnt_surface(middles, number[rows], _PLACEMENT_MM)
         return surfaces, bodies
 
-    def _aims_at_middles(self, bodies: Mapping[State, Body]) -> bool:
-        """Whether tops are as far above the point aimed at as the ground is below."""
-        off = [
-            middles[:, 2].max() - self.tip_radius_mm + PRESS_MM - aim_mm
-            for aim_mm, middles in bodies.values()
-        ]
-        return bool(np.median(np.abs(off)) < _MIDDLE_MM)
-
     def _other_surfaces(
         self,
         surfaces: Mapping[State, RadialSurface],
         bodies: Mapping[State, Body],
-        at_middles: bool,
+        aim_mm: float | None,
     ) -> dict[State, RadialSurface]:
         """Return what each object's surface may be on faces that were never learnt."""
         others = {}
@@ -238,9 +228,7 @@ class SurfaceMap:
             own = [body for (owner, _), body in bodies.items() if owner == name]
             turned = []
             if self.turns_bodies_ and own:
-                aim_mm, middles = own[0]
-                tip_mm = self.tip_radius_mm
-                turned = turned_surfaces(middles, aim_mm, tip_mm, at_middles)
+                turned = turned_surfaces(own[0], aim_mm, self.tip_radius_mm)
             for number, surface in enumerate(turned or [_any_face(learnt)]):
                 others[name, OTHER_FACE - number] = surface
         return others
@@ -456,13 +444,6 @@ class FacedMap(TouchMap):
             share_of_truth = of_objects[np.arange(len(rows)), true]
             losses.append(-np.log(np.maximum(share_of_truth, 1e-300)).mean())
         return float(np.mean(losses))
-
-
-def _one_aim(bodies: Mapping[State, Body]) -> float | None:
-    """Return the height above the ground that all approaches aim at, if there is."""
-    aims_mm = [aim_mm for aim_mm, _ in bodies.values()]
-    low, high = min(aims_mm, default=0.0), max(aims_mm, default=0.0)
-    return (low + high) / 2 if low > _SAME_AIM_MM > high - low else None
 
 
 def _any_face(surfaces: list[RadialSurface]) -> RadialSurface:
