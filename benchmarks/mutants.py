@@ -33,7 +33,9 @@ CORE = {
     "recognition/_remounting.py": "remounting",
     "recognition/_strangers.py": "strangers calibration recogniser",
     "classifiers/_encoding_pool.py": "encoding_pool touch_classifier",
-    "classifiers/_growing.py": "kernel_ridge landmarks",
+    "classifiers/_exact_ridge.py": "kernel_ridge landmarks",
+    "classifiers/_landmarks.py": "kernel_ridge landmarks",
+    "classifiers/_posterior_shape.py": "kernel_ridge landmarks nearby",
     "classifiers/_kernel_density.py": "kernel_density kernel_density_spread "
     "touch_classifier",
     "classifiers/_kernel_density_index.py": "kernel_density_index",

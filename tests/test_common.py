@@ -143,8 +143,9 @@ def test_errors_say_what_to_do(encoder, touches):
 
 @image_estimators
 def test_text_and_empty_sets_are_refused(encoder):
-    with pytest.raises(TypeError, match="must be numbers"):
-        clone(encoder).fit(np.array([[["a"]]]))
+    for odd in (np.array([[["a"]]]), np.ones((1, 4, 4), complex)):
+        with pytest.raises(TypeError, match="must be numbers"):
+            clone(encoder).fit(odd)
     with pytest.raises(ValueError, match="at least one touch"):
         clone(encoder).fit(np.zeros((0, 4, 4)))
 

@@ -70,4 +70,4 @@ def test_the_install_line_names_the_repository_and_extras_that_exist():
 
 def test_the_first_page_is_read_in_minutes():
     words = PAGES[0].read_text("utf-8").split()
-    assert len(words) < 950
+    assert len(words) < 830

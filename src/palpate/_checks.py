@@ -119,14 +119,7 @@ def is_plain(X: object, n_axes: int) -> TypeGuard[Floats]:
 
 def are_plain_vectors(X: object, n_features: int) -> TypeGuard[Floats]:
     """Whether `X` is plain and has the shape (n_touches, n_features)."""
-    return (
-        type(X) is np.ndarray
-        and X.dtype == np.float64
-        and X.ndim == 2
-        and X.shape[1] == n_features
-        and X.size > 0
-        and bool(np.isfinite(X).all())
-    )
+    return is_plain(X, n_axes=2) and X.shape[1] == n_features
 
 
 def size_said(shape: Sequence[int]) -> str:

@@ -96,12 +96,13 @@ def test_a_folder_with_five_odd_jpegs_is_told_learnt_and_recognised(
     bad = ["mug/1.jpg", "mug/3.jpg", "pen/1.jpg"]
     assert [one["picture"] for one in found["bad"]] == bad
     assert found["notes"] == [
-        "1 picture turned upright, as the camera noted (Exif)",
+        "1 picture turned upright, as the camera noted (Exif): mug/2.jpg",
         (
-            "12 pictures in colour and 1 in grey, all read in grey: --colour, if "
-            "colour tells, as on a gel"
+            "12 pictures in colour and 1 in grey (pen/2.jpg), all read in grey: "
+            "--colour, if colour tells, as on a gel"
         ),
     ]
+    assert found["odd"] == {"turned": ["mug/2.jpg"], "grey": ["pen/2.jpg"]}
     in_colour = json.loads(palpate("check", jpegs, "--colour", "--json").stdout)
     odd = {one["picture"]: one["fix"] for one in in_colour["bad"]}
     assert [*odd] == [*bad, "pen/2.jpg"]
@@ -182,6 +183,36 @@ def test_every_bad_picture_is_in_one_list_with_its_fix(palpate, odd):
     shown = palpate("check", odd).stdout
     assert all(name in shown for name in BAD)
     assert "5 pictures cannot be used" in shown
+
+
+def test_pictures_on_their_side_are_told_from_those_of_another_size(palpate, tmp_path):
+    for number in range(4):
+        put(tmp_path / "mug" / f"{number}.png")
+    put(tmp_path / "mug" / "tall.png", np.zeros((12, 10), np.uint8))
+    put(tmp_path / "mug" / "small.png", np.zeros((5, 6), np.uint8))
+    found = json.loads(palpate("check", tmp_path, "--json").stdout)
+    small, tall = found["bad"]
+    assert small["problem"] == "6 x 5 8-bit PNG, not 12 x 10 8-bit PNG"
+    assert small["fix"].startswith("convert it")
+    assert tall["problem"] == "10 x 12 8-bit PNG, not 12 x 10 8-bit PNG: on its side"
+    assert tall["fix"].startswith("turn it by 90 degrees")
+
+
+def test_odd_pictures_are_named_the_first_few_and_all_as_json(palpate, tmp_path):
+    for name in ("mug", "pen"):
+        for number in range(6):
+            put(tmp_path / name / f"{number}.png")
+    for number in range(5):
+        put(tmp_path / "mug" / f"{number}.png", np.full((10, 12), number, np.uint8))
+    shutil.copy(tmp_path / "pen" / "0.png", tmp_path / "pen" / "9.png")
+    flat = [f"mug/{number}.png" for number in range(5)]
+    found = json.loads(palpate("check", tmp_path, "--json").stdout)
+    assert found["odd"] == {"flat": flat, "copies": [["pen/9.png", "pen/0.png"]]}
+    first, twice = found["notes"]
+    assert first.endswith(
+        "mug/0.png, mug/1.png, mug/2.png and 2 more (--json lists all)"
+    )
+    assert twice == "1 picture there twice: pen/9.png and pen/0.png"
 
 
 def test_what_is_bad_is_left_out_and_named(palpate, odd, tmp_path):

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import closing
 
 import httpx
 import numpy as np
@@ -15,7 +16,7 @@ from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
-from palpate.web import LiveSession
+from palpate.web import LiveSession, open_socket, serving_at
 
 
 @pytest.fixture(scope="module")
@@ -400,3 +401,81 @@ def test_reports_and_seconds_are_checked(palpate, tmp_path):
     sensor = ("sensor", "check", "--sensor", "sim:bar10")
     assert "must end in .html" in palpate(*sensor, "--report", "x.pdf").stderr
     assert "seconds must be" in palpate(*sensor, "--seconds", "0").stderr
+
+
+def test_a_library_that_is_served_already_is_named_with_its_address(
+    palpate, monkeypatch, tmp_path
+):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
+    pytest.importorskip("fcntl", reason="Windows keeps no two servers apart")
+    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
+    library = tmp_path / "desk"
+    words = ["serve", "--library", library, "--json"]
+    with closing(open_socket("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        used = palpate(*words, "--port", port)
+        assert used.returncode == 1
+        assert "another program, perhaps a palpate that was not ended" in used.stderr
+        assert "free one" in used.stderr
+    assert palpate(*words, "--port", "0").stderr == ""  # nobody serves it any more
+    with serving_at(library, "http://127.0.0.1:4711/"):
+        beside = palpate(*words, "--port", "0")
+        assert beside.returncode == 0
+        there = f"{library} is served already, at http://127.0.0.1:4711/"
+        assert there in beside.stderr
+        assert json.loads(beside.stdout)["address"]
+        with closing(open_socket("127.0.0.1", 0)) as taken:
+            port = taken.getsockname()[1]
+            refused = palpate(*words, "--port", port)
+        assert refused.returncode == 1
+        assert there in refused.stderr
+        assert f"port {port}" in refused.stderr
+    assert palpate(*words, "--port", "0").stderr == ""
+
+
+def test_ctrl_c_says_what_is_kept(palpate, monkeypatch, recording, tmp_path):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
+
+    def stop(*arguments, **more):
+        raise KeyboardInterrupt
+
+    def stopped(*words):
+        done = palpate(*words)
+        assert (done.returncode, done.stdout) == (130, "")
+        (line,) = done.stderr.splitlines()
+        return line
+
+    monkeypatch.setattr("palpate.recognition.ObjectRecogniser.fit", stop)
+    monkeypatch.setattr("palpate.evaluation.evaluate", stop)
+    monkeypatch.setattr("palpate.web.run_app", stop)
+    monkeypatch.setattr("palpate.touches.check_folder", stop)
+    model, report = tmp_path / "m.palpate", tmp_path / "r.html"
+    model.write_text("before")
+    line = stopped("learn", recording, "-o", model)
+    assert line.endswith(f"Ctrl-C: nothing is learnt, and {model} is as it was.")
+    assert model.read_text() == "before"
+    words = ["evaluate", "--train", recording, "--split", "last"]
+    assert stopped(*words).endswith("Ctrl-C: there are no figures.")
+    assert f"and {report} is as it was." in stopped(*words, "--report", report)
+    assert not report.exists()
+    assert "no file is half written" in stopped("check", tmp_path)
+    done = palpate("serve", "--port", "0", "--library", tmp_path / "desk")
+    assert done.returncode == 130
+    assert f"What was taught is kept in {tmp_path / 'desk'}." in done.stderr
+
+
+def test_a_bad_picture_of_a_replay_names_the_command_that_lists_all(
+    palpate, monkeypatch, tmp_path
+):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
+    bad = tmp_path / "touches" / "mug" / "1.png"
+    bad.parent.mkdir(parents=True)
+    bad.write_text("no picture")
+    for verb in ("serve", "record"):
+        words = [verb, *["mug"] * (verb == "record"), "--library", tmp_path / "l"]
+        done = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
+        assert done.returncode == 1
+        assert "mug/1.png" in done.stderr
+        assert f"`palpate check {tmp_path / 'touches'}` lists all" in done.stderr
+    absent = palpate("serve", "--sensor", f"replay:{tmp_path / 'nowhere'}")
+    assert "palpate check" not in absent.stderr

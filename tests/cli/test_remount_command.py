@@ -82,6 +82,19 @@ def test_what_is_left_to_confirm_is_said(palpate, files):
     assert set(sentence.rstrip(".").split("none yet: ")[1].split(", ")) == {"b", "d"}
 
 
+def test_what_one_object_tells_is_said_to_be_believed_in_part(palpate, files):
+    model, output = files / "m.palpate", files / "o.palpate"
+    learnt = ObjectRecogniser.load(model)
+    learnt.chosen_["rehearsal"] = {"share": 0.0, "trust": 0.25}
+    learnt.save(model)
+    Touches.load(files / "tue.npz")[:1].save(files / "one.npz")
+    done = palpate("remount", model, files / "one.npz", "-o", output)
+    assert "By their labels, 1 touch tells what" in done.stdout
+    assert "tell of the others 25% is believed, as rehearsed sessions" in done.stdout
+    again = palpate("recognise", output, files / "tue.npz")
+    assert "a few touches more, with labels; see palpate remount." in again.stdout
+
+
 def test_recognise_warns_of_another_mounting(palpate, files):
     model = files / "m.palpate"
     warned = palpate("recognise", model, files / "tue.npz")

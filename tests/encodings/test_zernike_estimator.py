@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 
 from palpate.encodings import ZernikeMoments, zernike_degrees
 
@@ -189,18 +188,3 @@ def test_sums_beyond_float64_are_refused():
 def test_bad_parameters_are_refused(options, error, message, touches):
     with pytest.raises(error, match=message):
         ZernikeMoments(**options).fit(touches)
-
-
-def test_bad_images_are_refused(touches):
-    encoder = ZernikeMoments()
-    with pytest.raises(NotFittedError):
-        encoder.transform(touches)
-    with pytest.raises(ValueError, match=r"X\[np.newaxis\]"):
-        encoder.fit(touches[0])
-    with pytest.raises(TypeError, match="Images must be numbers"):
-        encoder.fit(touches.astype(complex))
-    with pytest.raises(ValueError, match="at least one touch"):
-        encoder.fit(touches[:0])
-    encoder.fit(touches)
-    with pytest.raises(ValueError, match="fitted on 10 x 10"):
-        encoder.transform(touches[:, :8])

@@ -90,13 +90,15 @@ def figures_of(accuracy=(0.5, 0.6), **more):
 NEVER_CONFUSED = np.eye(4)
 
 
-def trial_of(n_taught=20, confusion=NEVER_CONFUSED, names="abcd"):
+def trial_of(n_taught=20, confusion=NEVER_CONFUSED, names="abcd", elsewhere=False):
     """A trial in which each object was taught so often and was so confused."""
     memory = SimpleNamespace(labels=np.repeat(list(names), n_taught))
     recogniser = SimpleNamespace(memory_=memory, classes_=np.array(list(names)))
     scores = SimpleNamespace(confusion=np.asarray(confusion, float))
     return SimpleNamespace(
-        recogniser=recogniser, episodes=SimpleNamespace(scores=lambda k: scores)
+        recogniser=recogniser,
+        episodes=SimpleNamespace(scores=lambda k: scores),
+        fold=SimpleNamespace(elsewhere=elsewhere),
     )
 
 

@@ -66,6 +66,19 @@ def test_using_the_touches_of_a_session_without_labels_helps():
     assert trial.recogniser.chosen_["remount"]["n_touches"] == 10
 
 
+def test_asked_in_another_session_remounting_is_recommended():
+    train, test = visited("mon", 12, 0), visited("tue", 12, 1)
+    figures, (trial,) = evaluate(train, test, plan=PLAN)
+    assert trial.fold.elsewhere
+    said = " ".join(figures["recommendations"])
+    assert "try `remount=recentre:10`" in said
+    assert "All was taught in one session" not in said
+    for same in (test.with_columns(session=["mon"] * 60), test.without("session")):
+        figures, (trial,) = evaluate(train, same, plan=PLAN)
+        assert not trial.fold.elsewhere
+        assert "remount=" not in " ".join(figures["recommendations"])
+
+
 def test_labels_of_the_test_touches_tell_recentring_nothing():
     train, test = visited("mon", 12, 0), visited("tue", 12, 1)
     plan = Plan(touches=(1,), orders=2, remount="recentre")

@@ -1,13 +1,10 @@
 """The clean-up of pressure arrays against facts known without the code."""
 
-import pickle
-
 import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 
 from palpate.images import (
     ArrayCleanUp,
@@ -257,23 +254,6 @@ def test_clean_up_turns_with_the_image(touches):
 def test_clean_up_takes_arrays_of_any_shape(shape, rng):
     images = rng.random((5, *shape))
     assert ArrayCleanUp(shape=(40, 50)).fit_transform(images).shape == (5, 40, 50)
-
-
-def test_clean_up_keeps_the_rules_of_estimators(touches):
-    before = touches.copy()
-    clean_up = ArrayCleanUp().fit(touches)
-    binary = clean_up.transform(touches)
-    assert_array_equal(touches, before)
-    alone = np.concatenate([clean_up.transform(t[np.newaxis]) for t in touches])
-    assert_array_equal(alone, binary)
-    again = pickle.loads(pickle.dumps(clean_up))
-    assert_array_equal(again.transform(touches), binary)
-    with pytest.raises(NotFittedError):
-        clone(clean_up).transform(touches)
-    with pytest.raises(ValueError, match="fitted on 10 x 10"):
-        clean_up.transform(touches[:, :8])
-    with pytest.raises(ValueError, match=r"X\[np.newaxis\]"):
-        ArrayCleanUp().fit(touches[0])
 
 
 def test_clean_up_fills_or_refuses_dead_taxels(touches):

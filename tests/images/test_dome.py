@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 
 from palpate.images import (
     Circle,
@@ -288,11 +287,7 @@ def test_wrong_parameters_are_refused(params, kind, message):
 
 def test_wrong_images_are_refused(rng):
     images = domes(rng)
-    with pytest.raises(NotFittedError):
-        DomeCrop().transform(images)
     crop = DomeCrop().fit(images)
-    with pytest.raises(ValueError, match="fitted on 120 x 160"):
-        crop.transform(images[:, :, :150])
     broken = images.astype(float)
     broken[3, 0, 0] = np.nan
     with pytest.raises(ValueError, match="in touch 3"):

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
-from palpate.touches import ParquetTouches, TouchesError, _parquet_source
+from palpate.touches import ParquetTouches, TouchesError
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -37,11 +37,6 @@ def written(tmp_path):
     return inside, tmp_path / "set.parquet"
 
 
-@pytest.fixture
-def small_blocks(monkeypatch):
-    monkeypatch.setattr(_parquet_source, "_AT_ONCE", 1)
-
-
 def rewrite(path, table, size=16):
     pq.write_table(table, path, row_group_size=size)
 
@@ -50,15 +45,18 @@ def sums(touches):
     return touches.images.sum(axis=(1, 2))[:, np.newaxis]
 
 
-def test_rows_are_those_of_reading_all_of_it(written, small_blocks):
-    _, path = written
-    for file in path.rglob("*.parquet"):  # several row groups each
-        rewrite(file, pq.read_table(file))
+def test_rows_are_those_of_reading_all_of_it(tmp_path):
+    path = tmp_path / "set.parquet"
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(drawn(n_each=300, n_objects=3))
+        library.export(path, by="object")
+    for file in path.rglob("*.parquet"):  # several row groups each, large and small
+        rewrite(file, pq.read_table(file), size=130)
     whole, source = Touches.load(path), ParquetTouches(path)
-    assert len(source) == len(whole) == 200
+    assert len(source) == len(whole) == 900
     assert_array_equal(source.object, whole.object)
     assert_array_equal(source.order, whole.order)
-    rows = np.array([0, 3, 39, 40, 41, 120, 199])
+    rows = np.array([0, 3, 129, 130, 299, 300, 301, 620, 899])
     picked = source.touches(rows)
     assert_array_equal(picked.images, whole.images[rows])
     assert_array_equal(picked.object, whole.object[rows])

@@ -5,6 +5,9 @@ Expected values are computed here from the touches that went in, episode by epis
 
 import io
 import json
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -255,3 +258,21 @@ def test_without_a_force_the_state_is_the_place(exported, rng):
     assert_array_equal(frames["observation.state"], places.astype(np.float32))
     assert_array_equal(frames["action"], places[[1, 2, 2]].astype(np.float32))
     assert "observation.force_n" not in frames
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.slow
+def test_lerobot_reads_exports_and_finds_the_camera():
+    if shutil.which("make") is None:
+        pytest.skip("make is not installed")
+    made = subprocess.run(
+        ["make", "--silent", "check-lerobot"], cwd=ROOT, capture_output=True, text=True
+    )
+    said = made.stdout + made.stderr
+    if made.returncode and ".installed] Error" in said:
+        pytest.skip(f"lerobot's environment cannot be made: {said.strip()[-300:]}")
+    assert made.returncode == 0, said[-3000:]
+    assert " passed" in said
+    assert "skipped" not in said

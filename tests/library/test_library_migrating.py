@@ -11,6 +11,7 @@ import shutil
 import sqlite3
 import zipfile
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,6 @@ from palpate.library import (
     check_library,
     migrate_library,
 )
-from palpate.library import _migrating as migrating
-from palpate.library._store import Store
 
 N_TOUCHES, N_CHANGES = 29, 5
 
@@ -91,15 +90,15 @@ def test_format_1_is_format_2_without_seals(old, state, tmp_path):
 def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps):
     new = tmp_path / "new"
     left = iter(range(n_steps))
-    write = Store.write
 
-    def stopping(store, job):
-        if next(left, None) is None:
-            raise KeyboardInterrupt
-        return write(store, job)
+    class Stopping(sqlite3.Connection):
+        def execute(self, sql, values=()):
+            if sql == "COMMIT" and next(left, None) is None:
+                raise KeyboardInterrupt
+            return super().execute(sql, values)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Store, "write", stopping)
+        patch.setattr(sqlite3, "connect", partial(sqlite3.connect, factory=Stopping))
         with pytest.raises(KeyboardInterrupt):
             migrate_library(old, new)
     assert not TouchLibrary.is_library(new)  # nobody takes it for a whole one
@@ -183,13 +182,21 @@ def test_what_is_no_old_library_is_refused(old, tmp_path):
     assert not (tmp_path / "newest").exists()
 
 
-def test_a_begun_migration_of_another_library_is_not_continued(old, tmp_path):
+def test_a_begun_migration_of_another_library_is_not_continued(
+    old, tmp_path, monkeypatch
+):
     new, other = tmp_path / "new", tmp_path / "other"
     shutil.copytree(old, other)
     with closing(sqlite3.connect(other / "library.sqlite")) as database:
         database.execute("UPDATE touches SET id = randomblob(16)")
         database.commit()
-    migrate_library(old, new)
-    (new / "library.sqlite").replace(new / migrating._BEGUN)
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", stopped)  # when all is entered
+        with pytest.raises(KeyboardInterrupt):
+            migrate_library(old, new)
     with pytest.raises(LibraryError, match="touches of another library"):
         migrate_library(other, new)

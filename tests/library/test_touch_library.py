@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from machines import LibraryMachine, play
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
@@ -283,3 +284,13 @@ def test_a_file_in_the_place_of_a_library_is_named(tmp_path):
     (tmp_path / "desk").write_text("notes")
     with pytest.raises(LibraryError, match="desk must be a folder, got a file"):
         TouchLibrary.open(tmp_path / "desk", create=True)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_library_is_where_a_reference_is(seed):
+    play(LibraryMachine, seed, n_sequences=3)
+
+
+@pytest.mark.slow
+def test_many_histories():
+    play(LibraryMachine, 100, n_sequences=300)

@@ -110,8 +110,24 @@ def test_sessions_that_are_known_tell_the_share():
     days = [
         _presses(6, k, session=[f"day {k}"] * 24, order=np.arange(24)) for k in range(3)
     ]
-    recogniser = ObjectRecogniser().fit(Touches.concatenate(days))
+    touches = Touches.concatenate(days)
+    recogniser = ObjectRecogniser().fit(touches)
     assert recogniser.chosen_["rehearsal"]["told_by"] == "sessions left out"
+    # Two persons, who come again and again, are left out whole instead.
+    of_persons = touches.with_columns(subject=np.resize(["ann", "bob"], len(touches)))
+    found = ObjectRecogniser().fit(of_persons).chosen_
+    assert found["rehearsal"]["told_by"] == "persons left out"
+    assert "as persons left out tell" in found["found"][-1]
+
+
+@pytest.mark.parametrize("presentation", ["shifted", "any"])
+def test_nothing_is_drawn_that_all_encodings_are_blind_to(presentation):
+    recogniser = ObjectRecogniser(presentation=presentation).fit(_presses(6, 0))
+    blind = [recogniser.encoder_.blind_to(n) for n in recogniser.encoder_.encodings]
+    assert frozenset.intersection(*blind) >= {"shifts", "gain"}
+    found = recogniser.chosen_["rehearsal"]
+    assert found["drawn"] == ["taxels", "zero"]
+    assert "expected" in found
 
 
 def test_a_drawn_session_changes_all_touches_alike():

@@ -13,10 +13,7 @@ from palpate.sensors import (
     ContactError,
     Frame,
     SensorError,
-    SensorMemory,
     TouchDetector,
-    baseline_warning,
-    gain_warning,
 )
 
 REST = np.full((4, 4), 100, np.uint8)
@@ -320,49 +317,6 @@ def test_large_images_are_looked_at_in_part():
     one[1, 1] = 200
     detector.update(Frame(one, 0.0, 0))
     assert detector.change == pytest.approx(100 / 160)
-
-
-def test_the_share_of_each_taxel_is_remembered():
-    rest = np.full((2, 2), 10.0)
-    images = rest + np.array([[[4, 0], [0, 0]], [[0, -2], [0, -2]]])
-    memory = SensorMemory.of(images, rest)
-    # Changes: 4 / 2 of four taxels, and 2 sqrt(2) / 2; shares 1 and twice a half.
-    assert memory.touch_change == pytest.approx((2 + np.sqrt(2)) / 2)
-    assert_allclose(memory.response, [[0.5, 0.25], [0, 0.25]])
-    assert_allclose(memory.response_var, [[0.125, 0.03125], [0, 0.03125]])
-    assert memory.n_touches == 2
-    still = SensorMemory.of([rest], rest)
-    assert_allclose(still.response, 0)
-    large = SensorMemory.of([np.ones((65, 64))], np.zeros((65, 64)))
-    assert large.response.shape == (0, 0)
-
-
-@pytest.mark.parametrize(
-    ("times", "n_touches", "told"),
-    [(1.9, 40, False), (2.2, 40, True), (1 / 2.2, 40, True), (2.2, 9, False)],
-)
-def test_a_taxel_that_answers_twice_as_much_is_named(times, n_touches, told, rng):
-    rest = np.zeros((4, 4))
-    images = 10 + rng.normal(scale=0.1, size=(n_touches, 4, 4))
-    before = SensorMemory.of(images, rest)
-    other = images.copy()
-    other[:, 1, 2] *= times
-    # All shares sum to 1: one that doubles lessens the others by a sixteenth.
-    now = SensorMemory.of(other * 1.0, rest)
-    grown = now.response[1, 2] / before.response[1, 2]
-    said = gain_warning(before, now)
-    assert (("row 1 column 2" in said) == told) or 1.9 < max(grown, 1 / grown) < 2.1
-    assert gain_warning(before, before) == ""
-
-
-@pytest.mark.parametrize(("off", "told"), [(2.4, ""), (2.6, "by 26% of what a touch")])
-def test_rest_that_is_off_by_a_quarter_of_a_touch_is_told(off, told):
-    rest = np.zeros((4, 4))
-    memory = SensorMemory.of([rest + 10], rest)
-    said = baseline_warning(memory, rest + off)
-    assert told in said
-    assert bool(said) == bool(told)
-    assert "this one has 4 x 5" in baseline_warning(memory, np.zeros((4, 5)))
 
 
 def test_the_noise_about_a_given_baseline_is_learnt_from_nine_frames_at_rest(rng):

@@ -1,14 +1,11 @@
 """Labels of pictures, by folders and by a pattern for their names."""
 
-import re
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.touches import TouchesError, png_bytes, read_folder
-from palpate.touches._layout import matched
 
 
 def first_levels(touches):
@@ -149,20 +146,21 @@ def test_a_pattern_that_takes_for_ever_is_given_up(rng, tmp_path, short_patience
         read_folder(tmp_path, name_pattern=r"^(?P<object>(\w+)+)_\d\.png$")
 
 
-def test_names_are_matched_as_they_are():
-    """The file name before the path; letters of any kind; none where none."""
-    names = ["a/b_1.png", "x_2/c.png", "é\udce9_3.png", "none"]
-    found = matched(re.compile(r"(?P<what>[^/]+)_(?P<n>\d)(?P<more>x)?"), names)
-    assert found == [
-        {"what": "b", "n": "1", "more": None},
-        {"what": "x", "n": "2", "more": None},
-        {"what": "é\udce9", "n": "3", "more": None},
-        None,
-    ]
+def test_names_are_matched_as_they_are(put):
+    """The file name before the path; letters of any kind; nothing where none."""
+    folder = put("a/b_1.png", "x_2/c.png", "a/\udce9_3.png")
+    pattern = r"(?P<what>[^/]+)_(?P<n>\d)(?P<more>x)?"
+    columns = read_folder(folder, name_pattern=pattern).columns
+    assert columns["what"].tolist() == ["b", "\udce9", "x"]
+    assert columns["order"].tolist() == [1, 3, 2]
+    assert columns["more"].tolist() == ["", "", ""]
 
 
-def test_very_many_names_are_matched():
-    names = [f"mug_{n}.png" for n in range(20_000)]
-    found = matched(re.compile(r"(?P<object>\w+)_(?P<n>\d+)"), names)
-    assert found[-1] == {"object": "mug", "n": "19999"}
-    assert len(found) == 20_000
+def test_more_names_are_matched_than_a_pipe_holds(put):
+    folder = put("mug_0.png")
+    for n in range(1, 2500):
+        (folder / f"mug_{n}.png").hardlink_to(folder / "mug_0.png")
+    pattern = r"(?P<object>\w+)_(?P<n>\d+)"
+    touches = read_folder(folder, name_pattern=pattern, progress=False)
+    assert touches.order.tolist() == list(range(2500))
+    assert set(touches.object) == {"mug"}

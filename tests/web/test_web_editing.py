@@ -1,12 +1,14 @@
 """Stored touches removed and moved, undone also after a restart; a lesson resumed."""
 
 import json
+import os
+import time
 
 import pytest
 
 from palpate.library import LibraryError, TouchLibrary
 from palpate.sensors import DetectedTouch
-from palpate.web import LiveSession
+from palpate.web import LearningError, LiveSession
 
 
 def _detected(image):
@@ -127,6 +129,45 @@ def test_editing_says_that_the_model_is_behind_until_it_learns(folder):
         session.learn(wait=True)
         assert not session.to_dict()["unlearnt"]
         assert len(session.recogniser.memory_) == 15
+
+
+def test_the_objects_that_changed_since_it_learnt_are_known(folder):
+    def changed(session):
+        return session.to_dict()["library"]["changed"]
+
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        (key,) = (row.id for row in session.teacher.newest("disc", 1))
+        session.move_touches([key], "bar")
+        assert changed(session) == ["bar", "disc"]
+    with LiveSession(library=folder) as session:
+        assert changed(session) == ["bar", "disc"]
+        session.learn(wait=True)
+        assert changed(session) == []
+        session.undo()
+        assert changed(session) == ["bar", "disc"]
+        session.learn(wait=True)
+        session.remove_touches([session.teacher.newest("bar", 1)[0].id])
+    with LiveSession(library=folder) as session:
+        assert changed(session) == ["bar"]
+        model = folder / "model.palpate"
+        os.utime(model, (time.time() + 9, time.time() + 9))
+    with LiveSession(library=folder) as session:
+        assert changed(session) == []  # another program has learnt since
+
+
+def test_what_changed_stays_so_where_learning_fails(folder, monkeypatch):
+    def fail(*job):
+        raise LearningError("no memory")
+
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        session.remove_touches([session.teacher.newest("bar", 1)[0].id])
+        monkeypatch.setattr("palpate.web._session.learn_apart", fail)
+        session.learn(wait=True)
+        assert session.to_dict()["library"]["changed"] == ["bar"]
+        assert session.unlearnt
+        assert session.learn_error == "no memory"
 
 
 def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(

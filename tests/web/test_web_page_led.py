@@ -9,6 +9,7 @@ import pytest
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate, write_report
 from palpate.library import TouchLibrary
+from palpate.recognition import figure_of
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
@@ -204,6 +205,52 @@ def test_no_line_breaks_between_a_number_and_its_sign(page, taught, serving, dra
         )
         assert broken == []
         assert "\u00a0%" in page.locator("main").inner_text()
+
+
+def test_shares_are_rounded_as_in_reports_and_never_sum_to_more_than_all(page, serving):
+    rng = np.random.default_rng(0)
+    shares = [0, 1e-9, 0.00099, 0.001, 0.0995, 0.1, 0.29, 0.5, 0.9899, 0.99, 0.9995]
+    drawn = rng.dirichlet(np.full(5, 0.2), 200)
+    shares += [1 - 1e-9, 1, *drawn.ravel().tolist()]
+    with serving(LiveSession()) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        shown = page.evaluate(
+            """async (shares) => (await import("/static/dom.js")).percent
+            && shares.map((await import("/static/dom.js")).percent)""",
+            shares,
+        )
+    assert [one.replace("\u00a0", " ") for one in shown] == [*map(figure_of, shares)]
+    assert [*map(figure_of, shares)][:13] == [
+        *("0 %", "<0.1 %", "<0.1 %", "0.1 %", "9.9 %", "10 %", "29 %", "50 %"),
+        *("98 %", "99.0 %", ">99.9 %", ">99.9 %", "100 %"),
+    ]
+    for belief in drawn:
+        figures = [figure_of(share) for share in belief]
+        least = [float(one.strip("<> %")) * (one[0] != "<") for one in figures]
+        assert sum(least) <= 100 + 1e-9
+
+
+def test_a_card_says_that_its_object_changed_since_it_was_learnt(
+    page, taught, serving, drawn
+):
+    def card(name):
+        title = page.get_by_role("heading", name=name, exact=True)
+        return page.locator("li.object", has=title).locator(".meta")
+
+    with serving(taught) as (address, token):
+        opened(page, address, token)
+        expect(card("disc")).to_have_text("30 touches, learnt")
+        taught.post_touch(drawn.images[0])
+        expect(page.locator("#limits")).to_contain_text("It knows 2 objects")
+        key = taught.teacher.newest("disc", 1)[0].id
+        taught.move_touches([key], "pen")
+        expect(card("disc")).to_have_text(
+            "29 touches, changed since it was learnt: learn again"
+        )
+        expect(card("bar")).to_have_text("30 touches, learnt")
+        expect(card("pen")).to_have_text("1 touch, too few to learn")
+        taught.learn(wait=True)
+        expect(card("disc")).to_have_text("29 touches, learnt")
 
 
 def test_a_lost_sensor_leaves_nothing_to_press(page, hand, serving, tmp_path):

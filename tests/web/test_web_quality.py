@@ -10,6 +10,8 @@ from palpate import Touches
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import LiveSensor
 from palpate.web import LiveSession, Variety, advice, object_quality
+from palpate.web._episode import episode_report
+from palpate.web._quality import limits
 from palpate.web._teaching import Teacher
 
 from .conftest import waited
@@ -281,3 +283,26 @@ def test_what_was_removed_or_moved_comes_back(tmp_path):
     assert teacher.undo() == ("mug", "What was moved to cup is back with mug.")
     assert {row.id for row in teacher.newest("mug", 5)} == {*keys}
     teacher.close()
+
+
+def test_what_a_name_is_worth_is_said_where_little_was_learnt(drawn):
+    names = np.repeat([f"thing {n}" for n in range(6)], 10)
+    images = drawn.images[:60].copy()
+    images[:, 0, 0] = np.arange(60)
+    many = Touches(images, object=names, geometry="array")
+    assert limits(ObjectRecogniser("liu2014").fit(many)) == ""
+    five = limits(ObjectRecogniser("liu2014").fit(many[:50]))
+    assert five.startswith("It knows 5 objects and nothing else: ")
+    assert "fewer than" not in five
+    few = limits(ObjectRecogniser("liu2014").fit(many[1:]))
+    assert few.startswith("Of thing 0 it learnt fewer than 10 touches: ")
+    fewer = limits(ObjectRecogniser("liu2014").fit(many[::2]))
+    assert fewer.startswith("Of thing 0, thing 1, thing 2 and 3 more it learnt")
+
+
+def test_limits_stand_in_the_episode_and_its_report(make_session, drawn, drawn_model):
+    with make_session(sensor=False, model=drawn_model) as session:
+        session.post_touch(drawn.images[0])
+        told = session.episode.to_dict()["limits"]
+        assert told.startswith("It knows 2 objects and nothing else")
+        assert told in episode_report(session.episode)

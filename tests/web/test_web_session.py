@@ -7,6 +7,7 @@ import signal
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -401,6 +402,30 @@ def test_another_mounting_is_told_after_ten_touches(make_session, drawn, tmp_pat
             session.post_touch(image // 2 + 60)
         assert "sensor, mounting or light" in session.alarm
         assert session.advice[0] == session.alarm
+
+
+def test_touches_of_nothing_do_not_count_towards_the_mounting(
+    make_session, drawn, tmp_path, monkeypatch
+):
+    known = drawn[drawn.object != "both"]
+    model = ObjectRecogniser().fit(known[::2]).save(tmp_path / "m.palpate")
+    checked = []
+
+    def check(self, evidence):
+        checked.append([*evidence.flags])
+        return SimpleNamespace(changed=True)
+
+    monkeypatch.setattr(ObjectRecogniser, "check_mounting", check)
+    with make_session(sensor=False, library=None, model=model) as session:
+        for image in known.images[1:30:3]:
+            session.post_touch(np.zeros_like(image))
+        assert {*session.episode.evidence.flags} == {"no contact"}
+        for image in known.images[1:28:3]:
+            session.post_touch(image)
+        assert checked == []
+        session.post_touch(known.images[1])
+        assert checked == [[""] * 10]
+        assert session.alarm
 
 
 @pytest.fixture

@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from inspect import cleandoc
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from .. import __version__
 from ._options import flag
-from ._output import answer, as_typed, printable, say, translate_for
+from ._output import Stopped, answer, as_typed, printable, say, translate_for
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -62,6 +62,7 @@ _join_lines(app)
 _Usage: Any = typer.BadParameter.__base__  # every wrong use of the command line
 # What a verb may fail with; anything else is a fault of palpate and shows where.
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
+_STOPPED, _BY_CTRL_C = 130, "Stopped by Ctrl-C: no file is half written."
 FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
 
 
@@ -82,7 +83,7 @@ def _root(version: Annotated[bool, _version] = False) -> None:
 
 
 def main() -> None:
-    """Run the command line; exit 1 for a failure, 2 for wrong usage.
+    """Run the command line; exit 1 for a failure, 2 for wrong usage, 130 for Ctrl-C.
 
     With --json what went wrong is printed as `{"error": ...}` too. PALPATE_DEBUG=1 in
     the environment shows the whole traceback of a failure.
@@ -90,8 +91,15 @@ def main() -> None:
     as_json = "--json" in sys.argv
     try:
         with _plain_warnings():
-            sys.exit(app(prog_name="palpate", standalone_mode=False))
-    except typer.Abort:
+            code = app(prog_name="palpate", standalone_mode=False)
+        if code != _STOPPED:
+            sys.exit(code)
+        _end_stopped(_BY_CTRL_C)
+    except Stopped as stopped:
+        _end_stopped(str(stopped))
+    except typer.Abort as abort:
+        if isinstance(abort.__cause__, KeyboardInterrupt):  # of older packages
+            _end_stopped(_BY_CTRL_C)
         message, code = "Ended without an answer.", 1
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
@@ -106,6 +114,11 @@ def main() -> None:
     answer(as_json, {"error": message})
     say(f"palpate: {message}", file=sys.stderr)
     sys.exit(code)
+
+
+def _end_stopped(message: str) -> NoReturn:
+    say(f"palpate: {message}", file=sys.stderr)
+    sys.exit(_STOPPED)
 
 
 def _shown(error: Any) -> str:

@@ -159,6 +159,19 @@ def stages() -> Iterator[Callable[[str], None]]:
         yield lambda stage: bar.update(task, description=printable(stage))
 
 
+class Stopped(Exception):
+    """Ctrl-C ended a verb; the message says what was kept."""
+
+
+@contextmanager
+def told_if_stopped(kept: str) -> Iterator[None]:
+    """Turn Ctrl-C into a sentence that says what was `kept` and what was not."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Stopped(f"Stopped by Ctrl-C: {kept}") from None
+
+
 def translate_for(app: typer.Typer) -> None:
     """Take the command whose verbs and options messages are to name."""
     _ROOT[:] = [app]

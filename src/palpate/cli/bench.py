@@ -11,7 +11,7 @@ def bench(
     list_names: ListNames = False,
     as_json: AsJson = False,
 ) -> None:
-    """Measure speed beside peers: CPU time, one thread, ratios within one run."""
+    """Measure speed beside peers, in a checkout: CPU time, ratios within one run."""
     from ..bench import BENCHES, run_bench
 
     if list_names or not name:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 A_START, GOOD = 10, 60
 SHEET_OBJECTS, SHEET_TOUCHES, SHEET_SIDE = 60, 8, 96
-_SHOWN = 40
+_SHOWN, _NAMED = 40, 3
 
 
 @grouped
@@ -59,6 +59,7 @@ def check(
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
         "read_as": "" if read is None else reading.read_as(touches, read),
         "bad": [] if pictures is None else _bad(pictures),
+        "odd": _odd(pictures),
         "notes": _notes(pictures, others),
         "objects": [] if read is None else _objects(read),
         "alone": alone,
@@ -96,29 +97,52 @@ def _pictures(
     )
 
 
+def _odd(pictures: "PictureCheck | None") -> dict[str, list[Any]]:
+    """Return the pictures that can be used and are odd, by what is odd about them."""
+    if pictures is None:
+        return {}
+    odd: dict[str, list[Any]] = {
+        "turned": pictures.turned,
+        "grey": pictures.grey if pictures.coloured else [],
+        "flat": pictures.flat,
+        "copies": [[*pair] for pair in pictures.same],
+    }
+    return {kind: names for kind, names in odd.items() if names}
+
+
 def _notes(pictures: "PictureCheck | None", others: dict[str, int]) -> list[str]:
     if pictures is None:
         return []
     notes = []
-    if pictures.turned:
-        turned = counted(pictures.turned, "picture")
-        notes.append(f"{turned} turned upright, as the camera noted (Exif)")
-    if pictures.coloured:
-        mixed = f" and {pictures.grey} in grey, all" * bool(pictures.grey)
+    if turned := pictures.turned:
+        many = counted(len(turned), "picture")
         notes.append(
-            f"{counted(pictures.coloured, 'picture')} in colour{mixed} read in grey: "
-            "--colour, if colour tells, as on a gel"
+            f"{many} turned upright, as the camera noted (Exif): {_first(turned)}"
         )
-    if pictures.flat:
-        flat = counted(len(pictures.flat), "picture")
-        notes.append(f"{flat} of one grey level all over, such as {pictures.flat[0]}")
+    if pictures.coloured:
+        grey = pictures.grey
+        mixed = f" and {len(grey)} in grey ({_first(grey)})" if grey else ""
+        notes.append(
+            f"{counted(len(pictures.coloured), 'picture')} in colour{mixed}"
+            f"{', all' * bool(grey)} read in grey: --colour, if colour tells, as on a "
+            "gel"
+        )
+    if flat := pictures.flat:
+        many = counted(len(flat), "picture")
+        notes.append(f"{many} of one grey level all over: {_first(flat)}")
     if pictures.same:
-        copy, first = pictures.same[0]
-        same = counted(len(pictures.same), "picture")
-        notes.append(f"{same} there twice, such as {copy} and {first}")
+        pairs = [f"{copy} and {first}" for copy, first in pictures.same]
+        many = counted(len(pairs), "picture")
+        notes.append(f"{many} there twice: {_first(pairs)}")
     for ending, number in others.items():
         notes.append(f"{counted(number, 'file')} of {ending} left alone")
     return notes
+
+
+def _first(names: list[str]) -> str:
+    """Return the first few names, and where the rest is."""
+    more = f" and {len(names) - _NAMED} more (--json lists all)"
+    return ", ".join(names[:_NAMED]) + more * (len(names) > _NAMED)
 
 
 def _objects(touches: "Touches") -> list[dict[str, Any]]:

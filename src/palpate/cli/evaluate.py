@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import as_typed, percent, print_json, say, stages, table
+from ._output import as_typed, percent, print_json, say, stages, table, told_if_stopped
 
 
 @_options.grouped
@@ -72,7 +72,10 @@ def evaluate(
         stage(f"reading {path}")
         return replace(reading, where=where).touches(path)
 
-    with stages() as stage, working.started():
+    kept = "there are no figures" + f", and {report} is as it was" * (
+        report is not None
+    )
+    with told_if_stopped(f"{kept}."), stages() as stage, working.started():
         training, testing = read(train, reading.where), read(test, test_where)
         others = read(unknown, unknown_where)
         figures, trials = run(

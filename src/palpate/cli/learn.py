@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from . import _options
-from ._output import answer, counted, stages
+from ._output import answer, counted, stages, told_if_stopped
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -46,7 +46,8 @@ def learn(
     from ..library import TouchLibrary
 
     recognition.check_model_path(output)
-    with stages() as stage, working.started():
+    kept = f"nothing is learnt, and {output} is as it was."
+    with told_if_stopped(kept), stages() as stage, working.started():
         stage(f"reading {touches}")
         before = None
         if extend is not None:

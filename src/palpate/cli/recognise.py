@@ -63,8 +63,8 @@ def recognise(
         print_json({"episodes": episodes, "mounting": mounting})
         return
     if check.changed:
-        again = " with more labelled touches" if "remount" in recogniser.chosen_ else ""
-        say(OTHER_MOUNTING.format(f"; see palpate remount{again}"))
+        more = " more, with labels" if "remount" in recogniser.chosen_ else ""
+        say(OTHER_MOUNTING.format(f"{more}; see palpate remount"))
     for episode in episodes:
         print_episode(episode, explain=explain)
 

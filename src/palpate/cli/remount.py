@@ -75,15 +75,18 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         sentences.append(f"What training sessions add {taken[not values['centred']]}.")
     if values.get("weighed"):
         sentences.append("How training sessions differ is weighed down.")
-    way = "their labels" if values["labelled"] else "what they are taken for"
+    n, way = values["n_touches"], "what they are taken for"
+    if values["labelled"]:
+        way = "their labels"
     sentences.append(
-        f"By {way}, {values['n_touches']} touches tell what this session does to all: "
-        f"it is taken off, {values['moved']:.0%} of the variance of training touches."
+        f"By {way}, {n} touch{'es tell' if n > 1 else ' tells'} what this session does "
+        f"to all: it is taken off, {values['moved']:.0%} of the variance of training "
+        "touches."
     )
-    if values.get("trust") == 0:
+    if values.get("trust", 1) < 1:
         sentences.append(
-            "One object alone tells nothing of the others, as rehearsed sessions say: "
-            "confirm touches of more objects."
+            f"Of what so few objects tell of the others {values['trust']:.0%} is "
+            "believed, as rehearsed sessions say: confirm touches of more objects."
         )
     if values.get("weight", 1) < 1:
         sentences.append(

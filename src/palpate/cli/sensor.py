@@ -97,7 +97,12 @@ class SensorOptions:
 
     def open(self, address: str) -> "LiveSensor":
         """Return the sensor at an address; it is not connected yet."""
-        from ..sensors import AddressError, CalibratedSensor, open_sensor
+        from ..sensors import (
+            AddressError,
+            CalibratedSensor,
+            SensorError,
+            open_sensor,
+        )
 
         settings = {**vars(self)}
         path = settings.pop("calibration")
@@ -105,6 +110,13 @@ class SensorOptions:
             sensor = open_sensor(address, **settings)
         except AddressError as error:
             raise typer.BadParameter(str(error)) from error
+        except SensorError as error:
+            folder = address.partition(":")[2].partition("?")[0].replace("%3F", "?")
+            if not (address.startswith("replay:") and Path(folder).is_dir()):
+                raise
+            raise SensorError(
+                f"{error} `palpate check {folder}` lists all that is wrong."
+            ) from error
         if path is None:
             return sensor
         from ..images import TaxelCalibration

@@ -5,7 +5,7 @@ import shutil
 import sys
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ._options import (
     AsJson,
@@ -17,7 +17,7 @@ from ._options import (
     model_file,
     option,
 )
-from ._output import print_json, say
+from ._output import print_json, say, told_if_stopped
 from .sensor import (
     ADDRESS,
     LogFile,
@@ -28,6 +28,9 @@ from .sensor import (
     logged,
     published,
 )
+
+if TYPE_CHECKING:
+    from socket import socket
 
 HERE = "127.0.0.1"
 
@@ -87,11 +90,18 @@ def serve(
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
     addresses = sensor or []
-    model = model and _copied(model_file(model), model, library)
-    chosen: list[Any] = [options.open(address) for address in addresses] or [None]
-    folders = [library] if len(addresses) < 2 else _folders(addresses, library, model)
     chosen_token = None if token is None else checked_token(token)
-    with closing(web.open_socket(host, port)) as socket, ExitStack() as stack:
+    kept = "" if library is None else f" What was taught is kept in {library}."
+    with (
+        told_if_stopped(f"nothing is served any more.{kept}"),
+        closing(_opened(host, port, library)) as socket,
+        ExitStack() as stack,
+    ):
+        model = model and _copied(model_file(model), model, library)
+        chosen: list[Any] = [options.open(one) for one in addresses] or [None]
+        folders = [library]
+        if len(addresses) > 1:
+            folders = _folders(addresses, library, model)
         sessions = []
         for live, folder in zip(chosen, folders, strict=True):
             session = LiveSession(live, model=model, library=folder, **how)
@@ -109,8 +119,35 @@ def serve(
         if chosen_token is None:
             chosen_token = web.new_token() if library is None else kept_token(library)
         app = create_app(sessions, chosen_token, names=[host, *(name or ())])
-        _say_where(host, socket.getsockname()[1], chosen_token, as_json=as_json)
+        at = socket.getsockname()[1]
+        if library is not None:
+            stack.enter_context(web.serving_at(library, web.address_of(host, at)))
+        _say_where(host, at, chosen_token, as_json=as_json)
         web.run_app(app, socket)
+
+
+def _opened(host: str, port: int, library: Path | None) -> "socket":
+    """Return a socket that listens; say where the same library is served already."""
+    from .. import web
+
+    there = "" if library is None else web.served_at(library)
+    try:
+        opened = web.open_socket(host, port)
+    except OSError as error:
+        if there:
+            raise OSError(
+                f"{library} is served already, at {there} Open that address, or end "
+                f"that palpate with Ctrl-C first. ({error})"
+            ) from error
+        raise
+    if there:
+        say(
+            f"palpate: {library} is served already, at {there} Touches of both go into "
+            "one library, but each page learns and shows by itself: better open that "
+            "address, or end that palpate with Ctrl-C first.",
+            file=sys.stderr,
+        )
+    return opened
 
 
 def _of(address: str | None, number: int, n_sensors: int) -> str | None:

@@ -159,8 +159,6 @@ class RingPatterns(CanvasEncoder):
 
     Attributes
     ----------
-    image_shape_ : tuple of int
-        Size of the images seen by `fit`.
     unsteady_ : ndarray of shape (n_directions, n_features)
         Those directions, orthonormal.
 

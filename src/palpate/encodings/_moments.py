@@ -56,8 +56,6 @@ class CentroidMoments(ImageEstimator):
 
     Attributes
     ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
     degrees_ : ndarray of int of shape (n_moments, 2)
         Order n and number of waves m around the centroid of each moment.
     patterns_ : ndarray of complex of shape (n_moments, order + 1, order + 1)

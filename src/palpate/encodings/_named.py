@@ -166,8 +166,6 @@ class EncodingUnion(ImageEstimator, by_channel=False):
         One per encoder.
     scalers_ : list of RootScaler
         One per encoder where they are balanced, else none.
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
 
     Examples
     --------

@@ -31,8 +31,6 @@ class ScaledPixels(ImageEstimator):
 
     Attributes
     ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
     regulariser_ : OrientationRegulariser or None
         What turns the images.
     down_, across_ : ndarray of shape (n_cells, n_rows or n_cols)
@@ -245,8 +243,6 @@ class PhotometricGradients(ImageEstimator, by_channel=False):
         Slopes along rows and columns for each channel's change of level.
     grid_ : GridLevels
         What lays the slopes on a grid, as signed roots.
-    image_shape_ : tuple of int
-        (n_rows, n_cols, n_channels) of the images seen by `fit`.
 
     Notes
     -----

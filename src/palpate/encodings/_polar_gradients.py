@@ -6,7 +6,6 @@ and by its curvature. Turning the image shifts each ring of such values along it
 so the sizes of their Fourier coefficients along the ring stay as they are.
 """
 
-from collections.abc import Iterator
 from functools import lru_cache
 from itertools import repeat
 
@@ -46,8 +45,6 @@ class PolarGradients(ImageEstimator):
 
     Attributes
     ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
     scale_ : ndarray of shape (6,)
         Root mean power of each channel over the training touches, by which it is
         divided; 1 for a channel that is always zero.
@@ -93,8 +90,8 @@ class PolarGradients(ImageEstimator):
         check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
         raw = self._harmonics(images)
         means, power = raw[..., 0].mean(axis=0), np.zeros(raw.shape[1])
-        for part in _few(raw):
-            spread = part.copy()
+        for start in range(0, len(raw), _AT_ONCE):
+            spread = raw[start : start + _AT_ONCE].copy()
             spread[..., 0] -= means
             power += (np.abs(spread) ** 2).sum(axis=(0, 2, 3)) / len(raw)
         self.scale_ = np.where(power > 1e-24, np.sqrt(power), 1.0)
@@ -127,12 +124,6 @@ class PolarGradients(ImageEstimator):
         # A coefficient stands for itself and its conjugate; the mean has none.
         coefficients[..., 0] /= np.sqrt(2)
         return coefficients
-
-
-def _few(images: Array) -> Iterator[Array]:
-    """Yield some at a time."""
-    for start in range(0, len(images), _AT_ONCE):
-        yield images[start : start + _AT_ONCE]
 
 
 @lru_cache(maxsize=16)

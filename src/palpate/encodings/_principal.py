@@ -76,7 +76,10 @@ class PrincipalEncoder(ImageEstimator):
             wanted = min(wanted, *features.shape)
         # Exactly, to sizes around 1: squares of very small or large ones overflow.
         _, exponent = np.frexp(np.abs(features).max())
-        pca = _fitted(np.ldexp(features, -exponent), wanted)
+        few = features.shape[0] <= features.shape[1]
+        solver = "full" if few else "covariance_eigh"  # the smaller of the two
+        scaled = np.ldexp(features, -exponent)
+        pca = PCA(wanted, svd_solver=solver).fit(scaled)
         self.components_ = pca.components_
         self.mean_ = np.ldexp(pca.mean_, exponent)
         self.explained_variance_ratio_ = pca.explained_variance_ratio_
@@ -312,10 +315,3 @@ def _directions(centred: Floats, share: float) -> Floats:
     largest = np.abs(vectors).argmax(axis=0)
     vectors *= np.sign(vectors[largest, np.arange(n_kept)])
     return np.ascontiguousarray(vectors.T)
-
-
-def _fitted(features: Floats, n_components: Components) -> PCA:
-    """Principal components by way of the smaller of touches and covariance."""
-    few = features.shape[0] <= features.shape[1]
-    solver = "full" if few else "covariance_eigh"
-    return PCA(n_components, svd_solver=solver).fit(features)

@@ -77,8 +77,6 @@ class ZernikeMoments(ImageEstimator):
 
     Attributes
     ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
     centre_ : tuple of float
         (row, col) of the disc's centre, in taxels.
     radius_ : float

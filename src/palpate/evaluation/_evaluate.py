@@ -354,7 +354,7 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             f"{name} was taught with {least} touch{'es' * (least > 1)}: give every "
             f"{figures['label']} {_ENOUGH_TOUCHES}, all over it."
         )
-    elsewhere = figures["split"] in ("session", "subject")
+    elsewhere = figures["split"] in ("session", "subject") or trials[0].fold.elsewhere
     confirming = _confirming(figures, trials[0])
     if elsewhere and best < _GOOD and figures["remount"] == "none":
         yield (

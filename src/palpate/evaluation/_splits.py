@@ -40,6 +40,14 @@ class Fold:
     test: Touches
     left_out: tuple[str, ...] = ()
 
+    @property
+    def elsewhere(self) -> bool:
+        """Whether all that is asked was touched in sessions that did not teach."""
+        taught, asked = self.train.session, self.test.session
+        if taught is None or asked is None:
+            return False
+        return not np.isin(asked, taught).any()
+
 
 class RowFold(NamedTuple):
     """A fold by row numbers: what is asked, in words, and who teaches and is asked."""

@@ -45,16 +45,9 @@ class CentralMoments:
 
 def central_moments(images: ArrayLike) -> CentralMoments:
     """Return the central moments of images to order 3 along x and y."""
-    return _about_centroid(_about_middle(check_images(images)))
-
-
-def _about_middle(images: Floats) -> Floats:
-    """Moments about the middle of the frame, (..., 4, 4) along rows and columns."""
-    n_rows, n_cols = images.shape[-2:]
-    return np.asarray(_powers(n_rows).T @ images @ _powers(n_cols))
-
-
-def _about_centroid(raw: Floats) -> CentralMoments:
+    checked = check_images(images)
+    n_rows, n_cols = checked.shape[1:]
+    raw = _powers(n_rows).T @ checked @ _powers(n_cols)  # about the frame's middle
     mass = raw[:, 0, 0]
     safe = np.where(mass == 0, 1.0, mass)
     x = np.where(mass == 0, 0.0, raw[:, 0, 1] / safe)
@@ -72,13 +65,6 @@ def inscribed_mask(n_rows: int, n_cols: int) -> Bools:
     inside: Bools = squared <= (min(n_rows, n_cols) / 2) ** 2
     inside.flags.writeable = False
     return inside
-
-
-def _above_least(images: ArrayLike, mask: Bools) -> Floats:
-    """Return levels above each image's least level in the mask, zero outside it."""
-    checked = check_images(images)
-    least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
-    return np.asarray((checked - least) * mask)
 
 
 @lru_cache(maxsize=16)
@@ -157,8 +143,8 @@ def orientations(images: ArrayLike) -> Orientations:
     """
     checked = check_images(images)
     mask = inscribed_mask(*checked.shape[1:])
-    moments = central_moments(_above_least(checked, mask))
-    mu = moments.mu
+    least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
+    mu = central_moments((checked - least) * mask).mu
     both = mu[:, 0, 2] + mu[:, 2, 0]
     difference, mixed = mu[:, 0, 2] - mu[:, 2, 0], 2 * mu[:, 1, 1]
     size = np.hypot(difference, mixed)

@@ -21,7 +21,7 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_label_kinds, check_positive
-from .._types import Array, Bools, Floats, Indices
+from .._types import Array, Floats, Indices
 from . import _pose_template
 from ._array import binarise, correct_gamma, fill_dead_taxels, resize
 from ._pose_template import find_symmetry, learn_template, pose_variances, register
@@ -249,7 +249,8 @@ class PressPose(BaseEstimator):
         angle = np.zeros(len(poses))
         if symmetry:
             angle = np.rad2deg(poses[:, 0]) - self.zeros_deg_[index]
-            angle = _within_period(angle, 360 / symmetry)
+            angle %= 360 / symmetry
+            angle[angle >= 360 / symmetry] = 0.0  # where rounding reaches the period
         sd_deg = np.full(len(poses), np.inf)
         if np.isfinite(self.inflation_[index]):
             sd_deg = _doubt_of_angle(variance[:, 0] * self.inflation_[index], symmetry)
@@ -259,36 +260,23 @@ class PressPose(BaseEstimator):
 
 
 def _prepare(images: Floats) -> tuple[Floats, Floats]:
-    """Roots of pressures with unit energy, and the outlines' centroids in taxels."""
+    """Roots of pressures with unit energy, and the outlines' centroids (x, y).
+
+    These are in taxels from the middle, NaN where nothing is pressed.
+    """
     filled = fill_dead_taxels(images)
     root = np.sqrt(np.maximum(filled, 0))
     size = np.sqrt((root**2).sum(axis=(1, 2), keepdims=True))
-    shapes = _outlines(filled)
-    return root / np.where(size > 0, size, 1.0), _outline_centres(shapes)
-
-
-def _outlines(images: Floats) -> Bools:
-    """Make presses binary, three pixels per taxel.
-
-    By one threshold, which a background over the whole array does not disturb.
-    """
-    shape = (images.shape[1] * _PIXELS_PER_TAXEL, images.shape[2] * _PIXELS_PER_TAXEL)
-    return binarise(correct_gamma(resize(images, shape), _GAMMA), n_partitions=1)
-
-
-def _outline_centres(shapes: Bools) -> Floats:
-    """Centroids (x, y) of `_outlines` in taxels from the middle, NaN where empty."""
-    count = shapes.sum(axis=(1, 2))
+    # Binary, by one threshold, which a background over all of it does not disturb.
+    shape = tuple(n * _PIXELS_PER_TAXEL for n in images.shape[1:])
+    enlarged = correct_gamma(resize(filled, (shape[0], shape[1])), _GAMMA)
+    outlines = binarise(enlarged, n_partitions=1)
+    count = outlines.sum(axis=(1, 2))
     count = np.where(count > 0, count, np.nan)
-    y, x = _grid(shapes.shape[1:])
-    by_col, by_row = shapes.sum(axis=1), shapes.sum(axis=2)
-    return np.column_stack([by_col @ x / count, by_row @ y / count])
-
-
-def _grid(shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Y of the rows and x of the columns of `_outlines`, in taxels."""
     y, x = ((np.arange(n) - (n - 1) / 2) / _PIXELS_PER_TAXEL for n in shape)
-    return y, x
+    by_col, by_row = outlines.sum(axis=1), outlines.sum(axis=2)
+    centres = np.column_stack([by_col @ x / count, by_row @ y / count])
+    return root / np.where(size > 0, size, 1.0), centres
 
 
 def _doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
@@ -300,12 +288,6 @@ def _doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
         return np.full(len(variance), np.inf)
     sd: Floats = np.rad2deg(np.sqrt(variance))
     return np.where(sd < 360 / symmetry / np.sqrt(12), sd, np.inf)
-
-
-def _within_period(angle: Floats, period: float) -> Floats:
-    """Return angles from 0 to below the period, also where rounding reaches it."""
-    rest = angle % period
-    return np.where(rest < period, rest, 0.0)
 
 
 def _turn(points: Floats, angles: Floats) -> Floats:

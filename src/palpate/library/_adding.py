@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._checks import check_option, check_positive
@@ -169,6 +168,7 @@ def stats_of(store: Store) -> Stats:
     )
     n_touches, n_retracted, n_changes, n_sessions = row
     files = store.folder.glob(f"{FILE_NAME}*")
+    features = (store.folder / FEATURES).rglob("*")
     return Stats(
         n_touches - n_retracted,
         n_retracted,
@@ -176,12 +176,8 @@ def stats_of(store: Store) -> Stats:
         n_sessions,
         n_changes,
         sum(path.stat().st_size for path in files),
-        _bytes_below(store.folder / FEATURES),
+        sum(path.stat().st_size for path in features if path.is_file()),
     )
-
-
-def _bytes_below(folder: Path) -> int:
-    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
 
 
 def add_touches(

@@ -33,8 +33,7 @@ import numpy as np
 from .._checks import did_you_mean
 from .._extras import needed
 from .._types import Array
-from ..touches import Touches, TouchesError, shows_frame
-from ..touches import frame_of_message as _frame_of_message
+from ..touches import Touches, TouchesError, frame_of_message, shows_frame
 from ._store import LibraryError
 
 MAX_BYTES = 4 * 2**30  # as of Touches.load
@@ -87,6 +86,8 @@ def read_bag(
             images, times, digest = _messages(reader, topic, max_bytes)
     except (LibraryError, ImportError):
         raise
+    except TouchesError as error:  # a message that is no image
+        raise LibraryError(str(error)) from error
     except Exception as error:  # rosbags raises many kinds on damaged bags
         raise LibraryError(
             f"{bag} must be a bag of ROS or an MCAP file, got: "
@@ -212,11 +213,3 @@ def _messages(
     if not images:
         raise LibraryError(f"topic must have messages, got none in {topic!r}.")
     return images, times, digest.hexdigest()
-
-
-def frame_of_message(message: Any, kind: str, where: str = "A message") -> Array:
-    """Return what a message of a kind such as `sensor_msgs/msg/Image` shows."""
-    try:
-        return _frame_of_message(message, kind, where)
-    except TouchesError as error:
-        raise LibraryError(str(error)) from error

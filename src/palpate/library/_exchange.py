@@ -37,7 +37,7 @@ from .._types import Array, Floats, Indices
 from ..touches import RGB, Touches, png_bytes, url_of, write_parquet
 from ._reading import Picked, read_array
 from ._rows import FROM, Numbers, Tables, n_at_once
-from ._store import LibraryError, room_for
+from ._store import LibraryError, refuse_used, room_for
 
 TACTILE = "observation.tactile"
 _LEROBOT_VERSION = "v3.0"
@@ -72,12 +72,8 @@ def export_touches(
             f"What is exported must go to a folder that exists, got {str(path)!r}. "
             f"Make {str(path.parent)!r} first."
         )
-    is_folder = not kind or by is not None
-    if is_folder and path.exists() and (not path.is_dir() or any(path.iterdir())):
-        got = "files in it" if path.is_dir() else "a file"
-        raise LibraryError(
-            f"{path} must be a new or empty folder, got {got}. Give another one."
-        )
+    if not kind or by is not None:
+        refuse_used(path)
     partial = path.with_name(f"{PARTIAL}{secrets.token_hex(8)}{kind}")
     fix = "Nothing is left there; free space, or give another one."
     try:

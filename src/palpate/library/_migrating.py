@@ -37,7 +37,14 @@ from ._content import (
     wide_identity,
 )
 from ._repairing import enter_all
-from ._store import FILE_NAME, OLD_VERSIONS, LibraryError, Store, make_folder
+from ._store import (
+    FILE_NAME,
+    OLD_VERSIONS,
+    LibraryError,
+    Store,
+    make_folder,
+    refuse_used,
+)
 
 _BEGUN = ".migrating.sqlite"
 _AT_ONCE = 256  # touches in one transaction
@@ -96,14 +103,8 @@ def migrate_library(
     """
     old, new = Path(old), Path(new)
     begun = new / _BEGUN
-    if (
-        not begun.is_file()
-        and new.exists()
-        and (not new.is_dir() or any(new.iterdir()))
-    ):
-        raise LibraryError(
-            f"{new} must be a new or empty folder, got files in it. Give another one."
-        )
+    if not begun.is_file():
+        refuse_used(new)
     with (
         tempfile.TemporaryDirectory() as scratch,
         closing(_Old(old, scratch)) as source,

@@ -31,6 +31,7 @@ from ._store import (
     LibraryError,
     Store,
     from_json,
+    refuse_used,
     room_for,
 )
 
@@ -339,11 +340,7 @@ _DESCRIBED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
 
 def backup_library(store: Store, folder: Path, *, progress: bool | None = None) -> int:
     """Copy a library to a new folder while it is used; return how many touches."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        got = "files in it" if folder.is_dir() else "a file"
-        raise LibraryError(
-            f"{folder} must be a new or empty folder, got {got}. Give another one."
-        )
+    refuse_used(folder)
     copy = folder / f"{PARTIAL}{secrets.token_hex(8)}"
     n_pages = store.count("PRAGMA page_count")
     try:

@@ -19,11 +19,14 @@ import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 T = TypeVar("T")
+# What is to be done in a transaction, and what comes of it.
+_Ticket = tuple[Callable[[], Any], Future[Any]]
 FILE_NAME, COUNT_NAME = "library.sqlite", "library.count"
 FEATURES, DAMAGED = "features", "damaged"
 VERSION = 3  # 1 and 2 had images in files of their own
@@ -146,7 +149,7 @@ class Store:
         self.folder, self.path = folder, folder / name
         self._lock = threading.RLock()
         # Of threads that write: who waits, and is one of them at work?
-        self._waiting: deque[_Ticket[Any]] = deque()
+        self._waiting: deque[_Ticket] = deque()
         self._turn, self._busy = threading.Condition(), False
         self._explained = _Explained(self.path)
         self._count: int | None = None
@@ -218,21 +221,22 @@ class Store:
         Jobs of other threads that wait meanwhile run in one transaction next; one
         that fails takes back what it did alone.
         """
-        ticket = _Ticket(job)
+        outcome: Future[T] = Future()
+        ticket = job, outcome
         with self._turn:
             self._waiting.append(ticket)
-            self._turn.wait_for(lambda: ticket.is_done() or not self._busy)
-            if ticket.is_done():  # another thread has committed it
-                return ticket.result()
+            self._turn.wait_for(lambda: outcome.done() or not self._busy)
+            if outcome.done():  # another thread has committed it
+                return outcome.result()
             self._busy = True
         try:
-            while not ticket.is_done():
+            while not outcome.done():
                 self._commit_waiting(ticket)
         finally:
             with self._turn:
                 self._busy = False
                 self._turn.notify_all()
-        return ticket.result()
+        return outcome.result()
 
     def run(self, sql: str, values: Sequence[Any] = ()) -> int:
         """Run one statement within a job and return how many rows it changed."""
@@ -328,39 +332,48 @@ class Store:
             line = "{:20d} {:20d}\n".format(*counts)
             os.pwrite(self._count, line.encode(), 0)
 
-    def _commit_waiting(self, ours: "_Ticket[Any]") -> None:
+    def _commit_waiting(self, ours: _Ticket) -> None:
         """Run the jobs that wait, in one transaction; each knows its outcome then."""
-        tickets: list[_Ticket[Any]] = []
+        tickets: list[_Ticket] = []
+        answers: list[tuple[Future[Any], Any]] = []
         try:
             while self._waiting and len(tickets) < _TOGETHER:
                 tickets.append(self._waiting[0])
                 self._waiting.popleft()
             with self._lock, self._transaction():
                 for ticket in tickets:
-                    self._run_ticket(ticket)
+                    answers += self._run_ticket(*ticket)
         except Exception as error:
-            for ticket in tickets:
-                ticket.fail(error)
+            answers.clear()
+            for _, outcome in tickets:
+                if not outcome.done():
+                    outcome.set_exception(error)
         except BaseException:  # an interrupt concerns the job of this thread alone
             again = [t for t in tickets if t is not ours and t not in self._waiting]
-            self._waiting.extendleft(reversed(again))
+            undone = [ticket for ticket in again if not ticket[1].done()]
+            self._waiting.extendleft(reversed(undone))
             raise
-        for ticket in tickets:
-            ticket.end()
+        for outcome, answer in answers:
+            outcome.set_result(answer)
         with suppress(LibraryError):
             self.note_count()
 
-    def _run_ticket(self, ticket: "_Ticket[Any]") -> None:
+    def _run_ticket(
+        self, job: Callable[[], T], outcome: Future[T]
+    ) -> list[tuple[Future[T], T]]:
+        """Return the answer, to be told after the commit; a failure is told at once."""
+        answers = []
         self.run("SAVEPOINT job")
         try:
-            ticket.run()
+            answers.append((outcome, job()))
         except Exception as error:
             if not self._connection.in_transaction:  # a full disk ends all of it
                 raise
             self._lasting.clear()
             self.run("ROLLBACK TO job")
-            ticket.fail(error)
+            outcome.set_exception(error)
         self.run("RELEASE job")
+        return answers
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -462,33 +475,6 @@ class Store:
                 self.run(f"PRAGMA user_version = {VERSION}")
 
 
-class _Ticket(Generic[T]):
-    """A job that waits for its transaction, and what came of it."""
-
-    def __init__(self, job: Callable[[], T]) -> None:
-        self._job = job
-        self._answers: list[T] = []
-        self._error: Exception | None = None
-        self._done = False
-
-    def is_done(self) -> bool:
-        return self._done
-
-    def run(self) -> None:
-        self._answers = [self._job()]
-
-    def fail(self, error: Exception) -> None:
-        self._error = self._error or error
-
-    def end(self) -> None:
-        self._done = True
-
-    def result(self) -> T:
-        if self._error is not None:
-            raise self._error
-        return self._answers[0]
-
-
 def chained(chain: bytes, digests: Sequence[bytes]) -> bytes:
     """Return the chain of digests, goes on from `chain`, with some more of them."""
     for digest in digests:
@@ -540,8 +526,8 @@ def make_folder(place: Path) -> None:
     """
     try:
         place.mkdir(parents=True, exist_ok=True)
-        own = any((place / name).is_file() for name in (FILE_NAME, COUNT_NAME))
-        others = () if own else sorted(each.name for each in place.iterdir())
+        is_ours = any((place / name).is_file() for name in (FILE_NAME, COUNT_NAME))
+        others = () if is_ours else sorted(each.name for each in place.iterdir())
     except FileExistsError:
         raise LibraryError(
             f"{place} must be a folder, got a file. Give the library another name."
@@ -550,17 +536,23 @@ def make_folder(place: Path) -> None:
         raise LibraryError(
             f"{place} must be a folder that can be made, got: {error.strerror}."
         ) from error
-    if other := next((name for name in others if not _may_lie_beside(name)), None):
-        raise LibraryError(
-            f"{place} must be a new or empty folder, or a library, got {other} in it. "
-            "Give the library a folder of its own."
-        )
-
-
-def _may_lie_beside(name: str) -> bool:
-    """Whether a file is hidden, or of a library that is being made or lost."""
+    # Hidden files, and those of a library that is being made or lost, may lie there.
     ours = FEATURES, DAMAGED
-    return name in ours or name.startswith((".", "library.", "page."))
+    for other in others:
+        if other not in ours and not other.startswith((".", "library.", "page.")):
+            raise LibraryError(
+                f"{place} must be a new or empty folder, or a library, got {other} in "
+                "it. Give the library a folder of its own."
+            )
+
+
+def refuse_used(folder: Path) -> None:
+    """Refuse a folder that is not new or empty."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        got = "files in it" if folder.is_dir() else "a file"
+        raise LibraryError(
+            f"{folder} must be a new or empty folder, got {got}. Give another one."
+        )
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from ._belief import STRANGERS as STRANGERS
 from ._belief import Belief as Belief
 from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
+from ._contact import NO_CONTACT as NO_CONTACT
 from ._contact import correlation as correlation
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
@@ -29,6 +30,7 @@ from ._presets import PRESETS as PRESETS
 from ._presets import Label as Label
 from ._presets import Presentation as Presentation
 from ._presets import PresetName as PresetName
+from ._recentring import Recentring as Recentring
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt
 from ._remounting import across_sessions as across_sessions
@@ -36,9 +38,9 @@ from ._remounting import said_of_sessions as said_of_sessions
 from ._senses import Modality as Modality
 from ._sentences import OTHER_SESSION as OTHER_SESSION
 from ._sentences import about as about
+from ._sentences import figure_of as figure_of
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note
 from ._sentences import upper_bound as upper_bound
 from ._strangers import episode_evidence as episode_evidence
 from ._strangers import stranger_log_shares as stranger_log_shares
-from ._used_to import Recentring as Recentring

@@ -1,91 +1,109 @@
-"""What a session adds to features, without labels: one move that grows touch by touch.
-
-A session moves the features of all touches alike. What its touches tell of it are a few
-sums, so that nothing has to be chosen and nothing jumps: from the first touch on the
-move is what the mean of the session says, less what chance and the objects that were
-asked about may have done to it.
-"""
+"""A recogniser that gets used to a session by itself, touch by touch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from copy import copy
 from typing import Self
 
 import numpy as np
+from scipy.special import softmax
 
-from .._types import Floats
-from ._sessions import Taught, group_means
+from .._types import Array
+from ..touches import Touches
+from ._belief import STRANGERS, Belief
+from ._contact import NO_CONTACT
+from ._evidence import Evidence
+from ._recogniser import ObjectRecogniser
+from ._remounted_encoder import wrapped
+from ._remounting import without_sessions
+from ._sessions import SessionSums, shift_unlabelled
 
-# How many touches the belief that all objects are asked about alike is worth.
-ALL_ALIKE = 3.0
-# Few objects may lie twice as far from the middle as what they are taken for: touches
-# that are mistaken are mistaken for many things.
-FARTHER = 2.0
 
+class Recentring:
+    """Recognises in another session while it finds out what the session adds.
 
-@dataclass(frozen=True)
-class SessionSums:
-    """What the touches of a session sum up to.
+    What `remount` takes off with all touches of a session at once, without labels, is
+    taken off with those there were so far: a little at first, more with each touch. The
+    beliefs of the episode under way move along.
 
-    Their number, the sums of their features (n_features,) and of the squared lengths of
-    each part (n_parts,), and of what they are taken for as they are (n_objects,).
+    Parameters
+    ----------
+    recogniser : ObjectRecogniser
+        As learnt; it stays as it is. Another camera, gain or baseline is for `remount`.
+
+    Attributes
+    ----------
+    recogniser : ObjectRecogniser
+        As it serves in the session by now.
+    n_touches : int
+        Touches of the session so far that showed contact.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate import Touches
+    >>> from palpate.recognition import ObjectRecogniser, Recentring
+    >>> images = np.random.default_rng(0).random((40, 3, 24))
+    >>> images[:20] += 1
+    >>> touches = Touches(images, object=["pen"] * 20 + ["mug"] * 20, geometry="none")
+    >>> today = Recentring(ObjectRecogniser().fit(touches))
+    >>> today.start().update(touches[:3]).best
+    'pen'
+    >>> today.start().update(touches[20:23]).best
+    'mug'
     """
 
-    n_touches: int
-    features: Floats
-    squares: Floats
-    posteriors: Floats
+    def __init__(self, recogniser: ObjectRecogniser) -> None:
+        learnt, report = without_sessions(recogniser.learnt())
+        self._moves = bool(report.get("centred", True))
+        self._as_learnt = copy(recogniser).serve(learnt)
+        report |= {"labelled": False}
+        self._as_learnt.chosen_ = {**recogniser.chosen_, "remount": report}
+        self._taught = learnt.taught
+        nothing = np.zeros((0, learnt.memory.features.shape[1]))
+        no_names = np.zeros((0, len(learnt.classes)))
+        self._sums = SessionSums.of(nothing, no_names, self._taught)
+        self.recogniser = self._as_learnt
+        self.start()
 
-    @classmethod
-    def of(cls, features: Floats, posteriors: Floats, taught: Taught) -> Self:
-        """Return the sums of touches (n_touches, n_features), taken for (..., n)."""
-        squares = taught.parts.sums(features**2).sum(axis=0)
-        sums = features.sum(axis=0), squares, posteriors.sum(axis=0)
-        return cls(len(features), *sums)
-
-    def plus(self, other: Self) -> Self:
-        """Return the sums of these touches and others."""
-        names = "n_touches", "features", "squares", "posteriors"
-        return type(self)(*(getattr(self, n) + getattr(other, n) for n in names))
+    def start(
+        self, prior: Mapping[str, float] | None = None, strangers: float = STRANGERS
+    ) -> Self:
+        """Begin an episode, with another object; see `ObjectRecogniser.start`."""
+        self._begun = prior, strangers
+        self._episode: list[Evidence] = []
+        return self
 
     @property
-    def shares(self) -> Floats:
-        """The mean of what the touches are taken for, (n_objects,)."""
-        return np.asarray(self.posteriors / max(self.n_touches, 1))
+    def n_touches(self) -> int:
+        """Touches of the session so far that showed contact."""
+        return self._sums.n_touches
 
+    def update(self, touch: Touches | Array) -> Belief:
+        """Take in one touch, or several, of the episode's object; return the belief.
 
-def shift_unlabelled(sums: SessionSums, taught: Taught) -> Floats:
-    """Return what to add to a session's features, (n_features,), of its touches' sums.
-
-    The mean of the session goes to that of all objects alike, less what may be due to
-    its touches and to the objects they are of: part by part James and Stein [1]_. That
-    a few objects alone are asked about is told by how little their touches stray from
-    each other, and by being taken for few things: neither alone is enough, since a
-    session may press less hard, and shifted touches are taken for one wrong thing.
-
-    References
-    ----------
-    .. [1] W. James and C. Stein, "Estimation with quadratic loss", Proc. Fourth
-       Berkeley Symposium, 1961.
-    """
-    parts, n = taught.parts, sums.n_touches
-    if not n:
-        return np.zeros_like(sums.features)
-    middle, mean = taught.means.mean(axis=0), sums.features / n
-    between = np.maximum(parts.sums((taught.means - middle) ** 2).mean(axis=0), 1e-300)
-    strays = taught.features - taught.means[taught.codes]
-    within = parts.sums(group_means(strays**2, taught.codes)).mean(axis=0)
-    spread = np.maximum(sums.squares - n * parts.sums(mean**2), 0) / max(n - 1, 1)
-    by_spread = (spread - within) / between
-    shares = sums.shares
-    taken_for = shares @ taught.means
-    by_names = parts.sums(shares @ (taught.means - taken_for) ** 2) / between
-    # Whatever encoding looks, the objects are the same.
-    evidence = np.clip(max(by_spread.mean(), by_names.mean()), 0, 1)
-    all_alike = (ALL_ALIKE + (n - 1) * evidence) / (ALL_ALIKE + n - 1)
-    of_few = FARTHER**2 * parts.sums((taken_for - middle) ** 2)
-    noise = (between + within) / n + (1 - all_alike) * of_few
-    away = middle - mean
-    squared = np.maximum(parts.sums(away**2), 1e-300)
-    left = np.maximum(0, 1 - noise / squared)
-    return np.asarray(away * parts.spread(left))
+        It is that of all touches of the episode, as what the session adds is known now.
+        """
+        seen = self._as_learnt.evidence(touch)
+        counts = np.array([flag != NO_CONTACT for flag in seen.flags], dtype=bool)
+        counts |= self._as_learnt.uses_no_contact_
+        taken_for = softmax(seen.log_likelihood[counts], axis=1)
+        self._sums = self._sums.plus(
+            SessionSums.of(seen.features[counts], taken_for, self._taught)
+        )
+        self._episode.append(seen)
+        if self._moves:
+            shift = shift_unlabelled(self._sums, self._taught)
+            now = copy(self._as_learnt)
+            now.encoder_ = wrapped(now.encoder_).shifted(shift)
+            self.recogniser = now
+        else:
+            shift = np.zeros_like(self._sums.features)
+        belief = self.recogniser.start(*self._begun)
+        for seen_before in self._episode:
+            moved = seen_before.features + shift
+            belief.update(
+                self.recogniser.evidence_of(moved, seen_before.flags, seen_before.looks)
+            )
+        return belief

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,8 @@ RANGES = {
     "plane": Ranges(gain=0.3, taxels=0.2, zero=0.1, shift=1 / 30, colours=0.1),
     "none": None,
 }
+# What encodings may be blind to, and the range of it.
+CHANGES = {"shifts": "shift", "gain": "gain"}
 
 
 def rehearse(
@@ -78,7 +80,7 @@ def rehearse(
 
     Of what `pool` learnt as `memory` of `touches`.
     """
-    ranges = RANGES[geometry]
+    ranges = _seen_by(encoder, RANGES[geometry])
     if ranges is None or learns_by_landmarks(len(memory), len(memory.classes)):
         unknown = "how sessions change vectors is not known"
         why = "too much was taught at once" if ranges else unknown
@@ -96,11 +98,11 @@ def rehearse(
     right, confirmed = np.split(rehearsal.right, [N_SESSIONS + 1])
     report = {
         "share": rehearsal.share,
-        "told_by": "sessions left out" if sessions_known else "rehearsed sessions",
+        "told_by": _told_by(memory) if sessions_known else "rehearsed sessions",
         "right": [float(share) for share in right],
         "drawn": [name for name, size in vars(ranges).items() if size],
     }
-    if ranges.gain:
+    if geometry != "dome":  # of which less is drawn than another mounting does
         report["expected"] = _expected(rehearsal.pool, memory, right[0], right[1:])
         if len(confirmed):
             report["confirmed"] = _expected(rehearsal.pool, memory, right[0], confirmed)
@@ -108,6 +110,23 @@ def rehearse(
         replays = [*_replays(rehearsal.pool, memory, drawn, parts, seed)]
         report["trust"] = _trust_in_one(replays)
     return rehearsal.pool, report
+
+
+def _seen_by(encoder: TouchEncoder, ranges: Ranges | None) -> Ranges | None:
+    """Return ranges without that which all encodings in use are blind to."""
+    if ranges is None:
+        return None
+    blind = [encoder.blind_to(name) for name in encoder.encodings]
+    of_all = frozenset.intersection(*blind)
+    return replace(ranges, **{CHANGES[name]: 0.0 for name in CHANGES.keys() & of_all})
+
+
+def _told_by(memory: Memory) -> str:
+    """Return what is left out whole: persons, where blocks are theirs, or sessions."""
+    pairs = np.unique(np.stack([memory.blocks.astype(str), memory.subjects]), axis=1)
+    n_blocks, n_persons = (len(np.unique(names)) for names in pairs)
+    one_each = n_blocks == n_persons == len(pairs[0])
+    return f"{'persons' if one_each else 'sessions'} left out"
 
 
 def _and_confirmed(drawn: Drawn, memory: Memory, parts: _sessions.Parts) -> Drawn:

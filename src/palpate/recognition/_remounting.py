@@ -22,7 +22,6 @@ from ._contact import ContactCheck
 from ._learning import encoded, memory_of
 from ._learnt import HasLearnt, Learnt
 from ._memory import Memory
-from ._recentring import SessionSums, shift_unlabelled
 from ._remounted_encoder import RemountedEncoder, wrapped
 
 # Fewer differences between sessions than this do not tell a covariance.
@@ -130,15 +129,15 @@ def _weighed_by_themselves(
 def _shift(learnt: Learnt, features: Floats, labels: Array | None) -> Floats:
     """Return what to add to a session's features, with or without labels."""
     if labels is None:
-        return shift_unlabelled(_sums(learnt, features), learnt.taught)
+        return _sessions.shift_unlabelled(_sums(learnt, features), learnt.taught)
     codes = np.searchsorted(learnt.classes, labels)
     return _sessions.shift_by_labels(features, codes, learnt.taught)
 
 
-def _sums(learnt: Learnt, features: Floats) -> SessionSums:
+def _sums(learnt: Learnt, features: Floats) -> _sessions.SessionSums:
     """Return what touches of a session without labels sum up to."""
-    log_likelihood = learnt.classifier.log_likelihood(features)
-    return SessionSums.of(features, softmax(log_likelihood, axis=1), learnt.taught)
+    taken_for = softmax(learnt.classifier.log_likelihood(features), axis=1)
+    return _sessions.SessionSums.of(features, taken_for, learnt.taught)
 
 
 def _as_taught(

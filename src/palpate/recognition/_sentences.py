@@ -35,6 +35,17 @@ def share_of(probability: float) -> str:
     return f"{floor(100 * steps * probability + 1e-9) / steps:g} %"
 
 
+def figure_of(share: float) -> str:
+    """Return a share for a table: rounded down, so that none sum to more than 100 %."""
+    if 0.999 < share < 1:
+        return ">99.9 %"
+    if 0 < share < 0.001:
+        return "<0.1 %"
+    steps = 1 if 0.1 <= share < 0.99 else 10
+    digits = int(steps > 1 and 0 < share < 1)
+    return f"{floor(100 * steps * share + 1e-9) / steps:.{digits}f} %"
+
+
 def n_touches_of(n_touches: int) -> str:
     """Return a number of touches in words: "1 touch", "5 touches"."""
     return f"{n_touches} touch{'es' * (n_touches != 1)}"
@@ -109,8 +120,8 @@ class Promise(NamedTuple):
     n_units : int
         How many objects, or objects in a session, that were.
     other_session : bool
-        Whether the recogniser serves in another session without confirmed touches: no
-        touches of such a session were left out.
+        Whether the recogniser serves in another session without a confirmed touch of
+        each object: of the others none of such a session were left out.
     """
 
     level: float

@@ -33,6 +33,7 @@ from ._health import sensor_health as sensor_health
 from ._played import ReplaySensor
 from ._played import SimulatedStream as SimulatedStream
 from ._ros import RosSensor as RosSensor
+from ._ros import RosService as RosService
 from ._ros import open_node as open_node
 from ._serial import SerialArraySensor
 

@@ -41,7 +41,10 @@ _BUFFERS = (
 
 
 class DdsNode:
-    """A participant in a domain of DDS; see `RosNode`."""
+    """A participant in a domain of DDS, what `ROS_DOMAIN_ID` is to ROS.
+
+    `hint` is what to look at where a topic is not found.
+    """
 
     hint = "CYCLONEDDS_URI"
 
@@ -63,11 +66,14 @@ class DdsNode:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """Return the publishers of ROS topics that are seen now, of any topic."""
+        alive = needed("cyclonedds.core", "ros", WHAT).InstanceState.Alive
         seen = []
         for sample in self._discovery.read(N=1000):
             name = str(getattr(sample, "topic_name", "") or "")
             kind = ros_kind(str(getattr(sample, "type_name", "") or ""))
-            if name.startswith("rt/") and kind is not None and _alive(sample):
+            about = getattr(sample, "sample_info", None)
+            is_there = about is None or about.instance_state & alive
+            if name.startswith("rt/") and kind is not None and is_there:
                 seen.append(Endpoint(name.removeprefix("rt"), kind))
         return seen
 
@@ -94,7 +100,7 @@ class DdsNode:
 
 
 class DdsReader:
-    """The messages of one topic, as bytes; see `RosReader`."""
+    """The messages of one topic, as bytes."""
 
     def __init__(
         self, participant: Any, topic: Any, kind: str, *, reliable: bool
@@ -127,7 +133,7 @@ class DdsReader:
 
 
 class DdsWriter:
-    """Writes messages of one kind to one topic; see `RosWriter`."""
+    """Writes messages of one kind to one topic."""
 
     def __init__(
         self, participant: Any, topic: Any, kind: str, *, keep_last: bool = False
@@ -150,7 +156,7 @@ class DdsWriter:
 
 
 class DdsService:
-    """A service in the layout of rmw_cyclonedds; see `RosService`."""
+    """A service in the layout of rmw_cyclonedds."""
 
     def __init__(
         self, participant: Any, service: str, kind: str, answer: Answer
@@ -254,12 +260,3 @@ def _policy(status: Any) -> str:
         return ""
     number = int(status.last_policy_id)
     return _POLICIES.get(number, f"policy {number}")
-
-
-def _alive(sample: Any) -> bool:
-    """Tell whether what DDS has discovered is still there."""
-    core = needed("cyclonedds.core", "ros", WHAT)
-    information = getattr(sample, "sample_info", None)
-    return information is None or bool(
-        information.instance_state & core.InstanceState.Alive
-    )

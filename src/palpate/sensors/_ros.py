@@ -11,10 +11,14 @@ from .._checks import check_count, check_option, check_positive
 from .._types import Array
 from ..touches import TouchesError, frame_of_message, shows_frame
 from ._contract import LiveSensor, Reading, SensorError
-from ._dds import DdsNode
-from ._zenoh import ZenohNode
-from .ros import MAX_MESSAGE, Header, RosNode, RosReader, read_message
+from ._dds import DdsNode, DdsReader, DdsService
+from ._zenoh import ZenohNode, ZenohReader, ZenohService
+from .ros import MAX_MESSAGE, Header, read_message
 
+# What carries topics: both have these methods and attributes.
+RosNode = DdsNode | ZenohNode
+RosReader = DdsReader | ZenohReader
+RosService = DdsService | ZenohService
 VIA = ("dds", "zenoh")
 _TICK_S = 0.2  # between looks at whether to stop
 _MATCH_S = 1.0  # until publisher and reader have met
@@ -31,11 +35,13 @@ def open_node(domain: int, via: str) -> RosNode:
     SensorError
         The network, or its configuration, is not there.
     """
-    check_count("domain", domain, at_least=0)
-    if domain > 232:
-        raise ValueError(f"domain must be at most 232, got {domain}.")
-    check_option("via", via, VIA)
+    _check(domain, via)
     return DdsNode(domain) if via == "dds" else ZenohNode(domain)
+
+
+def _check(domain: int, via: str) -> None:
+    check_count("domain", domain, at_least=0, at_most=232)
+    check_option("via", via, VIA)
 
 
 class RosSensor(LiveSensor):
@@ -79,11 +85,8 @@ class RosSensor(LiveSensor):
         via: str = "dds",
     ) -> None:
         self.topic = "/" + topic.strip("/")
-        self.domain = check_count("domain", domain, at_least=0)
-        if self.domain > 232:
-            raise ValueError(f"domain must be at most 232, got {domain}.")
-        check_option("via", via, VIA)
-        self._via = via
+        _check(domain, via)
+        self.domain, self._via = int(domain), via
         check_option("qos", qos, ("best_effort", "reliable"))
         self._reliable = qos == "reliable"
         self._wait_s = check_positive("wait_s", wait_s)

@@ -38,7 +38,7 @@ _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 
 class ZenohNode:
-    """A session of zenoh; see `RosNode`."""
+    """A session of zenoh, with the methods of `DdsNode`."""
 
     hint = f"that a router runs at {_ROUTER} or where ZENOH_SESSION_CONFIG_URI says"
 
@@ -130,7 +130,7 @@ class ZenohNode:
 
 
 class ZenohReader:
-    """The messages of one topic, as bytes; see `RosReader`."""
+    """The messages of one topic, as bytes."""
 
     hindrance = ""  # zenoh keeps nobody apart by quality of service
 
@@ -167,7 +167,7 @@ class ZenohReader:
 
 
 class ZenohWriter:
-    """Writes messages of one kind to one topic; see `RosWriter`."""
+    """Writes messages of one kind to one topic."""
 
     hindrance = ""
 
@@ -183,7 +183,7 @@ class ZenohWriter:
 
 
 class ZenohService:
-    """A service, as zenoh's queries; see `RosService`."""
+    """A service, as zenoh's queries."""
 
     def __init__(self, session: Any, key: str, kind: str, answer: Answer) -> None:
         self._kind, self._answer = kind, answer

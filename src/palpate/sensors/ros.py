@@ -7,7 +7,7 @@ Both wires, DDS and zenoh, carry the same bytes (CDR) and name types alike:
 import re
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from .._extras import needed
 
@@ -40,65 +40,6 @@ class Header(NamedTuple):
     sec: int
     nanosec: int
     frame_id: str
-
-
-class RosReader(Protocol):
-    """The messages of one topic, as bytes.
-
-    `n_publishers` is how many are heard now; `hindrance` names the policy that keeps a
-    publisher from being heard, or is empty.
-    """
-
-    kind: str
-
-    @property
-    def n_publishers(self) -> int: ...
-
-    @property
-    def hindrance(self) -> str: ...
-
-    def take(self, wait_s: float) -> list[bytes]:
-        """Return the messages that came, waiting so long for the first."""
-        ...
-
-
-class RosWriter(Protocol):
-    """Writes messages of one kind to one topic, as bytes.
-
-    `hindrance` names the policy that keeps a reader from hearing it, or is empty.
-    """
-
-    @property
-    def hindrance(self) -> str: ...
-
-    def write_bytes(self, raw: bytes) -> None: ...
-
-
-class RosService(Protocol):
-    """A service; `poll` answers the requests that have come."""
-
-    def poll(self) -> None: ...
-
-
-class RosNode(Protocol):
-    """A participant in a domain: it discovers, subscribes, publishes and answers.
-
-    Made of the number of a domain, what `ROS_DOMAIN_ID` is to ROS. ImportError names
-    the extra of what is not installed, SensorError says that the network, or its
-    configuration, is not there. `hint` is what to look at where a topic is not found.
-    """
-
-    hint: str
-
-    def publishers(self, topic: str) -> list[Endpoint]: ...
-
-    def subscribe(self, topic: str, kind: str, *, reliable: bool) -> RosReader: ...
-
-    def publish(self, topic: str, kind: str) -> RosWriter: ...
-
-    def serve(self, service: str, kind: str, answer: Answer) -> RosService: ...
-
-    def close(self) -> None: ...
 
 
 @cache

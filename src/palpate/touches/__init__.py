@@ -8,14 +8,14 @@ Pillow are imported when the first picture is decoded.
 from ._columns import FORMER as FORMER
 from ._columns import GEOMETRIES as GEOMETRIES
 from ._columns import TouchesError
+from ._containers import frame_of_message as frame_of_message
+from ._containers import shows_frame as shows_frame
 from ._folder import PICTURES as PICTURES
 from ._folder import PictureCheck as PictureCheck
 from ._folder import check_folder as check_folder
 from ._folder import shows_colour as shows_colour
 from ._html import as_shown as as_shown
 from ._html import png_address as png_address
-from ._messages import frame_of_message as frame_of_message
-from ._messages import shows_frame as shows_frame
 from ._parquet import is_parquet as is_parquet
 from ._parquet import url_of as url_of
 from ._parquet import write_parquet as write_parquet

@@ -70,24 +70,24 @@ class PictureCheck:
         Those that cannot be read, are unlike most, or get no label.
     usual : str
         Size and format of the others.
-    turned : int
-        How many were turned upright, as their Exif orientation says.
+    turned : list of str
+        Those that were turned upright, as their Exif orientation says.
     flat : list of str
         Pictures of one level all over.
     same : list of (str, str)
         Pictures that are a copy of another one.
-    coloured, grey : int
-        How many of those that can be used are in colour, and in grey, where all were
-        read in grey and the first in colour shows some; else 0.
+    coloured, grey : list of str
+        Which of those that can be used are in colour, and in grey, where all were
+        read in grey and the first in colour shows some; else none.
     """
 
     bad: list[BadPicture] = field(default_factory=list)
     usual: str = ""
-    turned: int = 0
+    turned: list[str] = field(default_factory=list)
     flat: list[str] = field(default_factory=list)
     same: list[tuple[str, str]] = field(default_factory=list)
-    coloured: int = 0
-    grey: int = 0
+    coloured: list[str] = field(default_factory=list)
+    grey: list[str] = field(default_factory=list)
 
 
 def folder_arrays(
@@ -108,9 +108,7 @@ def folder_arrays(
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if skip_bad:
         check = _checked(root, names, pattern, max_pixels, colour)
-        names = _without_bad(names, check.bad)
-        if check.bad:
-            warnings.warn(_left_out(check.bad, root, len(names)), stacklevel=4)
+        names = _without_bad(root, names, check.bad)
     try:
         columns = {} if pattern is None else _from_names(names, pattern)
         if "object" not in columns:
@@ -206,10 +204,8 @@ def _checked(
     elif (root / _LABELS).is_file():
         odd = {}
     else:
-        odd = {
-            n: f"{where}, unlike the others"
-            for n, where in odd_depths(names)[0].items()
-        }
+        depths = odd_depths(names)[0].items()
+        odd = {n: f"{where}, unlike the others" for n, where in depths}
     check.bad += [BadPicture(n, why, fix) for n, why in odd.items() if n not in are_bad]
     check.bad.sort(key=lambda bad: _natural_order(bad.picture))
     return check
@@ -245,31 +241,37 @@ def _check_pictures(
     with ThreadPoolExecutor(n_cores()) as pool:
         seen = dict(zip(names, pool.map(look, names), strict=True))
     headers = Counter(picture.header for picture in seen.values() if picture.header)
-    check = PictureCheck()
-    if not headers:
-        usual = None
-    else:
-        usual = headers.most_common(1)[0][0]
-        check.usual = str(usual)
+    usual = headers.most_common(1)[0][0] if headers else None
+    check = PictureCheck(usual=str(usual or ""))
     first: dict[bytes, str] = {}
     for name, picture in seen.items():
         if picture.header is None:
             check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
         elif picture.header != usual:
-            fix = "convert it, or keep the two kinds in folders of their own"
-            check.bad.append(BadPicture(name, f"{picture.header}, not {usual}", fix))
+            problem = f"{picture.header}, not {usual}"
+            fix = "convert it"
+            if usual is not None and _is_on_its_side(picture.header, usual):
+                problem, fix = f"{problem}: on its side", "turn it by 90 degrees"
+            fix += ", or keep the two kinds in folders of their own"
+            check.bad.append(BadPicture(name, problem, fix))
         else:
-            check.turned += picture.orientation > 1
+            check.turned += [name] * (picture.orientation > 1)
             check.flat += [name] * picture.flat
             if (copy := first.setdefault(picture.digest, name)) != name:
                 check.same.append((name, copy))
     if not colour:
-        alike = {name: one for name, one in seen.items() if one.header == usual}
-        in_colour = [name for name, one in alike.items() if one.coloured]
+        alike = {n: picture for n, picture in seen.items() if picture.header == usual}
+        in_colour = [n for n, picture in alike.items() if picture.coloured]
         if in_colour and shows_colour(root / in_colour[0]):
-            check.coloured = len(in_colour)
-            check.grey = len(alike) - len(in_colour)
+            check.coloured = in_colour
+            check.grey = [name for name, one in alike.items() if not one.coloured]
     return check
+
+
+def _is_on_its_side(header: Header, usual: Header) -> bool:
+    """Whether a picture is as large as most, with its sides changed over."""
+    turned = header._replace(n_rows=header.n_cols, n_cols=header.n_rows)
+    return header != usual and turned == usual
 
 
 def shows_colour(path: Path) -> bool:
@@ -289,8 +291,10 @@ def _fix(problem: str) -> str:
     return "save it again as 8-bit JPEG or PNG, or take it out"
 
 
-def _without_bad(names: Sequence[str], bad: Sequence[BadPicture]) -> list[str]:
-    """Return the pictures that can be used; refuse a folder that has none."""
+def _without_bad(
+    root: Path, names: Sequence[str], bad: Sequence[BadPicture]
+) -> list[str]:
+    """Return the pictures that can be used, and warn of the others."""
     gone = {odd.picture for odd in bad}
     kept = [name for name in names if name not in gone]
     if not kept:
@@ -298,14 +302,14 @@ def _without_bad(names: Sequence[str], bad: Sequence[BadPicture]) -> list[str]:
             f"Pictures must be usable, got {len(names)} of which none is: "
             f"{bad[0].picture} is {bad[0].problem}. Fix: {bad[0].fix}."
         )
+    if bad:
+        first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:3])
+        more = "" if len(bad) <= 3 else f"; and {len(bad) - 3} more"
+        n = f"{len(bad)} picture{'s' * (len(bad) > 1)}"
+        warnings.warn(
+            f"{n} of {len(names)} in {root} left out: {first}{more}.", stacklevel=5
+        )
     return kept
-
-
-def _left_out(bad: Sequence[BadPicture], root: Path, n_kept: int) -> str:
-    first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:3])
-    more = "" if len(bad) <= 3 else f"; and {len(bad) - 3} more"
-    n = f"{len(bad)} picture{'s' * (len(bad) > 1)}"
-    return f"{n} of {len(bad) + n_kept} in {root} left out: {first}{more}."
 
 
 def no_contact_picture(
@@ -344,9 +348,10 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         )
     try:
         files = _files(root)
+        there = {Path(name).suffix.lower() for name in files}
         kinds_of_files = (PICTURES, _OTHERS, TABLES)
-        pictures = next(filter(None, (_of_kinds(files, k) for k in kinds_of_files)), [])
-        pictures = [name for name in pictures if name != _LABELS]
+        read = next((kinds for kinds in kinds_of_files if there & {*kinds}), ())
+        pictures = [n for n in files if Path(n).suffix.lower() in read and n != _LABELS]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
@@ -363,10 +368,6 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
             f"Convert them, or give another folder.{hint}"
         )
     return sorted(pictures, key=_natural_order)
-
-
-def _of_kinds(names: Sequence[str], endings: tuple[str, ...]) -> list[str]:
-    return [name for name in names if Path(name).suffix.lower() in endings]
 
 
 def _files(root: Path) -> list[str]:

@@ -15,7 +15,7 @@ import json
 import re
 from base64 import b64decode, b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from math import prod
 from os import PathLike
@@ -38,7 +38,7 @@ _BYTES_AT_ONCE = 64 * 2**20  # as many images at once
 _IMAGE, _RECORDING = "image", "recording"
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL)
 _PART = re.compile(r"([^/=]+)=([^/]*)")
-READING = "Reading Parquet"
+_READING = "Reading Parquet"
 # What stores say of a file that changes when it is written anew.
 _STAMPS = ("size", "ETag", "etag", "md5", "mtime", "LastModified", "created")
 
@@ -83,7 +83,10 @@ def write_parquet(
     with ExitStack() as stack:
         writer = None
         for images, columns, files, numbers in parts:
-            if files is None and _are_pictures(images, channels):
+            # What a camera gives, and a viewer shows.
+            large = min(images.shape[1:3]) > ARRAY_SIDE
+            levels = images.dtype == np.uint8 and channels in (None, RGB)
+            if files is None and large and levels:
                 files = [png_bytes(image) for image in images]
             shown = _tensor(pa, images) if files is None else _pictures(pa, files)
             arrays = {name: _arrow(pa, name, array) for name, array in columns.items()}
@@ -128,15 +131,23 @@ def parquet_parts(
 
     Raises TouchesError where it is no Parquet, or not one of touches.
     """
-    pq = needed("pyarrow.parquet", "parquet", READING)
-    pa = needed("pyarrow", "parquet", READING)
     for name in parquet_files(path):
-        with open_parquet(name) as file:
-            try:
-                reader = pq.ParquetFile(file)
-                yield from _parts(pa, name, reader, max_bytes, max_pixels)
-            except (pa.ArrowException, OSError, OverflowError) as error:
-                raise _not_whole(name, error) from error
+        with _reader(name) as (pa, reader):
+            yield from _parts(pa, name, reader, max_bytes, max_pixels)
+
+
+@contextmanager
+def _reader(name: str) -> Iterator[tuple[Any, Any]]:
+    """Open a file with pyarrow, or say that it is no whole Parquet."""
+    pq = needed("pyarrow.parquet", "parquet", _READING)
+    pa = needed("pyarrow", "parquet", _READING)
+    try:
+        with _opened(name) as stream:
+            yield pa, pq.ParquetFile(stream)
+    except (pa.ArrowException, OSError, OverflowError) as error:
+        raise TouchesError(
+            f"{name} must be a whole Parquet file, got: {error}. Write it anew."
+        ) from error
 
 
 def parquet_files(path: str | PathLike[str]) -> list[str]:
@@ -173,7 +184,7 @@ def _no_store(url: str, error: Exception) -> TouchesError:
     return TouchesError(f"{url} must be an address that fsspec can open, got: {error}.")
 
 
-def open_parquet(name: str) -> Any:
+def _opened(name: str) -> Any:
     """Open a file, by its path or address, to read."""
     if url_of(name) is None:
         return Path(name).open("rb")
@@ -207,26 +218,18 @@ class FileIndex(NamedTuple):
 
 def parquet_index(name: str) -> FileIndex:
     """Read a file's columns of short values, and what it says of itself."""
-    pq = needed("pyarrow.parquet", "parquet", READING)
-    pa = needed("pyarrow", "parquet", READING)
-    try:
-        with open_parquet(name) as stream:
-            reader = pq.ParquetFile(stream)
-            schema, about = _schema_of(name, reader)
-            short = [
-                field.name
-                for field in schema
-                if not isinstance(field.type, pa.BaseExtensionType)
-                and not pa.types.is_nested(field.type)
-                and not pa.types.is_binary(field.type)
-                and field.name not in (_IMAGE, _RECORDING)
-            ]
-            table = reader.read(columns=short).combine_chunks()
-            groups = [
-                reader.metadata.row_group(i) for i in range(reader.num_row_groups)
-            ]
-    except (pa.ArrowException, OSError) as error:
-        raise _not_whole(name, error) from error
+    with _reader(name) as (pa, reader):
+        schema, about = _schema_of(name, reader)
+        short = [
+            field.name
+            for field in schema
+            if not isinstance(field.type, pa.BaseExtensionType)
+            and not pa.types.is_nested(field.type)
+            and not pa.types.is_binary(field.type)
+            and field.name not in (_IMAGE, _RECORDING)
+        ]
+        table = reader.read(columns=short).combine_chunks()
+        groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
     dtypes = about.get("dtypes", {})
     columns = {}
     for column_name in table.column_names:
@@ -256,22 +259,10 @@ def parquet_rows(
 
     Of all their touches, or of some rows, counted from the first of the groups.
     """
-    pq = needed("pyarrow.parquet", "parquet", READING)
-    pa = needed("pyarrow", "parquet", READING)
-    try:
-        with open_parquet(name) as stream:
-            reader = pq.ParquetFile(stream)
-            chosen = list(groups), rows
-            for arrays, _ in _parts(pa, name, reader, max_bytes, max_pixels, chosen):
-                yield arrays
-    except (pa.ArrowException, OSError, OverflowError) as error:
-        raise _not_whole(name, error) from error
-
-
-def _not_whole(name: str, error: Exception) -> TouchesError:
-    return TouchesError(
-        f"{name} must be a whole Parquet file, got: {error}. Write it anew."
-    )
+    with _reader(name) as (pa, reader):
+        chosen = list(groups), rows
+        for arrays, _ in _parts(pa, name, reader, max_bytes, max_pixels, chosen):
+            yield arrays
 
 
 def _named(name: str) -> dict[str, str]:
@@ -388,9 +379,7 @@ def _batch_arrays(
             arrays[_IMAGE], files = _images(pa, name, column, about, max_pixels)
             continue
         array = _numpy(pa, name, field.name, column)
-        if (dtype := dtypes.get(field.name)) and array.dtype.kind in "biufMS":
-            array = _as_written(array, dtype)
-        arrays[field.name] = array
+        arrays[field.name] = _as_written(array, dtypes.get(field.name, ""))
     return arrays, files
 
 
@@ -485,12 +474,6 @@ def _no_column(name: str, column: str, got: object) -> TouchesError:
         f"{name} must have numbers or text in column {column!r}, got {got}. Leave it "
         "out, or convert it."
     )
-
-
-def _are_pictures(images: Array, channels: tuple[str, ...] | None) -> bool:
-    """Tell whether images are what a camera gives, and a viewer shows."""
-    large = min(images.shape[1:3]) > ARRAY_SIDE
-    return images.dtype == np.uint8 and channels in (None, RGB) and large
 
 
 def _arrow(pa: Any, name: str, array: Array) -> Any:

@@ -21,7 +21,9 @@ from ._serving import open_socket as open_socket
 from ._serving import qr_code as qr_code
 from ._serving import require_web as require_web
 from ._serving import run_app as run_app
+from ._serving import served_at as served_at
 from ._serving import server_of as server_of
+from ._serving import serving_at as serving_at
 from ._session import LiveSession
 from ._session import start_all as start_all
 

@@ -18,12 +18,14 @@ from ..recognition import (
     Episode,
     Evidence,
     ObjectRecogniser,
+    figure_of,
     nearest_touches,
     touch_note,
 )
 from ..simulation import SensorPose
 from ..touches import Touches
 from ._images import thumbnail
+from ._quality import limits
 
 Vector = tuple[float, float, float]
 _SHOWN, _NEAREST = 5, 6
@@ -96,6 +98,7 @@ class LiveEpisode:
         self.episode: Episode | None = None
         if recogniser is not None:
             self.episode = recogniser.episode(**accepted, level="any")
+        self.limits = "" if recogniser is None else limits(recogniser)
         self.by_place = False
         self.touches: list[LiveTouch] = []
         self.images: list[Array | None] = []
@@ -251,6 +254,7 @@ class LiveEpisode:
             "best": episode.belief.best if episode and self.touches else None,
             "sentence": self.sentence,
             "reason": self.sentence,
+            "limits": self.limits,
             "withdrawn": episode.withdrawn if episode else [],
             "why": episode.belief.why(episode.error) if episode else [],
             "touches": [dict(vars(touch)) for touch in self.touches],
@@ -307,6 +311,7 @@ def episode_report(episode: LiveEpisode) -> str:
     return Template(_PAGE.read_text(encoding="utf-8")).substitute(
         number=episode.number,
         sentence=escape(episode.sentence),
+        limits=escape(episode.limits),
         when=time.strftime("%Y-%m-%d %H:%M", began),
         count=len(episode.touches),
         why="".join(
@@ -327,7 +332,7 @@ def _item(touch: LiveTouch, png: bytes | None) -> str:
         shown.append(("nothing learnt", touch.unknown))
     rows = "".join(
         f"<tr><th scope=row>{escape(name)}<div class=track><div class=bar "
-        f"style='width:{share:.1%}'></div></div></th><td>{share:.1%}</td></tr>"
+        f"style='width:{share:.1%}'></div></div></th><td>{figure_of(share)}</td></tr>"
         for name, share in shown
     )
     note = f"<p class=note>{escape(touch.note)}</p>" if touch.note else ""

@@ -44,12 +44,14 @@ class Journal:
     """Actions that can be undone, the newest last, and the lesson under way.
 
     `interrupted` is the lesson that was under way when the file was written last, until
-    one begins or it is ended.
+    one begins or it is ended. `changed` are the objects whose touches are others than
+    when the model learnt last.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.actions: list[Action] = []
+        self.changed: set[str] = set()
         self._lesson: Interrupted | None = None
         for line in self._lines():
             with suppress(ValueError, TypeError, KeyError, AttributeError):
@@ -69,6 +71,10 @@ class Journal:
         """Forget the newest action: it is undone."""
         self._write({"undone": True})
 
+    def learnt(self) -> None:
+        """Note which objects are still others than what was learnt."""
+        self._write({"changed": sorted(self.changed)})
+
     def begin_lesson(self, name: str, wanted: int, ids: Sequence[str] = ()) -> None:
         """Note that a lesson begins, with the touches that it has already."""
         self._write({"lesson": {"name": name, "wanted": wanted, "ids": [*ids]}})
@@ -84,15 +90,23 @@ class Journal:
         if "action" in line:
             action = Action(**line["action"])
             self.actions = [*self.actions[1 - MOST_ACTIONS :], action]
+            self._change(action)
             if self._lesson is not None and action.kind == "taught":
                 self._lesson.ids += action.ids
             else:
                 self._drop(action)
         elif "undone" in line and self.actions:
-            self._drop(self.actions.pop())
+            undone = self.actions.pop()
+            self._change(undone)
+            self._drop(undone)
+        elif "changed" in line:
+            self.changed = {str(name) for name in line["changed"]}
         elif "lesson" in line:
             lesson = line["lesson"]
             self._lesson = None if lesson is None else Interrupted(**lesson)
+
+    def _change(self, action: Action) -> None:
+        self.changed |= {action.object, action.to} - {""}
 
     def _drop(self, action: Action) -> None:
         if self._lesson is not None:

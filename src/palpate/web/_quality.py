@@ -12,6 +12,9 @@ from ..recognition import ObjectRecogniser, with_floor
 
 # Touches of a draw, draws, shares that are enough of draws and touches, objects named.
 _SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
+# With so few objects 70 % of things never taught are named, and with so few touches of
+# an object names are least sure: docs/reference/live.md.
+_FEW_OBJECTS, _FEW_TOUCHES = 5, 10
 
 
 def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
@@ -46,6 +49,25 @@ def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
     return result
 
 
+def limits(recogniser: ObjectRecogniser) -> str:
+    """Return what a name is worth where few objects, or touches, were learnt, or ""."""
+    names, counts = np.unique(recogniser.memory_.labels.astype(str), return_counts=True)
+    sentences = []
+    if len(names) <= _FEW_OBJECTS:
+        sentences.append(
+            f"It knows {len(names)} objects and nothing else: a thing that is none of "
+            "them is often called by one of their names."
+        )
+    few = names[counts < _FEW_TOUCHES].tolist()
+    if few:
+        more = f" and {len(few) - 3} more" * (len(few) > 3)
+        sentences.append(
+            f"Of {', '.join(few[:3])}{more} it learnt fewer than {_FEW_TOUCHES} "
+            "touches: a wrong name may look certain."
+        )
+    return " ".join(sentences)
+
+
 def advice(qualities: list[dict[str, Any]]) -> list[str]:
     """Return what to teach next, in sentences, of what `object_quality` returned.
 
@@ -64,6 +86,7 @@ def advice(qualities: list[dict[str, Any]]) -> list[str]:
             what = f"{name} and {other} are taken for each other"
             sentences.append(f"{what}: ten more touches of each, elsewhere.")
     if few:
-        names = ", ".join(few)
-        sentences.append(f"Fewer than {_SOME} touches cannot be judged: {names}.")
+        names = ", ".join(few[:_MOST_SAID])
+        more = f" and {len(few) - _MOST_SAID} more" * (len(few) > _MOST_SAID)
+        sentences.append(f"Fewer than {_SOME} touches cannot be judged: {names}{more}.")
     return sentences

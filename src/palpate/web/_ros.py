@@ -17,14 +17,13 @@ import time
 from functools import partial
 from typing import Any
 
-from ..sensors import CalibratedSensor, RosSensor, open_node, ros_place
+from ..sensors import CalibratedSensor, RosSensor, RosService, open_node, ros_place
 from ..sensors.ros import (
     CLASSIFICATION,
     SET_BOOL,
     STRING,
     TRIGGER,
     Header,
-    RosService,
     classification,
     text_message,
 )

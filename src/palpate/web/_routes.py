@@ -192,6 +192,10 @@ class EpisodeState(BaseModel):
     best: str | None
     sentence: Annotated[str, Field(description="What is decided, or what it may be.")]
     reason: Annotated[str, Field(description="As `sentence`.")]
+    limits: Annotated[
+        str,
+        Field(description="What a name is worth where little was learnt, or empty."),
+    ]
     withdrawn: Annotated[
         list[str], Field(description="A sentence for each decision withdrawn.")
     ]

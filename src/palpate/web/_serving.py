@@ -1,12 +1,14 @@
 """Serving a session: its application, its token, and the socket it listens on."""
 
+import errno
 import os
 import re
 import secrets
 import socket
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 MAX_BODY = 16 * 2**20
 RATE_HZ = 200.0
 LAST_PORT = 65535
-TOKEN_FILE = "page.token"
+TOKEN_FILE, ADDRESS_FILE = "page.token", "page.address"
 _TOKEN = re.compile(r"[\w.~-]{16,200}", re.ASCII)
 # An address of documentation (RFC 5737): nothing is sent to it.
 _ELSEWHERE = ("192.0.2.1", 9)
@@ -95,6 +97,45 @@ def kept_token(library: str | Path) -> str:
     return token
 
 
+@contextmanager
+def serving_at(library: str | Path, address: str) -> Iterator[None]:
+    """Keep the address of a server beside its library while it is served.
+
+    The system gives the file back when a program dies.
+    """
+    with (Path(library) / ADDRESS_FILE).open("a+", encoding="utf-8") as file:
+        if _locked(file):
+            file.truncate(0)
+            file.write(address)
+            file.flush()
+        yield
+
+
+def served_at(library: str | Path) -> str:
+    """Return the address of a server of this library that is running, or ""."""
+    path = Path(library) / ADDRESS_FILE
+    if not path.is_file():
+        return ""
+    with path.open("a+", encoding="utf-8") as file:
+        if _locked(file):
+            return ""
+        file.seek(0)
+        return file.read().strip()
+
+
+def _locked(file: IO[str]) -> bool:
+    """Take the lock of a file, unless another program has it."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):  # Windows; a file system without locks
+        pass
+    return True
+
+
 def address_of(host: str, port: int) -> str:
     """Return where a browser finds a server that listens on a host and a port."""
     if host in ("0.0.0.0", "::"):
@@ -138,9 +179,11 @@ def open_socket(host: str, port: int) -> socket.socket:
     except (OSError, TypeError, UnicodeError) as error:  # the last two: no host's name
         opened.close()
         why = getattr(error, "strerror", None) or error
+        taken = getattr(error, "errno", None) == errno.EADDRINUSE
+        who = " by another program, perhaps a palpate that was not ended" * taken
         raise OSError(
-            f"Cannot listen on {host} port {port}: {why}. Choose an address of this "
-            "machine as `host`, another `port`, or 0 for a free one."
+            f"Cannot listen on {host} port {port}: {why}{who}. Choose an address of "
+            "this machine as `host`, another `port`, or 0 for a free one."
         ) from error
     return opened
 

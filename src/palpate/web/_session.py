@@ -14,6 +14,7 @@ from .._checks import check_number
 from .._types import Array
 from ..exploration import SurfaceMap
 from ..recognition import (
+    NO_CONTACT,
     OTHER_MOUNTING,
     STRANGERS,
     Evidence,
@@ -42,7 +43,7 @@ ONE_SESSION = (
     "All was taught in one session. For another day: lift the sensor, place it again, "
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
-LOOK_EVERY = 10  # touches, at the mounting
+LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
 
 def start_all(sessions: Sequence["LiveSession"]) -> None:
@@ -86,8 +87,6 @@ class LiveSession:
         Called with "frame", "contact", "touch" and "state", from other threads.
     episode : LiveEpisode
         The episode under way.
-    unlearnt : bool
-        Whether touches were taught, removed or moved since it learnt.
     learning : bool
         Whether it is learning now; `learn_error` says why it failed the last time.
     trouble : str
@@ -133,11 +132,11 @@ class LiveSession:
         can_teach = self.teacher is not None
         self.episode = LiveEpisode(1, None, self.accepted, can_teach=can_teach)
         self.learning, self.learn_error = False, ""
-        self.unlearnt = False
         self.message = self.trouble = self.alarm = ""
         self._met: list[Evidence] = []
         self._n_met = 0
         self._drop_next: list[str] | None = None
+        self._changed_before: set[str] = set()
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
         if model is None and library is not None:
             model = Path(library) / "model.palpate"
@@ -148,8 +147,9 @@ class LiveSession:
             except BaseException:
                 self.stop()
                 raise
-            journal = None if self.teacher is None else self.teacher.journal.path
-            self.unlearnt = bool(journal and is_newer(journal, path))
+            journal = None if self.teacher is None else self.teacher.journal
+            if journal is not None and not is_newer(journal.path, path):
+                journal.changed.clear()  # learnt since, by another program
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -195,6 +195,12 @@ class LiveSession:
         return None if self.watch is None else self.watch.detector.baseline
 
     @property
+    def unlearnt(self) -> bool:
+        """Whether touches were taught, removed or moved since it learnt."""
+        is_behind = self.teacher is not None and bool(self.teacher.journal.changed)
+        return is_behind and self.recogniser is not None
+
+    @property
     def advice(self) -> list[str]:
         """What to teach next, in sentences, as lessons and learning tell."""
         verdicts = {} if self.teacher is None else self.teacher.verdicts
@@ -228,7 +234,7 @@ class LiveSession:
         self, name: str, image: Array, place: Mapping[str, Any] | None = None
     ) -> str:
         """Store one touch of an object from outside; return its id."""
-        with self._editing():
+        with self._changing():
             checked = self._checked(image)
             return self._teacher().store(name, *checked, self.baseline, place)
 
@@ -291,19 +297,19 @@ class LiveSession:
 
     def undo(self) -> str:
         """Take back what was done last with touches; return the object they are of."""
-        with self._editing():
+        with self._changing():
             name, self.message = self._teacher().undo()
             return name
 
     def remove_touches(self, ids: Sequence[str]) -> str:
         """Leave stored touches out, which `undo` takes back; return what to say."""
-        with self._editing():
+        with self._changing():
             self.message = self._teacher().remove(ids)
             return self.message
 
     def move_touches(self, ids: Sequence[str], name: str) -> str:
         """Let stored touches be of another object; return what to say."""
-        with self._editing():
+        with self._changing():
             self.message = self._teacher().move(ids, name)
             return self.message
 
@@ -346,11 +352,12 @@ class LiveSession:
         LearningError
             It is learning already.
         """
-        self._teacher()
+        journal = self._teacher().journal
         if not self._learn_lock.acquire(blocking=False):
             raise LearningError("It is learning already; wait until it has finished.")
         self.learning, self.learn_error = True, ""
-        self.unlearnt = False
+        with self._lock:
+            self._changed_before, journal.changed = journal.changed, set()
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(list(drop),), daemon=True)
         thread.start()
@@ -515,7 +522,6 @@ class LiveSession:
 
     def _take(self, image: Array, columns: Mapping[str, Any] | None = None) -> str:
         """Take a touch into the lesson; return what to say."""
-        self.unlearnt = self.recogniser is not None
         noise = self._watched().detector.noise
         return self._teacher().take(image, self.baseline, noise, columns or {})
 
@@ -574,10 +580,14 @@ class LiveSession:
             self._notify_state()
 
     def _check_mounting(self) -> None:
-        """After every ten touches, tell whether the sensor is as it was when taught."""
+        """After every ten contacts, tell whether the sensor is as it was."""
         with self._lock:
             recogniser, evidence = self.recogniser, self.episode.evidence
-            if recogniser is None or evidence is None:
+            if (
+                recogniser is None
+                or evidence is None
+                or evidence.flags[0] == NO_CONTACT
+            ):
                 return
             self._met = met = [*self._met, evidence][-3 * LOOK_EVERY :]
             self._n_met += 1
@@ -600,10 +610,14 @@ class LiveSession:
                 self._notify_state()
 
     def _learn(self, drop: Sequence[str]) -> None:
+        journal = self._teacher().journal
         try:
             self._learn_apart(drop)
+            with self._lock:
+                journal.learnt()
         except (ValueError, OSError) as error:
-            self.learn_error, self.unlearnt = str(error), self.recogniser is not None
+            self.learn_error = str(error)
+            journal.changed |= self._changed_before
         finally:
             with self._lock:
                 self.learning = False
@@ -635,12 +649,6 @@ class LiveSession:
         raise LearningError(
             "Too little to learn: at least two objects with two touches each."
         )
-
-    @contextmanager
-    def _editing(self) -> Iterator[None]:
-        with self._changing():
-            yield
-            self.unlearnt = self.recogniser is not None
 
     @contextmanager
     def _changing(self) -> Iterator[None]:

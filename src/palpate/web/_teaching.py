@@ -332,6 +332,7 @@ class Teacher:
             "undoable": len(self.journal.actions),
             "undo": None if self.journal.last is None else self.journal.last.to_dict(),
             "interrupted": self._interrupted(),
+            "changed": sorted(self.journal.changed),
         }
 
     def _interrupted(self) -> dict[str, Any] | None:

@@ -75,12 +75,13 @@ export function step(number, words, done) {
   item.classList.toggle("done", done);
 }
 
-// Rounded down: what has not reached a limit never reads as if it had, nor 100 %.
+// Rounded down, so that shares never sum to more than 100 %, and what has not reached a
+// limit never reads as if it had. Reports round as this does (`figure_of`).
 export const percent = (share) => {
   if (share > 0.999 && share < 1) return unbroken(">99.9 %");
-  if (share >= 0.99 && share < 1) return unbroken(`${(Math.floor(1000 * share) / 10).toFixed(1)} %`);
-  if (share < 0.1) return unbroken(`${(100 * share).toFixed(1)} %`);
-  return unbroken(`${Math.floor(100 * share + 1e-9)} %`);
+  if (share < 0.001 && share > 0) return unbroken("<0.1 %");
+  const steps = share >= 0.1 && share < 0.99 ? 1 : 10;
+  return unbroken(`${(Math.floor(100 * steps * share + 1e-9) / steps).toFixed(share > 0 && share < 1 && steps > 1 ? 1 : 0)} %`);
 };
 
 // What is decided, in few words; nothing where nothing is.

@@ -39,7 +39,7 @@ export function showObjects(state) {
     const card = cards.get(one.name);
     const still = card.contains(document.activeElement); // a card that is moved loses the focus
     if (find("list").children[at] !== card && !still) find("list").insertBefore(card, find("list").children[at] ?? null);
-    update(card, one, learnt.has(one.name), names.has(one.name));
+    update(card, one, learnt.has(one.name), names.has(one.name), (library?.changed ?? []).includes(one.name));
     text(card.querySelector(".quality"), worded(known.get(one.name)));
   });
   sift(all);
@@ -73,8 +73,9 @@ function makeCard(name, manage) {
       make("button", leave, "Forget"), make("a", link, "Export"))] : []));
 }
 
-function update(card, { name, n_touches: count }, learnt, stored) {
-  const state = learnt ? "learnt" : count > 1 ? "not learnt yet" : "too few to learn";
+function update(card, { name, n_touches: count }, learnt, stored, changed) {
+  const state = !learnt ? count > 1 ? "not learnt yet" : "too few to learn"
+    : changed ? "changed since it was learnt: learn again" : "learnt";
   const [, meta, thumbs] = card.children;
   text(meta, stored ? `${count} touch${count === 1 ? "" : "es"}, ${state}` : `${state}; in the model alone, so it cannot be renamed`);
   show(thumbs, stored);

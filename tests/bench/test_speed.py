@@ -1,13 +1,17 @@
 """Benchmarks: timing, rows, peers that compute the same, and right answers."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from threadpoolctl import threadpool_info
 
 from palpate import bench
-from palpate.bench import BENCHES, _encodings, _library, one_thread, run_bench
+from palpate.bench import BENCHES, run_bench
 from palpate.encodings import ZernikeMoments
+from speed import encodings, library, one_thread
+from speed import row as row_of
 
 
 def test_one_thread_limits_the_linear_algebra():
@@ -16,7 +20,7 @@ def test_one_thread_limits_the_linear_algebra():
 
 
 def test_a_row_says_how_much_faster_ours_is():
-    assert bench.row("size", 2.0, "peer", 6.0, n=1) == {
+    assert row_of("size", 2.0, "peer", 6.0, n=1) == {
         "name": "size",
         "ours_ms": 2.0,
         "peer": "peer",
@@ -24,18 +28,18 @@ def test_a_row_says_how_much_faster_ours_is():
         "ratio": 3.0,
         "n": 1,
     }
-    absent = bench.row("size", 2.0, "peer", None, reason="peer is not installed")
+    absent = row_of("size", 2.0, "peer", None, reason="peer is not installed")
     assert absent["ratio"] is None
     with pytest.raises(ValueError, match="reason must be given"):
-        bench.row("size", 2.0, "peer", None)
+        row_of("size", 2.0, "peer", None)
 
 
 def test_peers_compute_the_same_moments(rng):
     images = rng.uniform(0.1, 1, size=(2, 20, 20))
     ours = ZernikeMoments(6, method="sample").fit_transform(images)
     # Rounding: 1e-10 is asked of every peer.
-    assert_allclose(_encodings.dense_basis(20, 6)(images), ours, atol=1e-10)
-    for peer, (encode, _) in _encodings._peers(20, 6).items():
+    assert_allclose(encodings.dense_basis(20, 6)(images), ours, atol=1e-10)
+    for peer, (encode, _) in encodings._peers(20, 6).items():
         if encode is None or peer == "dense basis":
             continue
         found = np.asarray(encode(images[:1])).ravel()
@@ -45,9 +49,9 @@ def test_peers_compute_the_same_moments(rng):
 
 def test_rows_name_size_type_mode_and_batch(monkeypatch):
     monkeypatch.setattr(
-        _encodings, "find_spec", lambda name: None if name == "mahotas" else name
+        encodings, "find_spec", lambda name: None if name == "mahotas" else name
     )
-    monkeypatch.setattr(_encodings, "_centrosome", lambda size, order: np.sum)
+    monkeypatch.setattr(encodings, "_centrosome", lambda size, order: np.sum)
     rows = run_bench("zernike", size=16, order=4, n_touches=3, seconds=0.002)
     names = {r["name"] for r in rows}
     assert len(rows) == 3 * len(names) == 36
@@ -62,7 +66,7 @@ def test_rows_name_size_type_mode_and_batch(monkeypatch):
 
 
 def test_stored_and_tested_touches_are_apart():
-    stored, labels, new = _library._features(None, 5000, 22, seed=0)
+    stored, labels, new = library._features(None, 5000, 22, seed=0)
     assert stored.shape == (5000, 22)
     assert (labels[:100] == 0).all()
     assert not set(map(tuple, new.round(9))) & set(map(tuple, stored.round(9)))
@@ -125,7 +129,7 @@ def test_the_true_problem_is_solved(mkl_rows):
     assert all(row["gap"] <= 1e-6 for row in beside_svc)
 
 
-def test_stages_and_encodings_have_rows(monkeypatch):
+def test_stages_andencodings_have_rows(monkeypatch):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     rows = run_bench("encodings", seconds=1e-3, names=["hu", "scaled-pixels"])
     assert [row["name"] for row in rows] == [
@@ -172,8 +176,18 @@ def test_a_small_run_has_every_row(monkeypatch):
     assert all(row["ratio"] is not None or row["reason"] for row in rows)
 
 
-def test_the_benchmarks_are_listed():
-    assert {"library", "library-large", "encodings"} <= set(BENCHES)
+def test_every_benchmark_that_is_listed_is_there():
+    for name, (file, _) in BENCHES.items():
+        module = import_module(f"speed.{file}")
+        assert callable(getattr(module, f"bench_{name.replace('-', '_')}"))
+
+
+def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):
+    installed = tmp_path / "lib" / "palpate" / "bench" / "__init__.py"
+    monkeypatch.setattr(bench, "__file__", str(installed))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="Clone its repository, and call it there"):
+        run_bench("likelihood")
 
 
 def test_rows_tell_time_and_memory(monkeypatch):

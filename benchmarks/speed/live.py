@@ -25,10 +25,11 @@ from typing import Any
 
 import numpy as np
 
-from .._types import Array
-from ..library import TouchLibrary
-from ..recognition import ObjectRecogniser, PresetName
-from ..touches import Touches, decode_bytes
+from palpate._types import Array
+from palpate.library import TouchLibrary
+from palpate.recognition import ObjectRecogniser, PresetName
+from palpate.touches import Touches, decode_bytes
+
 from . import N_COLS, N_ROWS, Row, coded, drawn_dome, one_thread, row, wall_ms
 
 STAGES = ("decode", "clean up", "encode", "likelihood", "belief")
@@ -100,8 +101,8 @@ def _watched(seconds: float) -> list[Row]:
     """Serve a replayed camera that recognises, and read its websocket."""
     from websockets.sync.client import connect
 
-    from ..sensors import ReplaySensor
-    from ..web import LiveSession, create_app, open_socket, server_of
+    from palpate.sensors import ReplaySensor
+    from palpate.web import LiveSession, create_app, open_socket, server_of
 
     # A dome touched by a round and a long thing.
     rng = np.random.default_rng(0)
@@ -168,7 +169,7 @@ def _page_rows(page: Any, seconds: float) -> list[Row]:
 
 def _array_row(seconds: float) -> Row:
     """Follow a 16 x 16 array at 100 Hz and count what is lost."""
-    from ..sensors import ReplaySensor, TouchDetector
+    from palpate.sensors import ReplaySensor, TouchDetector
 
     images = np.random.default_rng(0).integers(0, 255, (20, 16, 16)).astype(np.uint8)
     sensor = ReplaySensor(Touches(images), rate_hz=100, hold=5, gap=5)
@@ -262,7 +263,7 @@ def _added(touches: Touches) -> list[Row]:
 
 def _lesson(touches: Touches) -> Row:
     """Learn what the page's library holds after one more lesson."""
-    from ..web._learning import learn_apart
+    from palpate.web._learning import learn_apart
 
     with tempfile.TemporaryDirectory() as folder:
         place, model = Path(folder) / "library", Path(folder) / "m.palpate"

@@ -21,9 +21,10 @@ import numpy as np
 from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 from sklearn.svm import SVC
 
-from .._types import Array, Floats
-from ..classifiers import mkl
-from ..encodings import KernelPCA
+from palpate._types import Array, Floats
+from palpate.classifiers import mkl
+from palpate.encodings import KernelPCA
+
 from . import Row, cpu_ms, measured_apart, one_thread, row
 
 Tensors = Callable[[Floats], list[Any]]

@@ -5,7 +5,8 @@ from itertools import count, cycle
 
 import numpy as np
 
-from .. import simulation
+from palpate import simulation
+
 from . import Row, cpu_ms, one_thread, row
 
 _SHAPES = ((96, 96), (150, 150), (300, 300), (480, 640))

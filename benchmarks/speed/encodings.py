@@ -22,9 +22,9 @@ import cv2
 import numpy as np
 from joblib import cpu_count
 
-from .._extras import missing
-from .._types import Array, Bools, Floats, Singles
-from ..encodings import (
+from palpate._extras import missing
+from palpate._types import Array, Bools, Floats, Singles
+from palpate.encodings import (
     ENCODINGS,
     HuMoments,
     ZernikeMoments,
@@ -32,7 +32,8 @@ from ..encodings import (
     zernike_degrees,
     zernike_values,
 )
-from ..images import DomeCrop, crop_discs, inscribed_mask, standardise_discs
+from palpate.images import DomeCrop, crop_discs, inscribed_mask, standardise_discs
+
 from . import (
     N_COLS,
     N_ROWS,

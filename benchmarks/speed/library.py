@@ -30,12 +30,13 @@ from scipy.special import logsumexp
 from sklearn.decomposition import PCA
 from sklearn.neighbors import KernelDensity
 
-from .._types import Array, Floats
-from ..classifiers import KernelDensityBayes, KernelDensityIndex
-from ..encodings import ZernikeMoments
-from ..images import DomeCrop
-from ..library import TouchLibrary
-from ..touches import Touches
+from palpate._types import Array, Floats
+from palpate.classifiers import KernelDensityBayes, KernelDensityIndex
+from palpate.encodings import ZernikeMoments
+from palpate.images import DomeCrop
+from palpate.library import TouchLibrary
+from palpate.touches import Touches
+
 from . import Row, cpu_ms, one_thread, real_touches, row, wall_ms
 
 SHAPES = ((10, 60), (50, 24), (50, 94))  # objects, touches of each
