@@ -312,6 +312,7 @@ def test_the_next_touch_is_where_what_may_stand_there_differs(recogniser, taught
     taller = RadialSurface(round_one.mean_mm.copy(), round_one.variance_mm2, 1.0)
     taller.mean_mm[np.deg2rad(60) < HEIGHTS] = 90
     learnt.table_ = SurfaceTable([round_one, taller, _oval(150, 150)])
+    learnt.choice_table_ = learnt.table_
     learnt.states_ = [("box", 0), ("mug", 0), ("pen", 0)]
     learnt.object_of_state_ = np.arange(3)
     learnt.picture_of_state_ = np.full(3, -1)
@@ -486,6 +487,10 @@ def test_bodies_are_turned_where_the_ground_is_known(
         assert learnt.turns_bodies_
         pens = [face for name, face in learnt.states_ if name == "pen"]
         assert pens == [-3, -2, -1, 0]
+        # A next touch is chosen as if nothing were known of a face never learnt.
+        pen = learnt.states_.index(("pen", -1))
+        assert np.ptp(learnt.table_.mean_mm[pen]) > 10
+        assert np.ptp(learnt.choice_table_.mean_mm[pen]) == 0
     # Counted from elsewhere, heights do not say where the ground is.
     assert not elsewhere_map.turns_bodies_
     assert {face for _, face in elsewhere_map.states_} == {-1, 0, 1, 2}

@@ -89,6 +89,9 @@ class SurfaceMap:
         Number of the object of each.
     table_ : SurfaceTable
         Their surfaces.
+    choice_table_ : SurfaceTable
+        The same for choosing the next touch, which takes a face that was never learnt
+        for a surface anywhere, not for a body turned.
     pictures_ : TouchMap
         What their touches are like from every side, its "objects" being the states.
     other_share_ : ndarray of shape (n_objects,)
@@ -169,9 +172,13 @@ class SurfaceMap:
         self.other_share_[np.isin(recogniser.classes_, list(of_meshes))] = 0.0
         at_middles = aims_at_middles(bodies.values(), self.tip_radius_mm)
         self.turns_bodies_ = at_middles or aim_mm is not None
-        surfaces |= self._other_surfaces(surfaces, bodies, aim_mm)
-        self.states_ = sorted(surfaces)
-        self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
+        others = self._other_surfaces(surfaces, bodies, aim_mm)
+        anywhere = {state: _any_face(surfaces, state[0]) for state in others}
+        self.states_ = sorted(surfaces | others)
+        self.table_, self.choice_table_ = (
+            SurfaceTable([(surfaces | unlearnt)[state] for state in self.states_])
+            for unlearnt in (others, anywhere)
+        )
         names = [name for name, _ in self.states_]
         self.object_of_state_ = np.searchsorted(recogniser.classes_, names)
         number_of = {state: number for number, state in enumerate(pictures.states)}
@@ -224,12 +231,11 @@ class SurfaceMap:
         ):
             if share == 0:
                 continue
-            learnt = [part for (owner, _), part in surfaces.items() if owner == name]
             own = [body for (owner, _), body in bodies.items() if owner == name]
             turned = []
             if self.turns_bodies_ and own:
                 turned = turned_surfaces(own[0], aim_mm, self.tip_radius_mm)
-            for number, surface in enumerate(turned or [_any_face(learnt)]):
+            for number, surface in enumerate(turned or [_any_face(surfaces, name)]):
                 others[name, OTHER_FACE - number] = surface
         return others
 
@@ -446,12 +452,13 @@ class FacedMap(TouchMap):
         return float(np.mean(losses))
 
 
-def _any_face(surfaces: list[RadialSurface]) -> RadialSurface:
+def _any_face(surfaces: Mapping[State, RadialSurface], name: str) -> RadialSurface:
     """Return what an object's surfaces tell of a face that was never learnt."""
-    radii = np.stack([surface.mean_mm for surface in surfaces])
+    learnt = [part for (owner, _), part in surfaces.items() if owner == name]
+    radii = np.stack([surface.mean_mm for surface in learnt])
     mean, variance = float(radii.mean()), float(radii.var()) + _OTHER_FACE_MM**2
-    flat = np.ones(surfaces[0].mean_mm.shape)
-    return RadialSurface(mean * flat, variance * flat, surfaces[0].noise_mm)
+    flat = np.ones(learnt[0].mean_mm.shape)
+    return RadialSurface(mean * flat, variance * flat, learnt[0].noise_mm)
 
 
 def _refuse_unit(name: str, reach_mm: float) -> None:
