@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.recognition import ModelFileError, SequenceCalibration
-from palpate.recognition._remounted_encoder import RemountedEncoder
+from palpate.recognition._learnt import RemountedEncoder
 from palpate.recognition._strangers import Curve
 
 HANG_S = 2.0

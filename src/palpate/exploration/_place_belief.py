@@ -15,7 +15,7 @@ from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
-from ._advice import advice
+from ._next_place import advice
 from ._place_filter import out_of_frames
 from ._record import History, TouchRecord
 from ._record import as_touches as touches_of

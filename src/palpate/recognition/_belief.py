@@ -16,9 +16,16 @@ from ..touches import Touches
 from . import _evidence, _strangers
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
-from ._pictures import belief_in_html, draw_belief
-from ._senses import Modality
-from ._sentences import OTHER_SESSION, Promise, n_touches_of, sentence_of, share_of
+from ._plugs import Modality
+from ._sentences import (
+    OTHER_SESSION,
+    Promise,
+    belief_in_html,
+    draw_belief,
+    n_touches_of,
+    sentence_of,
+    share_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,7 @@ from ..touches import Touches
 from ._belief import Belief, Level, Named
 from ._evidence import Evidence
 from ._memory import UNKNOWN
-from ._pictures import draw_episode
-from ._sentences import NOTHING, sentence_of, touch_note
+from ._sentences import NOTHING, draw_episode, sentence_of, touch_note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,8 +22,10 @@ from ..touches import Touches, TouchSource
 from . import _evidence, _memory
 from ._alarm import MountingCheck
 from ._calibration import (
+    LeftOut,
     draw_episodes,
     fit_sequence_calibration,
+    fit_strangers,
     left_out_log_likelihood,
     without_gaps,
 )
@@ -31,8 +33,9 @@ from ._contact import consists_of_nothing
 from ._encoder import TouchEncoder
 from ._evidence import as_touches
 from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
-from ._learnt import Learnt
+from ._learnt import Learnt, RemountedEncoder
 from ._memory import Memory, Nearest
+from ._plugs import Encoding, Modality
 from ._presets import (
     PRESENTATIONS,
     Label,
@@ -43,12 +46,8 @@ from ._presets import (
     opened,
 )
 from ._rehearsal import rehearse, said_of_rehearsal
-from ._remounted_encoder import RemountedEncoder
 from ._remounting import remounted, without_nuisance
-from ._senses import Modality
-from ._stranger_curves import LeftOut, fit_strangers
 from ._strangers import StrangerModel
-from ._user_encoding import Encoding
 
 if TYPE_CHECKING:
     pass
