@@ -8,8 +8,8 @@ from ._episode import Exploration as Exploration
 from ._episode import explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
-from ._next_place import advice as advice
 from ._place_belief import PlaceBelief
+from ._place_filter import advice as advice
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog as EpisodeLog

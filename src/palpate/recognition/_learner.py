@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,13 @@ from ._calibration import (
 from ._contact import consists_of_nothing
 from ._encoder import TouchEncoder
 from ._evidence import as_touches
-from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
+from ._learning import (
+    encoded,
+    learn_encoding,
+    memory_of,
+    naming_empty,
+    refuse_too_large,
+)
 from ._learnt import Learnt, RemountedEncoder
 from ._memory import Memory, Nearest
 from ._plugs import Encoding, Modality
@@ -48,9 +54,6 @@ from ._presets import (
 from ._rehearsal import rehearse, said_of_rehearsal
 from ._remounting import remounted, without_nuisance
 from ._strangers import StrangerModel
-
-if TYPE_CHECKING:
-    pass
 
 
 class Learner(BaseEstimator):
@@ -112,7 +115,7 @@ class Learner(BaseEstimator):
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
-        with on_one_thread():
+        with on_one_thread(), naming_empty(touches):
             encoder, contact, chosen, encoding = learn_encoding(
                 preset, touches, labels, blocks, self.presentation
             )

@@ -122,11 +122,12 @@ def _weighed_by_themselves(
         each = np.full(n_new, most * WEIGHT_STEP**-step)
         memory = learnt.memory.plus(replace(by_itself, weights=each))
         again = learnt.refitted(memory)
-        said = log_softmax(left_out_log_likelihood(again), axis=1)
+        log_posterior = log_softmax(left_out_log_likelihood(again), axis=1)
         rows = again.left_out_rows
         of = np.flatnonzero(rows >= n_before)
         of = of[counts[rows[of] - n_before]]
-        loss = step**2 / 2 - said[of, codes[rows[of] - n_before]].sum()
+        of_truth = log_posterior[of, codes[rows[of] - n_before]]
+        loss = step**2 / 2 - of_truth.sum()
         if loss >= best:
             break
         best, weight = loss, float(each[0])
@@ -216,7 +217,9 @@ def across_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
     result: dict[str, Any] = {"least": int(per_object.min()), "median": median}
     result["asked"] = int(met_elsewhere.sum())
     if met_elsewhere.any():
-        log_likelihood, rows = _said_of_left_out_sessions(learnt, memory.features)
+        log_likelihood, rows = _log_likelihood_of_left_out_sessions(
+            learnt, memory.features
+        )
         right = learnt.classes[log_likelihood.argmax(axis=1)] == memory.labels[rows]
         if met_elsewhere[rows].any():  # of very many touches only some are left out
             result["expected"] = float(right[met_elsewhere[rows]].mean())
@@ -310,9 +313,10 @@ def _loss(learnt: Learnt, features: Floats, met_elsewhere: Array) -> Floats:
 
     NaN of those that are not left out, where they are very many.
     """
-    said, rows = _said_of_left_out_sessions(learnt, features)
+    log_likelihood, rows = _log_likelihood_of_left_out_sessions(learnt, features)
+    log_posterior = log_softmax(log_likelihood, axis=1)
     loss = np.full(len(learnt.memory), np.nan)
-    loss[rows] = -log_softmax(said, axis=1)[np.arange(len(rows)), learnt.codes[rows]]
+    loss[rows] = -log_posterior[np.arange(len(rows)), learnt.codes[rows]]
     return loss[met_elsewhere]
 
 
@@ -337,7 +341,7 @@ def _loss_weighed(learnt: Learnt, centred: Floats, met_elsewhere: Array) -> Floa
     return loss[met_elsewhere]
 
 
-def _said_of_left_out_sessions(
+def _log_likelihood_of_left_out_sessions(
     learnt: Learnt, features: Floats
 ) -> tuple[Floats, Indices]:
     """Return what touches are taken for, their session left out, and which."""
