@@ -36,11 +36,6 @@ class RehearsedMachine(BayesRule):
         What features are multiplied by, to weigh down how sessions differ.
     share : float
         What the second one's log posterior counts; the first one's counts the rest.
-
-    Attributes
-    ----------
-    classes_ : ndarray of shape (n_classes,)
-        The labels, sorted.
     """
 
     def __init__(
@@ -57,7 +52,7 @@ class RehearsedMachine(BayesRule):
 
     @property
     def classes_(self) -> Array:  # type: ignore[override]
-        """The labels, sorted."""
+        """The labels, sorted, (n_classes,)."""
         return self.plain.classes_
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:

@@ -217,10 +217,8 @@ class TouchMap:
 
         Parameters
         ----------
-        prior : mapping of str to float, optional
-            How probable each object is, see `ObjectRecogniser.start`.
-        strangers : float, default=0.05
-            The share of episodes with something never learnt, likewise.
+        prior, strangers : optional
+            As in `ObjectRecogniser.start`.
         """
         classes = self.recogniser.classes_
         log_prior = None if prior is None else given_prior(prior, classes)

@@ -77,17 +77,6 @@ class Belief:
 
     Attributes
     ----------
-    posterior : dict of str to float
-        Probability of each learnt object; they and `unknown` sum to one.
-    unknown : float
-        Probability that it is none of them. Before the first touch the share of
-        strangers that is expected; 0 in a closed world.
-    best : str
-        The most probable learnt object.
-    doubt : float
-        Probability outside `best`, `unknown` with it.
-    touches_used : int
-        Number of touches that entered so far, those without contact among them.
     flags : list of str
         What was wrong with each touch, "" for most; see `ObjectRecogniser.flags`.
 
@@ -271,12 +260,12 @@ class Belief:
 
     @property
     def touches_used(self) -> int:
-        """Number of touches that entered so far."""
+        """Number of touches so far, those without contact among them."""
         return len(self._floored)
 
     @property
     def posterior(self) -> dict[str, float]:
-        """Probability of each learnt object; 1 - `unknown` in all."""
+        """Probability of each learnt object; they and `unknown` sum to 1."""
         names = self._judge.classes.tolist()
         logs = self.log_posterior + self._log_known_and_unknown()[0]
         return dict(zip(names, self._shares(logs), strict=True))
@@ -288,19 +277,23 @@ class Belief:
 
     @property
     def best(self) -> str:
-        """The most probable object; ties go to the first in sorted order."""
+        """The most probable learnt object; ties go to the first in sorted order."""
         return str(self._judge.classes[self.log_posterior.argmax()])
 
     @property
     def doubt(self) -> float:
-        """Probability outside `best`; exact near 0."""
+        """Probability outside `best`, `unknown` with it; exact near 0."""
         log_known, log_unknown = self._log_known_and_unknown()
         known_doubt = float(_evidence.doubts(self.log_posterior))
         return float(np.exp(log_known) * known_doubt + np.exp(log_unknown))
 
     @property
     def unknown(self) -> float:
-        """Probability that it is none of the learnt objects."""
+        """Probability that it is none of the learnt objects.
+
+        Before the first touch the share of strangers that is expected; 0 in a closed
+        world.
+        """
         return float(np.exp(self._log_known_and_unknown()[1]))
 
     @property

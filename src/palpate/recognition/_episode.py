@@ -67,10 +67,6 @@ class Episode:
         After the touches so far.
     touches : list of EpisodeTouch
         All of them, in order.
-    decision : str or None
-        The object or category, "unknown", or None.
-    level : str or None
-        What was named: "object", "category" or "unknown".
     decided_at : int or None
         Number of the touch after which that was decided.
     withdrawn : list of str

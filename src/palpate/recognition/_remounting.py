@@ -382,8 +382,6 @@ class Recentring:
     ----------
     recogniser : ObjectRecogniser
         As it serves in the session by now.
-    n_touches : int
-        Touches of the session so far that showed contact.
 
     Examples
     --------
