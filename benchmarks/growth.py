@@ -224,7 +224,7 @@ def spread() -> list[dict[str, Any]]:
 
 def spread_parts(folder: Path) -> dict[str, Any]:
     """Return what is spread, by name, as functions."""
-    from palpate.classifiers._growing import LandmarkRegression, Landmarks
+    from palpate.classifiers._landmarks import LandmarkRegression, Landmarks
     from palpate.library import TouchLibrary
     from palpate.recognition import ObjectRecogniser, _learning
     from palpate.touches import ParquetTouches

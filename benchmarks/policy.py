@@ -182,7 +182,7 @@ def main() -> None:
             print(f"up to seed {seed}: {name:14s} {json.dumps(row)}", flush=True)
         if options.out:
             kinds = {"steps": options.steps, "trainings": trainings}
-            whole = {**kinds, "rows": table, "each": kept}
+            whole = {**kinds, "rows": table}
             write_text(options.out, json.dumps(whole, indent=1) + "\n")
 
 

@@ -30,12 +30,7 @@ for what, belief in beliefs.items():
         belief.update_sense("sight", [0.55])
     print(what, {name: round(share, 2) for name, share in belief.posterior.items()})
 
-figure, axes = plt.subplots()
-for number, (what, belief) in enumerate(beliefs.items()):
-    shares = [100 * belief.posterior[name] for name in names]
-    axes.bar(np.arange(4) + 0.25 * (number - 1), shares, 0.23, label=what)
-axes.set(
-    ylabel="belief, %", xticks=range(4), title="One light press of hexagon13-hole8"
-)
-axes.set_xticklabels(names)
-axes.legend()
+figure, axes = plt.subplots(3, sharex=True, figsize=(6.4, 5.6), layout="constrained")
+for axis, (what, belief) in zip(axes, beliefs.items(), strict=True):
+    belief.plot(axis).set(title=what, xlabel="")
+axes[-1].set(xlabel="probability, after one light press of hexagon13-hole8")

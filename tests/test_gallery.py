@@ -32,7 +32,7 @@ def run(tmp_path, monkeypatch):
 
 def test_below_each_press_is_what_it_changed(run):
     names = run("01_first_press")
-    touches, (above, below) = names["touches"], names["axes"]
+    touches, (above,), below = names["touches"], names["axes"], names["below"]
     assert touches.object.tolist() == ["mug", "ball", "pen", "box"]
     for touch, image, change in zip(touches, above, below, strict=True):
         assert image.get_title() == touch.object[0]
@@ -154,9 +154,15 @@ def test_two_senses_are_better_than_each(run):
 
 def test_the_mug_is_what_it_ends_with(run):
     names = run("02_belief")
-    mug = [step[names["names"].index("mug")] for step in names["steps"]]
-    assert names["belief"].best == "mug"
-    assert mug[-1] > max(mug[:2])  # one touch says little
+    episode, axes = names["episode"], names["axes"]
+    drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
+    assert episode.belief.best == "mug"
+    assert len(drawn["mug"]) == len(names["asked"]) == 6
+    for name in names["names"]:
+        shares = [touch.posterior[name] for touch in episode.touches]
+        np.testing.assert_array_equal(drawn[name], shares)
+    assert drawn["mug"][-1] > max(drawn["mug"][:2])  # one touch says little
+    assert axes.get_title() == episode.sentence
 
 
 def test_the_trace_favours_narrow_kernels_and_is_right_less_often(run):

@@ -12,11 +12,11 @@ from palpate.classifiers import (
     EncodingPool,
     KernelDensityBayes,
     KernelRidgeClassifier,
-    _growing,
+    _landmarks,
     _touch_classifier,
     learns_by_landmarks,
 )
-from palpate.classifiers._kernel_ridge import _log_posterior
+from palpate.classifiers._posterior_shape import log_posterior
 from palpate.classifiers._touch_classifier import rows_left_out
 
 SETTINGS = {"widths": [1.0], "ridges": [0.1], "max_touches": 50, "n_landmarks": 40}
@@ -38,7 +38,7 @@ def refitted_from_scratch(machine, X, labels, groups):
     other.__dict__.update(machine.__dict__)
     codes = np.searchsorted(machine.classes_, labels)
     landmarks = machine._summed.regression._landmarks
-    regression = _growing.LandmarkRegression(landmarks, machine.ridge_)
+    regression = _landmarks.LandmarkRegression(landmarks, machine.ridge_)
     return regression.learn(X - machine.mean_, codes, len(machine.classes_))
 
 
@@ -87,8 +87,8 @@ def test_other_touches_are_learnt_from_the_beginning():
 def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
     X, labels, groups = drawn(10, 30)
     whole = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
-    monkeypatch.setattr(_growing, "TOUCHES_A_TASK", 70)
-    monkeypatch.setattr(_growing, "TOUCHES_AT_ONCE", 16)
+    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 70)
+    monkeypatch.setattr(_landmarks, "TOUCHES_AT_ONCE", 16)
     with parallel_config("threading", n_jobs=2):
         apart = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
     assert_allclose(apart.scores(X), whole.scores(X), atol=1e-5)
@@ -212,7 +212,7 @@ def test_a_thousand_objects_of_two_touches_are_learnt():
 
 def test_large_scores_are_bent_and_frequent_labels_leant_against():
     scores, log_counts = np.array([[0.8, -0.2]]), np.log([4.0, 2.0])
-    found = _log_posterior((10.0, 0.5, 1.0), scores, log_counts)
+    found = log_posterior((10.0, 0.5, 1.0), scores, log_counts)
     odds = 10 * 0.8 / 1.4 + 10 * 0.2 / 1.1 - np.log(2)
     assert found[0, 0] - found[0, 1] == pytest.approx(odds)
 

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose
 
 from palpate import ObjectRecogniser, Touches, __version__, _parallel
 from palpate._parallel import results_of
-from palpate.classifiers import _growing, _kernel_ridge
+from palpate.classifiers import _kernel_ridge, _landmarks
 from palpate.cli import main
 from palpate.library import TouchLibrary
 from palpate.touches import ParquetTouches, _parquet_source
@@ -218,7 +218,7 @@ def _learn(monkeypatch, capsys, *given):
 def few_at_once(monkeypatch):
     """Landmarks from 5,000 targets on, tasks of 100 touches or a row group."""
     monkeypatch.setattr(_kernel_ridge, "_MOST_TARGETS", 5000)
-    monkeypatch.setattr(_growing, "TOUCHES_A_TASK", 100)
+    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 100)
     monkeypatch.setattr(_parquet_source, "_AT_ONCE", 1)
 
 

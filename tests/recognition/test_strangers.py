@@ -489,7 +489,7 @@ def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
         asked.append(left_out)
         return fit_strangers(left_out, *rest)
 
-    monkeypatch.setattr("palpate.recognition._recogniser.fit_strangers", kept)
+    monkeypatch.setattr("palpate.recognition._learner.fit_strangers", kept)
     learnt = ObjectRecogniser().fit(touches)
     (left_out,) = asked
     by_column, in_earnest = [], []
@@ -536,3 +536,17 @@ def test_a_thing_unlike_all_that_was_learnt_is_called_unknown(n_touches):
     right = [name == end for name, end in ends.items()]
     assert sum(right) >= 5
     assert "unknown" not in ends.values()
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_episodes_of_nearly_all_touches_of_an_object_are_not_taken_for_all_there_are(
+    seed,
+):
+    """Of twelve touches, episodes of nine or more are drawn alike: others are not."""
+    rng = np.random.default_rng(seed)
+    centres = 3 * rng.normal(size=(4, 1, 8))
+    images = centres.repeat(12, axis=0) + 1.5 * rng.normal(size=(48, 1, 8))
+    touches = Touches(images, object=np.repeat(list("abcd"), 12), geometry="none")
+    spread = ObjectRecogniser().fit(touches).strangers_.high[:, 1]
+    assert len(spread) == 12
+    assert spread[8:].min() >= spread[7] > 0.5

@@ -23,8 +23,9 @@ from .._checks import check_count, check_squarable
 from .._numbers import log_loss, log_softmax
 from .._types import Array, Floats, Indices
 from . import _touch_classifier
-from ._kernel_ridge import KernelRidgeClassifier, fair_shares, learns_by_landmarks
+from ._kernel_ridge import KernelRidgeClassifier, learns_by_landmarks
 from ._nearby import NearbyTouches
+from ._posterior_shape import fair_shares
 from ._touch_classifier import (
     BayesRule,
     Groups,

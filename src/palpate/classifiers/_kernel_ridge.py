@@ -18,20 +18,28 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dpotrf, dtrtri
-from scipy.optimize import minimize
 from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
-from .._numbers import exp, log_loss, log_softmax
+from .._numbers import exp, log_softmax
 from .._types import Array, Floats, Indices
-from ._growing import (
+from ._exact_ridge import (
     GrowingInverse,
-    LandmarkRegression,
-    Landmarks,
-    Sums,
-    group_members,
+    inverse_blocks,
+    left_out_scores,
+    rows_by_size,
+    solve_ridge,
+    squared_distances,
+)
+from ._landmarks import LandmarkRegression, Landmarks, Sums
+from ._posterior_shape import (
+    USUAL_SHAPE,
+    USUAL_TEMPERATURE,
+    best_shape,
+    log_counts_of,
+    log_posterior,
+    smoothed_loss,
 )
 from ._touch_classifier import (
     BayesRule,
@@ -45,26 +53,12 @@ from ._touch_classifier import (
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
 # many of their answers, one for each label.
 _SHAPED_BY, _SHAPED_ANSWERS = 2000, 500_000
-# Touches that shape it at once: their answers stay in a processor's cache.
-_SHAPED_AT_ONCE = 256
 # More touches than this, or more targets (one for each touch and label), are learnt by
 # landmarks.
 MAX_TOUCHES, _MOST_TARGETS = 10_000, 20_000_000
-# Touches of groups of one size that are left out at once.
-_TOUCHES_AT_ONCE = 2000
 # From so many touches to so many, learning a few more costs a few columns; in memory 4
 # bytes for each pair. As many more as this share of them are learnt so.
 _GROWS_FROM, _GROWS_TO, _GROWTH = 500, 5000, 1 / 8
-
-# Where the search for a temperature begins, and where it stays.
-_USUAL_TEMPERATURE = 8.0
-_TEMPERATURES = float(np.exp(-3)), float(np.exp(6))
-# Temperature, bend and lean of a posterior, and from where the best ones are sought.
-Shape = tuple[float, float, float]
-_USUAL_SHAPE = _USUAL_TEMPERATURE, 0.5, 1.0
-
-# Rows of groups of one size, (n_groups, size), and the inverse's blocks of them.
-Blocks = Iterable[tuple[Indices, Floats]]
 
 
 def learns_by_landmarks(
@@ -225,10 +219,11 @@ class KernelRidgeClassifier(BayesRule):
             sampled = of_these_labels[_thin(codes[of_these_labels], at_most)]
         codes = np.unique(codes[sampled], return_inverse=True)[1]
         chosen = touches[sampled]
-        squared = _squared_distances(chosen - chosen.mean(axis=0))
+        squared = squared_distances(chosen - chosen.mean(axis=0))
         self.unit_ = float(np.median(squared)) or 1.0
-        target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[sampled])
-        best, at, temperature = np.inf, len(ridges) // 2, _USUAL_TEMPERATURE
+        target = _one_hot(codes, codes.max() + 1)
+        by_size = rows_by_size(group[sampled])
+        best, at, temperature = np.inf, len(ridges) // 2, USUAL_TEMPERATURE
         for width in widths:
             kernel = -width / self.unit_ * squared
             exp(kernel, out=kernel)
@@ -236,9 +231,10 @@ class KernelRidgeClassifier(BayesRule):
             @cache
             def loss(k: int, kernel: Floats = kernel) -> float:
                 nonlocal temperature  # near that of the last ridge
-                root, coefficients = _solve(kernel.copy(), target, ridges[k])
-                scores = _left_out(_own_blocks(root, by_size), coefficients, target)
-                value, temperature = _smoothed_loss(scores, codes, temperature)
+                root, coefficients = solve_ridge(kernel.copy(), target, ridges[k])
+                blocks = inverse_blocks(root, by_size)
+                scores = left_out_scores(blocks, coefficients, target)
+                value, temperature = smoothed_loss(scores, codes, temperature)
                 return value
 
             # From the ridge that was best for the width before, as long as it falls.
@@ -259,7 +255,7 @@ class KernelRidgeClassifier(BayesRule):
         n_labels = len(self.classes_)
         at_most = check_count("max_touches", self.max_touches, at_least=2)
         self.left_out_rows_ = rows = rows_left_out(codes, group)
-        start = _USUAL_SHAPE
+        start = USUAL_SHAPE
         if learns_by_landmarks(len(touches), n_labels, at_most):
             left_out = self._learn_by_landmarks(touches, codes, group)
         else:
@@ -279,7 +275,7 @@ class KernelRidgeClassifier(BayesRule):
                 left_out[sampled], own_codes[sampled], counts, start
             )
             self.temperature_, self.bend_, self.lean_ = shape
-        self.log_counts_ = self.lean_ * _log_counts(counts)
+        self.log_counts_ = self.lean_ * log_counts_of(counts)
 
     def _learn_from_all(
         self,
@@ -300,13 +296,13 @@ class KernelRidgeClassifier(BayesRule):
         self._inverse = grown
         if grown is not None:
             self.coefficients_ = grown.coefficients(target, self.classes_)
-            blocks = grown.blocks(_by_size(group))
-            return _left_out(blocks, self.coefficients_, target)
-        kernel = self._kernel(_squared_distances(self.touches_))
+            blocks = grown.blocks(rows_by_size(group))
+            return left_out_scores(blocks, self.coefficients_, target)
+        kernel = self._kernel(squared_distances(self.touches_))
         # The columns of the labels as they are, of which later classes need others.
-        root, columns = _solve(kernel, target + 1 / len(self.classes_), ridges)
+        root, columns = solve_ridge(kernel, target + 1 / len(self.classes_), ridges)
         self.coefficients_ = columns - columns.mean(axis=1, keepdims=True)
-        own_blocks = _own_blocks(root, _by_size(group))
+        own_blocks = inverse_blocks(root, rows_by_size(group))
         if _GROWS_FROM <= len(touches) <= _GROWS_TO:
             own_blocks = list(own_blocks)
             labels = self.classes_[codes]
@@ -319,7 +315,7 @@ class KernelRidgeClassifier(BayesRule):
                 columns,
                 own_blocks,
             )
-        return _left_out(own_blocks, self.coefficients_, target)
+        return left_out_scores(own_blocks, self.coefficients_, target)
 
     def _learn_by_landmarks(self, touches: Floats, codes: Array, group: Array) -> Array:
         """Let some touches stand for all; return left-out scores of some."""
@@ -440,7 +436,7 @@ class KernelRidgeClassifier(BayesRule):
 
     def _log_posterior(self, scores: Floats) -> Floats:
         shape = (self.temperature_, self.bend_, 1.0)
-        return _log_posterior(shape, scores, self.log_counts_)
+        return log_posterior(shape, scores, self.log_counts_)
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""
@@ -512,156 +508,3 @@ def _thin(codes: Array, at_most: int) -> Array:
 def _one_hot(codes: Array, n_classes: int) -> Floats:
     """Targets minus their fixed mean of 1 / n_classes."""
     return np.eye(n_classes)[codes] - 1 / n_classes
-
-
-def _squared_distances(touches: Floats) -> Floats:
-    """Return those between touches, made in one piece of memory."""
-    squared = touches @ touches.T
-    norms = squared.diagonal().copy()
-    squared *= -2
-    squared += norms
-    squared += norms[:, np.newaxis]
-    np.maximum(squared, 0, out=squared)
-    np.fill_diagonal(squared, 0)
-    return np.asarray(squared)
-
-
-def _solve(
-    kernel: Floats, target: Floats, ridges: Floats | float
-) -> tuple[Floats, Floats]:
-    """Return R with R^T R = inverse of (kernel + ridges), in place, and coefficients.
-
-    The ridges, one for each touch or one for all, are added to the diagonal.
-    """
-    kernel.flat[:: len(kernel) + 1] += ridges
-    factor, failed = dpotrf(kernel.T, lower=1, clean=1, overwrite_a=1)
-    if failed:
-        raise ValueError(
-            "X must not hold touches so far from the others that distances among those "
-            "are lost in rounding. Leave them out, or scale the features."
-        )
-    root = dtrtri(factor, lower=1, overwrite_c=1)[0]
-    return root, root.T @ (root @ target)
-
-
-def _by_size(group: Array) -> list[Indices]:
-    """Return rows of groups of one size, (n_groups, size), so many at a time."""
-    by_size: dict[int, list[Indices]] = {}
-    for members in group_members(group):
-        by_size.setdefault(len(members), []).append(members)
-    return [
-        np.stack(groups[first : first + at_once])
-        for size, groups in by_size.items()
-        for at_once in [max(1, _TOUCHES_AT_ONCE // size)]
-        for first in range(0, len(groups), at_once)
-    ]
-
-
-def _own_blocks(root: Floats, by_size: list[Indices]) -> Blocks:
-    """Yield groups of one size, some at a time, and the inverse's block of each."""
-    for rows in by_size:
-        columns = root.T[rows]
-        yield rows, columns @ columns.transpose(0, 2, 1)
-
-
-def _left_out(blocks: Blocks, coefficients: Floats, target: Floats) -> Floats:
-    """Scores of every touch had its group never been learnt."""
-    scores: Floats = target + 1 / target.shape[1]
-    for rows, inverse in blocks:
-        scores[rows] -= np.linalg.solve(inverse, coefficients[rows])
-    return scores
-
-
-def _log_counts(counts: Indices) -> Floats:
-    return np.asarray(np.log(np.maximum(counts, 1)))
-
-
-def _log_posterior(shape: Shape, scores: Floats, log_counts: Floats) -> Floats:
-    """Log posterior under equal priors; `shape` is (temperature, bend, lean)."""
-    temperature, bend, lean = shape
-    bent = temperature * scores / (1 + bend * np.abs(scores))
-    return log_softmax(bent - lean * log_counts)
-
-
-def fair_shares(codes: Array) -> Floats:
-    """Return the share of each touch in a mean to which all labels add the same."""
-    counts = np.bincount(codes)
-    return 1 / (counts[codes] * np.count_nonzero(counts))
-
-
-def _smoothed_loss(
-    scores: Floats, codes: Array, temperature: float
-) -> tuple[float, float]:
-    """Return the log loss of smoothed labels (nats) and its best temperature.
-
-    But for a constant. `temperature` is where to begin. Of n touches each counts as
-    (n + 1) / (n + 2) of its label and shares the rest among the others: none of n does
-    not mean never (Laplace's rule of succession; Platt, "Probabilistic outputs for
-    support vector machines", 1999).
-    Where all touches are told apart, the plain loss falls with the temperature for
-    ever, and what is left is rounding; this one asks for wide and even gaps. It is
-    convex: Newton's method.
-    """
-    n_touches, n_classes = scores.shape
-    log_counts = _log_counts(np.bincount(codes, minlength=n_classes))
-    shares = fair_shares(codes)
-    others = 1 / (n_touches + 2) / max(1, n_classes - 1)
-    gaps = scores - scores[np.arange(n_touches), codes][:, np.newaxis]
-    squares = gaps**2
-    drift = -others * (shares @ gaps.sum(axis=1))
-    low, high = _TEMPERATURES
-    while True:
-        loss, pull = log_loss(temperature * gaps - log_counts, codes, shares)
-        slopes = np.einsum("ij,ij->i", pull, gaps)
-        slope = slopes.sum() + drift
-        curve = np.vdot(pull, squares) - slopes @ (slopes / shares)
-        low, high = (low, temperature) if slope > 0 else (temperature, high)
-        if slope**2 <= 1e-12 * curve or high < (1 + 1e-9) * low:
-            return float(loss + temperature * drift), temperature
-        temperature -= slope / curve if curve > 0 else np.inf
-        if not low < temperature < high:
-            temperature = float(np.sqrt(low * high))
-
-
-def best_shape(
-    scores: Floats, codes: Array, counts: Indices, start: Shape = _USUAL_SHAPE
-) -> tuple[Shape, float]:
-    """Return (temperature, bend, lean) with the least log loss, and that loss (nats).
-
-    Of touches of labels of which so many were learnt (`counts`). The lean counts where
-    these numbers are unequal, and is 1 elsewhere. What is divided by is at least the
-    share of training touches, as Bayes' rule says: touches left out lie among those of
-    their recording, and show less lean than others will.
-    """
-    log_counts = _log_counts(counts)
-    shares, size = fair_shares(codes), np.abs(scores)
-    n_free = 3 if np.ptp(log_counts) > 0 else 2
-
-    def loss(raw: Floats) -> tuple[float, Floats]:
-        temperature, bend = np.exp(raw[:2])
-        lean = raw[2] if n_free > 2 else 1.0
-        value, slopes = 0.0, np.zeros(3)
-        for first in range(0, len(codes), _SHAPED_AT_ONCE):
-            rows = slice(first, first + _SHAPED_AT_ONCE)
-            damping = 1 + bend * size[rows]
-            by_temperature = temperature * scores[rows] / damping
-            logits = by_temperature - lean * log_counts
-            part, pull = log_loss(logits, codes[rows], shares[rows])
-            value += part
-            slopes[0] += np.vdot(pull, by_temperature)
-            slopes[2] -= pull.sum(axis=0) @ log_counts
-            by_temperature /= damping
-            by_temperature *= size[rows]
-            slopes[1] -= bend * np.vdot(pull, by_temperature)
-        return value, slopes[:n_free]
-
-    solution = minimize(
-        loss,
-        [*np.log(start[:2]), start[2]][:n_free],
-        jac=True,
-        bounds=[tuple(np.log(_TEMPERATURES)), (-8.0, 6.0), (1.0, 6.0)][:n_free],
-        method="L-BFGS-B",
-        options={"ftol": 1e-13, "gtol": 1e-9},
-    )
-    lean = float(solution.x[2]) if n_free > 2 else 1.0
-    return (*np.exp(solution.x[:2]).tolist(), lean), float(solution.fun)

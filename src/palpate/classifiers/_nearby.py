@@ -20,7 +20,8 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Array, Bools, Floats, Indices, Singles
-from ._kernel_ridge import KernelRidgeClassifier, best_shape
+from ._kernel_ridge import KernelRidgeClassifier
+from ._posterior_shape import best_shape
 from ._touch_classifier import (
     BayesRule,
     Groups,

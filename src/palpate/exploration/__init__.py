@@ -5,7 +5,6 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 """
 
 from ._advice import advice as advice
-from ._check_robot import check_robot
 from ._episode import Exploration as Exploration
 from ._episode import explore
 from ._episode import gather as gather
@@ -19,7 +18,7 @@ from ._record import as_touches as as_touches
 from ._record import read_episode
 from ._robot import FAULTS as FAULTS
 from ._robot import MissingFrames as MissingFrames
-from ._robot import Robot, RobotError, SimulatedRobot
+from ._robot import Robot, RobotError, SimulatedRobot, check_robot
 from ._simulated_objects import QUICK_GUARD as QUICK_GUARD
 from ._simulated_objects import Stand as Stand
 from ._simulated_objects import explore_to_learn, put_down

@@ -17,8 +17,7 @@ from ._guarded import Clock, Guard
 from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches
 from ._robot import Robot, RobotError
 from ._strategies import Hemisphere, Strategy
-from ._touching import ON_THE_WAY, Toucher, touch_from_hemisphere
-from ._ways import come_out
+from ._ways import ON_THE_WAY, Toucher, come_out, touch_from_hemisphere
 
 if TYPE_CHECKING:  # scikit-learn is not needed to touch.
     from ..recognition import Belief, ObjectRecogniser

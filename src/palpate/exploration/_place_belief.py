@@ -16,11 +16,10 @@ from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
 from ._advice import advice
-from ._contacts import contacts_of
 from ._place_filter import out_of_frames
 from ._record import History, TouchRecord
 from ._record import as_touches as touches_of
-from ._surface import AZIMUTHS, HEIGHTS, directions
+from ._surface import AZIMUTHS, HEIGHTS, contacts_of, directions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +34,8 @@ _FAR_AWAY = 3.0
 # no thing that can be touched.
 _FEW_CONTACTS, _LEAST_MM, _OTHER_SIDE = 3, 0.5, 0.5
 _DOWN = np.array([0.0, 0.0, -1.0])
+# Of the table's nodes around, so many apart are drawn.
+_POINT_STEP = 3
 # Half of the things, and of the faces, that were never learnt may have the shape of one
 # that was (a mug that lies may well be met where a pot is). Where such a face may also
 # be the object's own body turned, each of the three is as likely.
@@ -316,43 +317,26 @@ class PlaceBelief(Belief):
         rows = self._states_of_objects[names.index(self.best if name is None else name)]
         rows = rows[[self.map.states_[row][1] >= 0 for row in rows]]
         state = int(rows[shares[rows].sum(axis=1).argmax()])
-        share = shares[state]
-        order = int(self.map.table_.symmetry[state])
+        share, order = shares[state], int(self.map.table_.symmetry[state])
         mean = self.filter.mean.reshape(*shares.shape, -1)[state]
         covariance = self.filter.covariance.reshape(*shares.shape, 4, 4)[state]
-        # The best turn with what is near it, modulo the symmetry.
-        waves = np.exp(1j * order * mean[:, 0])
-        smooth = share + 0.5 * (np.roll(share, 1) + np.roll(share, -1))
-        near = (waves * waves[smooth.argmax()].conj()).real > np.cos(np.pi / 3)
-        weight = share * near
-        if not weight.sum():
-            weight = np.ones(len(share))
-        weight = weight / weight.sum()
-        centre = np.angle(weight @ waves)
-        length = min(abs((share / max(share.sum(), 1e-300)) @ waves), 1 - 1e-9)
-        within = float(weight @ covariance[:, 0, 0])
-        turn_sd = np.sqrt(-2 * np.log(max(length, 1e-9)) / order**2 + within)
+        weight, turn, turn_sd = _turn_of(share, order, mean[:, 0], covariance[:, 0, 0])
         offset = weight @ mean[:, 1:]
         spread = weight @ (mean[:, 1:] - offset) ** 2
         inside = np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
-        offset_sd = np.sqrt(spread + weight @ inside)
-        best_name, face = self.map.states_[state]
         x, y, z = map(float, offset)
-        sx, sy, sz = map(float, offset_sd)
-        turn = float(centre / order % (2 * np.pi / order))
-        most = np.pi / order / np.sqrt(3)
+        sx, sy, sz = map(float, np.sqrt(spread + weight @ inside))
         return StandingPose(
-            best_name,
-            face,
-            float(shares[state].sum()),
+            *self.map.states_[state],
+            float(share.sum()),
             turn,
-            float(min(turn_sd, most)),
+            turn_sd,
             order,
             (x, y, z),
             (sx, sy, sz),
         )
 
-    def surface(self, n_around: int = 24) -> tuple[Floats, Floats]:
+    def surface(self) -> tuple[Floats, Floats]:
         """Return where the tip would meet the most probable object.
 
         Returns points (n, 3) in the frame of the arm (mm) and their covariances
@@ -360,10 +344,9 @@ class PlaceBelief(Belief):
         """
         pose = self.pose()
         state = self.map.states_.index((pose.object, pose.face))
-        step = max(len(AZIMUTHS) // n_around, 1)
         upper = HEIGHTS >= 0
-        outs = directions()[upper][:, ::step].reshape(-1, 3)
-        radius = self.map.table_.mean_mm[state][upper][:, ::step].ravel()
+        outs = directions()[upper][:, ::_POINT_STEP].reshape(-1, 3)
+        radius = self.map.table_.mean_mm[state][upper][:, ::_POINT_STEP].ravel()
         local = outs * np.maximum(radius - self.map.tip_radius_mm, 0)[:, None]
         standing = np.array([pose.turn_rad, *pose.offset_mm])
         points = out_of_frames(local, standing)
@@ -429,3 +412,23 @@ class PlaceBelief(Belief):
         axes.set_title(title, fontsize="small")
         axes.legend(loc="upper right", fontsize="small")
         return axes
+
+
+def _turn_of(
+    share: Floats, order: int, turns: Floats, variances: Floats
+) -> tuple[Floats, float, float]:
+    """Return the weights of turns (n_turns,) near the best one, it, and its deviation.
+
+    The best turn with what is near it, modulo the symmetry.
+    """
+    waves = np.exp(1j * order * turns)
+    smooth = share + 0.5 * (np.roll(share, 1) + np.roll(share, -1))
+    near = (waves * waves[smooth.argmax()].conj()).real > np.cos(np.pi / 3)
+    weight = share * near if (share * near).sum() else np.ones(len(share))
+    weight = weight / weight.sum()
+    turn = float(np.angle(weight @ waves) / order % (2 * np.pi / order))
+    length = min(abs((share / max(share.sum(), 1e-300)) @ waves), 1 - 1e-9)
+    variance = -2 * np.log(max(length, 1e-9)) / order**2 + weight @ variances
+    # No turn at all is known: even over one of them.
+    most = np.pi / order / np.sqrt(3)
+    return weight, turn, float(min(np.sqrt(variance), most))

@@ -122,7 +122,7 @@ class PlaceGain:
         outs = self._outs[:, None]
         far = in_frames(_FAR_MM * outs, poses)
         way = in_frames(-outs + poses[:, 1:], poses)
-        radius, variance = met_along(self._map.table_, states, far, way)
+        radius, variance = met_along(self._map.choice_table_, states, far, way)
         # From the point nearest the object's origin to the one nearest the centre.
         along = np.einsum("ci,hi->ch", self._outs, poses[:, 1:])
         loose = beliefs.covariance[drawn][:, 1:, 1:]

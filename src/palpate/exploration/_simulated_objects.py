@@ -33,7 +33,7 @@ from ._guarded import Guard
 from ._record import TouchRecord, as_touches, tip_mm
 from ._robot import MissingFrames, RobotError, SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
-from ._touching import Toucher, touch_from_hemisphere
+from ._ways import Toucher, touch_from_hemisphere
 
 # Twice the default step in the air: half the time to simulate. The rigid edge met
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.

@@ -17,6 +17,7 @@ Either way it is kept as a table of means and variances, and looked up between n
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 
@@ -28,6 +29,8 @@ from scipy.special import logsumexp
 
 from .._types import Floats, Indices
 from ..simulation import DomeCamera, PlacedObject, SensorPose, SimObject
+from ..touches import Touches
+from ._touch_map import places_of
 
 N_AROUND = 72
 _STEP = 2 * np.pi / N_AROUND
@@ -46,6 +49,14 @@ _START_MM = 300.0
 _PRESS_MM, _TURNED_SD_MM = 5.0, 5.0
 # Radii that differ by less look alike.
 _ALIKE_MM = 2.0
+# Approaches aim at one height where these differ by less, and at middles where the
+# ground is as far below as tops are above, to so much.
+_SAME_AIM_MM, _MIDDLE_MM = 2.0, 10.0
+# How high above the ground approaches aim (mm), and the middles of the tip's ball
+# about that point, (n_touches, 3).
+Body = tuple[float, Floats]
+# Lines of approach that pass within this (mm) of one point aim at it.
+_AIM_MM = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +93,53 @@ class RadialSurface:
             if np.sqrt(squares.max()) < limit:
                 return order
         return 1
+
+
+def faces_of(touches: Touches) -> Indices:
+    """Return the number of the face that the object stood on, 0 unless told."""
+    faces = touches.columns.get("face")
+    if faces is None:
+        return np.zeros(len(touches), int)
+    numbers = np.unique(np.asarray(faces), return_inverse=True)
+    if np.asarray(faces).dtype.kind in "iu":
+        return np.asarray(faces, int)
+    return np.asarray(numbers[1])
+
+
+def contacts_of(touches: Touches) -> tuple[Floats, Floats]:
+    """Return tips at the contacts and ways of approach, (n_touches, 3) each."""
+    ways = -places_of(touches, None, 4)
+    column = touches.columns.get("position_mm")
+    if column is None:
+        raise ValueError(
+            "touches must have a column 'position_mm' (the tip at the contact, in mm), "
+            f"got {', '.join(touches.columns) or 'none'}. Add it, or use TouchMap."
+        )
+    tips = np.asarray(column, dtype=np.float64)
+    if tips.shape != (len(touches), 3):
+        raise ValueError(
+            f"position_mm must have shape ({len(touches)}, 3), got {tips.shape}."
+        )
+    unplaced = np.flatnonzero(~np.isfinite(tips).all(axis=1))
+    if len(unplaced):
+        raise ValueError(
+            f"position_mm must be finite, got {tips[unplaced[0]].tolist()} in touch "
+            f"{unplaced[0]}, and no place in {len(unplaced)} of {len(touches)} "
+            "touches. Leave those touches out."
+        )
+    return tips, ways
+
+
+def middle_of(tips_mm: Floats, ways: Floats) -> Floats:
+    """Return the point that the approaches aim at, else the middle of the contacts."""
+    across = np.eye(3) - ways[:, :, None] * ways[:, None]
+    total = across.sum(axis=0)
+    if np.linalg.eigvalsh(total)[0] > 0.1 * len(tips_mm):
+        point = np.linalg.solve(total, np.einsum("nij,nj->i", across, tips_mm))
+        off = np.einsum("nij,nj->ni", across, tips_mm - point)
+        if np.linalg.norm(off, axis=1).max() < _AIM_MM:
+            return np.asarray(point)
+    return np.asarray((tips_mm.min(axis=0) + tips_mm.max(axis=0)) / 2)
 
 
 def learnt_surface(
@@ -200,17 +258,33 @@ def mesh_surface(
     return RadialSurface(mean, _of_edges_mm2(mean) + 0.25, _MESH_SD_MM)
 
 
+def one_aim(bodies: Iterable[Body]) -> float | None:
+    """Return the height above the ground that all approaches aim at, if there is."""
+    aims_mm = [aim_mm for aim_mm, _ in bodies]
+    low, high = min(aims_mm, default=0.0), max(aims_mm, default=0.0)
+    return (low + high) / 2 if low > _SAME_AIM_MM > high - low else None
+
+
+def aims_at_middles(bodies: Iterable[Body], tip_mm: float) -> bool:
+    """Whether tops are as far above the point aimed at as the ground is below."""
+    tops = [
+        middles[:, 2].max() - tip_mm + _PRESS_MM - aim_mm for aim_mm, middles in bodies
+    ]
+    return bool(np.median(np.abs(tops or [np.inf])) < _MIDDLE_MM)
+
+
 def turned_surfaces(
-    middles_mm: Floats, aim_mm: float, tip_mm: float
+    body: Body, aim_mm: float | None, tip_mm: float
 ) -> list[RadialSurface]:
     """Return how the surface of an object would be on other faces than this one.
 
-    As if it were its convex hull, down to the ground under what is met low. The
-    middles of the tip's ball (n_touches, 3), about a point `aim_mm` above the ground,
-    lie on the hull grown by the ball, which turns with the object. Empty where they
-    span no body.
+    As if it were its convex hull, down to the ground under what is met low: the
+    middles of the tip's ball lie on the hull grown by the ball, which turns with the
+    object. Lines aim at `aim_mm` above the ground then, or at the middle of the hull.
+    Empty where they span no body.
     """
-    grown_mm, points = tip_mm - _PRESS_MM, middles_mm + np.array([0, 0, aim_mm])
+    height_mm, middles = body
+    grown_mm, points = tip_mm - _PRESS_MM, middles + np.array([0, 0, height_mm])
     low = points[points[:, 2] < 2 * tip_mm] * [1, 1, 0]
     narrower = np.maximum(1 - grown_mm / np.maximum(np.hypot(*low[:, :2].T), 1e-9), 0)
     below = low * narrower[:, None] - [0, 0, grown_mm]
@@ -237,7 +311,7 @@ def _downs(corners: Floats) -> list[Floats]:
 
 
 def _resting_hull(
-    corners: Floats, down: Floats, aim_mm: float, grown_mm: float
+    corners: Floats, down: Floats, aim_mm: float | None, grown_mm: float
 ) -> RadialSurface:
     """Return the surface of a grown hull that is turned until `down` points down."""
     turn, _ = Rotation.align_vectors([[0, 0, -1]], [down])
@@ -245,8 +319,9 @@ def _resting_hull(
     low, high = turned.min(axis=0), turned.max(axis=0)
     x, y, _ = (low + high) / 2
     hull = ConvexHull(turned - [x, y, low[2] + grown_mm])
+    aim = (high[2] - low[2]) / 2 - grown_mm if aim_mm is None else aim_mm
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
-    inside = np.maximum(-(offsets + normals @ [0, 0, aim_mm]), 0.0)
+    inside = np.maximum(-(offsets + normals @ [0, 0, aim]), 0.0)
     rising = np.maximum(directions().reshape(-1, 3) @ normals.T, 1e-9)
     mean = (inside / rising).min(axis=1).reshape(N_HEIGHTS, N_AROUND)
     return RadialSurface(mean, _of_edges_mm2(mean) + _TURNED_SD_MM**2, _MESH_SD_MM)

@@ -25,15 +25,20 @@ from ..recognition import (
 )
 from ..simulation import DomeCamera, SimObject
 from ..touches import Touches
-from ._contacts import contacts_of, faces_of, middle_of
 from ._place_belief import PlaceBelief
 from ._place_filter import Looseness, PlaceFilter, UnlearntSurfaces
 from ._surface import (
     MEAN_SD_MM,
+    Body,
     RadialSurface,
     SurfaceTable,
+    aims_at_middles,
+    contacts_of,
+    faces_of,
     learnt_surface,
     mesh_surface,
+    middle_of,
+    one_aim,
     turned_surfaces,
 )
 from ._touch_map import TouchMap, Weights
@@ -47,7 +52,6 @@ _LEAST_MM, _MOST_MM = 3.0, 3000.0
 _PLACEMENT_MM = 5.0
 _OTHER_FACE_MM = 10.0
 _LEAST_WEIGHT = 1e-3
-_SAME_AIM_MM = 2.0
 # These and below: faces that were never learnt.
 OTHER_FACE = -1
 State = tuple[str, int]
@@ -85,6 +89,9 @@ class SurfaceMap:
         Number of the object of each.
     table_ : SurfaceTable
         Their surfaces.
+    choice_table_ : SurfaceTable
+        The same for choosing the next touch, which takes a face that was never learnt
+        for a surface anywhere, not for a body turned.
     pictures_ : TouchMap
         What their touches are like from every side, its "objects" being the states.
     other_share_ : ndarray of shape (n_objects,)
@@ -153,7 +160,8 @@ class SurfaceMap:
         pictures = FacedMap(n_turns=self.n_turns, random_state=self.random_state)
         self.pictures_ = pictures.fit_faces(recogniser, touches, faces)
         of_meshes = dict(meshes or {})
-        surfaces, middles, aim_mm = self._learnt(touches, faces, set(of_meshes))
+        surfaces, bodies = self._learnt(touches, faces, set(of_meshes))
+        aim_mm = one_aim(bodies.values())
         dome = DomeCamera((64, 64), n_nodes=16) if camera is None else camera
         for name, thing in of_meshes.items():
             for face in range(len(thing.resting_rotations)):
@@ -162,10 +170,15 @@ class SurfaceMap:
         self.other_share_ = self._other_share(touches, faces)
         # A mesh has all faces that it can rest on.
         self.other_share_[np.isin(recogniser.classes_, list(of_meshes))] = 0.0
-        self.turns_bodies_ = aim_mm is not None
-        surfaces |= self._other_surfaces(surfaces, middles, aim_mm)
-        self.states_ = sorted(surfaces)
-        self.table_ = SurfaceTable([surfaces[state] for state in self.states_])
+        at_middles = aims_at_middles(bodies.values(), self.tip_radius_mm)
+        self.turns_bodies_ = at_middles or aim_mm is not None
+        others = self._other_surfaces(surfaces, bodies, aim_mm)
+        anywhere = {state: _any_face(surfaces, state[0]) for state in others}
+        self.states_ = sorted(surfaces | others)
+        self.table_, self.choice_table_ = (
+            SurfaceTable([(surfaces | unlearnt)[state] for state in self.states_])
+            for unlearnt in (others, anywhere)
+        )
         names = [name for name, _ in self.states_]
         self.object_of_state_ = np.searchsorted(recogniser.classes_, names)
         number_of = {state: number for number, state in enumerate(pictures.states)}
@@ -179,11 +192,10 @@ class SurfaceMap:
 
     def _learnt(
         self, touches: Touches, faces: Indices, skipped: set[str]
-    ) -> tuple[dict[State, RadialSurface], dict[State, Floats], float | None]:
+    ) -> tuple[dict[State, RadialSurface], dict[State, Body]]:
         """Return the surfaces of all objects but those that a mesh is given for.
 
-        And the middles of the tip's ball about the point that approaches aim at, of
-        all, and how high above the ground that is, None where it differs or is not.
+        And the bodies of all.
         """
         tips, ways = contacts_of(touches)
         recording = touches.session
@@ -191,28 +203,25 @@ class SurfaceMap:
         number = np.zeros(len(touches), int)
         if recording is not None:
             number = np.unique(recording, return_inverse=True)[1]
-        surfaces, of_state, aims = {}, {}, []
+        surfaces, bodies = {}, {}
         for name, face in sorted(set(zip(names.tolist(), faces.tolist(), strict=True))):
             rows = np.flatnonzero((names == name) & (faces == face))
             if len(rows) < _LEAST_TOUCHES:
                 continue
             aim = middle_of(tips[rows], ways[rows])
-            aims.append(float(aim[2]))
             middles = tips[rows] - self.tip_radius_mm * ways[rows] - aim
-            of_state[name, face] = middles
+            bodies[name, face] = float(aim[2]), middles
             if name in skipped:
                 continue
             reach = float(np.linalg.norm(middles, axis=1).max()) - self.tip_radius_mm
             _refuse_unit(name, reach)
             surfaces[name, face] = learnt_surface(middles, number[rows], _PLACEMENT_MM)
-        low, high = min(aims, default=0.0), max(aims, default=0.0)
-        same = low > _SAME_AIM_MM > high - low
-        return surfaces, of_state, (low + high) / 2 if same else None
+        return surfaces, bodies
 
     def _other_surfaces(
         self,
         surfaces: Mapping[State, RadialSurface],
-        middles: Mapping[State, Floats],
+        bodies: Mapping[State, Body],
         aim_mm: float | None,
     ) -> dict[State, RadialSurface]:
         """Return what each object's surface may be on faces that were never learnt."""
@@ -222,12 +231,11 @@ class SurfaceMap:
         ):
             if share == 0:
                 continue
-            learnt = [part for (owner, _), part in surfaces.items() if owner == name]
-            bodies = [part for (owner, _), part in middles.items() if owner == name]
+            own = [body for (owner, _), body in bodies.items() if owner == name]
             turned = []
-            if aim_mm is not None and bodies:
-                turned = turned_surfaces(bodies[0], aim_mm, self.tip_radius_mm)
-            for number, surface in enumerate(turned or [_any_face(learnt)]):
+            if self.turns_bodies_ and own:
+                turned = turned_surfaces(own[0], aim_mm, self.tip_radius_mm)
+            for number, surface in enumerate(turned or [_any_face(surfaces, name)]):
                 others[name, OTHER_FACE - number] = surface
         return others
 
@@ -303,14 +311,23 @@ class SurfaceMap:
 
     def unlearnt_before(self) -> tuple[UnlearntSurfaces, UnlearntSurfaces]:
         """Return the faces that were never learnt, and a stranger, likewise."""
-        radii, looseness = self.table_.mean_mm, self.looseness or Looseness()
-        means = radii.mean(axis=(1, 2))
-        learnt = means[~self.is_other_]
-        before, other = UnlearntSurfaces.before, means[self.is_other_]
+        looseness, before = self.looseness or Looseness(), UnlearntSurfaces.before
+        learnt, other = self._sizes_mm
         return (
             before(other, _OTHER_FACE_MM, looseness),
             before(np.array([learnt.mean()]), MEAN_SD_MM, looseness),
         )
+
+    @property
+    def _sizes_mm(self) -> tuple[Floats, Floats]:
+        """Return mean radii of learnt faces, and those that others would have.
+
+        Those of what was learnt of their object.
+        """
+        other, of_state = self.is_other_, self.object_of_state_
+        learnt = self.table_.mean_mm[~other].mean(axis=(1, 2))
+        belongs = of_state[other][:, None] == of_state[~other]
+        return learnt, belongs @ learnt / belongs.sum(axis=1)
 
     @property
     def is_other_(self) -> Bools:
@@ -323,8 +340,8 @@ class SurfaceMap:
 
         (n_other, n_learnt), were it the shape of one of them: one of its size.
         """
-        size, other = self.table_.mean_mm.mean(axis=(1, 2)), self.is_other_
-        off = (size[other][:, None] - size[~other]) / _OTHER_FACE_MM
+        learnt, other = self._sizes_mm
+        off = (other[:, None] - learnt) / _OTHER_FACE_MM
         return log_softmax(-(off**2) / 2, axis=1)
 
     @property
@@ -435,12 +452,13 @@ class FacedMap(TouchMap):
         return float(np.mean(losses))
 
 
-def _any_face(surfaces: list[RadialSurface]) -> RadialSurface:
+def _any_face(surfaces: Mapping[State, RadialSurface], name: str) -> RadialSurface:
     """Return what an object's surfaces tell of a face that was never learnt."""
-    radii = np.stack([surface.mean_mm for surface in surfaces])
+    learnt = [part for (owner, _), part in surfaces.items() if owner == name]
+    radii = np.stack([surface.mean_mm for surface in learnt])
     mean, variance = float(radii.mean()), float(radii.var()) + _OTHER_FACE_MM**2
-    flat = np.ones(surfaces[0].mean_mm.shape)
-    return RadialSurface(mean * flat, variance * flat, surfaces[0].noise_mm)
+    flat = np.ones(learnt[0].mean_mm.shape)
+    return RadialSurface(mean * flat, variance * flat, learnt[0].noise_mm)
 
 
 def _refuse_unit(name: str, reach_mm: float) -> None:

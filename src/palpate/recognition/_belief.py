@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from html import escape
-from math import floor
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_number, check_option
-from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches
 from . import _evidence, _strangers
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
+from ._pictures import belief_in_html, draw_belief
 from ._senses import Modality
 from ._sentences import OTHER_SESSION, Promise, n_touches_of, sentence_of, share_of
 
@@ -30,6 +28,8 @@ Level = Literal["object", "category", "any"]
 LEVELS = ("object", "category", "any")
 # The share of episodes with something that was never learnt, unless the user says.
 STRANGERS = 0.05
+# Objects and letters that a picture of a belief shows.
+_BARS, _LETTERS = 10, 24
 
 
 class Named(NamedTuple):
@@ -168,7 +168,7 @@ class Belief:
         changes nothing.
         """
         judge = self._judge
-        rows = _checked_rows(log_likelihood, len(judge.classes))
+        rows = _evidence.checked_rows(log_likelihood, len(judge.classes))
         n_touches = len(rows)
         flags = [""] * n_touches if flags is None else flags
         if len(flags) != n_touches:
@@ -176,7 +176,7 @@ class Belief:
                 f"flags must be one for each of {n_touches} touches, got {len(flags)}."
             )
         shape = n_touches, *self._each.shape
-        kept, distances, each = _checked_parts(
+        kept, distances, each = _evidence.checked_parts(
             features=(features, (n_touches, judge.memory.features.shape[1])),
             log_distances=(log_distances, rows.shape),
             by_encoding=(by_encoding, shape),
@@ -581,14 +581,7 @@ class Belief:
 
         Returns matplotlib's axes (extra `plot`), `ax` or new ones.
         """
-        pyplot = needed("matplotlib.pyplot", "plot", "A picture of a belief")
-        axes = pyplot.subplots(figsize=(5, 3))[1] if ax is None else ax
-        shares = {**self._most_probable(), "nothing learnt": self.unknown}
-        names = [*shares][::-1]
-        colours = ["#888888", *["#4c78a8"] * (len(names) - 1)]
-        axes.barh(names, [shares[name] for name in names], color=colours)
-        axes.set(xlim=(0, 1), xlabel="probability", title=self.reason())
-        return axes
+        return draw_belief(self._most_probable(), self.unknown, self.reason(), ax)
 
     def _most_probable(self) -> dict[str, float]:
         shares = self.posterior
@@ -607,13 +600,8 @@ class Belief:
     def _repr_html_(self) -> str:
         """Return bars of the ten most probable objects and of none, for notebooks."""
         shares = self._most_probable()
-        bars = [_bar(name, share) for name, share in shares.items()]
         n_more = len(self._judge.classes) - len(shares)
-        if n_more:
-            bars.append(f"<tr><td colspan=2>and {n_more} more</td></tr>")
-        bars.append(_bar("nothing learnt", self.unknown))
-        head = escape(self.reason())
-        return f"<table><caption>{head}</caption>{''.join(bars)}</table>"
+        return belief_in_html(shares, self.unknown, n_more, self.reason())
 
 
 def check_strangers(strangers: object) -> float:
@@ -629,51 +617,3 @@ def check_strangers(strangers: object) -> float:
 
 def _check_share(name: str, share: object) -> float:
     return check_number(name, share, low=1e-6, high=0.5)
-
-
-# Objects and letters that a picture of a belief shows.
-_BARS, _LETTERS = 10, 24
-
-
-def _bar(name: str, share: float) -> str:
-    shown = floor(1000 * share + 1e-9) / 1000  # so that none sum to more than 1
-    style = f"background:#4c78a8;height:0.8em;width:{max(share, 0.002) * 12:.2f}em"
-    bar = f'<div style="{style};display:inline-block"></div> {shown:.3f}'
-    return f'<tr><td>{escape(name)}</td><td style="text-align:left">{bar}</td></tr>'
-
-
-def _checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
-    rows = np.atleast_2d(np.asarray(log_likelihood, dtype=np.float64))
-    if rows.ndim != 2 or rows.shape[1] != n_objects:
-        raise ValueError(
-            f"log_likelihood must have shape (n_touches, {n_objects}), got "
-            f"{rows.shape}. Its columns are the recogniser's classes_."
-        )
-    if np.isnan(rows).any() or not np.isfinite(rows.max(axis=1)).all():
-        bad = np.isnan(rows).any(axis=1) | ~np.isfinite(rows.max(axis=1))
-        raise ValueError(
-            "log_likelihood must hold a finite number and no NaN for every touch, got "
-            f"{rows[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch out."
-        )
-    with np.errstate(over="ignore"):  # what is less by more than 1e308 is ruled out
-        less: Floats = rows - rows.max(axis=1, keepdims=True)
-    return less
-
-
-def _checked_parts(**tables: tuple[ArrayLike | None, tuple[int, ...]]) -> list[Floats]:
-    """Return parts of the evidence, given with their shapes, or explain.
-
-    NaN where there is none.
-    """
-    parts = []
-    for name, (part, shape) in tables.items():
-        array = np.full(shape, np.nan)
-        if part is not None:
-            array = np.atleast_2d(np.asarray(part, dtype=np.float64))
-        if array.shape != shape:
-            raise ValueError(
-                f"{name} must have shape {shape}, got {array.shape}. Take it from "
-                "ObjectRecogniser.evidence, of the same touches."
-            )
-        parts.append(array)
-    return parts

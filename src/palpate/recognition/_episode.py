@@ -10,6 +10,7 @@ from ..touches import Touches
 from ._belief import Belief, Level, Named
 from ._evidence import Evidence
 from ._memory import UNKNOWN
+from ._pictures import draw_episode
 from ._sentences import NOTHING, sentence_of, touch_note
 
 if TYPE_CHECKING:
@@ -251,22 +252,11 @@ class Episode:
 
         Returns matplotlib's axes (extra `plot`), `ax` or new ones.
         """
-        from .._extras import needed
-
-        pyplot = needed("matplotlib.pyplot", "plot", "A picture of an episode")
-        axes = pyplot.subplots(figsize=(6, 3))[1] if ax is None else ax
-        numbers = [touch.touch for touch in self.touches]
         last = self.touches[-1].posterior if self.touches else self.belief.posterior
-        for name in sorted(last, key=lambda name: -last[name])[:5]:
-            shares = [touch.posterior[name] for touch in self.touches]
-            axes.plot(numbers, shares, marker="o", label=name)
+        leading = sorted(last, key=lambda name: -last[name])[:5]
+        shares = {n: [touch.posterior[n] for touch in self.touches] for n in leading}
         unknown = [touch.unknown for touch in self.touches]
-        axes.plot(numbers, unknown, "--", color="#888888", label="nothing learnt")
-        axes.axhline(1 - self.error, color="#cccccc", linewidth=1)
-        axes.set(ylim=(0, 1.02), xlabel="touch", ylabel="probability")
-        axes.set_title(self.sentence)
-        axes.legend()
-        return axes
+        return draw_episode(shares, unknown, 1 - self.error, self.sentence, ax)
 
 
 def _in_words(name: str) -> str:

@@ -12,6 +12,7 @@ from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .._checks import check_positive, unmasked
 from .._numbers import exp, log, log_softmax
@@ -223,3 +224,41 @@ def besides_the_best(shares: Floats) -> Floats:
     best = shares.argmax(axis=-1)
     np.put_along_axis(shares, best[..., np.newaxis], 0, axis=-1)
     return np.asarray(shares.sum(axis=-1))
+
+
+def checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
+    """Return log-likelihoods (n_touches, n_objects) less the row's greatest."""
+    rows = np.atleast_2d(np.asarray(log_likelihood, dtype=np.float64))
+    if rows.ndim != 2 or rows.shape[1] != n_objects:
+        raise ValueError(
+            f"log_likelihood must have shape (n_touches, {n_objects}), got "
+            f"{rows.shape}. Its columns are the recogniser's classes_."
+        )
+    if np.isnan(rows).any() or not np.isfinite(rows.max(axis=1)).all():
+        bad = np.isnan(rows).any(axis=1) | ~np.isfinite(rows.max(axis=1))
+        raise ValueError(
+            "log_likelihood must hold a finite number and no NaN for every touch, got "
+            f"{rows[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch out."
+        )
+    with np.errstate(over="ignore"):  # what is less by more than 1e308 is ruled out
+        less: Floats = rows - rows.max(axis=1, keepdims=True)
+    return less
+
+
+def checked_parts(**tables: tuple[ArrayLike | None, tuple[int, ...]]) -> list[Floats]:
+    """Return parts of the evidence, given with their shapes, or explain.
+
+    NaN where there is none.
+    """
+    parts = []
+    for name, (part, shape) in tables.items():
+        array = np.full(shape, np.nan)
+        if part is not None:
+            array = np.atleast_2d(np.asarray(part, dtype=np.float64))
+        if array.shape != shape:
+            raise ValueError(
+                f"{name} must have shape {shape}, got {array.shape}. Take it from "
+                "ObjectRecogniser.evidence, of the same touches."
+            )
+        parts.append(array)
+    return parts

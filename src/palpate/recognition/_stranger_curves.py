@@ -34,6 +34,8 @@ from ._strangers import (
 
 # Deviations are a tenth at least.
 _LEAST_SPREAD = 0.1
+# Of episodes of more of an object's touches nothing is known of how far they spread.
+_MOST_OF_ALL = 2 / 3
 # Levels that a curve is kept at.
 _N_LEVELS = 129
 # No height speaks for a stranger by more than 100,000 to one (nats).
@@ -85,7 +87,8 @@ def fit_strangers(
     stranger_track, heights = _unseen(len(usual)), np.full(_N_UNSEEN, np.inf)
     stranger_categories = None
     logs = log_nats(known_track.score)
-    mean, spread = logs.mean(axis=0), logs.std(axis=0) + _LEAST_SPREAD
+    mean = logs.mean(axis=0)
+    spread = _of_new_touches(logs.std(axis=0), left_out.codes) + _LEAST_SPREAD
     if len(usual) > 2:
         stranger_track, stranger_categories = _tracks(
             left_out, model, episodes, groups, never=True
@@ -102,6 +105,20 @@ def fit_strangers(
         model = replace(model, low_category_curve=of_categories)
     nats = evidence_of(model, known_track, len(usual))
     return replace(model, exceeded=np.quantile(nats, 0.95, axis=0))
+
+
+def _of_new_touches(spread: Floats, codes: Indices) -> Floats:
+    """Return how far episodes of new touches would spread, (n_lengths,).
+
+    Left-out episodes repeat no touch: those that hold nearly all of an object's are all
+    alike. Longer than `_MOST_OF_ALL` of the touches that a middling object has, they
+    are taken to spread as far as there.
+    """
+    counts = np.bincount(codes)
+    longest = max(1, int(_MOST_OF_ALL * np.median(counts[counts > 0])))
+    least = np.zeros_like(spread)
+    least[longest:] = spread[:longest][-1]
+    return np.maximum(spread, least)
 
 
 def _low_curve(known_track: Track, strangers: Track, n_names: int) -> Curve:

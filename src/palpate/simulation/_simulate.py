@@ -196,16 +196,9 @@ def simulate_touches(
     things = _resolved(HOUSEHOLD if objects is None else objects)
     sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     check_option("strategy", strategy, ("hemisphere", "above"))
-    unknown = sorted(of_scene.keys() - {field.name for field in fields(Scene)})
-    if unknown:
-        names = ", ".join(field.name for field in fields(Scene))
-        raise TypeError(
-            f"simulate_touches has no parameter {unknown[0]!r}. "
-            f"Fields of Scene: {names}."
-        )
     touch = partial(
         _touch_object,
-        scene=replace(Scene() if scene is None else scene, **of_scene),
+        scene=_with_fields(Scene() if scene is None else scene, of_scene),
         above=strategy == "above",
         drift=drift and not mountings,
     )
@@ -391,6 +384,16 @@ def _all_of(
     sizes = [len(task[-1]) for task in tasks]
     batches = in_parallel(function, tasks, what, n_jobs=n_jobs, show=show, sizes=sizes)
     return list(chain.from_iterable(batches))
+
+
+def _with_fields(scene: Scene, of_scene: dict[str, Any]) -> Scene:
+    names = [field.name for field in fields(Scene)]
+    for unknown in sorted(of_scene.keys() - {*names}):
+        raise TypeError(
+            f"simulate_touches has no parameter {unknown!r}. "
+            f"Fields of Scene: {', '.join(names)}."
+        )
+    return replace(scene, **of_scene)
 
 
 def _touch_object(

@@ -86,6 +86,7 @@ def advice(qualities: list[dict[str, Any]]) -> list[str]:
             what = f"{name} and {other} are taken for each other"
             sentences.append(f"{what}: ten more touches of each, elsewhere.")
     if few:
-        names = ", ".join(few)
-        sentences.append(f"Fewer than {_SOME} touches cannot be judged: {names}.")
+        names = ", ".join(few[:_MOST_SAID])
+        more = f" and {len(few) - _MOST_SAID} more" * (len(few) > _MOST_SAID)
+        sentences.append(f"Fewer than {_SOME} touches cannot be judged: {names}{more}.")
     return sentences

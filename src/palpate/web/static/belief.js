@@ -92,6 +92,7 @@ function drawDecision(n) {
   place.className = !named || doubted ? "undecided" : decision === "unknown" ? "unknown" : "decided";
   const note = episode.touches.at(-1)?.note;
   text(find("reason"), learnt && n ? [sentence, note, withdrawn.at(-1)].filter(Boolean).join(". ") : "");
+  show(find("downloads"), n > 0);
   show(find("limits"), n > 0 && episode.limits !== "");
   text(find("limits"), episode.limits);
   show(find("why"), n > 0 && why.length > 0);

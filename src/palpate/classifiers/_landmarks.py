@@ -1,4 +1,4 @@
-"""How kernel ridge regression goes on: through landmarks, or by an inverse that grows.
+"""Kernel ridge regression of very many touches: some of them are landmarks for all.
 
 With more touches than a kernel matrix is for, some of them are landmarks for all
 (Nystroem features [1]_). What is learnt follows from sums over touches: of products of
@@ -6,12 +6,6 @@ their kernels with the landmarks, and of these kernels for each label. So touche
 in blocks, in any order and wherever a block lies. No array has a row for each touch and
 a column for each label, and a few touches more or fewer change what was learnt by what
 they add to the sums.
-
-Adding ten touches to thousands changes little of an exact solution either: with G the
-inverse of the first touches, B their kernel with the later ones, W = G B and S the
-later ones' own matrix less B^T W, the inverse of all is G, framed with zeros, plus
-Z S^-1 Z^T with Z = [W; -I]. So G stays as it is, and each touch added costs as much as
-one column of it.
 
 References
 ----------
@@ -21,25 +15,20 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from .._numbers import exp
 from .._parallel import results_of
 from .._types import Array, Bools, Floats, Indices
-
-# The inverse's root is kept in so many strips, none longer than its last row: together
-# little more than the half below its diagonal.
-_N_STRIPS = 16
+from ._exact_ridge import group_members
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
 TOUCHES_AT_ONCE, TOUCHES_A_TASK = 2000, 20_000
@@ -312,140 +301,3 @@ def _batches(groups: list[Indices], at_once: int) -> Iterator[list[Indices]]:
         batch.append(members)
         n_touches += len(members)
     yield batch
-
-
-def group_members(group: Array) -> list[NDArray[np.intp]]:
-    """Return the touches of each group."""
-    order = np.argsort(group, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
-
-
-class GrowingInverse:
-    """What it takes to learn more touches without those before them again.
-
-    Attributes `n_first`, `touches`, `labels` and `ridges`: how many the first touches
-    are, and all that it has.
-
-    Parameters
-    ----------
-    root : ndarray of shape (n_first, n_first)
-        R below its diagonal, with R^T R the inverse of the first touches' kernel and
-        ridge.
-    touches : ndarray of shape (n_first, n_features)
-        The first touches, in the order of the kernel.
-    labels, ridges : ndarray of shape (n_first,)
-        Their labels, and what was added to the kernel's diagonal for each.
-    classes, coefficients : ndarray of shape (n_classes,) and (n_first, n_classes)
-        The sorted labels, and the inverse times their one-hot columns.
-    blocks : iterable of (ndarray of shape (n_groups, size), ndarray)
-        Rows of groups of touches, and the inverse at them (n_groups, size, size).
-    """
-
-    def __init__(
-        self,
-        root: Floats,
-        touches: Floats,
-        labels: Array,
-        ridges: Floats,
-        classes: Array,
-        coefficients: Floats,
-        blocks: Iterable[tuple[Indices, Floats]],
-    ) -> None:
-        ends = np.linspace(0, len(root), _N_STRIPS + 1).astype(int)
-        self._strips = [np.array(root[a:b, :b], order="C") for a, b in pairwise(ends)]
-        self.touches = touches
-        self.labels = labels
-        self.ridges = ridges
-        self._classes, self._coefficients = classes, coefficients
-        self._blocks = {
-            members.tobytes(): block
-            for rows, inverses in blocks
-            for members, block in zip(rows, inverses, strict=True)
-        }
-        self.n_first = len(touches)
-        none = np.empty((len(touches), 0))
-        self._between, self._solved, self._of_later = none, none, none[:0]
-        self._factor: Any = None
-
-    def begins(self, touches: Floats, labels: Array, ridges: Floats) -> bool:
-        """Whether touches go on after those it has, with their labels and ridges."""
-        n_known = len(self.touches)
-        return (
-            len(touches) > n_known
-            and np.array_equal(touches[:n_known], self.touches)
-            and np.array_equal(labels[:n_known], self.labels)
-            and np.array_equal(ridges[:n_known], self.ridges)
-        )
-
-    def plus(
-        self, touches: Floats, labels: Array, ridges: Floats, kernel: Floats
-    ) -> Self:
-        """Return this with the touches that come after those it has.
-
-        Of all `touches` (n_touches, n_features), their `labels` and `ridges`, and the
-        `kernel` of the new ones with all (n_new, n_touches).
-
-        Raises
-        ------
-        LinAlgError
-            If rounding hides the difference between two of them.
-        """
-        n_first, n_known = self.n_first, len(self.touches) - self.n_first
-        n_added = len(touches) - n_first
-        more = copy(self)
-        more.touches, more.labels, more.ridges = touches, labels, ridges
-        between = kernel[:, :n_first].T
-        more._between = np.hstack([self._between, between])
-        more._solved = np.hstack([self._solved, self._times_first(between)])
-        later = np.empty((n_added, n_added))
-        later[:n_known, :n_known] = self._of_later
-        later[n_known:] = kernel[:, n_first:]
-        later[:, n_known:] = kernel[:, n_first:].T
-        more._of_later = later
-        schur = later + np.diag(ridges[n_first:]) - more._between.T @ more._solved
-        more._factor = cho_factor(schur)
-        return more
-
-    def coefficients(self, target: Floats, classes: Array) -> Floats:
-        """Return the inverse times the labels' one-hot columns less 1 / n_classes."""
-        n_classes = len(classes)
-        first = np.zeros((self.n_first, n_classes))
-        first[:, np.searchsorted(classes, self._classes)] = self._coefficients
-        first -= first.sum(axis=1, keepdims=True) / n_classes
-        frame = self._frame()
-        result: Floats = frame @ cho_solve(self._factor, frame.T @ target)
-        result[: self.n_first] += first
-        return result
-
-    def blocks(self, by_size: Iterable[Indices]) -> Iterator[tuple[Indices, Floats]]:
-        """Yield rows of groups of one size, each sorted, and the inverse at them."""
-        frame = self._frame()
-        through = np.ascontiguousarray(cho_solve(self._factor, frame.T).T)
-        for rows in by_size:
-            blocks = frame[rows] @ through[rows].transpose(0, 2, 1)
-            for members, block in zip(rows, blocks, strict=True):
-                first = members[: np.searchsorted(members, self.n_first)]
-                block[: len(first), : len(first)] += self._first_block(first)
-            yield rows, blocks
-
-    def _frame(self) -> Floats:
-        """Return Z."""
-        return np.vstack([self._solved, -np.eye(self._solved.shape[1])])
-
-    def _first_block(self, rows: Indices) -> Floats:
-        block = self._blocks.get(rows.tobytes())
-        if block is None:
-            block = np.zeros((len(rows), len(rows)))
-            for strip in self._strips:
-                n_here = np.searchsorted(rows, strip.shape[1])
-                columns = strip[:, rows[:n_here]]
-                block[:n_here, :n_here] += columns.T @ columns
-            self._blocks[rows.tobytes()] = block
-        return block
-
-    def _times_first(self, values: Floats) -> Floats:
-        result = np.zeros_like(values, order="C")
-        for strip in self._strips:
-            width = strip.shape[1]
-            result[:width] += strip.T @ (strip @ values[:width])
-        return result

@@ -1,0 +1,553 @@
+"""Learning objects from touches, more of them later, and getting used to sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
+from sklearn.utils.validation import validate_data
+
+from .._checks import check_count, check_number, check_option, unmasked
+from .._numbers import log_softmax
+from .._parallel import on_one_thread
+from .._types import Bools, Floats, Indices
+from ..classifiers import EncodingPool, TouchClassifier, as_groups, check_targets
+from ..images import PressPose
+from ..touches import Touches, TouchSource
+from . import _evidence, _memory
+from ._alarm import MountingCheck
+from ._calibration import (
+    draw_episodes,
+    fit_sequence_calibration,
+    left_out_log_likelihood,
+    without_gaps,
+)
+from ._contact import consists_of_nothing
+from ._encoder import TouchEncoder
+from ._evidence import as_touches
+from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
+from ._learnt import Learnt
+from ._memory import Memory, Nearest
+from ._presets import (
+    PRESENTATIONS,
+    Label,
+    Presentation,
+    Preset,
+    PresetName,
+    find_preset,
+    opened,
+)
+from ._rehearsal import rehearse, said_of_rehearsal
+from ._remounted_encoder import RemountedEncoder
+from ._remounting import remounted, without_nuisance
+from ._senses import Modality
+from ._stranger_curves import LeftOut, fit_strangers
+from ._strangers import StrangerModel
+from ._user_encoding import Encoding
+
+if TYPE_CHECKING:
+    pass
+
+
+class Learner(BaseEstimator):
+    """What `ObjectRecogniser` learns: encoding, classifier, memory, calibrations."""
+
+    max_memory_gb: ClassVar[float] = 8.0
+    preset: PresetName | None
+    encodings: Mapping[str, Encoding] | None
+    classifier: Any
+    label: Label
+    floor: float | None
+    prior: Literal["uniform", "counts"]
+    presentation: Presentation
+    rehearse: bool
+    random_state: int
+    encoder_: TouchEncoder | RemountedEncoder
+    classifier_: TouchClassifier
+    memory_: Memory
+
+    # The last check of the mounting: of today, so that no file holds it.
+    _mounting: MountingCheck | None = None
+
+    def fit(
+        self,
+        X: Touches | TouchSource | ArrayLike | Sequence[Touches],
+        y: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+    ) -> Self:
+        """Learn objects from labelled touches.
+
+        Parameters
+        ----------
+        X : Touches, TouchSource, or array-like of shape (n_touches, n_rows, n_cols)
+            Or feature vectors, (n_touches, n_features), also as a data frame: touches
+            without geometry, which everything that takes images then takes. Of a
+            source (`TouchLibrary.select`), the encoding is learnt from some
+            2000 touches and the rest are encoded piece by piece, so that their
+            images are never all in memory.
+        y : array-like of shape (n_touches,), optional
+            Labels; by default the touches' own.
+        groups : array-like of shape (n_touches,), optional
+            Touches of one group (a session, a block of a recording) are left out
+            together; by default found out from session, order and object.
+
+        Raises
+        ------
+        ValueError
+            If labels are missing, there are fewer than two of them, or one has
+            fewer than two touches; or it would take too much memory.
+        """
+        preset = self._check_parameters()
+        X, y = self._seen(X, y)
+        touches = _memory.labelled(X, y, self.label)
+        labels, objects = _memory.training_labels(touches, self.label)
+        if y is not None and self.label == "object":
+            labels = objects = np.asarray(y)
+        refuse_too_large(labels, self.max_memory_gb)
+        if groups is None:
+            blocks = _memory.left_out_groups(touches, labels, objects, self.label)
+        else:
+            blocks = as_groups(groups, len(labels))
+        with on_one_thread():
+            encoder, contact, chosen, encoding = learn_encoding(
+                preset, touches, labels, blocks, self.presentation
+            )
+            if groups is None:
+                blocks = _memory.without_copies(encoding.features, objects, blocks)
+            memory = memory_of(touches, encoding, labels, objects, blocks)
+            self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
+            self.classifier_ = preset.classifier(encoder).fit(
+                memory.features, memory.labels, groups=memory.blocks
+            )
+            if self.rehearse and isinstance(self.classifier_, EncodingPool):
+                self.classifier_, weighed = rehearse(
+                    self.classifier_,
+                    encoder,
+                    memory,
+                    touches,
+                    chosen["geometry"],
+                    self.random_state,
+                )
+                chosen["rehearsal"] = weighed
+                chosen["found"] = [*chosen.get("found", ()), said_of_rehearsal(weighed)]
+            if len(self.classifier_.part_weights) > 1:
+                chosen["weights"] = dict(self.classifier_.part_weights)
+            self._calibrate(memory)
+        self.pose_: PressPose | None = None
+        self.modalities_: dict[str, Modality] = {}
+        self._mounting = None
+        return self
+
+    def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
+        """Learn one more object; the encoding and its choices stay as they are.
+
+        Parameters
+        ----------
+        name : str
+            A label not known yet (with `label="category"`, the category).
+        touches : Touches
+            Its touches; their own labels are ignored.
+
+        Raises
+        ------
+        ValueError
+            If the object is known, or has fewer than two touches.
+        """
+        self._check_fitted()
+        if name in self._names():
+            raise ValueError(
+                f"name must be new, got {name!r}, which is known already. Add touches "
+                "to it with extend_object, replace it, or choose another name."
+            )
+        return self._relearn(self.memory_.plus(self._memory_of(name, touches, 2)))
+
+    def extend_object(
+        self, name: str, touches: Touches | TouchSource, most: int | None = None
+    ) -> Self:
+        """Learn more touches of a known object, beside those it has.
+
+        Parameters and errors as of `add_object`, but the object must be known, and one
+        touch is enough. With `most` no more touches of it are kept: of its sessions
+        the same number where there are enough, of each the newest, so that what is
+        met again every day neither grows for ever nor forgets its first days.
+        """
+        self._check_fitted()
+        check_option("name", name, self._names())
+        memory = self.memory_.plus(self._memory_of(name, touches, 1))
+        if most is not None:
+            memory = memory.newest(name, check_count("most", most, at_least=2))
+        return self._relearn(memory)
+
+    def replace_objects(
+        self, touches: Touches | TouchSource | None, forget: Iterable[str] = ()
+    ) -> Self:
+        """Learn objects anew, in place of what was known of them, and forget others.
+
+        Parameters
+        ----------
+        touches : Touches, TouchSource or None
+            Labelled touches of known or new objects, two of each at least.
+        forget : iterable of str
+            Names that are forgotten; unknown ones are passed over.
+
+        Raises
+        ------
+        ValueError
+            If fewer than two objects would remain, or labels are missing.
+        """
+        self._check_fitted()
+        memory = self.memory_.without(forget)
+        if touches is not None:
+            labels = _memory.named_labels(touches, self.label)
+            for name in np.unique(labels).tolist():
+                of_object = touches[np.flatnonzero(labels == name)]
+                memory = memory.replaced(self._memory_of(name, of_object, 2))
+        return self._relearn(memory)
+
+    def forget_object(self, name: str) -> Self:
+        """Forget one object; the others are as before.
+
+        Raises
+        ------
+        ValueError
+            If it is not known, or fewer than two would remain.
+        """
+        self._check_fitted()
+        check_option("name", name, self._names())
+        return self._relearn(self.memory_.without([name]))
+
+    def remount(self, touches: Touches) -> Self:
+        """Get used to another session: mounted anew, another day, light or device.
+
+        Parameters
+        ----------
+        touches : Touches
+            The first touches of the session. With labels they are confirmed: they tell
+            what the session does to touches, and join the training touches. Without
+            the column of labels they are only taken for what they may be: enough where
+            there are some ten of several objects. Images may have another shape, and
+            a frame of no contact tells where the rim is, and what rest looks like.
+
+        Returns
+        -------
+        ObjectRecogniser
+            This one; `chosen_["remount"]` says what was found: `confirm` the labels of
+            which no touch was confirmed, and `expected` between what shares were right
+            in rehearsed sessions with one touch of each confirmed.
+
+        Raises
+        ------
+        ValueError
+            A label was not learnt, or no touch shows contact.
+
+        Notes
+        -----
+        1. A dome's disc is found in the new images, and cut as large in proportion.
+        2. Where training sessions met the same objects, what each adds to the features
+           is taken off, and how they differ is weighed down, as far as that helps with
+           sessions left out whole.
+        3. The new session's features are moved to where the training touches of the
+           same objects lie, less what chance would move (docs/explanation/sessions.md).
+        4. Confirmed touches count as other training touches do, or less (1/4, 1/16,
+           1/64), as they tell each other best.
+        5. One object alone is believed all, half or not at all, as rehearsed sessions
+           tell (`trust`); of more objects the doubt is shared out.
+        """
+        self._check_fitted()
+        new = self._as_touches(touches)
+        labels = new.object if self.label == "object" else new.category
+        rehearsal = self.chosen_.get("rehearsal", {})
+        trust = rehearsal.get("trust", 1.0)
+        learnt, remount_report = remounted(self.learnt(), new, labels, trust)
+        self.serve(learnt)
+        if "confirmed" in rehearsal:
+            remount_report["expected"] = list(rehearsal["confirmed"])
+        self.chosen_ = {**self.chosen_, "remount": remount_report}
+        self._mounting = None
+        return self
+
+    def learn_nuisance(self, touches: Touches) -> int:
+        """Weigh down what tells sessions from each other and not objects.
+
+        Parameters
+        ----------
+        touches : Touches
+            Of any objects, known or not, each met in several sessions (columns
+            `object` and `session`), 20 differences at least.
+
+        Returns
+        -------
+        int
+            How many differences between sessions they showed.
+        """
+        self._check_fitted()
+        learnt, n_differences = without_nuisance(self.learnt(), as_touches(touches))
+        self.serve(learnt)
+        return n_differences
+
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of training touches, each with its block left out.
+
+        Shape (n_left_out, n_objects), of the rows `left_out_rows` of `memory_`; touches
+        without contact are recognised like any other.
+        """
+        self._check_fitted()
+        return left_out_log_likelihood(self.classifier_)
+
+    @property
+    def left_out_rows(self) -> Indices:
+        """Which training touches were left out, (n_left_out,): all but of very many."""
+        self._check_fitted()
+        return self.classifier_.left_out_rows
+
+    def learnt(self) -> Learnt:
+        """Return what was learnt of touches, before beliefs are made of it."""
+        self._check_fitted()
+        return Learnt(
+            encoder=self.encoder_,
+            contact=self.contact_,
+            classifier=self.classifier_,
+            memory=self.memory_,
+            uses_no_contact=self.uses_no_contact_,
+        )
+
+    def fit_pose(self, touches: Touches, pitch_mm: float | None = None) -> Self:
+        """Learn also where and how parts lie on a pressure array.
+
+        Parameters
+        ----------
+        touches : Touches
+            The training touches; a column `angle_deg` fixes what is reported as 0.
+        pitch_mm : float, optional
+            Distance of neighbouring taxels in mm; by default the touches' own
+            `set_pitch_mm`.
+
+        Raises
+        ------
+        ValueError
+            If no pitch is known.
+        """
+        self._check_fitted()
+        pitch = touches.whole.get("set_pitch_mm") if pitch_mm is None else pitch_mm
+        if pitch is None:
+            raise ValueError(
+                "pitch_mm must be given to learn poses, got None, and the touches have "
+                "no 'set_pitch_mm'; pass the distance of neighbouring taxels."
+            )
+        self.pose_ = PressPose(pitch_mm=float(pitch)).fit(
+            touches.images,
+            _memory.training_labels(touches, self.label)[0],
+            touches.columns.get("angle_deg"),
+        )
+        return self
+
+    def learn_modality(
+        self,
+        name: str,
+        X: ArrayLike,
+        y: ArrayLike,
+        *,
+        groups: ArrayLike | None = None,
+        classifier: Any = None,
+    ) -> Self:
+        """Learn another sense of the same objects, such as photographs.
+
+        It enters a belief by `Belief.update_sense`; a belief without it is as before.
+
+        Parameters
+        ----------
+        name : str
+            What to call it, such as "sight".
+        X, y : array-like of shape (n_examples, n_features) and (n_examples,)
+            Examples and labels; objects without examples are neither favoured nor
+            ruled out.
+        groups : array-like of shape (n_examples,), optional
+            Examples that resemble each other are left out together to find how
+            their evidence adds up.
+        classifier : classifier with `predict_proba`, optional
+            See `Modality`.
+        """
+        self._check_fitted()
+        modality = Modality(classifier, random_state=self.random_state)
+        modality.fit(X, y, groups)
+        self.modalities_ = {**self.modalities_, _memory.check_name(name): modality}
+        return self
+
+    def remember_sensor(self, values: Mapping[str, Any] | None) -> Self:
+        """Keep what the sensor was like, as plain values; it travels with the model."""
+        self._check_fitted()
+        self.memory_ = replace(self.memory_, sensor=values)
+        return self
+
+    def _memory_of(
+        self, name: str, touches: Touches | TouchSource, least: int
+    ) -> Memory:
+        checked = touches
+        if not isinstance(touches, TouchSource):
+            checked = self._as_touches(touches)
+        _memory.check_name(name)
+        if len(checked) < least:
+            raise ValueError(
+                f"{name!r} must have at least {least} touches, got {len(checked)}."
+            )
+        labels = np.full(len(checked), self._as_label(name))
+        objects_of_touches = checked.object if labels.dtype.kind == "U" else None
+        objects = labels if objects_of_touches is None else objects_of_touches
+        encoding = encoded(self.encoder_, self.contact_, checked)
+        blocks = _memory.blocks_in_order(labels, checked.order)
+        blocks = _memory.without_copies(encoding.features, labels, blocks)
+        return memory_of(checked, encoding, labels, objects, blocks)
+
+    def _seen(self, X: Any, y: Any) -> tuple[Any, Any]:
+        """Return what `fit` is given; feature vectors as touches without geometry."""
+        for name in {"n_features_in_", "feature_names_in_"} & vars(self).keys():
+            delattr(self, name)
+        X = unmasked("X", X)
+        of_touches = isinstance(X, list) and X and isinstance(X[0], Touches)
+        if isinstance(X, Touches | TouchSource) or of_touches or n_axes(X) != 2:
+            return X, y
+        vectors, labels = validate_data(
+            self, X, y, dtype=np.float64, ensure_min_samples=2
+        )
+        check_targets(labels)
+        return without_places(vectors), labels
+
+    def _as_touches(self, X: Any) -> Touches:
+        """Return touches, or what is like what `fit` saw, as touches."""
+        if isinstance(X, Touches) or not hasattr(self, "n_features_in_"):
+            return as_touches(X, self.encoder_.channels_)
+        X = unmasked("X", X)
+        return without_places(validate_data(self, X, reset=False, dtype=np.float64))
+
+    def _as_label(self, name: str) -> Any:
+        """Return a name as a label of the kind of the known ones."""
+        dtype = self.memory_.labels.dtype
+        if dtype.kind == "U":
+            return name
+        try:
+            return dtype.type(name)
+        except ValueError as error:
+            raise ValueError(
+                f"name must be a number like the known labels, got {name!r}."
+            ) from error
+
+    def _relearn(self, memory: Memory) -> Self:
+        """Learn a memory with the encoding and the choices made; all or nothing."""
+        refuse_too_large(memory.labels, self.max_memory_gb)
+        if len(memory.classes) < 2:
+            raise ValueError(
+                "At least two objects must remain, got only "
+                f"{memory.classes.tolist()}. Add another object first."
+            )
+        return self.serve(self.learnt().relearnt(memory))
+
+    def serve(self, learnt: Learnt) -> Self:
+        """Recognise by what was learnt from now on."""
+        refuse_too_large(learnt.memory.labels, self.max_memory_gb)
+        same = learnt.memory is self.memory_
+        before = self.memory_.nearest
+        self.encoder_, self.contact_ = learnt.encoder, learnt.contact
+        self.classifier_ = learnt.classifier
+        if not same:
+            with on_one_thread():
+                self._calibrate(learnt.memory, before)
+        return self
+
+    def _calibrate(self, memory: Memory, before: Nearest | None = None) -> None:
+        preset = find_preset(self.preset)
+        self.memory_, self.classes_ = memory, memory.classes
+        self.floor_ = preset.floor if self.floor is None else float(self.floor)
+        self.uses_no_contact_ = not preset.skips_no_contact or consists_of_nothing(
+            memory.labels, memory.nothing
+        )
+        self.sequence_calibration_ = _evidence.SequenceCalibration()
+        if preset.calibrates_sequence:
+            self.sequence_calibration_ = fit_sequence_calibration(
+                _evidence.with_floor(self._left_out(), self.floor_),
+                np.searchsorted(self.classes_, memory.labels[self.left_out_rows]),
+                self._episodes_to_come(memory, memory.blocks[self.left_out_rows]),
+                self._log_prior(memory),
+            )
+        self.strangers_ = self._learnt_strangers(before)
+
+    def _episodes_to_come(
+        self, memory: Memory, blocks: Indices | None = None
+    ) -> list[Indices]:
+        """Return left-out touches such as an episode may have, of each object."""
+        objects, n_known = memory.objects[self.left_out_rows], len(self.classes_)
+        return draw_episodes(objects, self.random_state, n_known, blocks)
+
+    def _left_out(self) -> Floats:
+        """Return what counts of left-out training touches, (n_touches, n_objects)."""
+        log_likelihood = left_out_log_likelihood(self.classifier_)
+        return self._used(log_likelihood, self.memory_.nothing[self.left_out_rows])
+
+    def _learnt_strangers(self, before: Nearest | None = None) -> StrangerModel:
+        memory = self.memory_
+        # As they are: bounded, all objects but one may tie, and then nothing is left
+        # of what a touch says without it.
+        parts = without_gaps(self.classifier_.left_out_by_part())
+        each = np.swapaxes(log_softmax(parts, axis=-1), 0, 1)
+        weights = np.array([*self.classifier_.part_weights.values()])
+        rows = self.left_out_rows
+        log_likelihood = self._used(weights @ each, memory.nothing[rows])
+        left_out = LeftOut(
+            log_likelihood=log_likelihood,
+            each=each,
+            log_distances=memory.nearest.left_out(rows, before),
+            codes=np.searchsorted(self.classes_, memory.labels[rows]),
+            log_prior=self._log_prior(memory),
+            floor=self.floor_,
+            calibration=self.sequence_calibration_,
+            weights=weights / max(weights.sum(), 1e-12),
+            categories=self._category_of(memory),
+        )
+        episodes = self._episodes_to_come(memory)
+        return fit_strangers(left_out, episodes, *memory.units)
+
+    def _category_of(self, memory: Memory) -> NDArray[np.str_]:
+        if self.label == "category":
+            return np.full(len(memory.classes), "")
+        return memory.category_of
+
+    def _used(self, log_likelihood: Floats, nothing: Bools) -> Floats:
+        """Let touches without contact say nothing, unless a label consists of them."""
+        if self.uses_no_contact_:
+            return log_likelihood
+        return np.where(nothing[:, np.newaxis], 0.0, log_likelihood)
+
+    def _log_prior(self, memory: Memory) -> Floats:
+        counts = np.unique(memory.labels, return_counts=True)[1]
+        if self.prior == "uniform":
+            return np.full(len(counts), -np.log(len(counts)))
+        return np.asarray(np.log(counts / counts.sum()))
+
+    def _names(self) -> list[str]:
+        return [str(name) for name in self.classes_]
+
+    def _check_parameters(self) -> Preset:
+        check_option("label", self.label, ("object", "category"))
+        check_option("prior", self.prior, ("uniform", "counts"))
+        check_option("presentation", self.presentation, PRESENTATIONS)
+        if self.floor is not None:
+            check_number("floor", self.floor, low=0, high=0.5)
+        return opened(self.preset, self.encodings, self.classifier)
+
+    def _check_fitted(self) -> None:
+        if not hasattr(self, "memory_"):
+            raise NotFittedError("It has learnt nothing yet; call fit first.")
+
+
+def n_axes(X: Any) -> int:
+    """Return how many axes an array-like has, sparse ones and data frames too."""
+    return int(X.ndim) if hasattr(X, "ndim") else np.asarray(X).ndim
+
+
+def without_places(vectors: Floats) -> Touches:
+    """Return feature vectors (n_touches, n_features) as touches without geometry."""
+    return Touches(vectors[:, np.newaxis], geometry="none")
