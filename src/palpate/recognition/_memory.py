@@ -165,7 +165,7 @@ class Memory:
         """Return what is left when some labels are forgotten."""
         names = set(map(str, labels))
         gone = np.array([str(label) in names for label in self.labels])
-        return replace(self, **{n: getattr(self, n)[~gone] for n in _COLUMNS})
+        return self._of_rows(~gone)
 
     def newest(self, label: object, most: int) -> Self:
         """Return this with `most` touches of a label: evenly of its sessions, the last.
@@ -178,7 +178,9 @@ class Memory:
             rows = self.sessions[rows_of_label] == session
             age[rows] = np.arange(rows.sum())[::-1]
         gone = rows_of_label[np.argsort(age, kind="stable")[most:]]
-        kept = ~np.isin(np.arange(len(self)), gone)
+        return self._of_rows(~np.isin(np.arange(len(self)), gone))
+
+    def _of_rows(self, kept: Bools) -> Self:
         return replace(self, **{n: getattr(self, n)[kept] for n in _COLUMNS})
 
     def replaced(self, other: Self) -> Self:
