@@ -20,6 +20,7 @@ from structure import public_names
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+CHROMIUM = Path("/usr/bin/chromium")
 EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
 # The command line has a page of another kind.
 ROOMS = {k: v for k, v in public_names(ROOT / "src" / "palpate").items() if k != "cli"}
@@ -175,21 +176,22 @@ def _lab(linear):
     )
 
 
-@pytest.mark.slow
-def test_the_site_is_built_and_asks_nobody_outside(tmp_path):
-    """Without the programs of the gallery, which have tests of their own."""
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build the site but for the programs of the gallery, which have other tests."""
     for module in ("numpydoc", "myst_parser", "sphinx_gallery", "pydata_sphinx_theme"):
         pytest.importorskip(module, reason='pip install "palpate[docs]"')
+    folder = tmp_path_factory.mktemp("site")
     left = shutil.ignore_patterns("_build", "gallery", "generated")
-    shutil.copytree(DOCS, tmp_path / "docs", ignore=left)
-    shutil.copytree(ROOT / "examples", tmp_path / "examples")
-    built = tmp_path / "html"
+    shutil.copytree(DOCS, folder / "docs", ignore=left)
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    built = folder / "html"
     done = subprocess.run(
         [
             *f"{sys.executable} -m sphinx -q -W --keep-going".split(),
             "-D",
             "plot_gallery=0",
-            str(tmp_path / "docs"),
+            str(folder / "docs"),
             str(built),
         ],
         capture_output=True,
@@ -197,23 +199,58 @@ def test_the_site_is_built_and_asks_nobody_outside(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    names = built / "reference" / "generated" / "names"
+    return built
+
+
+@pytest.mark.slow
+def test_the_site_is_built_and_asks_nobody_outside(site):
+    names = site / "reference" / "generated" / "names"
     for room, public in ROOMS.items():
         for name in public:
             assert (names / f"palpate.{room}.{name}.html").is_file()
     page = (names / "palpate.recognition.ObjectRecogniser.html").read_text("utf-8")
     assert 'rubric">Methods' in page  # a table of them before the rest
     titles = re.compile(r"<h1>(.*?)<a")
-    pages = [path.read_text("utf-8") for path in built.rglob("*.html")]
+    pages = [path.read_text("utf-8") for path in site.rglob("*.html")]
     found_titles = [titles.search(one) for one in pages]
     named = [one[1] for one in found_titles if one]
     assert named.count("The command line") == 1
     loads = re.compile(
         r'<(?:script|img|link rel="stylesheet)[^>]+(?:src|href)="(http[^"]+)'
     )
-    asked = {
-        found
-        for page in built.rglob("*.html")
-        for found in loads.findall(page.read_text("utf-8"))
-    }
+    asked = {found for page in pages for found in loads.findall(page)}
     assert asked == set()
+
+
+@pytest.mark.slow
+def test_the_site_fits_a_phone_and_finds_the_recogniser(site):
+    """No page scrolls sideways; what people come for is seen, and found, first."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed"
+    )
+    if not CHROMIUM.exists():
+        pytest.skip("Debian's chromium is not installed (apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=str(CHROMIUM),
+            args=["--no-sandbox", "--allow-file-access-from-files"],
+        )
+        phone = browser.new_page(viewport={"width": 390, "height": 844})
+        wide = []
+        for path in sorted(site.rglob("*.html")):
+            phone.goto(path.as_uri(), wait_until="domcontentloaded")
+            if phone.evaluate("document.documentElement.scrollWidth") > 390:
+                wide.append(path.name)
+        assert wide == []
+        desk = browser.new_page(viewport={"width": 1280, "height": 900})
+        desk.goto((site / "index.html").as_uri())
+        for part in ("text=pip install", "img[src$='belief.gif']"):
+            box = desk.locator(part).first.bounding_box()
+            assert box["y"] + box["height"] < 900
+        header = desk.locator("header")
+        assert header.locator("img.logo__image").first.is_visible()
+        assert header.locator("a[href*='github.com/palpate']").first.is_visible()
+        desk.goto((site / "search.html").as_uri() + "?q=fit")
+        first = desk.locator("#search-results li").first
+        playwright.expect(first).to_contain_text("ObjectRecogniser.fit")
+        browser.close()

@@ -18,6 +18,7 @@ from PIL import Image
 import palpate as package
 from palpate import Touches
 from palpate.cli import app
+from palpate.cli.recognise import print_episode
 from palpate.library import TouchLibrary
 from palpate.recognition import Belief, Named, ObjectRecogniser
 
@@ -115,6 +116,26 @@ def test_recognise_draws_the_belief_for_people(palpate, archive, model):
     assert "Touches of mug:" in done.stdout
     assert "touch   1" in done.stdout
     assert "█" in done.stdout
+
+
+def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(capsys):
+    """Each of the first touches, fewer later, the last; no bar without a contact."""
+    shares = {"posterior": {"mug": 0.6, "pen": 0.3}, "unknown": 0.1}
+    beliefs = [{"touch": n, "flag": "", **shares} for n in range(1, 15)]
+    beliefs[2]["flag"] = "no contact"
+    episode = {"object": "mug", "beliefs": beliefs, "touches_used": 14}
+    print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[3] == "  touch 3: no contact, not counted"
+    numbers, gaps = [0], []
+    for line in lines[1:-2]:
+        if line.strip() == "...":
+            gaps.append(numbers[-1])
+        else:
+            numbers.append(int(re.search(r"touch +(\d+)", line)[1]))
+    assert numbers[-1] == 14
+    steps = pairwise(numbers)
+    assert gaps == [before for before, after in steps if after > before + 1] != []
 
 
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
