@@ -4,7 +4,7 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
-from ._advice import advice as advice
+from ._advice import advice
 from ._episode import Exploration as Exploration
 from ._episode import explore
 from ._episode import gather as gather
@@ -49,6 +49,7 @@ __all__ = [
     "Strategy",
     "SurfaceMap",
     "TouchMap",
+    "advice",
     "check_robot",
     "explore",
     "explore_to_learn",

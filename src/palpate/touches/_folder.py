@@ -264,7 +264,7 @@ def _check_pictures(
         in_colour = [n for n, picture in alike.items() if picture.coloured]
         if in_colour and shows_colour(root / in_colour[0]):
             check.coloured = in_colour
-            check.grey = [name for name, one in alike.items() if not one.coloured]
+            check.grey = [n for n, picture in alike.items() if not picture.coloured]
     return check
 
 
