@@ -21,6 +21,19 @@ def press_of(seed, n_touches=1, side=5):
     )
 
 
+def rows_of(folder):
+    """Return every row of a library, those that were retracted too."""
+    with TouchLibrary.open(folder) as library:
+        return library.list(limit=None, retracted=True)
+
+
+@pytest.fixture
+def library(tmp_path):
+    """An empty library, open."""
+    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
+        yield opened
+
+
 @pytest.fixture
 def alter():
     """Run statements on the database of a library, as another program might."""

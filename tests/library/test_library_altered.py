@@ -22,14 +22,9 @@ from palpate.library._content import Image, image_digest
 from palpate.library._rows import _row_digest, stored_touches
 from palpate.library._store import chained
 
-from .conftest import press_of
+from .conftest import press_of, rows_of
 
 PAGE = 8192
-
-
-def _rows(folder):
-    with TouchLibrary.open(folder) as library:
-        return library.list(limit=None, retracted=True)
 
 
 REFUSED = {
@@ -69,7 +64,7 @@ REFUSED = {
 def test_what_is_altered_is_refused_left_out_found_and_set_aside(
     folder, alter, statement, numbers
 ):
-    before, places = _rows(folder), [int(n) - 1 for n in numbers]
+    before, places = rows_of(folder), [int(n) - 1 for n in numbers]
     alter(folder, statement)
     with TouchLibrary.open(folder) as library:
         for read in (library.touches, lambda: library.select().touches(range(5))):
@@ -86,7 +81,7 @@ def test_what_is_altered_is_refused_left_out_found_and_set_aside(
     assert check_library(folder).ok
     assert done.rebuilt
     assert list(folder.glob("damaged/*/library.sqlite"))
-    kept = _rows(folder)
+    kept = rows_of(folder)
     lost = len(before) - len(kept)
     assert lost == len(done.lost)
     if "change" in statement:  # of names: touches are whole, called as they came
@@ -120,7 +115,7 @@ FOUND = {
 
 @pytest.mark.parametrize("statements", FOUND.values(), ids=FOUND)
 def test_what_reading_cannot_notice_is_found_by_a_check(folder, alter, statements):
-    before = {row.id: row for row in _rows(folder)}
+    before = {row.id: row for row in rows_of(folder)}
     alter(folder, *statements.split("; "))
     report = check_library(folder)
     assert not report.ok
@@ -128,7 +123,7 @@ def test_what_reading_cannot_notice_is_found_by_a_check(folder, alter, statement
         repair_library(folder)
         left = {problem.kind for problem in check_library(folder).problems}
         assert left <= {"left out"}
-        gone = set(before) - {row.id for row in _rows(folder)}
+        gone = set(before) - {row.id for row in rows_of(folder)}
         assert len(gone) == ("DELETE FROM touches" in statements)
     assert list(folder.rglob("library.sqlite"))
 
@@ -198,7 +193,7 @@ def test_an_older_database_put_back_is_told_until_it_is_accepted(folder):
     done = repair_library(folder)
     assert (done.rebuilt, done.n_touches, done.set_aside) == (False, 7, None)
     assert check_library(folder).ok
-    assert len(_rows(folder)) == 7
+    assert len(rows_of(folder)) == 7
 
 
 @pytest.fixture(scope="module")
@@ -379,4 +374,4 @@ def test_a_backup_goes_to_a_new_or_empty_folder(folder, tmp_path):
         assert library.backup(tmp_path / "empty") == 6
         with pytest.raises(LibraryError, match="files in it"):
             library.backup(tmp_path / "empty")
-    assert _rows(tmp_path / "empty") == _rows(folder)
+    assert rows_of(tmp_path / "empty") == rows_of(folder)

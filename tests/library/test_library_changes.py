@@ -270,12 +270,6 @@ def test_other_scripts_and_emoji_are_names():
     assert [*Touches(IMAGES, object=names).object] == names
 
 
-@pytest.fixture
-def library(tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        yield opened
-
-
 def _touches(seed=0, **columns):
     images = np.random.default_rng(seed).integers(0, 255, (6, 4, 4), dtype=np.uint8)
     known = {"object": ["a", "b", "c"] * 2, "press": np.arange(6)} | columns

@@ -29,12 +29,6 @@ def grey(rng, **more):
     return Touches(images, object=["pen"] * 2, **more)
 
 
-@pytest.fixture
-def library(tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        yield opened
-
-
 def test_channels_pads_and_frames_come_back(library, rng):
     hand = colour(
         rng,

@@ -27,12 +27,6 @@ def _presses(seed, n_touches=6, dtype=np.uint8, **more):
     )
 
 
-@pytest.fixture
-def library(tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        yield library
-
-
 def _again(tmp_path, path):
     """Return a library of what a path holds, and the parts that were read."""
     parts = list(read_parquet(path))

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.library import LibraryError, TouchLibrary
+from palpate.library import LibraryError
 
 N_BYTES = 6 * 4 * 5 * 2
 
@@ -15,12 +15,6 @@ N_BYTES = 6 * 4 * 5 * 2
 def images(n=6, seed=0, shape=(4, 5)):
     rng = np.random.default_rng(seed)
     return rng.integers(0, 999, (n, *shape)).astype(np.uint16)
-
-
-@pytest.fixture
-def library(tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        yield opened
 
 
 def is_mapped(array):

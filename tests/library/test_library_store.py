@@ -25,7 +25,7 @@ from palpate.library import (
     repair_library,
 )
 
-from .conftest import press_of
+from .conftest import press_of, rows_of
 
 PAGE = 8192
 
@@ -189,11 +189,6 @@ def test_a_stream_from_several_threads_keeps_each_threads_order(library):
     assert len(set(listed)) == len(listed) == 81
     for keys in streams:
         assert [listed.index(key) for key in keys] == sorted(map(listed.index, keys))
-
-
-def _rows(folder):
-    with TouchLibrary.open(folder) as library:
-        return library.list(limit=None, retracted=True)
 
 
 @pytest.mark.parametrize("n_bytes", [0, 1])
@@ -424,6 +419,7 @@ def test_the_view_joins_what_people_ask_for(folder):
             "FROM touch_list"
         ).fetchall()
     expected = [
-        (r.id, r.object, r.force_n, r.n_rows, r.n_cols, r.reason) for r in _rows(folder)
+        (r.id, r.object, r.force_n, r.n_rows, r.n_cols, r.reason)
+        for r in rows_of(folder)
     ]
     assert rows == expected

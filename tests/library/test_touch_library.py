@@ -21,12 +21,6 @@ from palpate.library import (
 
 
 @pytest.fixture
-def library(tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        yield opened
-
-
-@pytest.fixture
 def cups(rng):
     return Touches(
         rng.integers(0, 255, (6, 5, 7), dtype=np.uint8),

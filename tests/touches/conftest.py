@@ -5,6 +5,11 @@ import pytest
 from PIL import Image
 
 
+def first_levels(touches):
+    """Return the first level of each touch: of those that `put` wrote, its number."""
+    return touches.images[:, 0, 0].tolist()
+
+
 @pytest.fixture
 def put(tmp_path):
     """Write pictures whose level is their number, by path within a folder."""

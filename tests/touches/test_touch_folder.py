@@ -15,9 +15,7 @@ from PIL import Image
 from palpate import Touches
 from palpate.touches import TouchesError, decode_bytes, png_bytes, read_folder
 
-
-def first_levels(touches):
-    return touches.images[:, 0, 0].tolist()
+from .conftest import first_levels
 
 
 def test_endings_in_any_case_and_nothing_else(put):

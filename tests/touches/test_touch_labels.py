@@ -7,9 +7,7 @@ from numpy.testing import assert_array_equal
 from palpate import Touches
 from palpate.touches import TouchesError, png_bytes, read_folder
 
-
-def first_levels(touches):
-    return touches.images[:, 0, 0].tolist()
+from .conftest import first_levels
 
 
 def test_one_level_of_folders_is_the_object(put):

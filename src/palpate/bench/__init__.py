@@ -68,4 +68,4 @@ def run_bench(name: str, **options: Any) -> list[dict[str, Any]]:
     return list(measure(**options))
 
 
-__all__ = ["BENCHES", "run_bench"]
+__all__ = ["run_bench"]

@@ -9,7 +9,7 @@ from ._episode import explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._place_belief import PlaceBelief
-from ._place_filter import advice as advice
+from ._place_filter import advice
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog as EpisodeLog
@@ -49,6 +49,7 @@ __all__ = [
     "Strategy",
     "SurfaceMap",
     "TouchMap",
+    "advice",
     "check_robot",
     "explore",
     "explore_to_learn",

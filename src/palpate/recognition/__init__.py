@@ -15,5 +15,6 @@ __all__ = [
     "Modality",
     "ModelFileError",
     "ObjectRecogniser",
+    "Recentring",
     "adapt",
 ]

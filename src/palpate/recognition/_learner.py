@@ -211,6 +211,27 @@ class Learner(BaseEstimator):
                 memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
 
+    def learn_beside(self, kept: Memory, touches: Touches | TouchSource | None) -> Self:
+        """Learn labelled touches beside what is `kept` of the memory, and no others.
+
+        Touches of an object of which some are kept join these; of a new one two are
+        needed. What is kept without an id and given once more counts once.
+
+        Raises
+        ------
+        ValueError
+            If fewer than two objects would remain, or labels are missing.
+        """
+        self._check_fitted()
+        memory = kept
+        if touches is not None:
+            labels = _memory.named_labels(touches, self.label)
+            for name in np.unique(labels).tolist():
+                of_object = touches[np.flatnonzero(labels == name)]
+                least = 1 if name in memory.labels.astype(str) else 2
+                memory = memory.plus_once(self._memory_of(name, of_object, least))
+        return self._relearn(memory)
+
     def forget_object(self, name: str) -> Self:
         """Forget one object; the others are as before.
 
