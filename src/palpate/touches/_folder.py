@@ -46,6 +46,7 @@ from ._tables import TABLES, folder_levels, label_columns
 _GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
 PICTURES = (".jpg", ".jpeg", ".png")
 _OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
+_GREY = {".bmp", ".webp"}  # pictures too, read where there is no JPEG or PNG
 _LABELS = "labels.csv"
 _MOST_TABLE = 2**30  # bytes; only to say which objects are lost
 _TEXT_GROUPS = ("object", "category", "session")
@@ -85,6 +86,8 @@ class PictureCheck:
     coloured, grey : list of str
         Which of those that can be used are in colour, and in grey, where all were
         read in grey and the first in colour shows some; else none.
+    empty : list of str
+        Folders in which no file is.
     lost : dict of str to BadPicture
         Objects of which no picture can be used, where some of others can, and the
         first of each.
@@ -97,6 +100,7 @@ class PictureCheck:
     same: list[tuple[str, str]] = field(default_factory=list)
     coloured: list[str] = field(default_factory=list)
     grey: list[str] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
     lost: dict[str, BadPicture] = field(default_factory=dict)
 
 
@@ -149,15 +153,19 @@ def check_folder(
     no_contact: str | PathLike[str] | None = None,
     colour: bool = False,
     max_pixels: int = 50_000_000,
-) -> tuple[PictureCheck | None, dict[str, int]]:
-    """Look at every picture of a folder; count the other files by their endings.
+) -> tuple[PictureCheck | None, dict[str, list[str]]]:
+    """Look at every JPEG and PNG of a folder; list the other files by their endings.
 
-    None, and nothing, where there is no picture in it, nor in a folder of it. Raises
-    TouchesError where the pictures are not what is read, or folders mean nothing.
+    None, and files of BMP and WebP alone, where there is none in it, nor in a folder
+    of it. Raises TouchesError where the pictures are not what is read, or folders mean
+    nothing.
     """
-    files = [Path(name).suffix.lower() for name in _files(root)]
+    files: dict[str, list[str]] = {}
+    for name in sorted(_files(root), key=_natural_order):
+        ending = Path(name).suffix.lower() or "no ending"
+        files.setdefault(ending, []).extend([name] * (name != _LABELS))
     if not {*files} & {*PICTURES}:
-        return None, {}
+        return None, {ending: files[ending] for ending in _GREY & {*files}}
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if Path(names[0]).suffix.lower() not in PICTURES:
         raise TouchesError(
@@ -165,8 +173,9 @@ def check_folder(
             "files. What is wrong with one of these is said when they are read."
         )
     check = _checked(root, names, pattern, max_pixels, colour)
-    others = [ending or "no ending" for ending in files if ending not in PICTURES]
-    return check, {ending: others.count(ending) for ending in sorted({*others})}
+    check.empty = _empty_folders(root)
+    others = sorted({ending for ending in files if files[ending]} - {*PICTURES})
+    return check, {ending: files[ending] for ending in others}
 
 
 def _chosen(
@@ -180,6 +189,8 @@ def _chosen(
         raise TouchesError(
             f"levels must be left out with a name_pattern, got {levels!r}. Give either."
         )
+    if no_contact is not None and root.exists():
+        _there(Path(no_contact), root)
     if root.is_file():
         root, names = root.parent, [root.name]
     else:
@@ -364,10 +375,24 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
     return kept
 
 
+def _there(no_contact: Path, root: Path) -> None:
+    """Refuse a picture of no contact that is not there, with what may be meant."""
+    if no_contact.exists():
+        return
+    inside = root / no_contact.name
+    near = f"Did you mean {inside}?" if inside.is_file() else nearest_path(no_contact)
+    near = near or nearest_path(inside)
+    raise TouchesError(
+        f"{no_contact} must be readable, got: No such file or directory. "
+        f"{near or 'Give another `no_contact`, or leave it out.'}"
+    )
+
+
 def no_contact_picture(
     path: Path, images: Array, channels: tuple[str, ...] | None, max_pixels: int
 ) -> Array:
     """Return a picture of no contact that suits the images of an archive."""
+    _there(path, path.parent)
     n_bits = {"uint8": 8, "uint16": 16}.get(images.dtype.name)
     if n_bits is None or channels not in (None, RGB):
         named = "" if channels is None else f" and channels {', '.join(channels)}"
@@ -438,6 +463,16 @@ def _files(root: Path) -> list[str]:
         here = Path(folder).relative_to(root)
         below += [(here / n).as_posix() for n in files if not n.startswith(".")]
     return below
+
+
+def _empty_folders(root: Path) -> list[str]:
+    """Return the folders below `root` but hidden ones that hold nothing at all."""
+    empty = []
+    for folder, folders, files in os.walk(root, followlinks=True):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        if not folders and not files:
+            empty.append(f"{Path(folder).relative_to(root).as_posix()}/")
+    return sorted(empty, key=_natural_order)
 
 
 def _raised(error: OSError) -> None:
