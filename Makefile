@@ -32,6 +32,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
+	@echo "To go on, type once in this shell, so that it finds palpate: . $(BIN)/activate"
 
 test: check
 	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_THREE) -m "not slow"

@@ -459,6 +459,50 @@ def test_an_object_of_which_nothing_is_left_is_refused_by_name(
     assert "No picture of pen can be used: pen_0.png is" in refused.stderr
 
 
+def test_the_few_in_colour_are_named_and_what_is_flat_empty_or_no_png(
+    palpate, tmp_path
+):
+    rng = np.random.default_rng(0)
+    for number in range(6):
+        for name in ("mug", "pen"):
+            put(tmp_path / name / f"{number}.jpg")
+    coloured = rng.integers(0, 255, (10, 12, 3), np.uint8)
+    put(tmp_path / "pen" / "gel.jpg", coloured)
+    put(tmp_path / "pen" / "black.jpg", np.zeros((10, 12), np.uint8))
+    put(tmp_path / "pen" / "old.bmp")
+    (tmp_path / "cup").mkdir()
+    found = json.loads(palpate("check", tmp_path, "--json").stdout)
+    assert found["odd"] == {"coloured": ["pen/gel.jpg"], "flat": ["pen/black.jpg"]}
+    colour, flat, other, empty = found["notes"]
+    assert colour.startswith("1 picture in colour (pen/gel.jpg) and 13 in grey, all")
+    assert "nothing is seen: record again, or take out pen/black.jpg" in flat
+    assert other == "1 file of .bmp left alone (pen/old.bmp): save as PNG"
+    assert empty == "1 folder empty: cup/"
+
+
+def test_a_folder_of_bmp_alone_is_read_and_said_to_be(palpate, tmp_path):
+    for number in range(3):
+        for name in ("mug", "pen"):
+            put(tmp_path / name / f"{number}.bmp")
+    found = json.loads(palpate("check", tmp_path, "--json").stdout)
+    assert found["n_touches"] == 6
+    assert found["notes"] == [
+        "6 files of .bmp read in grey, none looked at: save them as PNG"
+    ]
+
+
+def test_a_picture_of_no_contact_that_is_not_there(palpate, odd, tmp_path):
+    for name in ("loose.png", "mug/001.png"):
+        shutil.copy(odd / "pen" / "001.png", odd / name)
+    for near in (odd / "lose.png", "loose.png"):
+        refused = palpate("check", odd, "--no-contact", near)
+        assert refused.returncode == 1
+        assert f"Did you mean {odd / 'loose.png'}?" in refused.stderr
+        assert "out of the folder" not in refused.stderr
+    refused = palpate("check", odd, "--no-contact", odd / "zzzzzz")
+    assert "Give another --no-contact, or leave it out." in refused.stderr
+
+
 def test_a_path_that_is_nearly_there(palpate, odd, tmp_path):
     refused = palpate("check", odd.parent / "touchs")
     assert refused.returncode == 1

@@ -475,5 +475,71 @@ def test_levels_of_folders_are_named(palpate, tmp_path):
     assert json.loads(given.stdout)["labels"] == as_before["labels"]
     for words, why in (("session", "one of them object"), ("object/a b", "by a word")):
         refused = palpate("learn", archive, "-o", model, "--levels", words)
-        assert refused.returncode == 1
+        assert refused.returncode == 2
         assert why in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--preset", "defalt"], "--preset must be one of"),
+        (["--label", "things"], "--label must be one of"),
+        (["--presentation", "turn"], "Did you mean 'turned'?"),
+        (["--levels", "mug"], "--levels must name each level"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_what_cannot_be_meant_is_refused_before_anything_is_read(
+    palpate, monkeypatch, tmp_path, words, message
+):
+    monkeypatch.setattr(Touches, "load", lambda *_, **__: pytest.fail("read"))
+    for verb in (["learn", tmp_path, "-o", "m"], ["evaluate", "--train", tmp_path]):
+        refused = palpate(*verb, *words)
+        assert refused.returncode == 2
+        assert message in refused.stderr
+        assert len(refused.stderr.splitlines()) == 1
+    refused = palpate("evaluate", "--train", tmp_path, "--split", "lst", "--json")
+    assert refused.returncode == 2
+    assert "Did you mean 'last'?" in json.loads(refused.stdout)["error"]
+
+
+def test_touches_before_the_model_are_told(palpate, tmp_path):
+    model, touches = tmp_path / "m.palpate", tmp_path / "held"
+    for verb, *more in (
+        ["recognise"],
+        ["remount", "-o", "n.palpate"],
+        ["sensor", "learn-nuisance", "-o", "n.palpate"],
+    ):
+        at = 2 if verb == "sensor" else 1
+        words = [verb, *more]
+        words[at:at] = [touches, model]
+        refused = palpate(*words)
+        assert refused.returncode == 2
+        assert f"MODEL must come first, then TOUCHES, got {touches}" in refused.stderr
+
+
+def test_learning_says_first_what_was_learnt_and_of_what_little(palpate, tmp_path):
+    rng = np.random.default_rng(0)
+    levels = rng.normal(np.repeat((60, 150), (12, 3))[:, None, None], 9, (15, 8, 8))
+    Touches(levels, object=["mug"] * 12 + ["pen"] * 3).save(tmp_path / "t.npz")
+    model = tmp_path / "m.palpate"
+    done = palpate("learn", tmp_path / "t.npz", "-o", model)
+    assert done.returncode == 0, done.stderr
+    first, few, *_ = done.stdout.splitlines()
+    assert first == f"Learnt 2 objects from 15 touches, saved as {model}."
+    assert few == "Few touches of pen (3): 10 are a start, 60 are good."
+
+
+def test_ctrl_c_while_the_command_is_imported_is_one_sentence():
+    code = (
+        "import builtins, palpate.__main__ as command\n"
+        "real = builtins.__import__\n"
+        "def stopped(name, *rest):\n"
+        "    if name == 'typer': raise KeyboardInterrupt\n"
+        "    return real(name, *rest)\n"
+        "builtins.__import__ = stopped\n"
+        "command.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 130
+    assert done.stderr == "palpate: Stopped by Ctrl-C before anything was begun.\n"

@@ -454,10 +454,15 @@ def test_ctrl_c_says_what_is_kept(palpate, monkeypatch, recording, tmp_path):
     line = stopped("learn", recording, "-o", model)
     assert line.endswith(f"Ctrl-C: nothing is learnt, and {model} is as it was.")
     assert model.read_text() == "before"
+    line = stopped("learn", recording, "-o", tmp_path / "new.palpate")
+    assert line.endswith("Ctrl-C: nothing is learnt.")
     words = ["evaluate", "--train", recording, "--split", "last"]
     assert stopped(*words).endswith("Ctrl-C: there are no figures.")
-    assert f"and {report} is as it was." in stopped(*words, "--report", report)
+    assert stopped(*words, "--report", report).endswith("there are no figures.")
     assert not report.exists()
+    report.write_text("before")
+    assert f"and {report} is as it was." in stopped(*words, "--report", report)
+    assert report.read_text() == "before"
     assert "no file is half written" in stopped("check", tmp_path)
     done = palpate("serve", "--port", "0", "--library", tmp_path / "desk")
     assert done.returncode == 130

@@ -19,7 +19,7 @@ import typer
 
 from .. import __version__
 from ._options import flag
-from ._output import Stopped, answer, as_typed, printable, say, translate_for
+from ._output import Stopped, WrongUse, answer, as_typed, printable, say, translate_for
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -104,7 +104,7 @@ def main() -> None:
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
-        message, code = as_typed(_sentence(error)), 1
+        message, code = as_typed(_sentence(error)), 1 + isinstance(error, WrongUse)
     except _Usage as error:
         error.message = as_typed(error.message)
         if not as_json:

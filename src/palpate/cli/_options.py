@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -22,7 +22,7 @@ from warnings import catch_warnings, simplefilter
 import typer
 
 from .._extras import install, needed
-from ._output import say
+from ._output import WrongUse, say
 
 if TYPE_CHECKING:
     from ..library import Selection, TouchLibrary
@@ -44,6 +44,42 @@ def checked_seed(seed: int) -> int:
             "Give another number."
         )
     return seed
+
+
+def known(name: str, values: Callable[[], Iterable[str]]) -> Callable[..., Any]:
+    """Return what refuses a value of an option that is none of `values`."""
+
+    def checked(value: str | None) -> str | None:
+        from .._checks import check_option
+
+        if value is not None:
+            try:
+                check_option(name, value, values())
+            except ValueError as error:
+                raise WrongUse(str(error)) from None
+        return value
+
+    return checked
+
+
+def _of_recognition(name: str) -> Callable[[], Iterable[str]]:
+    """Return what lists the values that a type of `palpate.recognition` allows."""
+
+    def values() -> Iterable[str]:
+        from .. import recognition
+
+        return get_args(getattr(recognition, name))
+
+    return values
+
+
+def in_order(model: Path, touches: Path) -> None:
+    """Refuse touches in place of the model, and a model in place of touches."""
+    if touches.suffix == ".palpate" and model.suffix != ".palpate":
+        raise WrongUse(
+            f"MODEL must come first, then TOUCHES, got {model} {touches}. Give them "
+            f"as {touches} {model}."
+        )
 
 
 def checked_workers(workers: int | None) -> int | None:
@@ -124,8 +160,21 @@ AsJson = Annotated[bool, flag("--json", "Print one JSON object and nothing else.
 Seed = Annotated[
     int, option("--seed", "Seed of everything random.", callback=checked_seed)
 ]
-Preset = Annotated[str, option("--preset", '"default", "corradi2015" or "liu2014".')]
-Label = Annotated[str, option('What to recognise: "object" or "category".')]
+Preset = Annotated[
+    str,
+    option(
+        "--preset",
+        '"default", "corradi2015" or "liu2014".',
+        callback=known("--preset", _of_recognition("PresetName")),
+    ),
+]
+Label = Annotated[
+    str,
+    option(
+        'What to recognise: "object" or "category".',
+        callback=known("--label", _of_recognition("Label")),
+    ),
+]
 ErrorRate = Annotated[float, option("--error", "Accepted share of wrong names.")]
 Strangers = Annotated[
     float,
@@ -207,7 +256,8 @@ class Learning:
         str,
         option(
             "How objects come: any (angle and place), turned (any angle), shifted (any "
-            "place), fixed (always the same), or auto: found out."
+            "place), fixed (always the same), or auto: found out.",
+            callback=known("--presentation", _of_recognition("Presentation")),
         ),
     ] = "auto"
     seed: Seed = 0
@@ -271,6 +321,14 @@ class Reading:
         for field in fields(self):
             if field.name in written and getattr(self, field.name) == field.default:
                 object.__setattr__(self, field.name, written[field.name])
+        if self.levels is None:
+            return
+        from ..touches import TouchesError, levels_pattern
+
+        try:
+            levels_pattern(self.levels)
+        except TouchesError as error:
+            raise WrongUse(str(error)) from None
 
     def touches(
         self, path: Path, topic: str | None = None, *, quiet: bool = False

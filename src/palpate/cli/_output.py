@@ -16,6 +16,7 @@ import textwrap
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
+from pathlib import Path
 from typing import Any, Literal, TextIO
 
 import typer
@@ -159,6 +160,10 @@ def stages() -> Iterator[Callable[[str], None]]:
         yield lambda stage: bar.update(task, description=printable(stage))
 
 
+class WrongUse(ValueError):
+    """A command that cannot be meant, whatever is on the disk; exit code 2."""
+
+
 class Stopped(Exception):
     """Ctrl-C ended a verb; the message says what was kept."""
 
@@ -170,6 +175,12 @@ def told_if_stopped(kept: str) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise Stopped(f"Stopped by Ctrl-C: {kept}") from None
+
+
+def unless_made(what: str, written: Path | None) -> str:
+    """Return a sentence on what is not made, and on what was there before it."""
+    as_before = written is not None and written.exists()
+    return f"{what}, and {written} is as it was." if as_before else f"{what}."
 
 
 def translate_for(app: typer.Typer) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 A_START, GOOD = 10, 60
 SHEET_OBJECTS, SHEET_TOUCHES, SHEET_SIDE = 60, 8, 96
 _SHOWN, _NAMED = 40, 3
+# Pictures in files that are not read beside JPEG and PNG.
+STILLS = (".bmp", ".webp", ".tif", ".tiff", ".gif", ".heic", ".avif")
 
 
 @grouped
@@ -79,7 +81,7 @@ def check(
 
 def _pictures(
     reading: Reading, touches: Path
-) -> tuple["PictureCheck | None", dict[str, int]]:
+) -> tuple["PictureCheck | None", dict[str, list[str]]]:
     """Look at every picture, if `touches` is a folder of pictures."""
     from ..library import TouchLibrary, is_recording
     from ..touches import check_folder
@@ -103,39 +105,62 @@ def _odd(pictures: "PictureCheck | None") -> dict[str, list[Any]]:
         return {}
     odd: dict[str, list[Any]] = {
         "turned": pictures.turned,
-        "grey": pictures.grey if pictures.coloured else [],
+        **_other_than_most(pictures),
         "flat": pictures.flat,
         "copies": [[*pair] for pair in pictures.same],
     }
     return {kind: names for kind, names in odd.items() if names}
 
 
-def _notes(pictures: "PictureCheck | None", others: dict[str, int]) -> list[str]:
+def _other_than_most(pictures: "PictureCheck") -> dict[str, list[str]]:
+    """Return the pictures in colour among more in grey, or the grey ones in colour."""
+    if len(pictures.coloured) < len(pictures.grey):
+        return {"coloured": pictures.coloured}
+    return {"grey": pictures.grey}
+
+
+def _notes(pictures: "PictureCheck | None", others: dict[str, list[str]]) -> list[str]:
     if pictures is None:
-        return []
+        return [
+            f"{counted(len(names), 'file')} of {ending} read in grey, none looked at: "
+            "save them as PNG"
+            for ending, names in others.items()
+        ]
     notes = []
     if turned := pictures.turned:
         many = counted(len(turned), "picture")
         notes.append(
             f"{many} turned upright, as the camera noted (Exif): {_first(turned)}"
         )
-    if pictures.coloured:
-        grey = pictures.grey
-        mixed = f" and {len(grey)} in grey ({_first(grey)})" if grey else ""
-        notes.append(
-            f"{counted(len(pictures.coloured), 'picture')} in colour{mixed}"
-            f"{', all' * bool(grey)} read in grey: --colour, if colour tells, as on a "
-            "gel"
-        )
+    if coloured := pictures.coloured:
+        grey, many = pictures.grey, counted(len(pictures.coloured), "picture")
+        if "coloured" in _other_than_most(pictures):
+            notes.append(
+                f"{many} in colour ({_first(coloured)}) and {len(grey)} in grey, all "
+                "read in grey: take those in colour out, if they are of another sensor"
+            )
+        else:
+            mixed = f" and {len(grey)} in grey ({_first(grey)})" if grey else ""
+            notes.append(
+                f"{many} in colour{mixed}{', all' * bool(grey)} read in grey: "
+                "--colour, if colour tells, as on a gel"
+            )
     if flat := pictures.flat:
         many = counted(len(flat), "picture")
-        notes.append(f"{many} of one grey level all over: {_first(flat)}")
+        notes.append(
+            f"{many} flat, of one grey level all over, in which nothing is seen: "
+            f"record again, or take out {_first(flat)}"
+        )
     if pictures.same:
         pairs = [f"{copy} and {first}" for copy, first in pictures.same]
         many = counted(len(pairs), "picture")
         notes.append(f"{many} there twice: {_first(pairs)}")
-    for ending, number in others.items():
-        notes.append(f"{counted(number, 'file')} of {ending} left alone")
+    for ending, names in others.items():
+        mend = ": save as PNG" * (ending in STILLS)
+        many = counted(len(names), "file")
+        notes.append(f"{many} of {ending} left alone ({_first(names)}){mend}")
+    if empty := pictures.empty:
+        notes.append(f"{counted(len(empty), 'folder')} empty: {_first(empty)}")
     return notes
 
 
@@ -160,6 +185,16 @@ def _objects(touches: "Touches") -> list[dict[str, Any]]:
     return rows
 
 
+def few_touches(numbers: dict[str, int]) -> str:
+    """Return which objects have few of these numbers of touches, "" if none has."""
+    few = [f"{name} ({n})" for name, n in numbers.items() if n < A_START]
+    if not few:
+        return ""
+    more = f" and {len(few) - 5} more" if len(few) > 5 else ""
+    names = ", ".join(few[:5])
+    return f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
+
+
 def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
@@ -172,13 +207,8 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
         advice.append("mend the pictures above, or learn with --skip-bad")
     if len(objects) == 1:
         advice.append("there is one object: add others, or nothing can be told apart")
-    few = [row for row in objects if row["touches"] < A_START]
-    if few:
-        names = ", ".join(f"{row['object']} ({row['touches']})" for row in few[:5])
-        more = f" and {len(few) - 5} more" if len(few) > 5 else ""
-        advice.append(
-            f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
-        )
+    few = few_touches({row["object"]: row["touches"] for row in objects})
+    advice += [few] if few else []
     most_sessions = max(row["sessions"] or 1 for row in objects)
     if most_sessions < 2:
         advice.append(

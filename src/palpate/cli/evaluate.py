@@ -6,7 +6,22 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import as_typed, percent, print_json, say, stages, table, told_if_stopped
+from ._output import (
+    as_typed,
+    percent,
+    print_json,
+    say,
+    stages,
+    table,
+    told_if_stopped,
+    unless_made,
+)
+
+
+def _splits() -> tuple[str, ...]:
+    from ..evaluation import SPLITS
+
+    return SPLITS
 
 
 @_options.grouped
@@ -17,7 +32,8 @@ def evaluate(
     split: Annotated[
         str | None,
         option(
-            "Split --train itself: between, last, unseen-objects, session or subject."
+            "Split --train itself: between, last, unseen-objects, session or subject.",
+            callback=_options.known("--split", _splits),
         ),
     ] = None,
     touches: Annotated[str, option("Accuracy after so many touches.")] = "1,5,15,30",
@@ -72,10 +88,8 @@ def evaluate(
         stage(f"reading {path}")
         return replace(reading, where=where).touches(path)
 
-    kept = "there are no figures" + f", and {report} is as it was" * (
-        report is not None
-    )
-    with told_if_stopped(f"{kept}."), stages() as stage, working.started():
+    kept = unless_made("there are no figures", report)
+    with told_if_stopped(kept), stages() as stage, working.started():
         training, testing = read(train, reading.where), read(test, test_where)
         others = read(unknown, unknown_where)
         figures, trials = run(

@@ -4,7 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from . import _options
-from ._output import answer, counted, stages, told_if_stopped
+from ._output import answer, counted, stages, told_if_stopped, unless_made
+from .check import few_touches
+
+_CATEGORY = "category", "categories"
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -46,7 +49,7 @@ def learn(
     from ..library import TouchLibrary
 
     recognition.check_model_path(output)
-    kept = f"nothing is learnt, and {output} is as it was."
+    kept = unless_made("nothing is learnt", output)
     with told_if_stopped(kept), stages() as stage, working.started():
         stage(f"reading {touches}")
         before = None
@@ -73,6 +76,7 @@ def learn(
             remember_library(recogniser, touches, reading.where)
         written = recogniser.save(output)
     learnt = recogniser.summary()
+    few = [] if extend is not None else _few(training, learnt["label"])
     across = recognition.across_sessions(recogniser)
     sentences = learnt["chosen"].get("found", ())
     if not TouchLibrary.is_library(touches):
@@ -81,19 +85,31 @@ def learn(
             reading.colour_left(touches, training),
         )
         sentences = [*sentences, *filter(None, how_read)]
-    findings = "".join(
-        f" {sentence[0].upper()}{sentence[1:]}." for sentence in sentences
-    )
-    poses = " Poses on the array are learnt too." if recogniser.pose_ else ""
-    encoding = learnt["chosen"]["encoding"]
+    if recogniser.pose_:
+        sentences = [*sentences, "poses on the array are learnt too"]
+    details = learnt["chosen"]["encoding"], *sentences
+    one, many = ("object", "") if learnt["label"] == "object" else _CATEGORY
     answer(
         as_json,
         {"model": str(written), **learnt, "sessions": across},
-        f"Learnt {counted(learnt['n_labels'], learnt['label'] + ' label')} from "
-        f"{counted(learnt['n_train_touches'])} ({encoding}).{findings}{poses}",
+        f"Learnt {counted(learnt['n_labels'], one, many)} from "
+        f"{counted(learnt['n_train_touches'])}, saved as {written}.",
+        *few,
         recognition.said_of_sessions(across),
-        written,
+        " ".join(f"{detail[0].upper()}{detail[1:]}." for detail in details),
     )
+
+
+def _few(training: "_options.Labelled", label: str) -> list[str]:
+    """Return one line on labels of few touches, or none."""
+    import numpy as np
+
+    labels = training.object if label == "object" else training.category
+    if labels is None:
+        return []
+    names, numbers = np.unique(labels, return_counts=True)
+    few = few_touches(dict(zip(names.tolist(), numbers.tolist(), strict=True)))
+    return [f"{few[0].upper()}{few[1:]}."] if few else []
 
 
 def _extended(

@@ -44,6 +44,7 @@ def recognise(
     """
     from ..recognition import OTHER_MOUNTING, ObjectRecogniser
 
+    _options.in_order(model, touches)
     with stages() as stage, working.started():
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(_options.model_file(model))

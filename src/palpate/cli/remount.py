@@ -32,6 +32,7 @@ def remount(
     from ..recognition import ObjectRecogniser, check_model_path
     from ..web import object_quality
 
+    _options.in_order(model, touches)
     check_model_path(output)
     with stages() as stage:
         stage(f"reading {model}")

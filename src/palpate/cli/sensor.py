@@ -25,6 +25,7 @@ from ._options import (
     TouchesPath,
     flag,
     grouped,
+    in_order,
     model_file,
     option,
 )
@@ -260,6 +261,7 @@ def learn_nuisance(
     """
     from ..recognition import ObjectRecogniser, check_model_path
 
+    in_order(model, touches)
     check_model_path(output)
     with stages() as stage:
         stage(f"reading {model}")

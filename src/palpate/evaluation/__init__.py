@@ -27,6 +27,7 @@ from ._report import html_table as html_table
 from ._report import report_page as report_page
 from ._report import write_report
 from ._splits import PROTOCOLS as PROTOCOLS
+from ._splits import SPLITS as SPLITS
 from ._splits import Fold as Fold
 from ._splits import draw_touches as draw_touches
 from ._splits import protocol_folds as protocol_folds

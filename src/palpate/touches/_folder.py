@@ -20,11 +20,10 @@ from . import _pictures
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
 from ._layout import (
-    POSITIONS,
-    TAKEN,
+    LABELS,
     compiled,
     kept_names,
-    labels_of_folders,
+    labels_of,
     levels_pattern,
     matched,
     odd_depths,
@@ -41,17 +40,13 @@ from ._pictures import (
     decode_pictures,
     n_cores,
 )
-from ._tables import TABLES, folder_levels, label_columns
+from ._tables import TABLES, folder_levels
 
 _GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
 PICTURES = (".jpg", ".jpeg", ".png")
 _OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
-_LABELS = "labels.csv"
+_GREY = {".bmp", ".webp"}  # pictures too, read where there is no JPEG or PNG
 _MOST_TABLE = 2**30  # bytes; only to say which objects are lost
-_TEXT_GROUPS = ("object", "category", "session")
-_NEEDED = ("object", "category", "session", "order", "n", *sum(POSITIONS.values(), ()))
-_WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 class BadPicture(NamedTuple):
@@ -85,6 +80,8 @@ class PictureCheck:
     coloured, grey : list of str
         Which of those that can be used are in colour, and in grey, where all were
         read in grey and the first in colour shows some; else none.
+    empty : list of str
+        Folders in which no file is.
     lost : dict of str to BadPicture
         Objects of which no picture can be used, where some of others can, and the
         first of each.
@@ -97,6 +94,7 @@ class PictureCheck:
     same: list[tuple[str, str]] = field(default_factory=list)
     coloured: list[str] = field(default_factory=list)
     grey: list[str] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
     lost: dict[str, BadPicture] = field(default_factory=dict)
 
 
@@ -120,7 +118,7 @@ def folder_arrays(
         check = _checked(root, names, pattern, max_pixels, colour)
         names = _without_bad(root, names, check)
     try:
-        columns = _labels(root, names, pattern, max_bytes)
+        columns = labels_of(root, names, pattern, max_bytes)
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
@@ -149,15 +147,19 @@ def check_folder(
     no_contact: str | PathLike[str] | None = None,
     colour: bool = False,
     max_pixels: int = 50_000_000,
-) -> tuple[PictureCheck | None, dict[str, int]]:
-    """Look at every picture of a folder; count the other files by their endings.
+) -> tuple[PictureCheck | None, dict[str, list[str]]]:
+    """Look at every JPEG and PNG of a folder; list the other files by their endings.
 
-    None, and nothing, where there is no picture in it, nor in a folder of it. Raises
-    TouchesError where the pictures are not what is read, or folders mean nothing.
+    None, and files of BMP and WebP alone, where there is none in it, nor in a folder
+    of it. Raises TouchesError where the pictures are not what is read, or folders mean
+    nothing.
     """
-    files = [Path(name).suffix.lower() for name in _files(root)]
+    files: dict[str, list[str]] = {}
+    for name in sorted(_files(root), key=_natural_order):
+        ending = Path(name).suffix.lower() or "no ending"
+        files.setdefault(ending, []).extend([name] * (name != LABELS))
     if not {*files} & {*PICTURES}:
-        return None, {}
+        return None, {ending: files[ending] for ending in _GREY & {*files}}
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if Path(names[0]).suffix.lower() not in PICTURES:
         raise TouchesError(
@@ -165,8 +167,9 @@ def check_folder(
             "files. What is wrong with one of these is said when they are read."
         )
     check = _checked(root, names, pattern, max_pixels, colour)
-    others = [ending or "no ending" for ending in files if ending not in PICTURES]
-    return check, {ending: others.count(ending) for ending in sorted({*others})}
+    check.empty = _empty_folders(root)
+    others = sorted({ending for ending in files if files[ending]} - {*PICTURES})
+    return check, {ending: files[ending] for ending in others}
 
 
 def _chosen(
@@ -180,6 +183,8 @@ def _chosen(
         raise TouchesError(
             f"levels must be left out with a name_pattern, got {levels!r}. Give either."
         )
+    if no_contact is not None and root.exists():
+        _there(Path(no_contact), root)
     if root.is_file():
         root, names = root.parent, [root.name]
     else:
@@ -213,7 +218,7 @@ def _checked(
             placed = {
                 n: (why, f"{by} instead", f) for n, (why, by, f) in placed.items()
             }
-    elif (root / _LABELS).is_file():
+    elif (root / LABELS).is_file():
         odd = {}
     else:
         depths = odd_depths(names)[0].items()
@@ -241,7 +246,7 @@ def _lost(
     gone = {one.picture: one for one in bad}
     named = [name for name in names if name not in odd]
     try:
-        objects = _labels(root, named, pattern, _MOST_TABLE).get("object", ())
+        objects = labels_of(root, named, pattern, _MOST_TABLE).get("object", ())
     except TouchesError:  # said where touches are made of them
         return {}
     labels = dict(zip(named, map(str, objects), strict=False))
@@ -364,10 +369,24 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
     return kept
 
 
+def _there(no_contact: Path, root: Path) -> None:
+    """Refuse a picture of no contact that is not there, with what may be meant."""
+    if no_contact.exists():
+        return
+    inside = root / no_contact.name
+    near = f"Did you mean {inside}?" if inside.is_file() else nearest_path(no_contact)
+    near = near or nearest_path(inside)
+    raise TouchesError(
+        f"{no_contact} must be readable, got: No such file or directory. "
+        f"{near or 'Give another `no_contact`, or leave it out.'}"
+    )
+
+
 def no_contact_picture(
     path: Path, images: Array, channels: tuple[str, ...] | None, max_pixels: int
 ) -> Array:
     """Return a picture of no contact that suits the images of an archive."""
+    _there(path, path.parent)
     n_bits = {"uint8": 8, "uint16": 16}.get(images.dtype.name)
     if n_bits is None or channels not in (None, RGB):
         named = "" if channels is None else f" and channels {', '.join(channels)}"
@@ -403,7 +422,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         there = {Path(name).suffix.lower() for name in files}
         kinds_of_files = (PICTURES, _OTHERS, TABLES)
         read = next((kinds for kinds in kinds_of_files if there & {*kinds}), ())
-        pictures = [n for n in files if Path(n).suffix.lower() in read and n != _LABELS]
+        pictures = [n for n in files if Path(n).suffix.lower() in read and n != LABELS]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
@@ -440,6 +459,16 @@ def _files(root: Path) -> list[str]:
     return below
 
 
+def _empty_folders(root: Path) -> list[str]:
+    """Return the folders below `root` but hidden ones that hold nothing at all."""
+    empty = []
+    for folder, folders, files in os.walk(root, followlinks=True):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        if not folders and not files:
+            empty.append(f"{Path(folder).relative_to(root).as_posix()}/")
+    return sorted(empty, key=_natural_order)
+
+
 def _raised(error: OSError) -> None:
     raise error
 
@@ -451,95 +480,3 @@ def _natural_order(name: str) -> tuple[Any, ...]:
         for pieces in (re.split(r"(\d+)", part) for part in name.split("/"))
     ]
     return parts, name
-
-
-def _labels(
-    root: Path, names: Sequence[str], pattern: re.Pattern[str] | None, max_bytes: int
-) -> Arrays:
-    """Return the columns that names, else a table, else folders give."""
-    columns = {} if pattern is None else _from_names(names, pattern)
-    if "object" not in columns:
-        columns = {**_from_table(root, names, max_bytes), **columns}
-    if "object" not in columns:
-        columns = {**labels_of_folders(names), **columns}
-    return columns
-
-
-def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
-    """Match every name; turn the named groups into columns.
-
-    The file name is searched first, then the path relative to the folder.
-    """
-    matches = matched(pattern, names)
-    texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
-    odd = [n for n, match in zip(names, matches, strict=True) if match is None]
-    if odd:
-        fix = (
-            "correct the pattern, move the file out of the folder, or give it as "
-            "`no_contact` if that is what it shows"
-        )
-        if "/" in pattern.pattern:
-            _, fix, _ = odd_folders(names, odd).get(odd[0], ("", fix, ""))
-        raise TouchesError(
-            f"{odd[0]} must match name_pattern {pattern.pattern!r}, and does not. "
-            f"{fix[0].upper()}{fix[1:]}."
-        )
-    for name, match in zip(names, matches, strict=True):
-        assert match is not None
-        for group, values in texts.items():
-            if group in _NEEDED and not match[group]:
-                raise TouchesError(
-                    f"{name}: the group {group} of name_pattern must match something, "
-                    f"got nothing with {pattern.pattern!r}. Correct either."
-                )
-            values.append(match[group])
-    columns: Arrays = {}
-    for column, axes in POSITIONS.items():
-        if all(axis in texts for axis in axes):
-            parts = [_numbers(axis, texts.pop(axis), names) for axis in axes]
-            columns[column] = np.stack(parts, axis=1)
-    for group, values in texts.items():
-        if group in _TEXT_GROUPS:
-            columns[group] = np.array(values)
-        elif group in ("n", "order"):
-            columns["order"] = _numbers(group, values, names, whole=True)
-        else:
-            columns[group] = _numbers_or_text(values)
-    return columns
-
-
-def _from_table(root: Path, names: Sequence[str], max_bytes: int) -> Arrays:
-    """Return the columns of a `labels.csv` in the folder, none where it has none."""
-    if not (root / _LABELS).is_file():
-        return {}
-    columns = label_columns(root / _LABELS, names, max_bytes)
-    if taken := sorted({*columns} & {*TAKEN}):
-        raise TouchesError(f"{_LABELS} must not have a column {taken[0]}. Rename it.")
-    for column, axes in POSITIONS.items():
-        if all(axis in columns for axis in axes):
-            columns[column] = np.stack([columns.pop(a) for a in axes], axis=1)
-    return columns
-
-
-def _numbers(
-    group: str, values: Sequence[str], names: Sequence[str], *, whole: bool = False
-) -> Array:
-    kinds = (_NUMBER, "a number"), (_WHOLE_NUMBER, "a whole number")
-    pattern, what = kinds[whole]
-    for value, name in zip(values, names, strict=True):
-        if not pattern.fullmatch(value):
-            raise TouchesError(
-                f"{name}: the group {group} of name_pattern must match {what}, got "
-                f"{value!r}. Correct the pattern or the file name."
-            )
-    return np.array(values).astype(np.int64 if whole else np.float64)
-
-
-def _numbers_or_text(values: Sequence[str | None]) -> Array:
-    """Return numbers where every value is one; what did not match is NaN or ""."""
-    present = [value for value in values if value is not None]
-    if len(present) == len(values) and all(map(_WHOLE_NUMBER.fullmatch, present)):
-        return np.array(present).astype(np.int64)
-    if present and all(map(_NUMBER.fullmatch, present)):
-        return np.array([np.nan if v is None else float(v) for v in values])
-    return np.array(["" if value is None else value for value in values])

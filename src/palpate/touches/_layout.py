@@ -14,10 +14,14 @@ import re
 import subprocess
 import sys
 from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from .._types import Array
 from ._columns import WHOLE, Arrays, TouchesError
+from ._tables import label_columns
 
 POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
 TAKEN = (*WHOLE, *POSITIONS, "images", "source_path")
@@ -35,7 +39,12 @@ for name in names:
 Groups = dict[str, str | None]
 # Whatever lies below a folder is of the object that the folder names.
 _OF_FIRST = "`name_pattern='(?P<object>[^/]+)/.*'`"
+_TEXT_GROUPS = ("object", "category", "session")
+_NEEDED = ("object", "category", "session", "order", "n", *sum(POSITIONS.values(), ()))
+_WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 SKIPPED = "-"
+LABELS = "labels.csv"
 KEPT = "="
 _PARTS = re.compile(
     r"train(ing)?|test(ing)?|val(id|idation)?|dev|eval|hold-?out", re.IGNORECASE
@@ -283,3 +292,95 @@ def _refuse_sensors(folders: list[list[str]]) -> None:
         f"{len(below)} folders. If these are cameras, read one: `levels={levels}`; if "
         "they are objects, say so: `levels=category/object`."
     )
+
+
+def labels_of(
+    root: Path, names: Sequence[str], pattern: re.Pattern[str] | None, max_bytes: int
+) -> Arrays:
+    """Return the columns that names, else a table, else folders give."""
+    columns = {} if pattern is None else _from_names(names, pattern)
+    if "object" not in columns:
+        columns = {**_from_table(root, names, max_bytes), **columns}
+    if "object" not in columns:
+        columns = {**labels_of_folders(names), **columns}
+    return columns
+
+
+def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
+    """Match every name; turn the named groups into columns.
+
+    The file name is searched first, then the path relative to the folder.
+    """
+    matches = matched(pattern, names)
+    texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
+    odd = [n for n, match in zip(names, matches, strict=True) if match is None]
+    if odd:
+        fix = (
+            "correct the pattern, move the file out of the folder, or give it as "
+            "`no_contact` if that is what it shows"
+        )
+        if "/" in pattern.pattern:
+            _, fix, _ = odd_folders(names, odd).get(odd[0], ("", fix, ""))
+        raise TouchesError(
+            f"{odd[0]} must match name_pattern {pattern.pattern!r}, and does not. "
+            f"{fix[0].upper()}{fix[1:]}."
+        )
+    for name, match in zip(names, matches, strict=True):
+        assert match is not None
+        for group, values in texts.items():
+            if group in _NEEDED and not match[group]:
+                raise TouchesError(
+                    f"{name}: the group {group} of name_pattern must match something, "
+                    f"got nothing with {pattern.pattern!r}. Correct either."
+                )
+            values.append(match[group])
+    columns: Arrays = {}
+    for column, axes in POSITIONS.items():
+        if all(axis in texts for axis in axes):
+            parts = [_numbers(axis, texts.pop(axis), names) for axis in axes]
+            columns[column] = np.stack(parts, axis=1)
+    for group, values in texts.items():
+        if group in _TEXT_GROUPS:
+            columns[group] = np.array(values)
+        elif group in ("n", "order"):
+            columns["order"] = _numbers(group, values, names, whole=True)
+        else:
+            columns[group] = _numbers_or_text(values)
+    return columns
+
+
+def _from_table(root: Path, names: Sequence[str], max_bytes: int) -> Arrays:
+    """Return the columns of a `labels.csv` in the folder, none where it has none."""
+    if not (root / LABELS).is_file():
+        return {}
+    columns = label_columns(root / LABELS, names, max_bytes)
+    if taken := sorted({*columns} & {*TAKEN}):
+        raise TouchesError(f"{LABELS} must not have a column {taken[0]}. Rename it.")
+    for column, axes in POSITIONS.items():
+        if all(axis in columns for axis in axes):
+            columns[column] = np.stack([columns.pop(a) for a in axes], axis=1)
+    return columns
+
+
+def _numbers(
+    group: str, values: Sequence[str], names: Sequence[str], *, whole: bool = False
+) -> Array:
+    kinds = (_NUMBER, "a number"), (_WHOLE_NUMBER, "a whole number")
+    pattern, what = kinds[whole]
+    for value, name in zip(values, names, strict=True):
+        if not pattern.fullmatch(value):
+            raise TouchesError(
+                f"{name}: the group {group} of name_pattern must match {what}, got "
+                f"{value!r}. Correct the pattern or the file name."
+            )
+    return np.array(values).astype(np.int64 if whole else np.float64)
+
+
+def _numbers_or_text(values: Sequence[str | None]) -> Array:
+    """Return numbers where every value is one; what did not match is NaN or ""."""
+    present = [value for value in values if value is not None]
+    if len(present) == len(values) and all(map(_WHOLE_NUMBER.fullmatch, present)):
+        return np.array(present).astype(np.int64)
+    if present and all(map(_NUMBER.fullmatch, present)):
+        return np.array([np.nan if v is None else float(v) for v in values])
+    return np.array(["" if value is None else value for value in values])
