@@ -31,6 +31,7 @@ from ._comparisons import (
 from ._episodes import Episodes, run_episodes
 from ._splits import (
     SPLITS,
+    VISITS,
     Fold,
     column_of,
     draw_touches,
@@ -46,6 +47,8 @@ _GOOD, _FAIR = 0.95, 0.8
 # number of training touches, at which something is worth saying.
 _IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES, _FEW_TOUCHES = 0.1, 0.05, 1 / 3, 20
 _ENOUGH_TOUCHES = 60
+# Of fewer things than this every stranger resembles one; strangers that are expected.
+_FEW_LABELS, _MANY_STRANGERS = 6, 0.2
 
 Progress = Callable[[str], None]
 N_TIMED = 100
@@ -292,8 +295,30 @@ def _controls(
     return result
 
 
+def strangers_said(figures: dict[str, Any]) -> str:
+    """Return how many strangers were given a name, as a sentence; "" without any."""
+    if (ends := figures.get("unknown_decision")) is None:
+        return ""
+    n_named, n_episodes = ends["wrong"], ends["n_episodes"]
+    return (
+        f"Things that were never learnt were given a name in {n_named} of {n_episodes} "
+        "episodes."
+    )
+
+
 def verdict(figures: dict[str, Any]) -> str:
-    """Return one sentence: whether this is good, and why."""
+    """Return whether this is good, and why; of strangers too, where there were any."""
+    return f"{_verdict(figures)} {strangers_said(figures)}".rstrip()
+
+
+def _too_many_named(figures: dict[str, Any]) -> bool:
+    """Return whether more strangers were named than the accepted error."""
+    ends = figures.get("unknown_decision")
+    return ends is not None and bool(ends["wrong"] > ends["error"] * ends["n_episodes"])
+
+
+def _verdict(figures: dict[str, Any]) -> str:
+    """Return one sentence: whether known objects are told apart well, and why."""
     accuracy = figures["accuracy"]
     if not accuracy:
         return "Nothing can be said: no object has as many test touches as asked for."
@@ -317,9 +342,10 @@ def verdict(figures: dict[str, Any]) -> str:
             )
     if right <= 1.5 * chance:
         return f"Not better than guessing: {after}, where {beside}."
-    if right >= _GOOD:
-        return f"Good: {after}, where {beside}."
-    return f"{'Fair' if right >= _FAIR else 'Not good yet'}: {after}, where {beside}."
+    good = "Good" if right >= _GOOD else "Fair" if right >= _FAIR else "Not good yet"
+    if _too_many_named(figures):
+        good += " with known objects alone"
+    return f"{good}: {after}, where {beside}."
 
 
 def recommendations(figures: dict[str, Any], trials: Sequence[Trial]) -> list[str]:
@@ -347,15 +373,11 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             "What is no touch does as well as touch: record objects in turns, mount "
             "the sensor anew in between, and evaluate with `split=session`."
         )
-    few = Counter(trials[0].recogniser.memory_.labels.tolist())
-    name, least = min(few.items(), key=lambda item: item[1])
-    if best < _GOOD and least < _FEW_TOUCHES:
-        yield (
-            f"{name} was taught with {least} touch{'es' * (least > 1)}: give every "
-            f"{figures['label']} {_ENOUGH_TOUCHES}, all over it."
-        )
-    elsewhere = figures["split"] in ("session", "subject") or trials[0].fold.elsewhere
-    confirming = _confirming(figures, trials[0])
+    elsewhere = figures["split"] in VISITS or trials[0].fold.elsewhere
+    yield from _of_unknown(figures, elsewhere)
+    if best < _GOOD and (few := _taught_little(figures["label"], trials[0])):
+        yield f"{few}: give every {figures['label']} {_ENOUGH_TOUCHES}, all over it."
+    confirming = _confirming(figures, trials[0], measured=elsewhere)
     if elsewhere and best < _GOOD and figures["remount"] == "none":
         yield (
             "Another mounting costs accuracy: try `remount=recentre:10`, which gets "
@@ -374,7 +396,8 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             f"{share:.0%} of the mistakes are {true} taken for {taken}: touch them "
             "where they differ, or give both one name if nobody needs them apart."
         )
-    if gained := _gained(accuracy):
+    # Where strangers are named, touching until it decides names more of them.
+    if not _too_many_named(figures) and (gained := _gained(accuracy)):
         before, after = gained
         yield (
             f"More touches help: {accuracy[before]:.0%} right after {before}, "
@@ -382,10 +405,57 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
         )
 
 
-def _confirming(figures: dict[str, Any], trial: Trial) -> str:
+def _of_unknown(figures: dict[str, Any], elsewhere: bool) -> Iterator[str]:
+    """Yield what to do where known things are unknown, or strangers are named."""
+    ends = figures.get("decision", {})
+    if ends and ends["refused"] > ends["n_episodes"] / 2:
+        again = ""
+        if elsewhere and figures["remount"] == "none":
+            again = " or try `remount=recentre:10`"
+        yield (
+            f"In {ends['refused']} of {ends['n_episodes']} episodes a known object was "
+            "called unknown: its touches are unlike those that taught it. Teach it as "
+            f"it is touched now{again}; where nothing else can come, say `strangers=0`."
+        )
+    if not _too_many_named(figures):
+        return
+    ends = figures["unknown_decision"]
+    todo = []
+    if (n_labels := figures["n_labels"]) < _FEW_LABELS:
+        todo.append(f"teach more than {n_labels} things, {_FEW_LABELS} are a start")
+    if ends["strangers"] < _MANY_STRANGERS:
+        todo.append(f"expect more strangers (`strangers={_MANY_STRANGERS}`)")
+    todo.append(f"accept fewer wrong names (`error={ends['error'] / 10:g}`)")
+    yield (
+        f"In {ends['wrong']} of {ends['n_episodes']} episodes a stranger was given a "
+        f"name: {'; '.join(todo)}. Each makes that rarer, and none impossible."
+    )
+
+
+def _taught_little(label: str, trial: Trial) -> str:
+    """Return which labels were taught with few touches, as a clause; "" if none."""
+    counts = Counter(trial.recogniser.memory_.labels.tolist())
+    few = {name: n for name, n in counts.items() if n < _FEW_TOUCHES}
+    if not few:
+        return ""
+    least, most = min(few.values()), max(few.values())
+    touches = f"{least} to {most} touches"
+    if least == most:
+        touches = f"{least} touch{'es' * (least > 1)}"
+    if len(few) == 1:
+        return f"{next(iter(few))} was taught with {touches}"
+    if len(few) < len(counts):
+        return f"{len(few)} of {len(counts)} {label} labels were taught with {touches}"
+    if least == most:
+        return f"Every {label} was taught with {touches}"
+    return f"All {len(few)} {label} labels were taught with {touches}"
+
+
+def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str:
     """Return what confirmed touches are expected to bring, and of which objects.
 
-    "" where sessions were not rehearsed, or the middle of the range grows too little.
+    Nothing is promised where another session was `measured`. "" where sessions were
+    not rehearsed, or the middle of the range grows too little.
     """
     sessions = figures["sessions"]
     if "confirmed" not in sessions:
@@ -397,10 +467,15 @@ def _confirming(figures: dict[str, Any], trial: Trial) -> str:
     left = remount.get("confirm") or trial.recogniser.classes_.tolist()
     more = f" and {len(left) - _MOST} more" if len(left) > _MOST else ""
     low, high, low_after, high_after = (f"{100 * x:.0f}" for x in (*before, *after))
-    return (
+    confirm = (
         f" In another session confirm a touch of each {figures['label']} "
-        f"({', '.join(left[:_MOST])}{more}): expect about {low_after} to {high_after}% "
-        f"right after one touch, not {low} to {high}%."
+        f"({', '.join(left[:_MOST])}{more})"
+    )
+    if measured:
+        return f"{confirm}."
+    return (
+        f"{confirm}: expect about {low_after} to {high_after} % right after one touch, "
+        f"not {low} to {high} %."
     )
 
 
