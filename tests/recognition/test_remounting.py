@@ -725,9 +725,9 @@ def rimmed():
         ((0, 0), 27.0, None),
         # Three hundredths of the radius are 0.8 pixels.
         ((0.0, 0.4), 27.0, None),
-        ((3, -4), 24.0, "5 pixels from where it was learnt, and is 11% smaller"),
+        ((3, -4), 24.0, "5 pixels from where it was learnt, and is 11 % smaller"),
         ((-1.5, 0), 27.0, "pixels from where it was learnt, and is"),
-        ((0, 0), 29.0, "0 pixels from where it was learnt, and is 7% larger"),
+        ((0, 0), 29.0, "0 pixels from where it was learnt, and is 7 % larger"),
     ],
 )
 def test_a_rim_that_lies_elsewhere_is_told(rimmed, moved, radius, said):

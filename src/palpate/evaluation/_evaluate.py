@@ -324,15 +324,15 @@ def _verdict(figures: dict[str, Any]) -> str:
         return "Nothing can be said: no object has as many test touches as asked for."
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
-    after = f"{right:.0%} right after {last} touch{'es' * (last != '1')}"
-    beside, k = f"chance is {chance:.0%}", telling(figures)
+    after = f"{100 * right:.0f} % right after {last} touch{'es' * (last != '1')}"
+    beside, k = f"chance is {100 * chance:.0f} %", telling(figures)
     alone = {name: v[k] for name, v in figures["controls"].items() if v and k in v}
     alone.pop("no contact", None)
     if alone:
         best = max(alone, key=lambda name: alone[name])
-        reached = f"{alone[best]:.0%}"
+        reached = f"{100 * alone[best]:.0f} %"
         if k != last:
-            after += f" ({accuracy[k]:.0%} after {k})"
+            after += f" ({100 * accuracy[k]:.0f} % after {k})"
             reached += f" after {k}"
         beside += f", and {best} alone, which is no touch, {reached}"
         if alone[best] >= accuracy[k] and right > 1.5 * chance:
@@ -365,8 +365,8 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     idle = figures["flags"].get("no contact", 0.0)
     if idle >= _IDLE_SHARE:
         yield (
-            f"{idle:.0%} of the test touches are without contact, and not counted: "
-            "press until the picture changes, or record with a higher `begin`."
+            f"{100 * idle:.0f} % of the test touches are without contact, and not "
+            "counted: press until the picture changes, or record with a higher `begin`."
         )
     if best > 1.5 * figures["chance"] and as_good_alone(figures):
         yield (
@@ -393,15 +393,16 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if pair := _confused(int(last), trials):
         true, taken, share = pair
         yield (
-            f"{share:.0%} of the mistakes are {true} taken for {taken}: touch them "
-            "where they differ, or give both one name if nobody needs them apart."
+            f"{100 * share:.0f} % of the mistakes are {true} taken for {taken}: touch "
+            "them where they differ, or give both one name if nobody needs them apart."
         )
     # Where strangers are named, touching until it decides names more of them.
     if not _too_many_named(figures) and (gained := _gained(accuracy)):
         before, after = gained
         yield (
-            f"More touches help: {accuracy[before]:.0%} right after {before}, "
-            f"{accuracy[after]:.0%} after {after}. Let it touch until it decides."
+            f"More touches help: {100 * accuracy[before]:.0f} % right after {before}, "
+            f"{100 * accuracy[after]:.0f} % after {after}. Let it touch until it "
+            "decides."
         )
 
 

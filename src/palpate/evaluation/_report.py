@@ -4,6 +4,7 @@ It says why the recogniser answered as it did: beside each touch that moved the 
 stand the training touches that it resembles.
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
 from math import ceil, log, log1p
@@ -29,10 +30,11 @@ PICTURES_PER_PAIR = 4
 EPISODES, WRONG = 6, 4
 MOVED, NEAREST = 3, 3
 SMALL_SIDE = 72
+_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 PAGE_STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;background:#fff;
 max-width:62rem;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
+code{white-space:nowrap;font:inherit}h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
 table{border-collapse:collapse}
 td,th{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #dde3e8}
 td:first-child,th:first-child{text-align:left}
@@ -127,8 +129,13 @@ def _ends(figures: dict[str, Any]) -> str:
 
 
 def _recommended(sentences: Sequence[str]) -> str:
-    lines = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
+    lines = "".join(f"<li>{worded(sentence)}</li>" for sentence in sentences)
     return f"<h2>What to do now</h2><ul>{lines}</ul>" if lines else ""
+
+
+def worded(sentence: str) -> str:
+    """Return a sentence as HTML, in which options do not break after their dashes."""
+    return _OPTION.sub(r"<code>\g<0></code>", escape(sentence))
 
 
 def report_page(title: str, sections: Sequence[str]) -> str:

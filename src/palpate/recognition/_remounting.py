@@ -285,7 +285,7 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
 
 def _between(shares: Sequence[float]) -> str:
     low, high = (f"{100 * share:.0f}" for share in shares)
-    return f"{low}%" if low == high else f"{low} to {high}%"
+    return f"{low} %" if low == high else f"{low} to {high} %"
 
 
 def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
