@@ -146,7 +146,8 @@ def test_a_third_of_all_mistakes_is_a_pair(of_pair, of_others, is_said):
     share = of_pair / (of_pair + 4 * of_others)
     assert (share >= 1 / 3) == is_said
     assert (
-        any(f"{share:.0 %} of the mistakes are a taken" in s for s in said) == is_said
+        any(f"{100 * share:.0f} % of the mistakes are a taken" in s for s in said)
+        == is_said
     )
 
 
