@@ -318,7 +318,8 @@ def test_strangers_that_were_named_are_said_first_and_what_to_do():
     assert said == (
         "In 20 of 20 episodes a stranger was given a name: teach more than 5 things, 6 "
         "are a start; expect more strangers (`strangers=0.2`); accept fewer wrong "
-        "names (`error=0.005`). Each makes that rarer, and none impossible."
+        "names (`error=0.005`). Each makes that rarer, none impossible, and takes "
+        "more touches."
     )
     assert verdict(figures) == (
         "Good with known objects alone: 97 % right after 3 touches, where chance is "

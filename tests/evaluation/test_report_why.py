@@ -177,7 +177,11 @@ def test_names_given_to_strangers_are_wrong_names():
         "named objects cannot prove an error of 1 %, about 300 would."
     )
     assert bound_said(decision, {"wrong": 0}) == bound_said(decision)
-    none = decision | {"right": 0, "wrong": 0, "refused": 100}
+    none = decision | {"right": 0, "wrong": 0, "refused": 0}
+    assert bound_said(none) == (
+        "No episode ended with a name: all 100 with known objects stayed undecided."
+    )
+    none |= {"refused": 100}
     assert bound_said(none, {"wrong": 20}) == (
         "20 of 20 names were wrong, 20 of them given to strangers; no known object was "
         "named."

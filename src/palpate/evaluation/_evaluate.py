@@ -49,6 +49,8 @@ _IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES, _FEW_TOUCHES = 0.1, 0.05, 1 / 3, 20
 _ENOUGH_TOUCHES = 60
 # Of fewer things than this every stranger resembles one; strangers that are expected.
 _FEW_LABELS, _MANY_STRANGERS = 6, 0.2
+# From this on a tenth of an accepted error is worth asking for.
+_LEAST_ERROR = 1e-4
 
 Progress = Callable[[str], None]
 N_TIMED = 100
@@ -426,10 +428,14 @@ def _of_unknown(figures: dict[str, Any], elsewhere: bool) -> Iterator[str]:
         todo.append(f"teach more than {n_labels} things, {_FEW_LABELS} are a start")
     if ends["strangers"] < _MANY_STRANGERS:
         todo.append(f"expect more strangers (`strangers={_MANY_STRANGERS}`)")
-    todo.append(f"accept fewer wrong names (`error={ends['error'] / 10:g}`)")
+    if ends["error"] >= _LEAST_ERROR:
+        todo.append(f"accept fewer wrong names (`error={ends['error'] / 10:g}`)")
+    if not todo:
+        return
     yield (
         f"In {ends['wrong']} of {ends['n_episodes']} episodes a stranger was given a "
-        f"name: {'; '.join(todo)}. Each makes that rarer, and none impossible."
+        f"name: {'; '.join(todo)}. Each makes that rarer, none impossible, "
+        "and takes more touches."
     )
 
 

@@ -228,6 +228,8 @@ def bound_said(
         n_episodes, n_refused = decision["n_episodes"], decision["refused"]
         if n_refused == n_episodes:
             ends = f"in all {n_episodes} episodes a known object was called unknown"
+        elif not n_refused:
+            ends = f"all {n_episodes} with known objects stayed undecided"
         else:
             ends = f"of {n_episodes} with known objects {n_refused} were called unknown"
             ends += ", and the others stayed undecided"
