@@ -14,6 +14,8 @@ from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
 from palpate.web import LearningError, LiveSession
 
+from .conftest import waited
+
 SMALL = np.arange(64, dtype=np.uint8).reshape(8, 8)
 
 
@@ -140,7 +142,8 @@ def test_objects_of_another_size_that_are_nowhere_else_are_kept(
         library.add(small_touches("cube", 4, start=9))
     with pytest.raises(LearningError, match=r"8 x 8 .*'bar', 'disc' from .*12 x 12"):
         learn_job(tmp_path / "library", model, model)
-    dropped = learn_job(tmp_path / "library", model, model, ["disc", "bar"])
+    forgotten = [("disc", ""), ("bar", "")]
+    dropped = learn_job(tmp_path / "library", model, model, forgotten)
     assert dropped["objects"] == ["ball", "cube"]
 
 
@@ -216,6 +219,63 @@ def test_kept_objects_leave_the_others_their_touches(
             assert (near["id"], near["object"]) == (known_id, "both")
             # Encoded alone a touch differs by rounding from one among others.
             assert near["distance"] == pytest.approx(0, abs=1e-9)
+
+
+def counts(session):
+    """Return how many touches of each object the model knows."""
+    names, n_touches = np.unique(session.recogniser.memory_.labels, return_counts=True)
+    return dict(zip(names.tolist(), n_touches.tolist(), strict=True))
+
+
+def test_what_the_model_knows_from_elsewhere_is_extended_and_never_replaced(
+    tmp_path, drawn, model_of_elsewhere
+):
+    given = model_of_elsewhere(tmp_path / "m.palpate")  # 15 of each
+    before = given.read_bytes()
+    kept = tmp_path / "library" / "given-m.palpate"
+    new = drawn.images[1:9:2]
+    with LiveSession(library=tmp_path / "library", model=given) as session:
+        assert session.to_dict()["model"]["to_keep"] == str(kept)
+        for image in new:
+            session.post_lesson("disc", image)
+        for _ in range(2):  # what was learnt already is not added again
+            session.learn(wait=True)
+            assert session.learn_error == ""
+            assert counts(session) == {"bar": 15, "disc": 19}
+            assert "34 touches, 30 of them known from elsewhere" in session.message
+        model = session.to_dict()["model"]
+        assert model["n_elsewhere"] == {"bar": 15, "disc": 15}
+        assert model["to_keep"] == ""
+        keys = [row.id for row in session.teacher.newest("disc", 2)]
+        session.remove_touches(keys[:1])
+        session.move_touches(keys[1:], "bar")
+        session.learn(wait=True)
+        assert counts(session) == {"bar": 16, "disc": 17}
+        session.undo()
+        session.rename("disc", "coin")
+        assert settled(session) == ["bar", "coin"]
+        assert counts(session) == {"bar": 15, "coin": 18}
+    assert kept.read_bytes() == before
+    # One more program that starts from the file that was written goes on from there.
+    with LiveSession(library=tmp_path / "library", model=given) as session:
+        session.post_lesson("bar", drawn.images[31])
+        session.learn(wait=True)
+        assert counts(session) == {"bar": 16, "coin": 18}
+        session.forget("coin")
+        assert waited(lambda: not session.learning)
+    assert kept.read_bytes() == before
+
+
+def test_touches_that_a_model_has_without_ids_count_once(
+    tmp_path, drawn, model_of_elsewhere
+):
+    given = model_of_elsewhere(tmp_path / "m.palpate")
+    with LiveSession(library=tmp_path / "library", model=given) as session:
+        for image in drawn.images[:6:2]:
+            session.post_lesson("disc", image)
+        session.learn(wait=True)
+        assert counts(session) == {"bar": 15, "disc": 15}
+        assert session.to_dict()["model"]["n_elsewhere"] == {"bar": 15, "disc": 12}
 
 
 def test_nothing_waits_for_a_sensor_that_is_not_there(make_session, connected):

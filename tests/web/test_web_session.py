@@ -269,14 +269,15 @@ def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
     answer = learn_job(tmp_path / "library", output, model)
     assert answer["objects"] == ["bar", "both", "disc"]
     assert sorted(answer["kept"]) == ["bar", "disc"]
-    again = learn_job(tmp_path / "library", output, output, ["disc"])
+    again = learn_job(tmp_path / "library", output, output, [("disc", "")])
     assert again["objects"] == ["bar", "both"]
     with TouchLibrary.open(tmp_path / "more", create=True) as library:
         library.add(drawn[drawn.object == "bar"][20:])
     fresh = learn_job(tmp_path / "more", output, model)
     assert fresh["objects"] == ["bar", "disc"]
-    # Ten touches of the bar in place of the fifteen that the model had.
-    assert fresh["n_touches"] == 25
+    # The model had fifteen of each; five of the ten touches here are among them.
+    assert fresh["n_touches"] == 35
+    assert fresh["n_elsewhere"] == 25
 
 
 def test_a_model_of_the_library_knows_its_touches_and_its_sensor(
@@ -331,7 +332,7 @@ def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
         session._learn_apart = orders.append
         session._learn([])  # ends what goes on, and begins what waits
         assert waited(lambda: len(orders) == 2 and not session.learning)
-    assert orders == [[], ["disc"]]
+    assert orders == [[], [("disc", "")]]
 
 
 def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial.distance import pdist
+from scipy.spatial.distance import cdist, pdist
 
 from .._checks import check_label_kinds
 from .._types import Array, Bools, Floats, Indices
@@ -33,6 +33,9 @@ MOST_MARKS, AT_ONCE = 2000, 1024
 N_PAIRED = 300
 # Touches of an object are copies below this share of its median squared distance.
 COPY = 0.01
+# One touch encoded twice differs by less than this share of the median distance from
+# the mean: by rounding, of model files in single precision too.
+_SAME = 1e-4
 # What a decision says of something that was never learnt.
 UNKNOWN = "unknown"
 
@@ -161,11 +164,39 @@ class Memory:
         )
         return replace(self, **rows, sensor=self.sensor or other.sensor)
 
+    def plus_once(self, other: Self) -> Self:
+        """Return both as `plus` does, of touches without an id that are in both one.
+
+        They are of one label, and encoded alike but for rounding.
+        """
+        labels = np.isin(self.labels, other.labels) & (self.touch_ids == "")
+        rows = np.flatnonzero(labels)
+        spread = np.linalg.norm(other.features - other.features.mean(axis=0), axis=1)
+        limit = _SAME * max(float(np.median(spread)), 1e-12)
+        near = cdist(self.features[rows], other.features).min(axis=1) <= limit
+        gone = np.zeros(len(self), dtype=bool)
+        gone[rows[near]] = True
+        rest = self.of_rows(~gone)
+        return rest.plus(other) if len(rest) else other
+
     def without(self, labels: Iterable[object]) -> Self:
         """Return what is left when some labels are forgotten."""
         names = set(map(str, labels))
-        gone = np.array([str(label) in names for label in self.labels])
-        return replace(self, **{n: getattr(self, n)[~gone] for n in _COLUMNS})
+        return self.of_rows([str(label) not in names for label in self.labels])
+
+    def of_rows(self, which: ArrayLike) -> Self:
+        """Return the touches for which `which` (n_touches,) is true."""
+        rows = np.flatnonzero(which)
+        return replace(self, **{n: getattr(self, n)[rows] for n in _COLUMNS})
+
+    def renamed(self, old: str, new: str) -> Self:
+        """Return this with a label, and the object of that name, called otherwise."""
+        named: dict[str, Any] = {
+            column: np.array([new if str(x) == old else x for x in values])
+            for column in ("labels", "objects")
+            if old in (values := getattr(self, column)).astype(str)
+        }
+        return replace(self, **named)
 
     def newest(self, label: object, most: int) -> Self:
         """Return this with `most` touches of a label: evenly of its sessions, the last.
@@ -178,8 +209,7 @@ class Memory:
             rows = self.sessions[rows_of_label] == session
             age[rows] = np.arange(rows.sum())[::-1]
         gone = rows_of_label[np.argsort(age, kind="stable")[most:]]
-        kept = ~np.isin(np.arange(len(self)), gone)
-        return replace(self, **{n: getattr(self, n)[kept] for n in _COLUMNS})
+        return self.of_rows(~np.isin(np.arange(len(self)), gone))
 
     def replaced(self, other: Self) -> Self:
         """Return this with the other's touches in place of those of its labels."""

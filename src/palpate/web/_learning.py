@@ -23,6 +23,7 @@ from .._checks import size_said
 from .._types import Array
 from ..library import LibraryError, Selection, TouchLibrary
 from ..recognition import EmptyTouchError, ObjectRecogniser
+from ..recognition._memory import Memory
 from ..sensors import SensorMemory
 
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
@@ -122,21 +123,23 @@ def learn_job(
     library: str | Path,
     output: str | Path,
     base: str | Path | None = None,
-    drop: Sequence[str] = (),
+    changes: Sequence[tuple[str, str]] = (),
     image_shape: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:
     """Learn what a library holds into the model file `output`.
 
-    Kept are the objects of the model in `base` that are not of the library, but for
-    those to `drop`. Learnt are touches of `image_shape`, by default of the newest
-    one's. Returns `n_touches`, `objects`, and `kept`, those of the base model; no
-    `objects` where too little is left to be a model. Touches that hold no number at all
-    are left out; `left_out` are their ids.
+    Kept are the touches of the model in `base` that are not of the library, which
+    decides about its own. `changes` are objects of these that are called otherwise, or
+    are forgotten where the new name is "", in order. Learnt are touches of
+    `image_shape`, by default of the newest one's. Returns `n_touches`, `n_elsewhere` of
+    them, `objects`, and `kept`, those with touches that were kept; no `objects` where
+    too little is left to be a model. Touches that hold no number at all are left out;
+    `left_out` are their ids.
     """
     left_out: list[str] = []
     while True:
         try:
-            learn_args = library, output, base, drop, image_shape
+            learn_args = library, output, base, changes, image_shape
             return {**_learnt_once(*learn_args, left_out), "left_out": left_out}
         except EmptyTouchError as error:
             if {*error.touch_ids} <= {*left_out}:
@@ -148,31 +151,49 @@ def _learnt_once(
     library: str | Path,
     output: str | Path,
     base: str | Path | None,
-    drop: Sequence[str],
+    changes: Sequence[tuple[str, str]],
     image_shape: tuple[int, ...] | None,
     left_out: Sequence[str],
 ) -> dict[str, Any]:
     with TouchLibrary.open(library) as opened:
-        touches = _taught(opened, image_shape, left_out)
-        model, kept = None, []
+        model, elsewhere = None, None
         if base is not None and Path(base).is_file():
             model = ObjectRecogniser.load(base)
-            # What is of this library it now says: renamed, forgotten or learnt anew.
-            stored = {row.id for row in opened.list(limit=None, retracted=True)}
-            here = np.isin(model.memory_.touch_ids, list(stored))
-            gone = {*map(str, model.memory_.labels[here]), *drop}
-            kept = [name for name in model.classes_.tolist() if name not in gone]
+            elsewhere = _of_elsewhere(model.memory_, opened, changes)
+        kept = [] if elsewhere is None else elsewhere.classes.astype(str).tolist()
+        touches = _taught(opened, image_shape, left_out, kept)
         names = [] if touches is None else touches.object.tolist()
         if len({*kept, *names}) < LEAST_OBJECTS:
             if model is not None and image_shape is not None:
                 _refuse_other_size(model, image_shape, _TOO_LITTLE)
-            return {"objects": [], "n_touches": 0, "kept": kept}
-        model = _learnt(model, kept, touches)
+            return {"objects": [], "n_touches": 0, "n_elsewhere": 0, "kept": kept}
+        model = _learnt(model, elsewhere, touches)
         if touches is not None:
             remember_sensor(model, opened, touches)
         model.save(output)
-    objects = model.classes_.tolist()
-    return {"objects": objects, "n_touches": len(model.memory_), "kept": kept}
+    n_touches, n_taught = len(model.memory_), 0 if touches is None else len(touches)
+    return {
+        "objects": model.classes_.tolist(),
+        "n_touches": n_touches,
+        "n_elsewhere": n_touches - n_taught,
+        "kept": kept,
+    }
+
+
+def _of_elsewhere(
+    memory: Memory, opened: TouchLibrary, changes: Sequence[tuple[str, str]]
+) -> Memory | None:
+    """Return the touches of a model that its library does not hold, None without any.
+
+    What is of this library it now says: renamed, moved, left out or still there.
+    """
+    stored = {row.id for row in opened.list(limit=None, retracted=True)}
+    rest = memory.of_rows(~np.isin(memory.touch_ids, list(stored)))
+    for old, new in changes:
+        rest = rest.renamed(old, new) if new else rest.without([old])
+    names, counts = np.unique(rest.labels, return_counts=True)
+    rest = rest.without(names[counts < LEAST_TOUCHES])
+    return rest if len(rest) else None
 
 
 def remember_library(
@@ -205,8 +226,12 @@ def remember_sensor(
 
 
 def _taught(
-    library: TouchLibrary, image_shape: Sequence[int] | None, left_out: Sequence[str]
+    library: TouchLibrary,
+    image_shape: Sequence[int] | None,
+    left_out: Sequence[str],
+    known: Sequence[str],
 ) -> Any:
+    """Return what to learn: of objects not `known` two touches each at least."""
     if image_shape is None:
         newest = library.list(limit=1, offset=max(0, len(library) - 1))
         if not newest:
@@ -223,18 +248,21 @@ def _taught(
         chosen = chosen[whole]
     labels = np.asarray(chosen.object)
     at, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
-    rows = np.flatnonzero(counts[at] >= LEAST_TOUCHES)
+    rows = np.flatnonzero((counts[at] >= LEAST_TOUCHES) | np.isin(labels, known))
     return chosen[rows] if len(rows) else None
 
 
-def _learnt(base: ObjectRecogniser | None, kept: Sequence[str], touches: Any) -> Any:
-    """Return a model of touches and of what is kept of the base model."""
-    if base is None or not kept:
+def _learnt(
+    base: ObjectRecogniser | None, elsewhere: Memory | None, touches: Any
+) -> ObjectRecogniser:
+    """Return a model of touches, beside those of the base model from elsewhere."""
+    if base is None or elsewhere is None:
         return ObjectRecogniser().fit(touches)
     if touches is not None:
         shape = touches.touches([0]).images.shape[1:]
-        _refuse_other_size(base, shape, _NOT_FURTHER, ", ".join(map(repr, kept)))
-    return base.replace_objects(touches, forget={*base.classes_.tolist()} - {*kept})
+        names = ", ".join(map(repr, elsewhere.classes.astype(str).tolist()))
+        _refuse_other_size(base, shape, _NOT_FURTHER, names)
+    return base.learn_beside(elsewhere, touches)
 
 
 def _refuse_other_size(

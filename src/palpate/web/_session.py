@@ -1,6 +1,7 @@
 """A live session: touches in, a belief that moves, objects taught and learnt."""
 
 import copy
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -129,13 +130,15 @@ class LiveSession:
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
+        self._n_elsewhere: dict[str, int] = {}
         can_teach = self.teacher is not None
         self.episode = LiveEpisode(1, None, self.accepted, can_teach=can_teach)
         self.learning, self.learn_error = False, ""
         self.message = self.trouble = self.alarm = ""
         self._met: list[Evidence] = []
         self._n_met = 0
-        self._drop_next: list[str] | None = None
+        self._changes: list[tuple[str, str]] = []  # of names, to be learnt
+        self._learn_next = False
         self._changed_before: set[str] = set()
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
         if model is None and library is not None:
@@ -322,7 +325,7 @@ class LiveSession:
             learnt = self._knows(old)
             tidy = self._teacher().rename(old, new, learnt=learnt, merge=merge)
             self.message = f"{old} is called {tidy} now."
-        self._learn_again([old])
+        self._learn_again([(old, tidy)])
 
     def forget(self, name: str) -> None:
         """Leave all touches of an object out, and learn without it.
@@ -335,15 +338,17 @@ class LiveSession:
         with self._lock:
             self._teacher().forget(name, learnt=self._knows(name))
             self.message = f"{name} is forgotten."
-        self._learn_again([name])
+        self._learn_again([(name, "")])
 
-    def learn(self, drop: Sequence[str] = (), *, wait: bool = False) -> None:
+    def learn(self, *, wait: bool = False) -> None:
         """Learn what the library holds, in another process; `learning` says it is on.
+
+        What the model knows from elsewhere is kept, and goes on under the names that it
+        was given here. The model file is written anew; one that was given from outside
+        the library stays there, as it was, as `given_model`.
 
         Parameters
         ----------
-        drop : sequence of str
-            Objects of the model that are not kept.
         wait : bool, default=False
             Return only when it is done.
 
@@ -358,8 +363,9 @@ class LiveSession:
         self.learning, self.learn_error = True, ""
         with self._lock:
             self._changed_before, journal.changed = journal.changed, set()
+            changes = list(self._changes)
         self._notify_state()
-        thread = threading.Thread(target=self._learn, args=(list(drop),), daemon=True)
+        thread = threading.Thread(target=self._learn, args=(changes,), daemon=True)
         thread.start()
         if wait:
             thread.join()
@@ -414,7 +420,7 @@ class LiveSession:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but pictures, as plain values."""
         with self._lock:
-            teacher, model = self.teacher, self.recogniser
+            teacher, model, given = self.teacher, self.recogniser, self.given_model
             lesson = None if teacher is None else teacher.lesson
             return {
                 "sensor": None if self.watch is None else self.watch.to_dict(),
@@ -425,6 +431,8 @@ class LiveSession:
                     "n_touches": len(model.memory_),
                     "encoding": str(model.chosen_.get("encoding", "")),
                     "file": str(self.model_path),
+                    "n_elsewhere": self._n_elsewhere,
+                    "to_keep": str(given) if given and not given.exists() else "",
                 },
                 "library": None if teacher is None else teacher.to_dict(),
                 "lesson": None if lesson is None else lesson.to_dict(),
@@ -486,7 +494,14 @@ class LiveSession:
             self.recogniser, self._stored_ids = recogniser, ids
             self._top_view = None if recogniser is None else self._view_of(recogniser)
             self._met, self._n_met, self.alarm = [], 0, ""
-            self._quality = quality
+            self._quality, self._n_elsewhere = quality, {}
+            if recogniser is not None:
+                memory = recogniser.memory_
+                names = memory.labels[~np.isin(memory.touch_ids, list(ids))]
+                counted = np.unique(names.astype(str), return_counts=True)
+                self._n_elsewhere = dict(
+                    zip(*map(np.ndarray.tolist, counted), strict=True)
+                )
             if self.watch is not None:
                 self.watch.compare_with(recogniser)
             self._new_episode()
@@ -597,24 +612,26 @@ class LiveSession:
         self.alarm = OTHER_MOUNTING.format("") if check.changed else ""
         self._notify_state()
 
-    def _learn_again(self, drop: Sequence[str]) -> None:
+    def _learn_again(self, changes: Sequence[tuple[str, str]] = ()) -> None:
         """Learn after a change, where there was a model; after learning under way."""
         if self.recogniser is None:
             self._notify_state()
             return
         with self._lock:
+            self._changes += changes
             try:
-                self.learn(drop)
+                self.learn()
             except LearningError:
-                self._drop_next = [*(self._drop_next or ()), *drop]
+                self._learn_next = True
                 self._notify_state()
 
-    def _learn(self, drop: Sequence[str]) -> None:
+    def _learn(self, changes: Sequence[tuple[str, str]]) -> None:
         journal = self._teacher().journal
         try:
-            self._learn_apart(drop)
+            self._learn_apart(changes)
             with self._lock:
                 journal.learnt()
+                del self._changes[: len(changes)]
         except (ValueError, OSError) as error:
             self.learn_error = str(error)
             journal.changed |= self._changed_before
@@ -622,21 +639,35 @@ class LiveSession:
             with self._lock:
                 self.learning = False
                 self._learn_lock.release()
-                waiting, self._drop_next = self._drop_next, None
+                again, self._learn_next = self._learn_next, False
             self._notify_state()
-            if waiting is not None:
-                self._learn_again(waiting)
+            if again:
+                self._learn_again()
 
-    def _learn_apart(self, drop: Sequence[str]) -> None:
+    @property
+    def given_model(self) -> Path | None:
+        """Where a model from outside the library is kept as it was given."""
+        path, teacher = self.model_path, self.teacher
+        if path is None or teacher is None or not path.is_file():
+            return None
+        folder = teacher.folder.resolve()
+        inside = path.resolve().is_relative_to(folder)
+        return None if inside else folder / f"given-{path.name}"
+
+    def _learn_apart(self, changes: Sequence[tuple[str, str]]) -> None:
         assert self.teacher is not None
         assert self.model_path is not None
         path, shape = self.model_path, self.teacher.image_shape()
-        base = path if path.is_file() else None
-        answer = learn_apart(self.teacher.folder, path, base, drop, shape)
+        base, given = path if path.is_file() else None, self.given_model
+        if given is not None and not given.exists():
+            shutil.copyfile(path, given)
+        answer = learn_apart(self.teacher.folder, path, base, changes, shape)
         if names := answer["objects"]:
             self._use(ObjectRecogniser.load(path))
             more = " What to teach next stands under Teach." * bool(self.advice)
-            message = f"Learnt {len(names)} objects from {answer['n_touches']} touches."
+            message = f"Learnt {len(names)} objects from {answer['n_touches']} touches"
+            before = answer["n_elsewhere"]
+            message += f", {before} of them known from elsewhere." if before else "."
             if empty := answer["left_out"]:
                 message += (
                     f" Left out as holding no number: {', '.join(empty[:3])}"

@@ -22,6 +22,7 @@ export function showObjects(state) {
   const objects = library ? library.objects : [];
   const learnt = new Set(model ? model.objects : []);
   const names = new Set(objects.map((one) => one.name));
+  const before = model?.n_elsewhere ?? {};
   const alone = [...learnt].filter((name) => !names.has(name))
     .map((name) => ({ name, n_touches: 0 }));
   const known = new Map(quality.map((one) => [one.name, one]));
@@ -39,7 +40,7 @@ export function showObjects(state) {
     const card = cards.get(one.name);
     const still = card.contains(document.activeElement); // a card that is moved loses the focus
     if (find("list").children[at] !== card && !still) find("list").insertBefore(card, find("list").children[at] ?? null);
-    update(card, one, learnt.has(one.name), names.has(one.name), (library?.changed ?? []).includes(one.name));
+    update(card, { ...one, before: before[one.name] ?? 0 }, learnt.has(one.name), names.has(one.name), (library?.changed ?? []).includes(one.name));
     text(card.querySelector(".quality"), worded(known.get(one.name)));
   });
   sift(all);
@@ -73,11 +74,13 @@ function makeCard(name, manage) {
       make("button", leave, "Forget"), make("a", link, "Export"))] : []));
 }
 
-function update(card, { name, n_touches: count }, learnt, stored, changed) {
+function update(card, { name, n_touches: count, before }, learnt, stored, changed) {
   const state = !learnt ? count > 1 ? "not learnt yet" : "too few to learn"
     : changed ? "changed since it was learnt: learn again" : "learnt";
   const [, meta, thumbs] = card.children;
-  text(meta, stored ? `${count} touch${count === 1 ? "" : "es"}, ${state}` : `${state}; in the model alone, so it cannot be renamed`);
+  const counted = (number) => `${number} touch${number === 1 ? "" : "es"}`;
+  text(meta, stored ? `${counted(count)}${before ? ` here and ${before} from elsewhere` : ""}, ${state}`
+    : `${counted(before)} from elsewhere, ${state}; in the model alone, so it cannot be renamed`);
   show(thumbs, stored);
   const [renaming, , exporting] = card.querySelectorAll(".row > *");
   if (renaming) {

@@ -57,6 +57,8 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   show(find("lesson"), sensor !== null && lesson === null);
   if (lesson) showLesson(lesson);
   showButtons(library, model, learning, sensor);
+  show(find("given"), Boolean(model?.to_keep) && !lesson);
+  text(find("given"), model?.to_keep ? `Learn adds what is taught here to what ${model.file} knows, and writes that file anew. As it is now it stays as ${model.to_keep}.` : "");
   show(find("learn-error"), error !== "");
   text(find("learn-error"), error);
   show(find("advice"), advice.length > 0 && !lesson && !learning);
