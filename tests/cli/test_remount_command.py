@@ -90,7 +90,7 @@ def test_what_one_object_tells_is_said_to_be_believed_in_part(palpate, files):
     Touches.load(files / "tue.npz")[:1].save(files / "one.npz")
     done = palpate("remount", model, files / "one.npz", "-o", output)
     assert "By their labels, 1 touch tells what" in done.stdout
-    assert "tell of the others 25% is believed, as rehearsed sessions" in done.stdout
+    assert "tell of the others 25 % is believed, as rehearsed sessions" in done.stdout
     again = palpate("recognise", output, files / "tue.npz")
     assert "a few touches more, with labels; see palpate remount." in again.stdout
 

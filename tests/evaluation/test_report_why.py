@@ -152,10 +152,41 @@ def test_confused_pairs_are_of_two_objects_the_most_confused_first(result, tmp_p
                 "1 %, about 300 would"
             ),
         ),
-        (0, 0, "No episode ended with a name"),
+        (
+            0,
+            0,
+            (
+                "No episode ended with a name: of 50 with known objects 10 were called "
+                "unknown, and the others stayed undecided"
+            ),
+        ),
     ],
 )
 def test_what_the_episodes_say_of_new_objects_is_a_sentence(right, n_objects, sentence):
     """Where log(0.05) / log(0.99) = 299 objects without a mistake would show 1 %."""
     decision = {"right": right, "wrong": 0, "error": 0.01, "n_objects": n_objects}
-    assert bound_said({**decision, "can_be_verified": False}) == f"{sentence}."
+    decision |= {"can_be_verified": False, "refused": 10, "n_episodes": 50}
+    assert bound_said(decision) == f"{sentence}."
+
+
+def test_names_given_to_strangers_are_wrong_names():
+    decision = {"right": 91, "wrong": 2, "error": 0.01, "n_objects": 5}
+    decision |= {"can_be_verified": False, "refused": 3, "n_episodes": 100}
+    assert bound_said(decision, {"wrong": 20}) == (
+        "22 of 113 names were wrong, 20 of them given to strangers; strangers aside, 5 "
+        "named objects cannot prove an error of 1 %, about 300 would."
+    )
+    assert bound_said(decision, {"wrong": 0}) == bound_said(decision)
+    none = decision | {"right": 0, "wrong": 0, "refused": 0}
+    assert bound_said(none) == (
+        "No episode ended with a name: all 100 with known objects stayed undecided."
+    )
+    none |= {"refused": 100}
+    assert bound_said(none, {"wrong": 20}) == (
+        "20 of 20 names were wrong, 20 of them given to strangers; no known object was "
+        "named."
+    )
+    assert bound_said(none, {"wrong": 0}) == (
+        "No episode ended with a name: in all 100 episodes a known object was called "
+        "unknown."
+    )

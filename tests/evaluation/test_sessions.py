@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate, split_touches
+from palpate.evaluation import Plan, evaluate, other_day_said, split_touches
+from palpate.recognition import said_of_sessions
 
 CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
 MOVES = {"mon": np.zeros(8), "tue": np.array([6.0, -5, 4, 0, 7, -3, 5, 4])}
@@ -123,3 +124,23 @@ def test_what_is_expected_of_another_session_is_told(week):
     assert sessions["least"] == 1
     assert sessions["median"] == 2
     assert 0 < sessions["expected"] < figures["accuracy"]["1"]
+
+
+def test_where_sessions_were_asked_what_was_measured_is_expected(week):
+    figures, _ = evaluate(week, split="session", plan=PLAN)
+    right = 100 * figures["accuracy"]["1"]
+    assert other_day_said(figures) == (
+        "Each session was asked by those that learnt from the others alone: "
+        f"{right:.1f} % right after 1 touch is what to expect of another session."
+    )
+    assert figures["n_objects"] == {"1": 4, "3": 4}  # asked in two folds
+    train, test = visited("mon", 8, 0), visited("tue", 8, 1)
+    plan = Plan(touches=(3,), orders=4, remount="recentre")
+    elsewhere, _ = evaluate(train, test, plan=plan)
+    words = other_day_said(elsewhere)
+    assert words.startswith("The test touches are of sessions that did not teach: ")
+    assert words.endswith(
+        "right after 3 touches (remount recentre) is what to expect of another session."
+    )
+    here, _ = evaluate(train, split="last", plan=Plan(touches=(1,), orders=4))
+    assert other_day_said(here) == said_of_sessions(here["sessions"])

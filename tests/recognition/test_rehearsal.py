@@ -177,7 +177,7 @@ def test_what_to_expect_of_another_day_is_said(both):
     low, high = across["rehearsed"]
     assert 0 <= low <= high <= 1
     sentence = said_of_sessions(across)
-    assert f"expect about {100 * low:.0f} to {100 * high:.0f}% right" in sentence
+    assert f"expect about {100 * low:.0f} to {100 * high:.0f} % right" in sentence
     # Nothing was rehearsed: nothing is promised.
     assert "rehearsed" not in across_sessions(plain)
     assert "how much less" in said_of_sessions(across_sessions(plain))
@@ -208,7 +208,7 @@ def test_what_confirming_is_expected_to_bring_is_said(both):
     assert 0 <= low <= high <= 1
     words = said_of_sessions(across_sessions(both[1]))
     ends = dict.fromkeys((f"{100 * low:.0f}", f"{100 * high:.0f}"))  # "100", if alike
-    assert f"({' to '.join(ends)}% with one confirmed touch of each)" in words
+    assert f"({' to '.join(ends)} % with one confirmed touch of each)" in words
     there = copy(both[1]).remount(_presses(1, 4)[:3])
     assert there.chosen_["remount"]["confirm"] == ["ring"]
     assert there.chosen_["remount"]["expected"] == [low, high]

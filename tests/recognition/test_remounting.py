@@ -666,6 +666,26 @@ def test_what_training_says_of_another_day(taught):
     assert lost["expected"] < 0.7  # of three
 
 
+def test_a_session_that_is_asked_chose_nothing_but_the_encoding(monkeypatch):
+    """Machines choose widths and ridges without it, by blocks of what is left."""
+    days = [_session(0, 6, 0, "one"), _session(OFFSET / 3, 6, 1, "two")]
+    learnt = ObjectRecogniser().fit(Touches.concatenate(days))
+    chosen, fit = [], type(learnt.classifier_).fit
+
+    def watched(machine, X, y, groups=None):
+        chosen.append((np.asarray(X), np.asarray(y), np.asarray(groups)))
+        return fit(machine, X, y, groups)
+
+    monkeypatch.setattr(type(learnt.classifier_), "fit", watched)
+    across_sessions(learnt)
+    memory = learnt.memory_
+    assert len(chosen) == 2
+    for (taught, labels, groups), asked in zip(chosen, ("one", "two"), strict=True):
+        assert np.array_equal(taught, memory.features[memory.sessions != asked])
+        for name in np.unique(labels):
+            assert len(np.unique(groups[labels == name])) > 1
+
+
 def test_what_training_says_of_another_day_in_words():
     assert said_of_sessions({"least": 1, "median": 1.0, "asked": 0}) == (
         "Taught in 1 session an object, and none in two: on another day, or mounted "
@@ -674,8 +694,8 @@ def test_what_training_says_of_another_day_in_words():
     )
     told = {"least": 3, "median": 3.0, "asked": 40, "expected": 0.756}
     assert said_of_sessions(told) == (
-        "Taught in 3 sessions an object: expect 76% right after one touch in another "
-        "one (40 touches of sessions left out whole)."
+        "Taught in 3 sessions an object: expect about 76 % right after one touch in "
+        "another one (40 touches of sessions left out whole)."
     )
 
 
@@ -705,9 +725,9 @@ def rimmed():
         ((0, 0), 27.0, None),
         # Three hundredths of the radius are 0.8 pixels.
         ((0.0, 0.4), 27.0, None),
-        ((3, -4), 24.0, "5 pixels from where it was learnt, and is 11% smaller"),
+        ((3, -4), 24.0, "5 pixels from where it was learnt, and is 11 % smaller"),
         ((-1.5, 0), 27.0, "pixels from where it was learnt, and is"),
-        ((0, 0), 29.0, "0 pixels from where it was learnt, and is 7% larger"),
+        ((0, 0), 29.0, "0 pixels from where it was learnt, and is 7 % larger"),
     ],
 )
 def test_a_rim_that_lies_elsewhere_is_told(rimmed, moved, radius, said):

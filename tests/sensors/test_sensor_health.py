@@ -157,7 +157,8 @@ def test_one_frame_in_a_hundred_may_be_lost(rng, n_lost, told):
     found = health(some)
     assert found["figures"]["lost"] == pytest.approx(n_lost / 600)
     assert (
-        any("1.3% of the frames are lost" in said for said in found["findings"]) == told
+        any("1.3 % of the frames are lost" in said for said in found["findings"])
+        == told
     )
 
 
@@ -255,7 +256,7 @@ def test_a_baseline_is_judged_by_what_touches_change(presses):
     rms = np.median(np.sqrt((presses**2).mean((1, 2))))
     assert memory.touch_change == pytest.approx(rms)
     assert baseline_warning(memory, np.full((6, 6), 0.24 * rms)) == ""
-    assert "by 26% of what" in baseline_warning(memory, np.full((6, 6), 0.26 * rms))
+    assert "by 26 % of what" in baseline_warning(memory, np.full((6, 6), 0.26 * rms))
     assert "6 x 6 taxels, this one has 5 x 5" in baseline_warning(
         memory, np.zeros((5, 5))
     )

@@ -293,7 +293,7 @@ def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:
 
 
 def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
-    from ..evaluation import html_table, report_page
+    from ..evaluation import html_table, report_page, worded
 
     title = f"{checked['touches']}: {counted(checked['n_touches'], 'touch', 'touches')}"
     parts = [f"<h1>{escape(title)}</h1>"]
@@ -303,8 +303,8 @@ def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
         *checked["notes"],
         *_alone_lines(checked["alone"]),
     ]
-    parts += [f"<p>{escape(line)}</p>" for line in lines if line]
-    advice = "".join(f"<li>{escape(line)}</li>" for line in checked["advice"])
+    parts += [f"<p>{worded(line)}</p>" for line in lines if line]
+    advice = "".join(f"<li>{worded(line)}</li>" for line in checked["advice"])
     parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
     if checked["bad"]:
         rows = _rows(checked["bad"])

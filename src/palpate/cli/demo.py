@@ -60,7 +60,8 @@ def demo(
     if not (pictures or as_json):
         say(
             "A simulated arm touches six objects to learn them, 120 times each; then "
-            f"it names things, at an accepted error of {ERROR:.0%}. A minute or two."
+            f"it names things, at an accepted error of {100 * ERROR:.0f} %. A minute "
+            "or two."
         )
     folder.mkdir(parents=True, exist_ok=True)
     report = check_report_path(folder / "report.html")

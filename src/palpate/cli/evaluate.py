@@ -118,7 +118,6 @@ def in_options(figures: dict[str, Any]) -> dict[str, Any]:
 def print_figures(figures: dict[str, Any]) -> None:
     """Print the figures of an evaluation, and what they are worth, for people."""
     from .. import evaluation
-    from ..recognition import said_of_sessions
 
     title = (
         f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "
@@ -136,10 +135,11 @@ def print_figures(figures: dict[str, Any]) -> None:
     for flag, share in figures["flags"].items():
         say(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
     table(*evaluation.decision_table(figures))
-    say(evaluation.bound_said(figures["decision"]))
+    ends = figures["decision"], figures.get("unknown_decision")
+    say(evaluation.bound_said(*ends))
     for sentence in evaluation.as_good_alone(figures):
         say(sentence)
-    say(said_of_sessions(figures["sessions"]))
+    say(evaluation.other_day_said(figures))
     if gone := figures["left_out"]:
         names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
         say(f"Left out, met in no other {figures['split']}: {len(gone)} ({names}).")

@@ -81,13 +81,13 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         way = "their labels"
     sentences.append(
         f"By {way}, {n} touch{'es tell' if n > 1 else ' tells'} what this session does "
-        f"to all: it is taken off, {values['moved']:.0%} of the variance of training "
-        "touches."
+        f"to all: it is taken off, {100 * values['moved']:.0f} % of the variance of "
+        "training touches."
     )
     if values.get("trust", 1) < 1:
         sentences.append(
-            f"Of what so few objects tell of the others {values['trust']:.0%} is "
-            "believed, as rehearsed sessions say: confirm touches of more objects."
+            f"Of what so few objects tell of the others {100 * values['trust']:.0f} % "
+            "is believed, as rehearsed sessions say: confirm touches of more objects."
         )
     if values.get("weight", 1) < 1:
         sentences.append(
@@ -112,7 +112,7 @@ def _what_to_confirm(values: dict[str, Any]) -> list[str]:
     if "expected" in values:
         low, high = (100 * share for share in values["expected"])
         sentences.append(
-            f"With one of each, about {low:.0f} to {high:.0f}% were right after one "
+            f"With one of each, about {low:.0f} to {high:.0f} % were right after one "
             "touch in rehearsed sessions."
         )
     return sentences

@@ -24,7 +24,9 @@ from ._report import decision_table as decision_table
 from ._report import explained_episodes as explained_episodes
 from ._report import figure_lines as figure_lines
 from ._report import html_table as html_table
+from ._report import other_day_said as other_day_said
 from ._report import report_page as report_page
+from ._report import worded as worded
 from ._report import write_report
 from ._splits import PROTOCOLS as PROTOCOLS
 from ._splits import SPLITS as SPLITS

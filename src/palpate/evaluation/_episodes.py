@@ -39,6 +39,11 @@ class Episodes:
         enough = [(t, b[:, k - 1]) for t, b in pairs if b.shape[1] >= k]
         return [t for t, _ in enough], [b for _, b in enough]
 
+    def objects_after(self, k: int) -> set[str]:
+        """Return the objects with at least `k` touches."""
+        pairs = zip(self.objects, self.beliefs, strict=True)
+        return {name for name, b in pairs if b.shape[1] >= k}
+
     def unknown_after(self, k: int) -> Floats:
         """Return the evidence for strangers after `k` touches, of all objects."""
         if k == 1 and self.singles is not None:

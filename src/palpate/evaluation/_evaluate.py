@@ -31,6 +31,7 @@ from ._comparisons import (
 from ._episodes import Episodes, run_episodes
 from ._splits import (
     SPLITS,
+    VISITS,
     Fold,
     column_of,
     draw_touches,
@@ -46,6 +47,10 @@ _GOOD, _FAIR = 0.95, 0.8
 # number of training touches, at which something is worth saying.
 _IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES, _FEW_TOUCHES = 0.1, 0.05, 1 / 3, 20
 _ENOUGH_TOUCHES = 60
+# Of fewer things than this every stranger resembles one; strangers that are expected.
+_FEW_LABELS, _MANY_STRANGERS = 6, 0.2
+# From this on a tenth of an accepted error is worth asking for.
+_LEAST_ERROR = 1e-4
 
 Progress = Callable[[str], None]
 N_TIMED = 100
@@ -292,22 +297,44 @@ def _controls(
     return result
 
 
+def strangers_said(figures: dict[str, Any]) -> str:
+    """Return how many strangers were given a name, as a sentence; "" without any."""
+    if (ends := figures.get("unknown_decision")) is None:
+        return ""
+    n_named, n_episodes = ends["wrong"], ends["n_episodes"]
+    return (
+        f"Things that were never learnt were given a name in {n_named} of {n_episodes} "
+        "episodes."
+    )
+
+
 def verdict(figures: dict[str, Any]) -> str:
-    """Return one sentence: whether this is good, and why."""
+    """Return whether this is good, and why; of strangers too, where there were any."""
+    return f"{_verdict(figures)} {strangers_said(figures)}".rstrip()
+
+
+def _too_many_named(figures: dict[str, Any]) -> bool:
+    """Return whether more strangers were named than the accepted error."""
+    ends = figures.get("unknown_decision")
+    return ends is not None and bool(ends["wrong"] > ends["error"] * ends["n_episodes"])
+
+
+def _verdict(figures: dict[str, Any]) -> str:
+    """Return one sentence: whether known objects are told apart well, and why."""
     accuracy = figures["accuracy"]
     if not accuracy:
         return "Nothing can be said: no object has as many test touches as asked for."
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
-    after = f"{right:.0%} right after {last} touch{'es' * (last != '1')}"
-    beside, k = f"chance is {chance:.0%}", telling(figures)
+    after = f"{100 * right:.0f} % right after {last} touch{'es' * (last != '1')}"
+    beside, k = f"chance is {100 * chance:.0f} %", telling(figures)
     alone = {name: v[k] for name, v in figures["controls"].items() if v and k in v}
     alone.pop("no contact", None)
     if alone:
         best = max(alone, key=lambda name: alone[name])
-        reached = f"{alone[best]:.0%}"
+        reached = f"{100 * alone[best]:.0f} %"
         if k != last:
-            after += f" ({accuracy[k]:.0%} after {k})"
+            after += f" ({100 * accuracy[k]:.0f} % after {k})"
             reached += f" after {k}"
         beside += f", and {best} alone, which is no touch, {reached}"
         if alone[best] >= accuracy[k] and right > 1.5 * chance:
@@ -317,9 +344,10 @@ def verdict(figures: dict[str, Any]) -> str:
             )
     if right <= 1.5 * chance:
         return f"Not better than guessing: {after}, where {beside}."
-    if right >= _GOOD:
-        return f"Good: {after}, where {beside}."
-    return f"{'Fair' if right >= _FAIR else 'Not good yet'}: {after}, where {beside}."
+    good = "Good" if right >= _GOOD else "Fair" if right >= _FAIR else "Not good yet"
+    if _too_many_named(figures):
+        good += " with known objects alone"
+    return f"{good}: {after}, where {beside}."
 
 
 def recommendations(figures: dict[str, Any], trials: Sequence[Trial]) -> list[str]:
@@ -339,23 +367,19 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     idle = figures["flags"].get("no contact", 0.0)
     if idle >= _IDLE_SHARE:
         yield (
-            f"{idle:.0%} of the test touches are without contact, and not counted: "
-            "press until the picture changes, or record with a higher `begin`."
+            f"{100 * idle:.0f} % of the test touches are without contact, and not "
+            "counted: press until the picture changes, or record with a higher `begin`."
         )
     if best > 1.5 * figures["chance"] and as_good_alone(figures):
         yield (
             "What is no touch does as well as touch: record objects in turns, mount "
             "the sensor anew in between, and evaluate with `split=session`."
         )
-    few = Counter(trials[0].recogniser.memory_.labels.tolist())
-    name, least = min(few.items(), key=lambda item: item[1])
-    if best < _GOOD and least < _FEW_TOUCHES:
-        yield (
-            f"{name} was taught with {least} touch{'es' * (least > 1)}: give every "
-            f"{figures['label']} {_ENOUGH_TOUCHES}, all over it."
-        )
-    elsewhere = figures["split"] in ("session", "subject") or trials[0].fold.elsewhere
-    confirming = _confirming(figures, trials[0])
+    elsewhere = figures["split"] in VISITS or trials[0].fold.elsewhere
+    yield from _of_unknown(figures, elsewhere)
+    if best < _GOOD and (few := _taught_little(figures["label"], trials[0])):
+        yield f"{few}: give every {figures['label']} {_ENOUGH_TOUCHES}, all over it."
+    confirming = _confirming(figures, trials[0], measured=elsewhere)
     if elsewhere and best < _GOOD and figures["remount"] == "none":
         yield (
             "Another mounting costs accuracy: try `remount=recentre:10`, which gets "
@@ -371,21 +395,74 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if pair := _confused(int(last), trials):
         true, taken, share = pair
         yield (
-            f"{share:.0%} of the mistakes are {true} taken for {taken}: touch them "
-            "where they differ, or give both one name if nobody needs them apart."
+            f"{100 * share:.0f} % of the mistakes are {true} taken for {taken}: touch "
+            "them where they differ, or give both one name if nobody needs them apart."
         )
-    if gained := _gained(accuracy):
+    # Where strangers are named, touching until it decides names more of them.
+    if not _too_many_named(figures) and (gained := _gained(accuracy)):
         before, after = gained
         yield (
-            f"More touches help: {accuracy[before]:.0%} right after {before}, "
-            f"{accuracy[after]:.0%} after {after}. Let it touch until it decides."
+            f"More touches help: {100 * accuracy[before]:.0f} % right after {before}, "
+            f"{100 * accuracy[after]:.0f} % after {after}. Let it touch until it "
+            "decides."
         )
 
 
-def _confirming(figures: dict[str, Any], trial: Trial) -> str:
+def _of_unknown(figures: dict[str, Any], elsewhere: bool) -> Iterator[str]:
+    """Yield what to do where known things are unknown, or strangers are named."""
+    ends = figures.get("decision", {})
+    if ends and ends["refused"] > ends["n_episodes"] / 2:
+        again = ""
+        if elsewhere and figures["remount"] == "none":
+            again = " or try `remount=recentre:10`"
+        yield (
+            f"In {ends['refused']} of {ends['n_episodes']} episodes a known object was "
+            "called unknown: its touches are unlike those that taught it. Teach it as "
+            f"it is touched now{again}; where nothing else can come, say `strangers=0`."
+        )
+    if not _too_many_named(figures):
+        return
+    ends = figures["unknown_decision"]
+    todo = []
+    if (n_labels := figures["n_labels"]) < _FEW_LABELS:
+        todo.append(f"teach more than {n_labels} things, {_FEW_LABELS} are a start")
+    if ends["strangers"] < _MANY_STRANGERS:
+        todo.append(f"expect more strangers (`strangers={_MANY_STRANGERS}`)")
+    if ends["error"] >= _LEAST_ERROR:
+        todo.append(f"accept fewer wrong names (`error={ends['error'] / 10:g}`)")
+    if not todo:
+        return
+    yield (
+        f"In {ends['wrong']} of {ends['n_episodes']} episodes a stranger was given a "
+        f"name: {'; '.join(todo)}. Each makes that rarer, none impossible, "
+        "and takes more touches."
+    )
+
+
+def _taught_little(label: str, trial: Trial) -> str:
+    """Return which labels were taught with few touches, as a clause; "" if none."""
+    counts = Counter(trial.recogniser.memory_.labels.tolist())
+    few = {name: n for name, n in counts.items() if n < _FEW_TOUCHES}
+    if not few:
+        return ""
+    least, most = min(few.values()), max(few.values())
+    touches = f"{least} to {most} touches"
+    if least == most:
+        touches = f"{least} touch{'es' * (least > 1)}"
+    if len(few) == 1:
+        return f"{next(iter(few))} was taught with {touches}"
+    if len(few) < len(counts):
+        return f"{len(few)} of {len(counts)} {label} labels were taught with {touches}"
+    if least == most:
+        return f"Every {label} was taught with {touches}"
+    return f"All {len(few)} {label} labels were taught with {touches}"
+
+
+def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str:
     """Return what confirmed touches are expected to bring, and of which objects.
 
-    "" where sessions were not rehearsed, or the middle of the range grows too little.
+    Nothing is promised where another session was `measured`. "" where sessions were
+    not rehearsed, or the middle of the range grows too little.
     """
     sessions = figures["sessions"]
     if "confirmed" not in sessions:
@@ -397,10 +474,15 @@ def _confirming(figures: dict[str, Any], trial: Trial) -> str:
     left = remount.get("confirm") or trial.recogniser.classes_.tolist()
     more = f" and {len(left) - _MOST} more" if len(left) > _MOST else ""
     low, high, low_after, high_after = (f"{100 * x:.0f}" for x in (*before, *after))
-    return (
+    confirm = (
         f" In another session confirm a touch of each {figures['label']} "
-        f"({', '.join(left[:_MOST])}{more}): expect about {low_after} to {high_after}% "
-        f"right after one touch, not {low} to {high}%."
+        f"({', '.join(left[:_MOST])}{more})"
+    )
+    if measured:
+        return f"{confirm}."
+    return (
+        f"{confirm}: expect about {low_after} to {high_after} % right after one touch, "
+        f"not {low} to {high} %."
     )
 
 

@@ -4,6 +4,7 @@ It says why the recogniser answered as it did: beside each touch that moved the 
 stand the training touches that it resembles.
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
 from math import ceil, log, log1p
@@ -19,6 +20,7 @@ from ..touches import Touches, as_shown, png_address
 from . import plots
 from ._comparisons import as_good_alone
 from ._episodes import Decisions, decide_episodes
+from ._evaluate import strangers_said
 from ._trial import Trial, calibration_bins, scored, spread
 
 EXAMPLES = 6
@@ -28,10 +30,11 @@ PICTURES_PER_PAIR = 4
 EPISODES, WRONG = 6, 4
 MOVED, NEAREST = 3, 3
 SMALL_SIDE = 72
+_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 PAGE_STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;background:#fff;
 max-width:62rem;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
+code{white-space:nowrap;font:inherit}h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
 table{border-collapse:collapse}
 td,th{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #dde3e8}
 td:first-child,th:first-child{text-align:left}
@@ -98,6 +101,7 @@ def write_report(
         `path` does not end in `.html`, or its folder is not there.
     """
     target = check_report_path(path)
+    ends = figures["decision"], figures.get("unknown_decision")
     sections = [
         _head(figures),
         _accuracy(figures, trials),
@@ -106,7 +110,7 @@ def write_report(
         ),
         _recommended(figures.get("recommendations", ())),
         _ends(figures),
-        f"<p class=note>{bound_said(figures['decision'])}</p>",
+        f"<p class=note>{bound_said(*ends)}</p>",
         _confusion(figures, trials),
         _explanations(figures, trials),
         _examples(trials),
@@ -125,8 +129,13 @@ def _ends(figures: dict[str, Any]) -> str:
 
 
 def _recommended(sentences: Sequence[str]) -> str:
-    lines = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
+    lines = "".join(f"<li>{worded(sentence)}</li>" for sentence in sentences)
     return f"<h2>What to do now</h2><ul>{lines}</ul>" if lines else ""
+
+
+def worded(sentence: str) -> str:
+    """Return a sentence as HTML, in which options do not break after their dashes."""
+    return _OPTION.sub(r"<code>\g<0></code>", escape(sentence))
 
 
 def report_page(title: str, sections: Sequence[str]) -> str:
@@ -205,22 +214,59 @@ def _ended(decision: dict[str, Any]) -> list[str]:
     return [*cells, as_text(decision["mean_touches"])]
 
 
-def bound_said(decision: dict[str, Any]) -> str:
-    """Return what the episodes that ended say of new objects, as a sentence."""
-    n_named = decision["right"] + decision["wrong"]
+def bound_said(
+    decision: dict[str, Any], strangers: dict[str, Any] | None = None
+) -> str:
+    """Return what the episodes that ended say of new objects, as a sentence.
+
+    `decision` is of known objects, `strangers` of things that were never learnt: every
+    name that one of these was given is wrong.
+    """
+    n_named, n_wrong = decision["right"] + decision["wrong"], decision["wrong"]
+    n_strangers = strangers["wrong"] if strangers else 0
+    if not n_named + n_strangers:
+        n_episodes, n_refused = decision["n_episodes"], decision["refused"]
+        if n_refused == n_episodes:
+            ends = f"in all {n_episodes} episodes a known object was called unknown"
+        elif not n_refused:
+            ends = f"all {n_episodes} with known objects stayed undecided"
+        else:
+            ends = f"of {n_episodes} with known objects {n_refused} were called unknown"
+            ends += ", and the others stayed undecided"
+        return f"No episode ended with a name: {ends}."
+    counts = f"{n_wrong + n_strangers} of {n_named + n_strangers} names were wrong"
+    if n_strangers:
+        counts += f", {n_strangers} of them given to strangers"
     if not n_named:
-        return "No episode ended with a name."
-    counts = f"{decision['wrong']} of {n_named} names were wrong"
+        return f"{counts}; no known object was named."
     error, n_objects = decision["error"], decision["n_objects"]
+    aside = "strangers aside, " if n_strangers else ""
     if decision["can_be_verified"]:
         return (
-            f"{counts}; of new objects like these {n_objects} at most "
+            f"{counts}; {aside}of new objects like these {n_objects} at most "
             f"{as_text(decision['bound'], 100)} % would be (95 % confidence)."
         )
     n_needed = ceil(log(0.05) / log1p(-error))
     return (
-        f"{counts}; {n_objects} named object{'s' * (n_objects != 1)} cannot prove an "
-        f"error of {100 * error:g} %, about {about(n_needed)} would."
+        f"{counts}; {aside}{n_objects} named object{'s' * (n_objects != 1)} cannot "
+        f"prove an error of {100 * error:g} %, about {about(n_needed)} would."
+    )
+
+
+def other_day_said(figures: dict[str, Any]) -> str:
+    """Return what to expect on another day: as measured, where that was asked."""
+    accuracy = figures["accuracy"]
+    if not (figures["elsewhere"] and accuracy):
+        return said_of_sessions(figures["sessions"])
+    split, (k, *_) = figures["split"], accuracy
+    asked = "The test touches are of sessions that did not teach"
+    if split:
+        asked = f"Each {split} was asked by those that learnt from the others alone"
+    used = figures["remount"]
+    return (
+        f"{asked}: {as_text(accuracy[k], 100)} % right after {k} "
+        f"touch{'es' * (k != '1')}{f' (remount {used})' * (used != 'none')} is what "
+        f"to expect of another {split or 'session'}."
     )
 
 
@@ -260,7 +306,7 @@ def _head(figures: dict[str, Any]) -> str:
         f"{figures['orders']} random orders of each object's touches.<br>"
         f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
         f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
-        f"{findings}<br>{escape(said_of_sessions(figures['sessions']))}</span></p>"
+        f"{findings}<br>{escape(other_day_said(figures))}</span></p>"
     )
 
 
@@ -299,11 +345,12 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     order = np.argsort(off, axis=None)[::-1][:PAIRS].tolist()
     pairs = [divmod(place, len(names)) for place in order if off.flat[place] > 0]
     shown = "".join(_pair(trials, names, pair, off[pair]) for pair in pairs)
+    none = "No learnt label was ever taken for another."
     return (
         f"<h2>What is taken for what, after {k} touch{'es' * (k > 1)}</h2>"
         + plots.confusion_plot(confusion, names)
         + "<h2>Most confused pairs</h2>"
-        + (shown or "<p>No label was ever taken for another.</p>")
+        + (shown or f"<p>{none} {strangers_said(figures)}</p>")
     )
 
 

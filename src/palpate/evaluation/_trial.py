@@ -25,7 +25,7 @@ from ..recognition import (
     check_strangers,
 )
 from ._episodes import Decisions, Episodes, Scores, decide_episodes
-from ._splits import Fold
+from ._splits import VISITS, Fold
 
 # Distances of centroids below this share of the touches' extent are rounding.
 _ROUNDING = 1e-14
@@ -156,6 +156,7 @@ def figures_of(
         "split": split,
         "n_folds": len(trials),
         "left_out": list(trials[0].fold.left_out),
+        "elsewhere": split in VISITS or all(t.fold.elsewhere for t in trials),
         "remount": plan.remount,
         "sessions": across_sessions(first),
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
@@ -203,7 +204,8 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     key, over = str(k), over_objects if len(of_folds) == 1 else per_fold
     figures["accuracy"][key] = float(np.mean(per_fold))
     figures["accuracy_sd"][key] = float(spread(over))
-    figures["n_objects"][key] = len(over_objects)
+    enough = [t.episodes.objects_after(k) for t in trials]
+    figures["n_objects"][key] = len(set().union(*enough))
     figures["log_loss"][key] = float(np.mean(together(of_folds, "log_loss")))
     before = [t.uncalibrated.scores(k) for t in trials if t.uncalibrated is not None]
     there = [scores for scores in before if scores is not None]

@@ -20,6 +20,8 @@ INK = "#1f2933"
 # Apart for the colour-blind too, in this order; the site's pictures have the same.
 COLOURS = ("#0b6e8a", "#d55e00", "#e0a100", "#6b4e9b", "#5a6572", "#7fb8a4")
 OURS, CONTROLS = COLOURS[0], COLOURS[1:5]
+# Inches: two beside each other in a window, and text of one size on a phone.
+SIDE_BY_SIDE = 4.1, 3.7
 
 
 def require_matplotlib() -> None:
@@ -32,7 +34,7 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
 
     `curve` and `spread` hold mean and standard deviation after 1, 2, 3... touches.
     """
-    figure, ((axes,),) = panels(1, 1, (5.7, 3.7))
+    figure, ((axes,),) = panels(1, 1, SIDE_BY_SIDE)
     touches = np.arange(1, len(curve) + 1)
     low, high = np.clip(curve - spread, 0, 1), np.clip(curve + spread, 0, 1)
     axes.fill_between(touches, 100 * low, 100 * high, color=OURS, alpha=0.15, lw=0)
@@ -63,7 +65,7 @@ def whole_ticks(last: int) -> list[int]:
 
 def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
     """Return share right against belief, one line per number of touches."""
-    figure, ((axes,),) = panels(1, 1, (3.9, 3.7))
+    figure, ((axes,),) = panels(1, 1, SIDE_BY_SIDE)
     axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     shades = np.linspace(0.35, 1.0, max(1, len(bins)))
     for shade, (name, (means, shares, _)) in zip(shades, bins.items(), strict=True):

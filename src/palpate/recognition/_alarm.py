@@ -334,6 +334,6 @@ def rim_moved(encoder: AnyEncoder, touches: Touches) -> list[str]:
     larger = there.rim_radius_ / crop.rim_radius_ - 1
     if max(away / crop.rim_radius_, abs(larger)) <= RIM_MOVED:
         return []
-    size = f"{abs(larger):.0%} {'larger' if larger > 0 else 'smaller'}"
+    size = f"{100 * abs(larger):.0f} % {'larger' if larger > 0 else 'smaller'}"
     where = f"{away:.0f} pixels from where it was learnt"
     return [f"The rim lies {where}, and is {size}."]

@@ -235,7 +235,7 @@ def said_of_rehearsal(rehearsal: dict[str, Any]) -> str:
     if not rehearsal["share"]:
         return f"invented sessions (another day, light or mounting) do not help, {by}"
     learnt = "what was learnt from invented sessions (another day, light or mounting)"
-    return f"{learnt} counts {rehearsal['share']:.0%}, {by}"
+    return f"{learnt} counts {100 * rehearsal['share']:.0f} %, {by}"
 
 
 def _rows(memory: Memory) -> Indices:

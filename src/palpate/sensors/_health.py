@@ -92,7 +92,7 @@ def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
     if off <= _BASELINE_TOLERANCE * memory.touch_change:
         return ""
-    share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
+    share = f"{100 * off / memory.touch_change:.0f} %" if memory.touch_change else "all"
     return (
         f"At rest the sensor differs from when the model learnt by {share} of what a "
         "touch changes. Check how it is mounted and lit, or learn again."
@@ -193,11 +193,13 @@ def _findings(
         f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
         f"Rest drifted by {drift:.3g} in {duration_s:.0f} s; a touch ends at "
         f"{limit:.3g}. Let it warm up, or take the baseline often.": drift > limit,
-        f"Rows share {by_row:.0%} and columns {by_col:.0%} of their noise: crosstalk, "
-        "or an unsteady supply.": max(by_row, by_col) > _SHARED,
+        f"Rows share {100 * by_row:.0f} % and columns {100 * by_col:.0f} % of "
+        "their noise: crosstalk, or an unsteady supply.": max(by_row, by_col) > _SHARED,
         f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
         f"{usual_ms:.0f}: something holds it up.": late_ms > _LATE * usual_ms,
-        f"{figures['lost']:.1%} of the frames are lost.": figures["lost"] > _LOST,
+        f"{100 * figures['lost']:.1f} % of the frames are lost.": (
+            figures["lost"] > _LOST
+        ),
     }
     return [finding for finding, is_wrong in signs.items() if is_wrong]
 
