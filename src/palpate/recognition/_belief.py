@@ -18,7 +18,14 @@ from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
 from ._pictures import belief_in_html, draw_belief
 from ._senses import Modality
-from ._sentences import OTHER_SESSION, Promise, n_touches_of, sentence_of, share_of
+from ._sentences import (
+    OTHER_SESSION,
+    Promise,
+    counts,
+    n_touches_of,
+    sentence_of,
+    share_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -499,7 +506,8 @@ class Belief:
         decision = self.named(error, costs, refusal=refusal, level=level)
         probability = 0.0 if decision is None else self.probability(decision)
         named = None if decision is None else (*decision, probability)
-        return sentence_of(self.posterior, self.unknown, self.touches_used, named)
+        n_counted = sum(map(counts, self.flags))
+        return sentence_of(self.posterior, self.unknown, n_counted, named)
 
     def probability(self, decision: Named) -> float:
         """Return the probability of what was decided."""

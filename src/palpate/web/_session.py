@@ -131,6 +131,7 @@ class LiveSession:
         self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
         self._n_elsewhere: dict[str, int] = {}
+        self._silent: set[str] = set()
         can_teach = self.teacher is not None
         self.episode = LiveEpisode(1, None, self.accepted, can_teach=can_teach)
         self.learning, self.learn_error = False, ""
@@ -439,6 +440,9 @@ class LiveSession:
                 "episode": self.episode.to_dict(),
                 "nearest": self.episode.nearest,
                 "quality": self._quality,
+                "no_contact": sorted(
+                    self._silent | (teacher.silent if teacher else set())
+                ),
                 "advice": self.advice,
                 "learning": self.learning,
                 "unlearnt": self.unlearnt,
@@ -494,9 +498,11 @@ class LiveSession:
             self.recogniser, self._stored_ids = recogniser, ids
             self._top_view = None if recogniser is None else self._view_of(recogniser)
             self._met, self._n_met, self.alarm = [], 0, ""
-            self._quality, self._n_elsewhere = quality, {}
+            self._quality, self._n_elsewhere, self._silent = quality, {}, set()
             if recogniser is not None:
                 memory = recogniser.memory_
+                nothing = memory.nothing & (not recogniser.uses_no_contact_)
+                self._silent = set(memory.touch_ids[nothing].tolist()) & ids
                 names = memory.labels[~np.isin(memory.touch_ids, list(ids))]
                 counted = np.unique(names.astype(str), return_counts=True)
                 self._n_elsewhere = dict(

@@ -97,23 +97,25 @@ function showButtons(library, model, learning, sensor) {
   text(find("why-not"), why.join(" "));
 }
 
-async function showLesson({ name, wanted, done, map, n_new: differ, prompt }) {
-  text(find("progress-text"), `Touch ${name}: ${done} of ${wanted} are stored.`);
+async function showLesson({ name, wanted, done, stored, no_contact: silent, map, n_new: differ, prompt }) {
+  text(find("progress-text"), `Touch ${name}: ${done} of ${wanted} are stored.` + (silent.length ? ` ${silent.length} more without contact.` : ""));
   find("bar").max = wanted;
   find("bar").value = done;
   show(find("elsewhere"), prompt !== "");
   text(find("elsewhere"), prompt);
-  showVariety(map, done, differ);
+  showVariety(map, stored, differ);
   const list = find("lesson-strip");
-  const now = `${name} ${done}`;
+  const now = `${name} ${stored} ${silent}`;
   if (list.dataset.shown === now) return;
   list.dataset.shown = now;
-  const few = Math.min(SHOWN, done);
+  const few = Math.min(SHOWN, stored);
   const ids = few ? await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${few}`) : [];
   if (!ids || list.dataset.shown !== now) return;
   const like = new Map(map.map((one) => [one.number, one.like ? `${one.number} ≈ ${one.like}` : String(one.number)]));
-  pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${done - few + at + 1} of ${name}`,
-    label: like.get(done - few + at + 1), src: url(`touches/${id}/picture`), open: () => openStored(id, name, find("stop")) })));
+  const first = stored - few + 1;
+  const about = (number) => silent.includes(number) ? `${number} no contact` : like.get(number);
+  pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${first + at} of ${name}`,
+    label: about(first + at), src: url(`touches/${id}/picture`), open: () => openStored(id, name, find("stop")) })));
 }
 
 // A dot for each touch that differs from those before it, with how many are like it.
