@@ -10,6 +10,8 @@ from palpate.library import LibraryError, TouchLibrary
 from palpate.sensors import DetectedTouch
 from palpate.web import LearningError, LiveSession
 
+from .conftest import waited
+
 
 def _detected(image):
     return DetectedTouch(image, began_s=0.0, ended_s=0.1, change=9.0, n_frames=3)
@@ -171,16 +173,31 @@ def test_what_changed_stays_so_where_learning_fails(folder, monkeypatch):
 
 
 def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
-    make_session, folder
+    make_session, folder, drawn
 ):
     with make_session(library=folder) as session:
         session.place("disc")
         session.teach("bar", 8)
     with make_session(library=folder) as session:
         session.place("disc")
+        assert waited(lambda: session.watch.detector.touching)
+        began_s = time.monotonic()
         session.resume_teaching()
         assert session.watch.sensor.placed == "bar"
+        # The touch under way, and what waits to be handed on, is of the disc.
+        image, n_stored = drawn.images[0], session.teacher.library.count()
+        session._taken(DetectedTouch(image, began_s, began_s, 9.0, 3), 0.0)
+        assert session.teacher.library.count() == n_stored
         session.stop_teaching()
+    with make_session(library=folder) as session:
+        session.teach("my own bar", 8)
+    with make_session(library=folder) as session:
+        session.place("disc")
+        session.resume_teaching()
+        assert session.watch.sensor.placed is None
+        assert (
+            session.message == "Choose what my own bar is: nothing is on the desk now."
+        )
 
 
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):

@@ -399,6 +399,28 @@ def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path
         assert len({*letters}) == len(letters) == 6
 
 
+def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
+    page, make_session, serving
+):
+    session = make_session()
+    session.place("disc")
+    session.watch.sensor.rate_hz = 60.0
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#mixed")).to_be_hidden()
+        page.fill("#name", "bar")
+        expect(page.locator("#mixed")).to_contain_text("On the desk lies disc")
+        page.press("#name", "Enter")
+        expect(page.locator("#confirm")).to_contain_text("Before the sensor lies disc")
+        page.get_by_role("button", name="Cancel").click()
+        assert session.teacher.lesson is None
+        page.fill("#name", "my disc")  # what people call it is their affair
+        expect(page.locator("#mixed")).to_be_hidden()
+        page.fill("#name", "bar")
+        page.select_option("#placed", "bar")
+        expect(page.locator("#mixed")).to_be_hidden()
+
+
 def test_all_sensors_are_not_taught_different_things_unasked(
     page, serving, drawn, tmp_path
 ):

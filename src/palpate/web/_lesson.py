@@ -119,16 +119,19 @@ class Lesson:
 
         By what learning leaves out, so that a lesson ends with touches that count.
         """
-        self._recent = [*self._recent[1 - _RECENT :], image]
         if baseline is None:
             return True
+        recent = [*self._recent[1 - _RECENT :], image]
         touches = Touches(
-            np.stack(self._recent),
+            np.stack(recent),
             no_contact=baseline,
             geometry=geometry,
             channels=channels,
         )
-        return not no_contact_of(touches)[-1]
+        if no_contact_of(touches)[-1]:
+            return False
+        self._recent = recent
+        return True
 
     @property
     def done(self) -> int:

@@ -1,6 +1,7 @@
 """A live session: touches in, a belief that moves, objects taught and learnt."""
 
 import copy
+import math
 import shutil
 import threading
 import time
@@ -26,6 +27,7 @@ from ..sensors import (
     PLACE_COLUMNS,
     DetectedTouch,
     LiveSensor,
+    PlayedSensor,
     SensorError,
     channels_of,
     desk_of,
@@ -125,7 +127,7 @@ class LiveSession:
             observers = self.listeners, self.health
             self.watch = SensorWatch(sensor, self._taken, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
-        self._stopped = False
+        self._stopped, self._placed_s = False, -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -286,17 +288,21 @@ class LiveSession:
     def resume_teaching(self) -> None:
         """Go on with the lesson that a restart interrupted.
 
-        Before a simulated sensor its object is put down again.
+        Before a simulated sensor its object is put down again; nothing where it is
+        called otherwise there, so that no other thing is stored by its name.
         """
         teacher, watch = self._teacher(), self._watched()
         start_learning()
         with self._changing():
             name = teacher.resume(self.baseline, watch.detector.noise)
-            desk = desk_of(watch.sensor)
-            if desk is not None and name in desk.objects:
-                desk.place(name)
             watch.end_press()
             self.message = self.trouble = ""
+            desk = desk_of(watch.sensor)
+            if desk is not None:
+                known = name in desk.objects
+                self._put(desk, name if known else None)
+                if not known:
+                    self.message = f"Choose what {name} is: nothing is on the desk now."
             self._new_episode()
 
     def undo(self) -> str:
@@ -409,8 +415,15 @@ class LiveSession:
         desk = None if self.watch is None else desk_of(self.watch.sensor)
         if desk is None:
             raise ValueError("What lies before a real sensor cannot be chosen here.")
-        desk.place(name)
+        with self._lock:
+            self._put(desk, name)
         self._notify_state()
+
+    def _put(self, desk: PlayedSensor, name: str | None) -> None:
+        """Put something on the desk; the touch under way is of what was there."""
+        if name != desk.placed:
+            self._placed_s = time.monotonic()
+        desk.place(name)
 
     def tell_state(self, listener: Callable[[Event], None]) -> None:
         """Tell one listener the state, before whatever changes it next."""
@@ -548,8 +561,11 @@ class LiveSession:
 
     def _taken(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
+        teaching = False
         try:
             with self._lock:
+                if detected.began_s < self._placed_s:
+                    return
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 columns = columns_of(detected)
                 if teaching:

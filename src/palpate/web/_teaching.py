@@ -231,6 +231,7 @@ class Teacher:
                 reason = "undone on the page"
                 self.library.retract([row.id for row in left], reason=reason)
             self._drop_from_lesson(last.ids)
+            self.silent -= {*last.ids}
             return str(left[0].object) if left else None
         gone = [row.id for row in rows if row.retracted]
         copies = [row.id for key in last.copies for row in self._row(key)]

@@ -50,6 +50,7 @@ startTeach();
 startObjects();
 startEditor();
 find("as-one").addEventListener("change", showMixed);
+find("name").addEventListener("input", showMixed);
 document.addEventListener("keydown", (event) => {
   const open = event.key === "Escape" && document.querySelector("details.menu[open]");
   if (!open) return;

@@ -1,6 +1,6 @@
 // Teaching: a name, so many touches, undo, learn.
 
-import { get, post, url } from "./api.js";
+import { get, OF_ALL, post, url } from "./api.js";
 import { confirmed, drawn, find, make, pictures, show, step, text, unbroken } from "./dom.js";
 import { openStored } from "./editor.js";
 import { mixed } from "./sensors.js";
@@ -141,7 +141,7 @@ async function begin(event) {
   event.preventDefault();
   const order = { object: find("name").value, touches: Number(find("wanted").value), keep_episode: keeping > 0 };
   const different = mixed();
-  if (different && !await confirmed("Different things?", `Before the sensors lie ${different}. All touches would be stored as ${order.object}.`,
+  if (different && !await confirmed("Different things?", `Before the sensor${OF_ALL.count > 1 ? "s lie" : " lies"} ${different}. All touches would be stored as ${order.object}.`,
     "Teach all the same", "Cancel")) return;
   if (!await post("teach", order)) return;
   find("lesson").reset();
