@@ -283,7 +283,11 @@ class LiveSession:
     def stop_teaching(self) -> None:
         """End the lesson; what was stored stays."""
         with self._changing():
-            self._teacher().end()
+            teacher = self._teacher()
+            if (lesson := teacher.lesson) is not None:
+                done = f"{lesson.done} of {lesson.wanted}"
+                self.message = f"The lesson of {lesson.name} is over: {done} stored."
+            teacher.end()
 
     def resume_teaching(self) -> None:
         """Go on with the lesson that a restart interrupted.
@@ -364,6 +368,9 @@ class LiveSession:
         LearningError
             It is learning already.
         """
+        self._begin_learning("Learning.", wait=wait)
+
+    def _begin_learning(self, said: str = "", *, wait: bool = False) -> None:
         journal = self._teacher().journal
         if not self._learn_lock.acquire(blocking=False):
             raise LearningError("It is learning already; wait until it has finished.")
@@ -371,6 +378,7 @@ class LiveSession:
         with self._lock:
             self._changed_before, journal.changed = journal.changed, set()
             changes = list(self._changes)
+            self.message = said or self.message
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(changes,), daemon=True)
         thread.start()
@@ -521,6 +529,8 @@ class LiveSession:
                 self._n_elsewhere = dict(
                     zip(*map(np.ndarray.tolist, counted), strict=True)
                 )
+            if self.teacher is not None:
+                self.teacher.known = {*self._n_elsewhere}
             if self.watch is not None:
                 self.watch.compare_with(recogniser)
             self._new_episode()
@@ -642,7 +652,7 @@ class LiveSession:
         with self._lock:
             self._changes += changes
             try:
-                self.learn()
+                self._begin_learning()
             except LearningError:
                 self._learn_next = True
                 self._notify_state()
@@ -655,7 +665,7 @@ class LiveSession:
                 journal.learnt()
                 del self._changes[: len(changes)]
         except (ValueError, OSError) as error:
-            self.learn_error = str(error)
+            self.learn_error, self.message = str(error), ""
             journal.changed |= self._changed_before
         finally:
             with self._lock:

@@ -72,12 +72,13 @@ class Teacher:
             self._described = SensorDescription(
                 sensor.name, unit=sensor.unit, geometry=sensor.geometry
             )
-        self.begin_session()
-        self._lessons = 0
         self.journal = Journal(self.folder / JOURNAL)
+        self._lessons = self.journal.n_lessons
+        self.begin_session(name=self.journal.goes_on(self._described.name))
         self.lesson: Lesson | None = None
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
+        self.known: set[str] = set()  # what the model knows from elsewhere
         self.silent: set[str] = set()  # ids of touches taught here without contact
         if TouchLibrary.is_library(self.folder):
             _ = self.library
@@ -167,6 +168,7 @@ class Teacher:
             sensor=self._described,
             progress=False,
         )
+        self.journal.store_in(self._session, self._described.name)
         self.journal.add(Action("taught", tidy, [key]))
         return key
 
@@ -188,7 +190,8 @@ class Teacher:
         if lesson.done < lesson.wanted:
             return stored
         self.end()
-        can_learn = sum(count > 1 for count in self._counts().values()) > 1
+        taught = {name for name, count in self._counts().items() if count > 1}
+        can_learn = len(taught | self.known) > 1
         then = "Learn to recognise it." if can_learn else "Teach another object."
         return f"{stored} {lesson.verdict or then}"
 
@@ -199,7 +202,7 @@ class Teacher:
         assert self.lesson is not None
         self.lesson.add(key, image, baseline, noise)
         channels = None if self._sensor is None else self._sensor.channels
-        about = str(self._described.geometry), channels
+        about = self._described.geometry, channels
         if self.lesson.shows_contact(image, baseline, *about):
             return True
         self.lesson.silent.add(key)

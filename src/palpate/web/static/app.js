@@ -67,6 +67,7 @@ listen({
     show(find("offline"), !whether && !refused);
     show(find("refused"), !whether && refused);
     document.body.dataset.online = String(whether);
+    for (const part of [find("steps"), document.querySelector("main")]) part.inert = !whether;
     if (whether) return;
     showOffline();
     showNoStep();

@@ -70,7 +70,7 @@ function makeCard(name, manage) {
   const link = { class: "button", download: "", "aria-label": `Export ${name}`,
     href: url(`objects/archive?object=${encodeURIComponent(name)}`) };
   return make("li", { class: "object" },
-    make("h3", { tabIndex: -1 }, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }), make("p", { class: "quality silent-note" }),
+    make("h3", { tabIndex: -1 }, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }), make("p", { class: "silent-note" }),
     ...(manage ? [make("div", { class: "row" }, make("button", about, "Rename"),
       make("button", leave, "Forget"), make("a", link, "Export"))] : []));
 }

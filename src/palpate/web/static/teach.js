@@ -84,7 +84,7 @@ const WORDS = {
 
 // Each button that cannot be pressed has its reason beside it.
 function showButtons(library, model, learning, sensor) {
-  const enough = learnable(library);
+  const enough = learnable(library, model);
   const why = sensor ? [] : ["Start: there is no sensor here. Post touches to /api/teach/touch, or start palpate serve again with --sensor."];
   find("start").disabled = sensor !== null && (!sensor.baseline || sensor.lost !== "");
   if (find("start").disabled) why.push(`Start: ${sensor.lost ? "the sensor gives no frames" : "take the baseline first"}.`);
@@ -144,7 +144,7 @@ async function begin(event) {
   if (different && !await confirmed("Different things?", `Before the sensor${OF_ALL.count > 1 ? "s lie" : " lies"} ${different}. All touches would be stored as ${order.object}.`,
     "Teach all the same", "Cancel")) return;
   if (!await post("teach", order)) return;
-  find("lesson").reset();
+  find("name").value = "";  // how many touches are wanted stays as it was typed
   teachThese(0);
   find("stop").focus();
   find("teach").scrollIntoView({ block: "nearest" });
