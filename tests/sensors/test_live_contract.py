@@ -199,6 +199,14 @@ def test_a_replay_keeps_its_rate():
     assert 100 < rate < 260
 
 
+@pytest.mark.parametrize("kind", ["gel", "dome", "array"])
+def test_nothing_can_lie_before_a_simulated_sensor(kind):
+    sensor = open_sensor(f"sim:{kind}?place=nothing")
+    assert sensor.placed is None
+    with pytest.raises(ValueError, match="got 'nothin'"):
+        open_sensor(f"sim:{kind}?place=nothin")
+
+
 def test_simulated_touches_are_touches_of_what_lies_there():
     with SimulatedStream("disc13", rate_hz=200, hold=4, gap=4, ramp=2) as sensor:
         peaks = [int(sensor.read_next().image.max()) for _ in range(120)]

@@ -10,6 +10,8 @@ from palpate.library import LibraryError, TouchLibrary
 from palpate.sensors import DetectedTouch
 from palpate.web import LearningError, LiveSession
 
+from .conftest import waited
+
 
 def _detected(image):
     return DetectedTouch(image, began_s=0.0, ended_s=0.1, change=9.0, n_frames=3)
@@ -171,16 +173,31 @@ def test_what_changed_stays_so_where_learning_fails(folder, monkeypatch):
 
 
 def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
-    make_session, folder
+    make_session, folder, drawn
 ):
     with make_session(library=folder) as session:
         session.place("disc")
         session.teach("bar", 8)
     with make_session(library=folder) as session:
         session.place("disc")
+        assert waited(lambda: session.watch.detector.touching)
+        began_s = time.monotonic()
         session.resume_teaching()
         assert session.watch.sensor.placed == "bar"
+        # The touch under way, and what waits to be handed on, is of the disc.
+        image, n_stored = drawn.images[0], session.teacher.library.count()
+        session._taken(DetectedTouch(image, began_s, began_s, 9.0, 3), 0.0)
+        assert session.teacher.library.count() == n_stored
         session.stop_teaching()
+    with make_session(library=folder) as session:
+        session.teach("my own bar", 8)
+    with make_session(library=folder) as session:
+        session.place("disc")
+        session.resume_teaching()
+        assert session.watch.sensor.placed is None
+        assert (
+            session.message == "Choose what my own bar is: nothing is on the desk now."
+        )
 
 
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
@@ -207,6 +224,54 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
             session.resume_teaching()
     with make_session(library=folder) as session:
         assert session.to_dict()["library"]["interrupted"] is None
+
+
+def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(
+    make_session, tmp_path, drawn
+):
+    folder = tmp_path / "library"
+
+    def sessions(n_started, session):
+        rows = session.teacher.library.list()
+        assert len(rows) == n_started
+        assert len({row.episode for row in rows}) == n_started
+        return len({row.session for row in rows})
+
+    for n_started, rest_s in ((1, 0), (2, 600), (3, 4000)):
+        if folder.exists():
+            then = time.time() - rest_s
+            os.utime(folder / "page.jsonl", (then, then))
+        with make_session(library=folder) as session:
+            session.teach("shoe", 2)
+            session._taken(_detected(drawn.images[n_started]), 0.0)
+            # After more than an hour it is another sitting.
+            assert sessions(n_started, session) == (2 if rest_s > 3600 else 1)
+    with make_session(library=folder) as session:
+        session.place(None)
+        assert waited(lambda: not session.watch.detector.touching)
+        session.take_baseline()
+        session.teach("shoe", 2)
+        image = drawn.images[9]
+        session._taken(DetectedTouch(image, time.monotonic(), 0.0, 9.0, 3), 0.0)
+        assert sessions(4, session) == 3
+
+
+def test_what_is_said_is_of_now(make_session, tmp_path, drawn, drawn_model):
+    with make_session(library=tmp_path / "library", model=drawn_model) as session:
+        session.teach("both", 3)
+        for image in drawn.images[60:62]:
+            said = session._take(image)
+        session.stop_teaching()
+        assert session.message == "The lesson of both is over: 2 of 3 stored."
+        session.teach("both", 1)
+        # The model knows others: with this one there is something to learn.
+        said = session._take(drawn.images[63])
+        assert said == "Touch 1 of 1 of both is stored. Learn to recognise it."
+        session.message = said
+        said_while = []
+        session._learn_apart = lambda changes: said_while.append(session.message)
+        session.learn(wait=True)
+        assert said_while == ["Learning."]
 
 
 def test_a_lesson_that_was_finished_is_not_offered(make_session, folder, drawn):

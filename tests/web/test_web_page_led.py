@@ -253,6 +253,38 @@ def test_a_card_says_that_its_object_changed_since_it_was_learnt(
         expect(card("disc")).to_have_text("29 touches, learnt")
 
 
+def test_without_a_connection_nothing_can_be_pressed(page, taught, serving):
+    with serving(taught) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#start")).to_be_enabled()
+        page.fill("#wanted", "7")
+        page.fill("#name", "pen")
+        page.press("#name", "Enter")
+        expect(page.locator("#stop")).to_be_visible()
+        page.click("#stop")
+        expect(page.locator("#status")).to_contain_text("pen is over: 0 of 7")
+        expect(page.locator("#name")).to_have_value("")
+        expect(page.locator("#wanted")).to_have_value("7")
+    expect(page.locator("#offline")).to_be_visible(timeout=PATIENT)
+    page.evaluate("window.scrollTo(0, 10_000)")
+    expect(page.locator("#offline")).to_be_in_viewport()
+    assert page.locator("main").evaluate("(main) => main.inert")
+    assert page.locator("#steps").evaluate("(steps) => steps.inert")
+
+
+def test_nothing_covers_a_heading_below_the_steps(page, taught, serving):
+    """Where nothing is said, what lies right under the steps is the page."""
+    with serving(taught) as (address, token):
+        opened(page, address, token)
+        page.evaluate("window.scrollTo(0, 200)")
+        below = page.evaluate(
+            """() => { const box = document.querySelector('#steps')
+            .getBoundingClientRect(); return document.elementFromPoint(
+            box.left + 60, box.bottom + 8).closest('main') !== null }"""
+        )
+        assert below
+
+
 def test_a_lost_sensor_leaves_nothing_to_press(page, hand, serving, tmp_path):
     session = LiveSession(hand, library=tmp_path / "library")
     with serving(session) as (address, token):
@@ -291,6 +323,8 @@ def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
         page.fill("#editor-name", "...")
         page.keyboard.press("Enter")
         expect(editor.locator("#status")).to_contain_text("must hold a letter")
+        editor.locator("#editor-name").fill(" ")
+        expect(editor.locator("#editor-there")).to_be_disabled()
         page.fill("#editor-name", "bar")
         page.keyboard.press("Enter")
         expect(page.locator("#editor-about")).to_contain_text("21 of 28")
@@ -397,6 +431,28 @@ def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path
             assert name.evaluate("(e) => e.scrollWidth <= e.clientWidth")
         letters = page.locator("#bars .mark").all_inner_texts()
         assert len({*letters}) == len(letters) == 6
+
+
+def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
+    page, make_session, serving
+):
+    session = make_session()
+    session.place("disc")
+    session.watch.sensor.rate_hz = 60.0
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        expect(page.locator("#mixed")).to_be_hidden()
+        page.fill("#name", "bar")
+        expect(page.locator("#mixed")).to_contain_text("On the desk lies disc")
+        page.press("#name", "Enter")
+        expect(page.locator("#confirm")).to_contain_text("Before the sensor lies disc")
+        page.get_by_role("button", name="Cancel").click()
+        assert session.teacher.lesson is None
+        page.fill("#name", "my disc")  # what people call it is their affair
+        expect(page.locator("#mixed")).to_be_hidden()
+        page.fill("#name", "bar")
+        page.select_option("#placed", "bar")
+        expect(page.locator("#mixed")).to_be_hidden()
 
 
 def test_all_sensors_are_not_taught_different_things_unasked(

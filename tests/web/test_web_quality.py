@@ -11,6 +11,7 @@ from palpate.recognition import ObjectRecogniser
 from palpate.sensors import LiveSensor
 from palpate.web import LiveSession, Variety, advice, object_quality
 from palpate.web._episode import episode_report
+from palpate.web._lesson import Lesson
 from palpate.web._quality import limits
 from palpate.web._teaching import Teacher
 
@@ -147,7 +148,7 @@ def of(name, after_eight, other=None, after_one=0.8):
             [
                 "cup is taken for mug: ten more touches of cup, elsewhere.",
                 "mug is taken for pen: ten more touches of mug, elsewhere.",
-                "Fewer than 8 touches cannot be judged: pen.",
+                "Fewer than 8 touches with contact cannot be judged: pen.",
             ],
         ),
     ],
@@ -192,7 +193,7 @@ def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
         # Two touches of a thing that looks like both: a bar may be taken for it.
         taken_over, few, day = session.advice
         assert taken_over == "bar is taken for cup: ten more touches of bar, elsewhere."
-        assert few == "Fewer than 8 touches cannot be judged: cup."
+        assert few == "Fewer than 8 touches with contact cannot be judged: cup."
         assert day.startswith("All was taught in one session. For another day: lift")
         assert "What to teach next" in session.message
 
@@ -206,6 +207,64 @@ def test_touches_without_contact_do_not_count(drawn):
     bar, disc = object_quality(ObjectRecogniser().fit(touches))
     assert (bar["n_touches"], disc["n_touches"]) == (30, 25)
     assert disc["after_one"] == 1
+
+
+def test_a_lesson_asks_for_another_touch_where_one_shows_no_contact(
+    make_session, drawn
+):
+    empty = drawn.no_contact.copy()
+    empty[0, 0] = 1
+    with make_session() as session:
+        session.teach("disc", 3)
+        said = [session._take(image) for image in drawn.images[:2]]
+        assert said[-1] == "Touch 2 of 3 of disc is stored."
+        assert "of disc shows no contact and does not count" in session._take(empty)
+        state = session.to_dict()
+        lesson = state["lesson"]
+        assert [lesson[key] for key in ("done", "stored", "no_contact")] == [2, 3, [3]]
+        (silent,) = state["no_contact"]
+        assert session.teacher.newest("disc", 1)[0].id == silent
+        session.undo()
+        assert session.to_dict()["lesson"]["no_contact"] == []
+        session._take(empty.T[::-1])
+        assert session._take(drawn.images[2]).startswith("Touch 3 of 3 of disc")
+        assert session.teacher.lesson is None
+        session.teach("bar", 3)
+        for image in drawn.images[30:33]:
+            session._take(image)
+        session.learn(wait=True)
+        assert silent not in session.to_dict()["no_contact"]  # it was undone
+        assert session.to_dict()["no_contact"] == [
+            session.teacher.newest("disc", 2)[1].id
+        ]
+
+
+@pytest.mark.parametrize("geometry", ["dome", "array", "plane"])
+def test_a_touch_without_contact_is_told_before_there_is_a_model(geometry, rng):
+    row, col = np.mgrid[:60, :80]
+    pins = 60 * ((row % 6 < 2) & (col % 6 < 2))
+    rest = ((60 + pins) * (np.hypot(row - 30, col - 40) < 25)).astype(np.uint8)
+    images = np.tile(rest, (4, 1, 1))
+    images[3, 0, 0] += 1
+    images[:3, 20:40, 30:50] = rng.integers(0, 255, (3, 20, 20), dtype=np.uint8)
+    lesson = Lesson("cup", 8)
+    told = [lesson.shows_contact(image, rest, geometry, None) for image in images]
+    assert told == [True, True, True, False]
+    assert lesson.shows_contact(images[3], None, geometry, None)
+
+
+def test_the_sentence_and_the_count_are_of_touches_that_count(make_session, drawn):
+    known = drawn[drawn.object != "both"]
+    with make_session(sensor=False) as session:
+        session._use(ObjectRecogniser().fit(known[::2]))
+        for image in (drawn.no_contact, drawn.images[1], *[drawn.no_contact] * 2):
+            session.post_touch(image)
+        for image in drawn.images[3:9:2]:
+            episode = session.post_touch(image)
+        assert (episode["n_counted"], len(episode["touches"])) == (4, 7)
+        assert episode["decision"] == "disc"
+        assert episode["sentence"].endswith("after 4 touches")
+        assert session.episode.belief.reason().endswith("after 4 touches")
 
 
 @pytest.mark.parametrize(("n_touches", "first"), [(3, 1), (60, 1), (63, 4)])

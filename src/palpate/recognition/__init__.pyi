@@ -6,6 +6,7 @@ from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
 from ._contact import NO_CONTACT as NO_CONTACT
 from ._contact import correlation as correlation
+from ._contact import no_contact_of as no_contact_of
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
 from ._evidence import Evidence as Evidence

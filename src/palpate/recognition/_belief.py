@@ -21,6 +21,7 @@ from ._sentences import (
     OTHER_SESSION,
     Promise,
     belief_in_html,
+    counts,
     draw_belief,
     n_touches_of,
     sentence_of,
@@ -496,7 +497,8 @@ class Belief:
         decision = self.named(error, costs, refusal=refusal, level=level)
         probability = 0.0 if decision is None else self.probability(decision)
         named = None if decision is None else (*decision, probability)
-        return sentence_of(self.posterior, self.unknown, self.touches_used, named)
+        n_counted = sum(map(counts, self.flags))
+        return sentence_of(self.posterior, self.unknown, n_counted, named)
 
     def probability(self, decision: Named) -> float:
         """Return the probability of what was decided."""

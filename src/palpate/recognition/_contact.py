@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from .._types import Array, Bools, Floats
-from ..images import grey, otsu_threshold
+from ..images import DomeCrop, grey, otsu_threshold
 from ..touches import FORMER, Touches
 from ._encoder import BATCH, Encoder, TouchEncoder, find_geometry, in_batches, living
 
@@ -227,6 +227,17 @@ def encoded_and_flagged(
     cleaned = encoder.clean(touches)
     features, novelty = encoder.encode_fully(cleaned)
     return features, contact.flags(touches, cleaned, novelty)
+
+
+def no_contact_of(touches: Touches) -> Bools:
+    """Return which touches show no contact, by themselves and their own frame of it.
+
+    For those of an object that is being taught, before any model; (n_touches,).
+    """
+    dome = find_geometry(touches) == "dome"
+    encoder = TouchEncoder(DomeCrop() if dome else None, {})
+    cleaned = encoder.fit_clean(touches)
+    return ContactCheck().fit(touches, encoder).no_contact(touches, cleaned)
 
 
 def consists_of_nothing(labels: Array, no_contact: Array) -> bool:

@@ -10,7 +10,7 @@ from ..touches import Touches
 from ._belief import Belief, Level, Named
 from ._evidence import Evidence
 from ._memory import UNKNOWN
-from ._sentences import NOTHING, draw_episode, sentence_of, touch_note
+from ._sentences import NOTHING, counts, draw_episode, sentence_of, touch_note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -193,9 +193,14 @@ class Episode:
         return len(self.touches) if self.decided_at is None else self.decided_at
 
     @property
+    def n_counted(self) -> int:
+        """How many touches count: all that show contact."""
+        return sum(counts(touch.flag) for touch in self.touches)
+
+    @property
     def sentence(self) -> str:
         """What is decided, or what it may be, as it is now."""
-        belief, named, n_touches = self.belief, self._named, len(self.touches)
+        belief, named, n_touches = self.belief, self._named, self.n_counted
         if self.touches and all(touch.flag == "no contact" for touch in self.touches):
             return "no contact yet: touch again"
         if named is None:

@@ -92,11 +92,16 @@ def sentence_of(
     return f"{_candidates(posterior, unknown)}: touch again"
 
 
+def counts(flag: str) -> bool:
+    """Whether a touch with this flag counts: it shows contact."""
+    return "no contact" not in flag
+
+
 def touch_note(number: int, flag: str) -> str:
     """Return the sentence about a touch that is not as it should be, "" for most."""
     if not flag:
         return ""
-    counted = ", not counted" if "no contact" in flag else ""
+    counted = "" if counts(flag) else ", not counted"
     return f"touch {number}: {flag}{counted}"
 
 

@@ -30,6 +30,7 @@ from ._health import SensorMemory as SensorMemory
 from ._health import baseline_warning as baseline_warning
 from ._health import gain_warning as gain_warning
 from ._health import sensor_health as sensor_health
+from ._played import PlayedSensor as PlayedSensor
 from ._played import ReplaySensor
 from ._played import SimulatedStream as SimulatedStream
 from ._ros import RosSensor as RosSensor

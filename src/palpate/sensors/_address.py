@@ -67,7 +67,7 @@ _DESK = {
     **_RATE,
     "hold": _Option("hold", int, "a whole number of frames"),
     "gap": _Option("gap", int, "a whole number of frames"),
-    "place": _Option("place", str, "what to put on the desk"),
+    "place": _Option("place", str, "what to put on the desk, or `nothing`"),
 }
 _YES_NO = {"1": True, "0": False, "yes": True, "no": False}
 _WIDTHS = ("uint8", "uint16", "int16", "float32")
@@ -329,7 +329,8 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
             f"{asked_rows} x {asked_cols}. Leave `shape` out."
         )
     if desk is not None and isinstance(sensor, PlayedSensor):
-        sensor.place(desk)
+        nothing = desk == "nothing" and desk not in sensor.objects
+        sensor.place(None if nothing else desk)
     return sensor
 
 

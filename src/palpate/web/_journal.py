@@ -6,6 +6,7 @@ that undo and nothing else, so nothing waits for the disk.
 """
 
 import json
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 MOST_ACTIONS = 1000
+_SITTING_S = 3600.0  # a sitting ends where the page was not used for longer
 _LONGEST_BYTES = 2**22  # of the file's end that is read
 
 
@@ -45,13 +47,16 @@ class Journal:
 
     `interrupted` is the lesson that was under way when the file was written last, until
     one begins or it is ended. `changed` are the objects whose touches are others than
-    when the model learnt last.
+    when the model learnt last. `session` is that of the touches stored last, with the
+    name of their sensor.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.actions: list[Action] = []
         self.changed: set[str] = set()
+        self.session: tuple[str, str] | None = None
+        self.n_lessons = 0
         self._lesson: Interrupted | None = None
         for line in self._lines():
             with suppress(ValueError, TypeError, KeyError, AttributeError):
@@ -70,6 +75,21 @@ class Journal:
     def pop(self) -> None:
         """Forget the newest action: it is undone."""
         self._write({"undone": True})
+
+    def store_in(self, session: str, sensor: str) -> None:
+        """Note which session touches are stored in from now on."""
+        if self.session != (session, sensor):
+            self._write({"session": [session, sensor]})
+
+    def goes_on(self, sensor: str) -> str | None:
+        """Return the session of this sitting, which a restart does not end."""
+        try:
+            rested_s = time.time() - self.path.stat().st_mtime
+        except OSError:
+            return None
+        if self.session is None or self.session[1] != sensor or rested_s > _SITTING_S:
+            return None
+        return self.session[0]
 
     def learnt(self) -> None:
         """Note which objects are still others than what was learnt."""
@@ -101,8 +121,12 @@ class Journal:
             self._drop(undone)
         elif "changed" in line:
             self.changed = {str(name) for name in line["changed"]}
+        elif "session" in line:
+            session, sensor = line["session"]
+            self.session = str(session), str(sensor)
         elif "lesson" in line:
             lesson = line["lesson"]
+            self.n_lessons += lesson is not None
             self._lesson = None if lesson is None else Interrupted(**lesson)
 
     def _change(self, action: Action) -> None:

@@ -22,8 +22,7 @@ import numpy as np
 from .._checks import size_said
 from .._types import Array
 from ..library import LibraryError, Selection, TouchLibrary
-from ..recognition import EmptyTouchError, ObjectRecogniser
-from ..recognition._memory import Memory
+from ..recognition import EmptyTouchError, Memory, ObjectRecogniser
 from ..sensors import SensorMemory
 
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2

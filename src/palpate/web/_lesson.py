@@ -10,11 +10,15 @@ import cv2
 import numpy as np
 
 from .._types import Array, Floats
+from ..recognition import no_contact_of
+from ..touches import Touches
+from ._images import Names
 
 # 1 less the cosine of two changes. Recorded touches moved by a hundredth of the picture
 # and made a fifth harder differ by 0.03 to 0.06 from themselves; two touches of a box,
 # a shoe or a bottle by 0.3 to 0.5 at the median, of a ball or a soft toy by 0.06.
 _ALIKE, _SIDE, _MAPPED = 0.03, 24, 60
+_RECENT = 12  # touches of a lesson that tell what a middling one is
 
 
 class Variety:
@@ -84,12 +88,62 @@ class Variety:
 
 @dataclass(eq=False)
 class Lesson:
-    """One object being taught: touches wanted, and the ids of those stored so far."""
+    """One object being taught: touches wanted, and the ids of those stored so far.
+
+    Those in `silent` show no contact: they are stored and do not count.
+    """
 
     name: str
     wanted: int
     ids: list[str] = field(default_factory=list)
     variety: Variety = field(default_factory=Variety)
+    silent: set[str] = field(default_factory=set)
+    _recent: list[Array] = field(default_factory=list)
+
+    def add(self, key: str, image: Array, baseline: Array | None, noise: float) -> None:
+        """Take in a stored touch; `noise` (sensor's unit) is that of one taxel."""
+        self.ids.append(key)
+        self.variety.add(image, baseline, noise)
+
+    def drop(self, key: str) -> None:
+        """Leave a stored touch out."""
+        number = self.ids.index(key)
+        self.ids.pop(number)
+        self.silent.discard(key)
+        self.variety.drop(number)
+
+    def shows_contact(
+        self,
+        image: Array,
+        baseline: Array | None,
+        geometry: str | None,
+        channels: Names,
+    ) -> bool:
+        """Tell whether a touch shows contact, by those of the lesson before it.
+
+        By what learning leaves out, so that a lesson ends with touches that count.
+        """
+        if baseline is None:
+            return True
+        recent = [*self._recent[1 - _RECENT :], image]
+        touches = Touches(
+            np.stack(recent),
+            no_contact=baseline,
+            geometry=geometry,
+            channels=channels,
+        )
+        try:
+            if no_contact_of(touches)[-1]:
+                return False
+        except ValueError:  # not to be told: the lesson goes on, and learning says why
+            return True
+        self._recent = recent
+        return True
+
+    @property
+    def done(self) -> int:
+        """How many touches count."""
+        return len(self.ids) - len(self.silent)
 
     @property
     def prompt(self) -> str:
@@ -111,7 +165,11 @@ class Lesson:
         return {
             "name": self.name,
             "wanted": self.wanted,
-            "done": len(self.ids),
+            "done": self.done,
+            "stored": len(self.ids),
+            "no_contact": [
+                n for n, key in enumerate(self.ids, 1) if key in self.silent
+            ],
             "n_new": self.variety.n_new,
             "map": self.variety.map(),
             "prompt": self.prompt,

@@ -88,5 +88,7 @@ def advice(qualities: list[dict[str, Any]]) -> list[str]:
     if few:
         names = ", ".join(few[:_MOST_SAID])
         more = f" and {len(few) - _MOST_SAID} more" * (len(few) > _MOST_SAID)
-        sentences.append(f"Fewer than {_SOME} touches cannot be judged: {names}{more}.")
+        sentences.append(
+            f"Fewer than {_SOME} touches with contact cannot be judged: {names}{more}."
+        )
     return sentences

@@ -1,6 +1,7 @@
 """A live session: touches in, a belief that moves, objects taught and learnt."""
 
 import copy
+import math
 import shutil
 import threading
 import time
@@ -26,6 +27,7 @@ from ..sensors import (
     PLACE_COLUMNS,
     DetectedTouch,
     LiveSensor,
+    PlayedSensor,
     SensorError,
     channels_of,
     desk_of,
@@ -125,12 +127,13 @@ class LiveSession:
             observers = self.listeners, self.health
             self.watch = SensorWatch(sensor, self._taken, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
-        self._stopped = False
+        self._stopped, self._placed_s = False, -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
         self._n_elsewhere: dict[str, int] = {}
+        self._silent: set[str] = set()
         can_teach = self.teacher is not None
         self.episode = LiveEpisode(1, None, self.accepted, can_teach=can_teach)
         self.learning, self.learn_error = False, ""
@@ -280,22 +283,30 @@ class LiveSession:
     def stop_teaching(self) -> None:
         """End the lesson; what was stored stays."""
         with self._changing():
-            self._teacher().end()
+            teacher = self._teacher()
+            if (lesson := teacher.lesson) is not None:
+                done = f"{lesson.done} of {lesson.wanted}"
+                self.message = f"The lesson of {lesson.name} is over: {done} stored."
+            teacher.end()
 
     def resume_teaching(self) -> None:
         """Go on with the lesson that a restart interrupted.
 
-        Before a simulated sensor its object is put down again.
+        Before a simulated sensor its object is put down again; nothing where it is
+        called otherwise there, so that no other thing is stored by its name.
         """
         teacher, watch = self._teacher(), self._watched()
         start_learning()
         with self._changing():
             name = teacher.resume(self.baseline, watch.detector.noise)
-            desk = desk_of(watch.sensor)
-            if desk is not None and name in desk.objects:
-                desk.place(name)
             watch.end_press()
             self.message = self.trouble = ""
+            desk = desk_of(watch.sensor)
+            if desk is not None:
+                known = name in desk.objects
+                self._put(desk, name if known else None)
+                if not known:
+                    self.message = f"Choose what {name} is: nothing is on the desk now."
             self._new_episode()
 
     def undo(self) -> str:
@@ -357,6 +368,9 @@ class LiveSession:
         LearningError
             It is learning already.
         """
+        self._begin_learning("Learning.", wait=wait)
+
+    def _begin_learning(self, said: str = "", *, wait: bool = False) -> None:
         journal = self._teacher().journal
         if not self._learn_lock.acquire(blocking=False):
             raise LearningError("It is learning already; wait until it has finished.")
@@ -364,6 +378,7 @@ class LiveSession:
         with self._lock:
             self._changed_before, journal.changed = journal.changed, set()
             changes = list(self._changes)
+            self.message = said or self.message
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(changes,), daemon=True)
         thread.start()
@@ -408,8 +423,15 @@ class LiveSession:
         desk = None if self.watch is None else desk_of(self.watch.sensor)
         if desk is None:
             raise ValueError("What lies before a real sensor cannot be chosen here.")
-        desk.place(name)
+        with self._lock:
+            self._put(desk, name)
         self._notify_state()
+
+    def _put(self, desk: PlayedSensor, name: str | None) -> None:
+        """Put something on the desk; the touch under way is of what was there."""
+        if name != desk.placed:
+            self._placed_s = time.monotonic()
+        desk.place(name)
 
     def tell_state(self, listener: Callable[[Event], None]) -> None:
         """Tell one listener the state, before whatever changes it next."""
@@ -439,6 +461,9 @@ class LiveSession:
                 "episode": self.episode.to_dict(),
                 "nearest": self.episode.nearest,
                 "quality": self._quality,
+                "no_contact": sorted(
+                    self._silent | (teacher.silent if teacher else set())
+                ),
                 "advice": self.advice,
                 "learning": self.learning,
                 "unlearnt": self.unlearnt,
@@ -494,14 +519,18 @@ class LiveSession:
             self.recogniser, self._stored_ids = recogniser, ids
             self._top_view = None if recogniser is None else self._view_of(recogniser)
             self._met, self._n_met, self.alarm = [], 0, ""
-            self._quality, self._n_elsewhere = quality, {}
+            self._quality, self._n_elsewhere, self._silent = quality, {}, set()
             if recogniser is not None:
                 memory = recogniser.memory_
+                nothing = memory.nothing & (not recogniser.uses_no_contact_)
+                self._silent = set(memory.touch_ids[nothing].tolist()) & ids
                 names = memory.labels[~np.isin(memory.touch_ids, list(ids))]
                 counted = np.unique(names.astype(str), return_counts=True)
                 self._n_elsewhere = dict(
                     zip(*map(np.ndarray.tolist, counted), strict=True)
                 )
+            if self.teacher is not None:
+                self.teacher.known = {*self._n_elsewhere}
             if self.watch is not None:
                 self.watch.compare_with(recogniser)
             self._new_episode()
@@ -542,8 +571,11 @@ class LiveSession:
 
     def _taken(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
+        teaching = False
         try:
             with self._lock:
+                if detected.began_s < self._placed_s:
+                    return
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 columns = columns_of(detected)
                 if teaching:
@@ -620,7 +652,7 @@ class LiveSession:
         with self._lock:
             self._changes += changes
             try:
-                self.learn()
+                self._begin_learning()
             except LearningError:
                 self._learn_next = True
                 self._notify_state()
@@ -633,7 +665,7 @@ class LiveSession:
                 journal.learnt()
                 del self._changes[: len(changes)]
         except (ValueError, OSError) as error:
-            self.learn_error = str(error)
+            self.learn_error, self.message = str(error), ""
             journal.changed |= self._changed_before
         finally:
             with self._lock:

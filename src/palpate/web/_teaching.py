@@ -26,6 +26,10 @@ LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
 JOURNAL = "page.jsonl"
 
+NO_CONTACT_SAID = (
+    "That touch of {} shows no contact and does not count: touch it again. It is "
+    "stored; press its picture to remove it."
+)
 UNDONE = {
     "taught": "The last touch of {name} is undone.",
     "removed": "What was removed of {name} is back.",
@@ -68,12 +72,14 @@ class Teacher:
             self._described = SensorDescription(
                 sensor.name, unit=sensor.unit, geometry=sensor.geometry
             )
-        self.begin_session()
-        self._lessons = 0
         self.journal = Journal(self.folder / JOURNAL)
+        self._lessons = self.journal.n_lessons
+        self.begin_session(name=self.journal.goes_on(self._described.name))
         self.lesson: Lesson | None = None
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
+        self.known: set[str] = set()  # what the model knows from elsewhere
+        self.silent: set[str] = set()  # ids of touches taught here without contact
         if TouchLibrary.is_library(self.folder):
             _ = self.library
 
@@ -126,8 +132,7 @@ class Teacher:
         for key in keys:
             image = self.library.image(key)
             if image.shape == size:
-                self.lesson.ids.append(key)
-                self.lesson.variety.add(image, baseline, noise)
+                self._add(key, image, baseline, noise)
         return name
 
     def end(self) -> None:
@@ -163,6 +168,7 @@ class Teacher:
             sensor=self._described,
             progress=False,
         )
+        self.journal.store_in(self._session, self._described.name)
         self.journal.add(Action("taught", tidy, [key]))
         return key
 
@@ -177,16 +183,31 @@ class Teacher:
         assert self.lesson is not None
         lesson = self.lesson
         channels = None if self._sensor is None else self._sensor.channels
-        lesson.ids.append(self.store(lesson.name, image, channels, baseline, columns))
-        count = f"{len(lesson.ids)} of {lesson.wanted}"
-        stored = f"Touch {count} of {lesson.name} is stored."
-        lesson.variety.add(image, baseline, noise)
-        if len(lesson.ids) < lesson.wanted:
+        key = self.store(lesson.name, image, channels, baseline, columns)
+        if not self._add(key, image, baseline, noise):
+            return NO_CONTACT_SAID.format(lesson.name)
+        stored = f"Touch {lesson.done} of {lesson.wanted} of {lesson.name} is stored."
+        if lesson.done < lesson.wanted:
             return stored
         self.end()
-        can_learn = sum(count > 1 for count in self._counts().values()) > 1
+        taught = {name for name, count in self._counts().items() if count > 1}
+        can_learn = len(taught | self.known) > 1
         then = "Learn to recognise it." if can_learn else "Teach another object."
         return f"{stored} {lesson.verdict or then}"
+
+    def _add(
+        self, key: str, image: Array, baseline: Array | None, noise: float
+    ) -> bool:
+        """Take a stored touch into the lesson; return whether it counts."""
+        assert self.lesson is not None
+        self.lesson.add(key, image, baseline, noise)
+        channels = None if self._sensor is None else self._sensor.channels
+        about = self._described.geometry, channels
+        if self.lesson.shows_contact(image, baseline, *about):
+            return True
+        self.lesson.silent.add(key)
+        self.silent.add(key)
+        return False
 
     def undo(self) -> tuple[str, str]:
         """Take back what was done last on the page; return the object and what to say.
@@ -213,6 +234,7 @@ class Teacher:
                 reason = "undone on the page"
                 self.library.retract([row.id for row in left], reason=reason)
             self._drop_from_lesson(last.ids)
+            self.silent -= {*last.ids}
             return str(left[0].object) if left else None
         gone = [row.id for row in rows if row.retracted]
         copies = [row.id for key in last.copies for row in self._row(key)]
@@ -288,9 +310,7 @@ class Teacher:
         lesson = self.lesson
         for key in ids:
             if lesson is not None and key in lesson.ids:
-                number = lesson.ids.index(key)
-                lesson.ids.pop(number)
-                lesson.variety.drop(number)
+                lesson.drop(key)
 
     def rename(self, old: str, new: str, *, learnt: bool, merge: bool = False) -> str:
         """Give an object another name; return that as it is kept.

@@ -50,6 +50,7 @@ async function answered(ask) {
 }
 
 function worded(detail) {
-  if (typeof detail === "string") return detail;
+  // What programs are told beside: here a button says it.
+  if (typeof detail === "string") return detail.replace(" (force)", "");
   return Array.isArray(detail) ? detail.map((one) => one.msg).join("; ") : "";
 }

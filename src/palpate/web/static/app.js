@@ -50,6 +50,7 @@ startTeach();
 startObjects();
 startEditor();
 find("as-one").addEventListener("change", showMixed);
+find("name").addEventListener("input", showMixed);
 document.addEventListener("keydown", (event) => {
   const open = event.key === "Escape" && document.querySelector("details.menu[open]");
   if (!open) return;
@@ -66,6 +67,7 @@ listen({
     show(find("offline"), !whether && !refused);
     show(find("refused"), !whether && refused);
     document.body.dataset.online = String(whether);
+    for (const part of [find("steps"), document.querySelector("main")]) part.inert = !whether;
     if (whether) return;
     showOffline();
     showNoStep();

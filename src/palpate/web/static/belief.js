@@ -63,6 +63,8 @@ function draw() {
   const { touches } = episode;
   const last = touches.at(-1);
   const n = touches.length;
+  const { n_counted: counted } = episode;
+  const said = counted < n ? `${counted} of ${n} touches count` : `${n} touch${n === 1 ? "" : "es"}`;
   marks = marked(Object.keys(last?.posterior ?? {}));
   show(find("rested"), false);
   clearTimeout(resting);
@@ -71,8 +73,8 @@ function draw() {
   show(find("stranger"), unknown && !find("teaching").hidden && !find("lesson").hidden);
   const learnt = document.body.dataset.asks === "true";
   const doubted = episode.in_doubt ? ", in doubt" : "";
-  step(3, !learnt ? "" : episode.decision ? episode.decision + doubted : n ? `${n} touch${n === 1 ? "" : "es"}` : "ready", episode.decision !== null && !doubted);
-  text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
+  step(3, !learnt ? "" : episode.decision ? episode.decision + doubted : n ? said : "ready", episode.decision !== null && !doubted);
+  text(find("count"), n === 0 ? "no touch yet" : `${said}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
   drawBars(last?.posterior ?? {});
   drawUnknown(last);

@@ -100,5 +100,8 @@ export function say(words) {
   text(status, words);
   status.classList.toggle("shown", words !== "");
   clearTimeout(hiding);
-  hiding = setTimeout(() => status.classList.remove("shown"), 6000);
+  hiding = setTimeout(() => {
+    status.classList.remove("shown");
+    text(status, "");
+  }, 6000);
 }

@@ -12,6 +12,7 @@ let after = null;
 
 export function startEditor() {
   find("editor-close").addEventListener("click", () => find("editor").close());
+  find("editor-name").addEventListener("input", allowMove);
   find("editor-newer").addEventListener("click", () => turn(-1));
   find("editor-older").addEventListener("click", () => turn(1));
   find("editor-remove").addEventListener("click", () => change("touches/remove", {}));
@@ -52,7 +53,13 @@ export function openPicture(src, title) {
   find("editor").showModal();
 }
 
+// Without a name there is nowhere to move it.
+function allowMove() {
+  find("editor-there").disabled = find("editor-name").value.trim() === "";
+}
+
 function draw() {
+  allowMove();
   const { id, session, added_s: added } = touches[at];
   for (const part of ["editor-turn", "editor-move"]) show(find(part), true);
   text(find("editor-title"), `A touch of ${object}`);

@@ -42,6 +42,7 @@ export function showObjects(state) {
     if (find("list").children[at] !== card && !still) find("list").insertBefore(card, find("list").children[at] ?? null);
     update(card, { ...one, before: before[one.name] ?? 0 }, learnt.has(one.name), names.has(one.name), (library?.changed ?? []).includes(one.name));
     text(card.querySelector(".quality"), worded(known.get(one.name)));
+    mark(card);
   });
   sift(all);
   if (cards.has(wanted)) focusOn(wanted);
@@ -69,7 +70,7 @@ function makeCard(name, manage) {
   const link = { class: "button", download: "", "aria-label": `Export ${name}`,
     href: url(`objects/archive?object=${encodeURIComponent(name)}`) };
   return make("li", { class: "object" },
-    make("h3", { tabIndex: -1 }, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }),
+    make("h3", { tabIndex: -1 }, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }), make("p", { class: "silent-note" }),
     ...(manage ? [make("div", { class: "row" }, make("button", about, "Rename"),
       make("button", leave, "Forget"), make("a", link, "Export"))] : []));
 }
@@ -94,6 +95,18 @@ function update(card, { name, n_touches: count, before }, learnt, stored, change
   }
 }
 
+// Touches without contact, which do not count: named, so that they can be removed.
+function mark(card) {
+  let n = 0;
+  for (const button of card.querySelectorAll(".thumbs .look")) {
+    const silent = (newest?.no_contact ?? []).includes(button.dataset.key);
+    button.classList.toggle("silent", silent);
+    button.title = silent ? "This touch shows no contact and does not count." : "";
+    n += silent;
+  }
+  text(card.querySelector(".silent-note"), n ? `${n} touch${n === 1 ? "" : "es"} (dashed) without contact, not counted: press to remove.` : "");
+}
+
 function worded(quality) {
   if (!quality || quality.after_one === null) return "";
   const { n_touches: n, after_one: one, after_eight: eight, taken_for: other } = quality;
@@ -115,6 +128,7 @@ async function showThumbs(card, place, name, count) {
   const focused = place.contains(document.activeElement);
   place.replaceChildren(...ids.map(({ id }) => old.get(id) ?? thumb(id, name, card)));
   place.classList.toggle("all", most > THUMBNAILS);
+  mark(card);
   if (focused && document.activeElement === document.body) card.querySelector("h3").focus();
   const more = count - ids.length;
   if (more > 0) place.append(make("button", { type: "button", class: "more", "aria-label": `Show ${Math.min(more, PAGE)} more touches of ${name}`,

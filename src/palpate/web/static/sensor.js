@@ -6,11 +6,13 @@ import { find, make, say, show, step, text } from "./dom.js";
 const waiting = new Map();
 let drawing = false;
 let insist = false;
-let refused = false;
+let refused_ms = 0;
+const INSIST_MS = 30000; // so long after a refusal the baseline can be taken anyway
 let known = false;
 let readings = null;
 const MOST = 32; // taxels a side whose numbers can be shown
 const NUMBERS_MS = 200;
+const UNITS = { "colour level": "in colour", "grey level": "in grey" };
 
 export function startSensor() {
   find("baseline").addEventListener("click", takeBaseline);
@@ -50,7 +52,7 @@ export function showSensor(sensor) {
     text(find("sensor-name"), "no sensor: touches come through the API");
     return;
   }
-  text(find("sensor-name"), `${sensor.name}, ${sensor.shape[0]} × ${sensor.shape[1]}, ${sensor.unit}`);
+  text(find("sensor-name"), `${sensor.name}, ${sensor.shape[0]} × ${sensor.shape[1]}, ${UNITS[sensor.unit] ?? sensor.unit}`);
   known = sensor.baseline;
   show(find("numbered"), Math.max(sensor.shape[0], sensor.shape[1]) <= MOST);
   if (sensor.lost) off("sensor lost");
@@ -59,7 +61,8 @@ export function showSensor(sensor) {
   note(find("offer"), sensor.lost ? "" : sensor.offer);
   find("baseline").disabled = sensor.lost !== "";
   insist = sensor.offer !== "" && sensor.touching;
-  text(find("baseline"), insist || refused ? "Take baseline anyway"
+  if (Date.now() - refused_ms > INSIST_MS || (sensor.baseline && !sensor.touching)) refused_ms = 0;
+  text(find("baseline"), insist || refused_ms ? "Take baseline anyway"
     : sensor.baseline ? "Take baseline" : "Nothing touches it: take baseline");
   showPress(sensor.press);
   step(1, sensor.press ? "try it" : sensor.baseline ? "taken" : "to be taken", sensor.baseline && !sensor.press);
@@ -189,8 +192,8 @@ function showPress(press) {
 }
 
 async function takeBaseline() {
-  const done = await post("baseline", { force: insist || refused, ask_press: true });
-  refused = done === null;
+  const done = await post("baseline", { force: insist || refused_ms > 0, ask_press: true });
+  refused_ms = done === null ? Date.now() : 0;
   if (done) say(done.message);
   else text(find("baseline"), "Take baseline anyway");
 }

@@ -41,9 +41,14 @@ function addTile(number) {
   OF_ALL.count = tiles.size;
 }
 
-// What lies before the sensors, where that differs and all of them are taught; else "".
+// What lies before the sensors, where that differs and all of them are taught, or is
+// another thing of theirs than the one that is named; else "".
 export function mixed() {
-  if (OF_ALL.count < 2 || !find("as-one").checked) return "";
+  const desk = OF_ALL.desks.get(here);
+  const named = find("name").value.trim();
+  if (OF_ALL.count < 2 || !find("as-one").checked) {
+    return desk?.placed && desk.placed !== named && desk.objects.includes(named) ? desk.placed : "";
+  }
   const placed = [...OF_ALL.desks].filter(([, desk]) => desk?.placed).sort(([a], [b]) => a - b)
     .map(([number, desk]) => [number, desk.placed]);
   return new Set(placed.map(([, name]) => name)).size > 1 ? placed.map((one) => one.join(": ")).join(", ") : "";
@@ -52,6 +57,10 @@ export function mixed() {
 export function showMixed() {
   const words = mixed();
   show(find("mixed"), words !== "");
+  if (OF_ALL.count < 2 || !find("as-one").checked) {
+    text(find("mixed"), words && `On the desk lies ${words}: its touches would be stored as ${find("name").value.trim()}. Put that there first.`);
+    return;
+  }
   text(find("mixed"), words && `Different things lie before the sensors (${words}): all would be stored under one name. `
     + "Put the same before all of them, or untick “with all of them”.");
 }

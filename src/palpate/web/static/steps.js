@@ -37,7 +37,7 @@ function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode 
   if (sensor && !sensor.baseline) return "baseline";
   if (lesson || learning) return null;
   if (library?.interrupted) return "resume";
-  if (library && learnable(library) && (unlearnt || isBehind(library, model))) return "learn";
+  if (library && learnable(library, model) && (unlearnt || isBehind(library, model))) return "learn";
   if (library && !model) return "start";
   // What was withdrawn may have been of another thing.
   if (episode.decision === "unknown" && library && !episode.withdrawn.length) return "teach-this";
@@ -46,7 +46,9 @@ function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode 
 
 const taughtTwice = (library) => library.objects.filter((one) => one.n_touches > 1);
 
-export const learnable = (library) => taughtTwice(library).length > 1;
+// With what the model knows from elsewhere one object that is taught is enough.
+export const learnable = (library, model) =>
+  new Set([...taughtTwice(library).map((one) => one.name), ...Object.keys(model?.n_elsewhere ?? {})]).size > 1;
 
 // Whether the library holds an object that the model does not know.
 const isBehind = (library, model) =>

@@ -1,6 +1,6 @@
 // Teaching: a name, so many touches, undo, learn.
 
-import { get, post, url } from "./api.js";
+import { get, OF_ALL, post, url } from "./api.js";
 import { confirmed, drawn, find, make, pictures, show, step, text, unbroken } from "./dom.js";
 import { openStored } from "./editor.js";
 import { mixed } from "./sensors.js";
@@ -84,7 +84,7 @@ const WORDS = {
 
 // Each button that cannot be pressed has its reason beside it.
 function showButtons(library, model, learning, sensor) {
-  const enough = learnable(library);
+  const enough = learnable(library, model);
   const why = sensor ? [] : ["Start: there is no sensor here. Post touches to /api/teach/touch, or start palpate serve again with --sensor."];
   find("start").disabled = sensor !== null && (!sensor.baseline || sensor.lost !== "");
   if (find("start").disabled) why.push(`Start: ${sensor.lost ? "the sensor gives no frames" : "take the baseline first"}.`);
@@ -97,23 +97,25 @@ function showButtons(library, model, learning, sensor) {
   text(find("why-not"), why.join(" "));
 }
 
-async function showLesson({ name, wanted, done, map, n_new: differ, prompt }) {
-  text(find("progress-text"), `Touch ${name}: ${done} of ${wanted} are stored.`);
+async function showLesson({ name, wanted, done, stored, no_contact: silent, map, n_new: differ, prompt }) {
+  text(find("progress-text"), `Touch ${name}: ${done} of ${wanted} are stored.` + (silent.length ? ` ${silent.length} more without contact.` : ""));
   find("bar").max = wanted;
   find("bar").value = done;
   show(find("elsewhere"), prompt !== "");
   text(find("elsewhere"), prompt);
-  showVariety(map, done, differ);
+  showVariety(map, stored, differ);
   const list = find("lesson-strip");
-  const now = `${name} ${done}`;
+  const now = `${name} ${stored} ${silent}`;
   if (list.dataset.shown === now) return;
   list.dataset.shown = now;
-  const few = Math.min(SHOWN, done);
+  const few = Math.min(SHOWN, stored);
   const ids = few ? await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${few}`) : [];
   if (!ids || list.dataset.shown !== now) return;
   const like = new Map(map.map((one) => [one.number, one.like ? `${one.number} ≈ ${one.like}` : String(one.number)]));
-  pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${done - few + at + 1} of ${name}`,
-    label: like.get(done - few + at + 1), src: url(`touches/${id}/picture`), open: () => openStored(id, name, find("stop")) })));
+  const first = stored - few + 1;
+  const about = (number) => silent.includes(number) ? `${number} no contact` : like.get(number);
+  pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${first + at} of ${name}`,
+    label: about(first + at), src: url(`touches/${id}/picture`), open: () => openStored(id, name, find("stop")) })));
 }
 
 // A dot for each touch that differs from those before it, with how many are like it.
@@ -139,10 +141,10 @@ async function begin(event) {
   event.preventDefault();
   const order = { object: find("name").value, touches: Number(find("wanted").value), keep_episode: keeping > 0 };
   const different = mixed();
-  if (different && !await confirmed("Different things?", `Before the sensors lie ${different}. All touches would be stored as ${order.object}.`,
+  if (different && !await confirmed("Different things?", `Before the sensor${OF_ALL.count > 1 ? "s lie" : " lies"} ${different}. All touches would be stored as ${order.object}.`,
     "Teach all the same", "Cancel")) return;
   if (!await post("teach", order)) return;
-  find("lesson").reset();
+  find("name").value = "";  // how many touches are wanted stays as it was typed
   teachThese(0);
   find("stop").focus();
   find("teach").scrollIntoView({ block: "nearest" });
