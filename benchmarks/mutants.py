@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 # Each file and the tests that are asked to find a fault in it, fast ones first.
 CORE = {
     "recognition/_belief.py": "belief beside_touch recogniser",
-    "recognition/_calibration.py": "calibration beside_touch fair_weight",
+    "recognition/_calibration.py": "calibration strangers beside_touch fair_weight",
     "recognition/_contact.py": "contact_on_pads contact",
     "recognition/_evidence.py": "calibration belief recogniser",
     "recognition/_memory.py": "memory belief recogniser",
@@ -33,9 +33,8 @@ CORE = {
     "recognition/_remounting.py": "remounting",
     "recognition/_strangers.py": "strangers calibration recogniser",
     "classifiers/_encoding_pool.py": "encoding_pool touch_classifier",
-    "classifiers/_exact_ridge.py": "kernel_ridge landmarks",
     "classifiers/_landmarks.py": "kernel_ridge landmarks",
-    "classifiers/_posterior_shape.py": "kernel_ridge landmarks nearby",
+    "classifiers/_ridge.py": "kernel_ridge landmarks nearby",
     "classifiers/_kernel_density.py": "kernel_density kernel_density_spread "
     "touch_classifier",
     "classifiers/_kernel_density_index.py": "kernel_density_index",

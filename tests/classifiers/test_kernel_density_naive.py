@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import logsumexp
-from scipy.stats import gaussian_kde, norm
+from scipy.stats import gaussian_kde, iqr, norm
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import KernelDensityNaiveBayes
@@ -46,33 +46,23 @@ def slow_log_likelihood(learnt, new, width):
     return result
 
 
-def test_scott_is_the_gaussian_optimum(learnt, new_touches):
-    # scipy's name for the same rule is "silverman": (3 n / 4)^(-1/5) deviations.
-    def width(values, feature):
-        return gaussian_kde(values, "silverman").factor * values.std(ddof=1)
-
-    model = KernelDensityNaiveBayes("scott").fit(*learnt)
-    slow = slow_log_likelihood(learnt, new_touches, width)
-    assert_allclose(model.log_likelihood(new_touches), slow, rtol=ROUNDING)
-
-
-def test_silverman_takes_the_smaller_spread(learnt, new_touches):
-    def width(values, feature):
-        low, high = np.percentile(values, [25, 75])
-        spread = min(values.std(ddof=1), (high - low) / 1.349)
-        return 0.9 * spread / len(values) ** 0.2
-
-    model = KernelDensityNaiveBayes("silverman").fit(*learnt)
-    slow = slow_log_likelihood(learnt, new_touches, width)
-    assert_allclose(model.log_likelihood(new_touches), slow, rtol=ROUNDING)
-
-
-def test_a_number_is_a_share_of_the_deviation_of_all_touches(learnt, new_touches):
-    def width(values, feature):
-        return 0.25 * learnt[0][:, feature].std(ddof=1)
-
-    model = KernelDensityNaiveBayes(0.25).fit(*learnt)
-    slow = slow_log_likelihood(learnt, new_touches, width)
+# scipy's name for Scott's rule is "silverman": (3 n / 4)^(-1/5) deviations.
+@pytest.mark.parametrize(
+    ("bandwidth", "width"),
+    [
+        ("scott", lambda v, all_v: gaussian_kde(v, "silverman").factor * v.std(ddof=1)),
+        (
+            "silverman",
+            lambda v, all_v: 0.9 * min(v.std(ddof=1), iqr(v) / 1.349) / len(v) ** 0.2,
+        ),
+        (0.25, lambda v, all_v: 0.25 * all_v.std(ddof=1)),
+    ],
+)
+def test_bandwidths_follow_their_rule(learnt, new_touches, bandwidth, width):
+    model = KernelDensityNaiveBayes(bandwidth).fit(*learnt)
+    slow = slow_log_likelihood(
+        learnt, new_touches, lambda v, k: width(v, learnt[0][:, k])
+    )
     assert_allclose(model.log_likelihood(new_touches), slow, rtol=ROUNDING)
 
 

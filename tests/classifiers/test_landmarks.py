@@ -16,7 +16,7 @@ from palpate.classifiers import (
     _touch_classifier,
     learns_by_landmarks,
 )
-from palpate.classifiers._posterior_shape import log_posterior
+from palpate.classifiers._ridge import log_posterior
 from palpate.classifiers._touch_classifier import rows_left_out
 
 SETTINGS = {"widths": [1.0], "ridges": [0.1], "max_touches": 50, "n_landmarks": 40}

@@ -378,6 +378,87 @@ def test_levels_are_skipped_and_chosen(tmp_path):
             Touches.load(root, levels=wrong)
 
 
+@pytest.fixture
+def mixed(tmp_path):
+    """Pictures of two objects in one folder each, of the mug in two."""
+    root = tmp_path / "mixed"
+    for number in range(6):
+        put(root / "ball" / f"{number}.png")
+        put(root / "pen" / f"{number}.png")
+        put(root / "mug" / ("first" if number < 3 else "second") / f"{number}.png")
+    return root
+
+
+BY_FIRST = "--name-pattern '(?P<object>[^/]+)/.*'"
+
+
+def test_an_object_in_folders_of_its_own_is_one_row_with_a_fix(
+    palpate, mixed, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "200")
+    done = palpate("check", mixed)
+    assert done.returncode == 1
+    (row,) = (line for line in done.stdout.splitlines() if line.startswith("│"))
+    assert "mug/ (6 pictures)" in row
+    assert "in folders inside mug/ (first, second), unlike the others" in row
+    assert f"move them up into mug/, or say {BY_FIRST}" in row
+    bad = json.loads(palpate("check", mixed, "--json").stdout)["bad"]
+    assert {one["folder"] for one in bad} == {"mug"}
+    assert len(bad) == 6
+    refused = palpate("learn", mixed, "-o", tmp_path / "m.palpate")
+    assert f"Move them up into mug/, or say {BY_FIRST}." in refused.stderr
+    words = BY_FIRST.replace("'", "").split()
+    assert palpate("check", mixed, *words).returncode == 0
+    assert np.unique(Touches.load(mixed, name_pattern=words[1]).object).tolist() == [
+        "ball", "mug", "pen",
+    ]  # fmt: skip
+
+
+def test_objects_without_the_folders_that_levels_name_are_one_row(
+    palpate, mixed, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "250")
+    words = ("--levels", "object/session")
+    done = palpate("check", mixed, *words)
+    (row,) = (line for line in done.stdout.splitlines() if line.startswith("│"))
+    assert "ball/, pen/ (12 pictures)" in row
+    assert "in one folder, where the others lie in two" in row
+    assert f"say {BY_FIRST} instead" in row
+    refused = palpate("learn", mixed, *words, "-o", tmp_path / "m.palpate")
+    assert f"say {BY_FIRST}." in refused.stderr
+
+
+def test_an_object_of_which_nothing_is_left_is_refused_by_name(
+    palpate, mixed, odd, tmp_path
+):
+    no_mug = "No picture of mug can be used: mug/first/0.png is in folders inside"
+    out = tmp_path / "m.palpate"
+    for words in (
+        ("learn", mixed, "-o", out),
+        ("evaluate", "--train", mixed, "--split", "last"),
+        ("library", "add", tmp_path / "lab", mixed),
+    ):
+        refused = palpate(*words, "--skip-bad")
+        assert refused.returncode == 1, words
+        assert no_mug in refused.stderr
+        assert f"or take mug out of {mixed}" in refused.stderr
+    assert not out.exists()
+    found = json.loads(palpate("check", mixed, "--json").stdout)
+    assert no_mug in found["problem"]
+    assert not any("--skip-bad" in line for line in found["advice"])
+    for picture in (odd / "pen").iterdir():
+        picture.write_text("hello")
+    refused = palpate("learn", odd, "--skip-bad", "-o", out)
+    assert "No picture of pen can be used: pen/001.png is a file" in refused.stderr
+    named = tmp_path / "named"
+    for number in range(3):
+        put(named / f"mug_{number}.png")
+        (named / f"pen_{number}.png").write_text("hello")
+    words = ("--name-pattern", r"(?P<object>[a-z]+)_\d+", "--skip-bad")
+    refused = palpate("learn", named, *words, "-o", out)
+    assert "No picture of pen can be used: pen_0.png is" in refused.stderr
+
+
 def test_a_path_that_is_nearly_there(palpate, odd, tmp_path):
     refused = palpate("check", odd.parent / "touchs")
     assert refused.returncode == 1

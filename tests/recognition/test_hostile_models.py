@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.recognition import ModelFileError, SequenceCalibration
-from palpate.recognition._remounted_encoder import RemountedEncoder
+from palpate.recognition._learnt import RemountedEncoder
 from palpate.recognition._strangers import Curve
 
 HANG_S = 2.0
@@ -272,12 +272,15 @@ def with_nan(values):
         ("low_category_curve", lambda v: v.levels, "a curve of its strangers_ is a"),
         ("n_units", lambda v: 0, "n_units must be at least 1"),
         ("population", lambda v: 5, "no text"),
+        ("looks", lambda looks: looks[:, :-1], "its looks have"),
+        ("looks", lambda looks: looks[:-1], "sizes do not agree"),
     ],
 )
-def test_what_tells_no_stranger_is_refused(tmp_path, name, change, message):
+def test_parts_that_do_not_fit_are_refused(tmp_path, name, change, message):
     model = deepcopy(models()[0])
-    changed = change(getattr(model.strangers_, name))
-    model.strangers_ = replace(model.strangers_, **{name: changed})
+    part = "memory_" if name == "looks" else "strangers_"
+    before = getattr(model, part)
+    setattr(model, part, replace(before, **{name: change(getattr(before, name))}))
     with pytest.raises(ModelFileError, match=message):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
 
@@ -305,21 +308,6 @@ def test_numbers_are_read_up_to_their_bounds(tmp_path, part, name, values, messa
                     ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
             else:
                 ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
-        ("looks", lambda looks: looks[:, :-1], "its looks have"),
-        ("looks", lambda looks: looks[:-1], "sizes do not agree"),
-    ],
-)
-def test_a_memory_that_does_not_fit_is_refused(tmp_path, name, change, message):
-    model = deepcopy(models()[0])
-    changed = change(getattr(model.memory_, name))
-    model.memory_ = replace(model.memory_, **{name: changed})
-    with pytest.raises(ModelFileError, match=message):
-        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
 
 
 def test_a_pose_of_another_kind_is_refused(tmp_path):

@@ -17,8 +17,7 @@ from palpate.recognition import (
     upper_bound,
     with_floor,
 )
-from palpate.recognition._calibration import draw_episodes
-from palpate.recognition._stranger_curves import LeftOut, fit_strangers
+from palpate.recognition._calibration import LeftOut, draw_episodes, fit_strangers
 from palpate.recognition._strangers import Curve, lowest_so_far
 from palpate.simulation import DomeCamera, simulate_touches
 

@@ -106,17 +106,17 @@ def test_damaged_and_empty_files_are_refused(tmp_path, name, content):
         load_mesh(path)
 
 
-def test_not_finite_is_refused(tmp_path):
-    path = tmp_path / "nan.obj"
-    path.write_text("v 0 0 nan\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 2 3\nf 2 3 4\n")
-    with pytest.raises(MeshError, match="finite"):
-        load_mesh(path)
-
-
-def test_flat_surface_is_refused(tmp_path):
-    path = tmp_path / "sheet.obj"
-    path.write_text("v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\nf 1 3 2\n")
-    with pytest.raises(MeshError, match="flat surface"):
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("v 0 0 nan\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 2 3\nf 2 3 4\n", "finite"),
+        ("v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\nf 1 3 2\n", "flat surface"),
+    ],
+)
+def test_what_is_no_solid_is_refused(tmp_path, lines, message):
+    path = tmp_path / "thing.obj"
+    path.write_text(lines)
+    with pytest.raises(MeshError, match=message):
         load_mesh(path)
 
 

@@ -25,7 +25,7 @@ from .._types import Array, Floats, Indices
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, learns_by_landmarks
 from ._nearby import NearbyTouches
-from ._posterior_shape import fair_shares
+from ._ridge import fair_shares
 from ._touch_classifier import (
     BayesRule,
     Groups,

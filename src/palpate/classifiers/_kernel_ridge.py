@@ -24,22 +24,20 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_count, check_positive, check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Array, Floats, Indices
-from ._exact_ridge import (
-    GrowingInverse,
-    inverse_blocks,
-    left_out_scores,
-    rows_by_size,
-    solve_ridge,
-    squared_distances,
-)
 from ._landmarks import LandmarkRegression, Landmarks, Sums
-from ._posterior_shape import (
+from ._ridge import (
     USUAL_SHAPE,
     USUAL_TEMPERATURE,
+    GrowingInverse,
     best_shape,
+    inverse_blocks,
+    left_out_scores,
     log_counts_of,
     log_posterior,
+    rows_by_size,
     smoothed_loss,
+    solve_ridge,
+    squared_distances,
 )
 from ._touch_classifier import (
     BayesRule,

@@ -28,7 +28,7 @@ from scipy.linalg.blas import dsyrk
 from .._numbers import exp
 from .._parallel import results_of
 from .._types import Array, Bools, Floats, Indices
-from ._exact_ridge import group_members
+from ._ridge import group_members
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
 TOUCHES_AT_ONCE, TOUCHES_A_TASK = 2000, 20_000

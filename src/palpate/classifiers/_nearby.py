@@ -21,7 +21,7 @@ from .._checks import check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Array, Bools, Floats, Indices, Singles
 from ._kernel_ridge import KernelRidgeClassifier
-from ._posterior_shape import best_shape
+from ._ridge import best_shape
 from ._touch_classifier import (
     BayesRule,
     Groups,

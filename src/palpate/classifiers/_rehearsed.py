@@ -251,8 +251,8 @@ def _answers_of_drawn(
     n_sessions, n_drawn, n_features = drawn.features.shape
     answers = np.zeros((2, n_sessions, n_drawn, len(pool.classes_)))
     is_asked = np.zeros(n_drawn, dtype=bool)
-    for learnt, asked in halves(y, groups, drawn.rows):
-        rows = np.isin(np.arange(n_drawn), asked)
+    for learnt, left_out in halves(y, groups, drawn.rows):
+        rows = np.isin(np.arange(n_drawn), left_out)
         is_asked |= rows
         asked_features = drawn.features[:, rows].reshape(-1, n_features)
         for kind, (machines, matrix) in enumerate(((pool, None), (weighed, weighing))):
@@ -281,9 +281,9 @@ def halves(
         half[of_label] = np.unique(groups[of_label], return_inverse=True)[1] % 2
     for k in range(2):
         learnt = _thinned(np.flatnonzero(half != k), y)
-        asked = (half[drawn] == k) & np.isin(y[drawn], y[learnt])
-        if len(np.unique(y[learnt])) > 1 and asked.any():
-            yield learnt, np.flatnonzero(asked)
+        left_out = (half[drawn] == k) & np.isin(y[drawn], y[learnt])
+        if len(np.unique(y[learnt])) > 1 and left_out.any():
+            yield learnt, np.flatnonzero(left_out)
 
 
 def _thinned(rows: Indices, y: Array) -> Indices:

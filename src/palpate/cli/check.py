@@ -204,16 +204,36 @@ def _bad(pictures: "PictureCheck") -> list[dict[str, Any]]:
     return [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad]
 
 
+def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
+    """Return a row for each bad picture, one for those that lie wrongly in one way."""
+    rows: list[list[str]] = []
+    folders: dict[tuple[str, str], dict[str, int]] = {}
+    for one in bad:
+        why = one["problem"], one["fix"]
+        if one["folder"]:
+            counts = folders.setdefault(why, {})
+            counts[one["folder"]] = counts.get(one["folder"], 0) + 1
+        else:
+            rows.append([one["picture"], *why])
+    for why, counts in folders.items():
+        named = ", ".join(f"{folder}/" for folder in list(counts)[:_NAMED])
+        more = f" and {len(counts) - _NAMED} more" * (len(counts) > _NAMED)
+        many = counted(sum(counts.values()), "picture")
+        rows.append([f"{named}{more} ({many})", *why])
+    return rows
+
+
 def _print(checked: dict[str, Any]) -> None:
-    many = counted(checked["n_touches"])
-    size = f" of {checked['size']}" if checked["size"] else ""
-    say(f"{checked['touches']}: {many}{size} can be used.")
     if checked["problem"]:
+        say(f"{checked['touches']}: nothing can be learnt from it as it is.")
         say(checked["problem"])
+    else:
+        many = f"{counted(checked['n_touches'])} of {checked['size']}"
+        say(f"{checked['touches']}: {many} can be used.")
     if checked["read_as"]:
         say(f"{checked['read_as'].capitalize()}.")
     if bad := checked["bad"]:
-        rows = [list(picture.values()) for picture in bad]
+        rows = _rows(bad)
         table(
             f"{counted(len(bad), 'picture')} cannot be used",
             ["picture", "what is wrong", "to do"],
@@ -257,7 +277,7 @@ def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
     advice = "".join(f"<li>{escape(line)}</li>" for line in checked["advice"])
     parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
     if checked["bad"]:
-        rows = [list(picture.values()) for picture in checked["bad"]]
+        rows = _rows(checked["bad"])
         columns = ["picture", "what is wrong", "to do"]
         text = "<style>.text :is(td, th) {text-align: left}</style>"
         bad = html_table("Cannot be used", columns, rows)

@@ -43,10 +43,10 @@ class Fold:
     @property
     def elsewhere(self) -> bool:
         """Whether all that is asked was touched in sessions that did not teach."""
-        taught, asked = self.train.session, self.test.session
-        if taught is None or asked is None:
+        taught, tested = self.train.session, self.test.session
+        if taught is None or tested is None:
             return False
-        return not np.isin(asked, taught).any()
+        return not np.isin(tested, taught).any()
 
 
 class RowFold(NamedTuple):

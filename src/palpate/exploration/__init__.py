@@ -4,12 +4,12 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
-from ._advice import advice
 from ._episode import Exploration as Exploration
 from ._episode import explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._place_belief import PlaceBelief
+from ._place_filter import advice
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog as EpisodeLog

@@ -15,8 +15,7 @@ from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..recognition import Belief, Evidence, as_touches
 from ..touches import Touches
-from ._advice import advice
-from ._place_filter import out_of_frames
+from ._place_filter import advice, out_of_frames
 from ._record import History, TouchRecord
 from ._record import as_touches as touches_of
 from ._surface import AZIMUTHS, HEIGHTS, contacts_of, directions
@@ -185,8 +184,8 @@ class PlaceBelief(Belief):
             column = np.asarray(touch.columns.get(name, np.nan), dtype=np.float64)
             if column.ndim == 2 and not np.isfinite(column).all():
                 lost[number] = ~np.isfinite(column).all(axis=1)
-                known = np.where(lost[number][:, None], stand_in, column)
-                filled = filled.with_columns(**{name: known})
+                values = np.where(lost[number][:, None], stand_in, column)
+                filled = filled.with_columns(**{name: values})
         tips, ways = contacts_of(filled)
         tips = tips - self.centre_mm
         forces = np.full(len(touch), np.nan)

@@ -40,7 +40,7 @@ from .._numbers import exp
 from .._types import Floats
 from ..simulation import SensorPose
 from ._place_belief import PlaceBelief
-from ._place_gain import PlaceGain
+from ._place_filter import PlaceGain
 from ._record import History, TouchRecord, as_touches
 from ._surface_map import SurfaceMap
 from ._touch_map import PlacedBelief, TouchMap, freshness

@@ -20,7 +20,6 @@ from .._types import Array, Bools, Floats, Indices
 from ..recognition import (
     STRANGERS,
     ObjectRecogniser,
-    SequenceCalibration,
     given_prior,
 )
 from ..simulation import DomeCamera, SimObject
@@ -41,7 +40,7 @@ from ._surface import (
     one_aim,
     turned_surfaces,
 )
-from ._touch_map import TouchMap, Weights
+from ._touch_map import TouchMap
 
 if TYPE_CHECKING:
     from ._strategies import Hemisphere
@@ -198,11 +197,7 @@ class SurfaceMap:
         And the bodies of all.
         """
         tips, ways = contacts_of(touches)
-        recording = touches.session
-        names = np.asarray(self._labels(touches))
-        number = np.zeros(len(touches), int)
-        if recording is not None:
-            number = np.unique(recording, return_inverse=True)[1]
+        names, number = np.asarray(self._labels(touches)), _recordings(touches)
         surfaces, bodies = {}, {}
         for name, face in sorted(set(zip(names.tolist(), faces.tolist(), strict=True))):
             rows = np.flatnonzero((names == name) & (faces == face))
@@ -231,10 +226,10 @@ class SurfaceMap:
         ):
             if share == 0:
                 continue
-            own = [body for (owner, _), body in bodies.items() if owner == name]
+            body = next((b for (owner, _), b in bodies.items() if owner == name), None)
             turned = []
-            if self.turns_bodies_ and own:
-                turned = turned_surfaces(own[0], aim_mm, self.tip_radius_mm)
+            if self.turns_bodies_ and body is not None:
+                turned = turned_surfaces(body, aim_mm, self.tip_radius_mm)
             for number, surface in enumerate(turned or [_any_face(surfaces, name)]):
                 others[name, OTHER_FACE - number] = surface
         return others
@@ -247,10 +242,7 @@ class SurfaceMap:
             return np.full(n_objects, rare)
         # The rule of Good and Turing, of one recording more.
         labels = np.asarray(self._labels(touches))
-        recording = np.zeros(len(touches), int)
-        if touches.session is not None:
-            recording = np.unique(touches.session, return_inverse=True)[1]
-        shares = []
+        recording, shares = _recordings(touches), []
         for name in self.recogniser.classes_:
             rows = labels == name
             visits = np.unique(np.stack([faces[rows], recording[rows]]), axis=1)
@@ -435,21 +427,22 @@ class FacedMap(TouchMap):
         self.left_out_ = self.left_out_[:, self.object_of_state]
         super()._choose()
 
-    def _loss(self, ratio: Floats, episodes: list[Indices], weights: Weights) -> float:
-        flat = self.weighed(self.left_out_, ratio, weights[:2]).reshape(len(ratio), -1)
+    def _log_prior(self) -> Floats:
         faces = np.bincount(self.object_of_state)[self.object_of_state]
-        prior = self.recogniser.log_prior()[self.object_of_state] - np.log(faces)
-        losses = []
+        return self.recogniser.log_prior()[self.object_of_state] - np.log(faces)
+
+    def _summed(self, joint: Floats) -> Floats:
+        shares = np.exp(log_softmax(joint)).reshape(len(joint), -1, self.n_turns)
         belongs = np.eye(len(self.recogniser.classes_))[self.object_of_state]
-        for rows in episodes:
-            discount = SequenceCalibration(1.0, weights[2]).weight(rows.shape[1])
-            joint = flat[rows].sum(axis=1) * discount + np.repeat(prior, self.n_turns)
-            shares = np.exp(log_softmax(joint)).reshape(len(rows), -1, self.n_turns)
-            of_objects = shares.sum(axis=2) @ belongs
-            true = self.codes_[rows[:, 0]]
-            share_of_truth = of_objects[np.arange(len(rows)), true]
-            losses.append(-np.log(np.maximum(share_of_truth, 1e-300)).mean())
-        return float(np.mean(losses))
+        of_objects = shares.sum(axis=2) @ belongs
+        return np.asarray(np.log(np.maximum(of_objects, 1e-300)))
+
+
+def _recordings(touches: Touches) -> Indices:
+    """Return the number of each touch's recording, 0 where none are told apart."""
+    if touches.session is None:
+        return np.zeros(len(touches), int)
+    return np.unique(touches.session, return_inverse=True)[1]
 
 
 def _any_face(surfaces: Mapping[State, RadialSurface], name: str) -> RadialSurface:

@@ -185,16 +185,23 @@ class TouchMap:
     def _loss(self, ratio: Floats, episodes: Episodes, weights: Weights) -> float:
         """Return the mean log loss (nats) of the object after drawn episodes."""
         flat = self.weighed(self.left_out_, ratio, weights[:2]).reshape(len(ratio), -1)
-        prior = np.repeat(self.recogniser.log_prior(), self.n_turns)
-        losses, shape = [], (-1, self.n_objects, self.n_turns)
+        prior, losses = np.repeat(self._log_prior(), self.n_turns), []
         for rows in episodes:
             discount = SequenceCalibration(1.0, weights[2]).weight(rows.shape[1])
-            joint = (flat[rows].sum(axis=1) * discount + prior).reshape(shape)
-            # Summed over turns; scipy's `logsumexp` takes six times as long.
-            posterior = log_softmax(joint[..., 0] - log_softmax(joint)[..., 0])
+            posterior = self._summed(flat[rows].sum(axis=1) * discount + prior)
             true = self.codes_[rows[:, 0]]
             losses.append(-posterior[np.arange(len(rows)), true].mean())
         return float(np.mean(losses))
+
+    def _log_prior(self) -> Floats:
+        """Return the log prior of what `rows_of_object` tells apart, (n_objects,)."""
+        return self.recogniser.log_prior()
+
+    def _summed(self, joint: Floats) -> Floats:
+        """Return log posteriors of labels by log p of objects and turns (n, ...)."""
+        joint = joint.reshape(-1, self.n_objects, self.n_turns)
+        # Summed over turns; scipy's `logsumexp` takes six times as long.
+        return log_softmax(joint[..., 0] - log_softmax(joint)[..., 0])
 
     @property
     def n_objects(self) -> int:

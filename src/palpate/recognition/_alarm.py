@@ -25,8 +25,7 @@ from ..touches import Touches
 from ._calibration import left_out_log_likelihood
 from ._contact import NO_CONTACT
 from ._evidence import Evidence
-from ._learnt import Learnt
-from ._remounted_encoder import AnyEncoder, wrapped
+from ._learnt import AnyEncoder, Learnt, wrapped
 from ._sentences import OTHER_SESSION
 from ._sessions import N_LOOKS, effective_number
 

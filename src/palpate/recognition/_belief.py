@@ -16,12 +16,13 @@ from ..touches import Touches
 from . import _evidence, _strangers
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
-from ._pictures import belief_in_html, draw_belief
-from ._senses import Modality
+from ._plugs import Modality
 from ._sentences import (
     OTHER_SESSION,
     Promise,
+    belief_in_html,
     counts,
+    draw_belief,
     n_touches_of,
     sentence_of,
     share_of,
@@ -295,7 +296,8 @@ class Belief:
     def doubt(self) -> float:
         """Probability outside `best`; exact near 0."""
         log_known, log_unknown = self._log_known_and_unknown()
-        return float(np.exp(log_known) * self._known_doubt() + np.exp(log_unknown))
+        known_doubt = float(_evidence.doubts(self.log_posterior))
+        return float(np.exp(log_known) * known_doubt + np.exp(log_unknown))
 
     @property
     def unknown(self) -> float:
@@ -316,10 +318,6 @@ class Belief:
         best = np.asarray(self.log_posterior.argmax())
         model, lowest = self._judge.strangers, self._lowest[best]
         return float(model.evidence(lowest, self._score, best, count))
-
-    def _known_doubt(self) -> float:
-        """Return the probability outside `best`, were it one of the learnt objects."""
-        return float(_evidence.doubts(self.log_posterior))
 
     def _log_known_and_unknown(self) -> tuple[float, float]:
         """Return the log probabilities of any learnt object, and of none."""

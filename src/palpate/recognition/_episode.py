@@ -10,8 +10,13 @@ from ..touches import Touches
 from ._belief import Belief, Level, Named
 from ._evidence import Evidence
 from ._memory import UNKNOWN
-from ._pictures import draw_episode
-from ._sentences import NOTHING, counts, sentence_of, touch_note
+from ._sentences import (
+    NOTHING,
+    counts,
+    draw_episode,
+    sentence_of,
+    touch_note,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,11 +110,11 @@ class Episode:
         self._named: Named | None = None
         belief.decide(error, refusal=refusal, level=level)  # refuses wrong shares now
 
-    def add(self, touch: Touches | Array | Evidence | Any, **known: Any) -> str:
+    def add(self, touch: Touches | Array | Evidence | Any, **options: Any) -> str:
         """Take in one touch, or several in order, and return the sentence now.
 
         What else the belief's `update` takes may be given: a record of an attempt, or
-        what is `known` of a touch beforehand.
+        `options` such as the evidence of a touch where it is known.
 
         Raises
         ------
@@ -118,17 +123,17 @@ class Episode:
         """
         if isinstance(touch, Evidence):
             for number in range(len(touch.flags)):
-                self._add(touch.one(number), known)
+                self._add(touch.one(number), options)
         elif isinstance(touch, Touches):
             for number in range(len(touch)):
-                self._add(touch[number : number + 1], known)
+                self._add(touch[number : number + 1], options)
         else:
-            self._add(touch, known)
+            self._add(touch, options)
         return self.sentence
 
-    def _add(self, touch: Any, known: dict[str, Any]) -> None:
+    def _add(self, touch: Any, options: dict[str, Any]) -> None:
         n_before = self.belief.touches_used
-        self.belief.update(touch, **known)
+        self.belief.update(touch, **options)
         belief = self.belief
         flags = belief.flags[n_before:]
         self.touches.append(
@@ -160,12 +165,8 @@ class Episode:
 
     def _answer(self) -> Named | None:
         """Return what the belief decides now, with its level."""
-        level = self.asked_level
-        if level == "any":
-            return self.belief.decide(self.error, refusal=self.refusal, level=level)
-        name = self.belief.decide(self.error, refusal=self.refusal, level=level)
-        return (
-            None if name is None else Named(UNKNOWN if name == UNKNOWN else level, name)
+        return self.belief.named(
+            self.error, refusal=self.refusal, level=self.asked_level
         )
 
     def _is_over(self, named: Named) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,17 +22,26 @@ from ..touches import Touches, TouchSource
 from . import _evidence, _memory
 from ._alarm import MountingCheck
 from ._calibration import (
+    LeftOut,
     draw_episodes,
     fit_sequence_calibration,
+    fit_strangers,
     left_out_log_likelihood,
     without_gaps,
 )
 from ._contact import consists_of_nothing
 from ._encoder import TouchEncoder
 from ._evidence import as_touches
-from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
-from ._learnt import Learnt
+from ._learning import (
+    encoded,
+    learn_encoding,
+    memory_of,
+    naming_empty,
+    refuse_too_large,
+)
+from ._learnt import Learnt, RemountedEncoder
 from ._memory import Memory, Nearest
+from ._plugs import Encoding, Modality
 from ._presets import (
     PRESENTATIONS,
     Label,
@@ -43,15 +52,8 @@ from ._presets import (
     opened,
 )
 from ._rehearsal import rehearse, said_of_rehearsal
-from ._remounted_encoder import RemountedEncoder
 from ._remounting import remounted, without_nuisance
-from ._senses import Modality
-from ._stranger_curves import LeftOut, fit_strangers
 from ._strangers import StrangerModel
-from ._user_encoding import Encoding
-
-if TYPE_CHECKING:
-    pass
 
 
 class Learner(BaseEstimator):
@@ -113,7 +115,7 @@ class Learner(BaseEstimator):
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
-        with on_one_thread():
+        with on_one_thread(), naming_empty(touches):
             encoder, contact, chosen, encoding = learn_encoding(
                 preset, touches, labels, blocks, self.presentation
             )

@@ -84,17 +84,6 @@ def learn_encoding(
     pass through it. Returns encoder, contact, the reasons for the encodings, and what
     they make of all the touches.
     """
-    with naming_empty(touches):
-        return _learnt_encoding(preset, touches, labels, group, presentation)
-
-
-def _learnt_encoding(
-    preset: Preset,
-    touches: Touches | TouchSource,
-    labels: Array,
-    group: Indices,
-    presentation: str,
-) -> tuple[TouchEncoder, ContactCheck, dict[str, Any], Encoded]:
     if isinstance(touches, Touches):
         rows, shown = np.arange(len(labels)), touches
     else:

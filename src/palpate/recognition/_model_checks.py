@@ -19,12 +19,11 @@ from ..images import PressPose
 from ._belief import Belief, Judge
 from ._encoder import TouchEncoder
 from ._evidence import Evidence, SequenceCalibration
+from ._learnt import AnyEncoder, RemountedEncoder
 from ._memory import Memory
-from ._remounted_encoder import AnyEncoder, RemountedEncoder
-from ._senses import Modality
+from ._plugs import Modality, UserEncoding
 from ._sessions import N_LOOKS
 from ._strangers import Curve, StrangerModel
-from ._user_encoding import UserEncoding
 
 MB = 2**20
 MAX_PIXELS = 50_000_000

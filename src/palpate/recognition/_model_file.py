@@ -39,12 +39,11 @@ from ..encodings import OnnxEncoding
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
 from ._evidence import SequenceCalibration
+from ._learnt import RemountedEncoder
 from ._memory import Memory
 from ._model_checks import MB, Budget
-from ._remounted_encoder import RemountedEncoder
-from ._senses import Modality
+from ._plugs import Modality, UserEncoding
 from ._strangers import Curve, StrangerModel
-from ._user_encoding import UserEncoding
 
 FORMAT = 6
 # Formats that are read, and from how many texts on they are stored once each.

@@ -31,7 +31,7 @@ from ..encodings import (
 from ..images import ArrayCleanUp, ChannelMean, DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder, find_geometry
-from ._user_encoding import Encoding, UserEncoding, user_encodings
+from ._plugs import Encoding, UserEncoding, user_encodings
 
 PresetName = Literal["default", "corradi2015", "liu2014"]
 Label = Literal["object", "category"]

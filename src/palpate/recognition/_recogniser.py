@@ -28,9 +28,9 @@ from ._evidence import Evidence
 from ._learner import Learner, n_axes
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
-from ._pictures import draw_confusion
+from ._plugs import Encoding, UserEncoding, user_encodings
 from ._presets import Label, Presentation, PresetName
-from ._user_encoding import Encoding, UserEncoding, user_encodings
+from ._sentences import draw_confusion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -185,13 +185,13 @@ def _replays(
 ) -> Iterator[_Replay]:
     """Yield each rehearsed session twice, asked of machines that learnt one half."""
     rng = np.random.default_rng(seed)
-    for learnt, asked in halves(memory.labels, memory.blocks, drawn.rows):
+    for learnt, left_out in halves(memory.labels, memory.blocks, drawn.rows):
         taught = memory.features[learnt], memory.labels[learnt], memory.blocks[learnt]
         again = copy(pool).refit(*taught)
         codes = np.searchsorted(again.classes_, taught[1])
         to_compare = _sessions.Taught(taught[0], codes, parts)
-        for session in drawn.features[1:] if len(asked) > 1 else ():
-            order = rng.permutation(asked)
+        for session in drawn.features[1:] if len(left_out) > 1 else ():
+            order = rng.permutation(left_out)
             features, of = session[order], memory.labels[drawn.rows[order]]
             code = np.searchsorted(again.classes_, of[:1])
             shift = _sessions.shift_by_labels(features[:1], code, to_compare)
@@ -256,14 +256,13 @@ def draw_sessions(
     memory: Memory,
     rows: Indices,
     seed: int,
-    n_sessions: int = N_SESSIONS,
 ) -> Drawn:
     """Return the features of touches in their own session and in invented ones."""
     rng = np.random.default_rng(seed)
     as_recorded = memory.features[rows]
     spread = FARTHEST * memory.features.std(axis=0)
     sessions, rest = [as_recorded], at_rest(touches)
-    for _ in range(n_sessions):
+    for _ in range(N_SESSIONS):
         images = in_another_session(touches, ranges, rng, rest)
         moved = encoder.transform(with_images(touches, images)) - as_recorded
         sessions.append(as_recorded + np.clip(moved, -spread, spread))

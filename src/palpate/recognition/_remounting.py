@@ -1,14 +1,16 @@
 """A learnt recogniser on another day: mounted anew, in other light, on another device.
 
 Another camera sees the dome elsewhere and larger or smaller, which can be found and
-undone; what else a session does to touches is taken off their features.
+undone; what else a session does to touches is taken off their features: of a whole
+session at once, or touch by touch (`Recentring`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from scipy.special import softmax
@@ -17,12 +19,17 @@ from .._numbers import log_softmax
 from .._types import Array, Floats, Indices
 from ..touches import Touches
 from . import _sessions
+from ._belief import STRANGERS, Belief
 from ._calibration import left_out_log_likelihood
-from ._contact import ContactCheck
+from ._contact import NO_CONTACT, ContactCheck
+from ._evidence import Evidence
 from ._learning import encoded, memory_of
-from ._learnt import HasLearnt, Learnt
+from ._learnt import Learnt, RemountedEncoder, wrapped
 from ._memory import Memory
-from ._remounted_encoder import RemountedEncoder, wrapped
+from ._sessions import SessionSums, shift_unlabelled
+
+if TYPE_CHECKING:
+    from ._recogniser import ObjectRecogniser
 
 # Fewer differences between sessions than this do not tell a covariance.
 LEAST_PAIRS = 20
@@ -115,11 +122,12 @@ def _weighed_by_themselves(
         each = np.full(n_new, most * WEIGHT_STEP**-step)
         memory = learnt.memory.plus(replace(by_itself, weights=each))
         again = learnt.refitted(memory)
-        said = log_softmax(left_out_log_likelihood(again), axis=1)
+        log_posterior = log_softmax(left_out_log_likelihood(again), axis=1)
         rows = again.left_out_rows
         of = np.flatnonzero(rows >= n_before)
         of = of[counts[rows[of] - n_before]]
-        loss = step**2 / 2 - said[of, codes[rows[of] - n_before]].sum()
+        of_truth = log_posterior[of, codes[rows[of] - n_before]]
+        loss = step**2 / 2 - of_truth.sum()
         if loss >= best:
             break
         best, weight = loss, float(each[0])
@@ -129,15 +137,15 @@ def _weighed_by_themselves(
 def _shift(learnt: Learnt, features: Floats, labels: Array | None) -> Floats:
     """Return what to add to a session's features, with or without labels."""
     if labels is None:
-        return _sessions.shift_unlabelled(_sums(learnt, features), learnt.taught)
+        return shift_unlabelled(_sums(learnt, features), learnt.taught)
     codes = np.searchsorted(learnt.classes, labels)
     return _sessions.shift_by_labels(features, codes, learnt.taught)
 
 
-def _sums(learnt: Learnt, features: Floats) -> _sessions.SessionSums:
+def _sums(learnt: Learnt, features: Floats) -> SessionSums:
     """Return what touches of a session without labels sum up to."""
     taken_for = softmax(learnt.classifier.log_likelihood(features), axis=1)
-    return _sessions.SessionSums.of(features, taken_for, learnt.taught)
+    return SessionSums.of(features, taken_for, learnt.taught)
 
 
 def _as_taught(
@@ -193,7 +201,7 @@ def without_nuisance(learnt: Learnt, new: Touches) -> tuple[Learnt, int]:
     return _weighed_down(learnt, differences), len(differences)
 
 
-def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
+def across_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
     """Return what the training touches say of another day, as plain values.
 
     `sessions` per object (least and median), `asked` (touches of objects that another
@@ -209,11 +217,13 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     result: dict[str, Any] = {"least": int(per_object.min()), "median": median}
     result["asked"] = int(met_elsewhere.sum())
     if met_elsewhere.any():
-        log_likelihood, rows = _said_of_left_out_sessions(learnt, memory.features)
+        log_likelihood, rows = _log_likelihood_of_left_out_sessions(
+            learnt, memory.features
+        )
         right = learnt.classes[log_likelihood.argmax(axis=1)] == memory.labels[rows]
         if met_elsewhere[rows].any():  # of very many touches only some are left out
             result["expected"] = float(right[met_elsewhere[rows]].mean())
-    rehearsal = getattr(recogniser, "chosen_", {}).get("rehearsal", {})
+    rehearsal = recogniser.chosen_.get("rehearsal", {})
     if "expected" in rehearsal:
         result["rehearsed"] = list(rehearsal["expected"])
     if "confirmed" in rehearsal:
@@ -303,9 +313,10 @@ def _loss(learnt: Learnt, features: Floats, met_elsewhere: Array) -> Floats:
 
     NaN of those that are not left out, where they are very many.
     """
-    said, rows = _said_of_left_out_sessions(learnt, features)
+    log_likelihood, rows = _log_likelihood_of_left_out_sessions(learnt, features)
+    log_posterior = log_softmax(log_likelihood, axis=1)
     loss = np.full(len(learnt.memory), np.nan)
-    loss[rows] = -log_softmax(said, axis=1)[np.arange(len(rows)), learnt.codes[rows]]
+    loss[rows] = -log_posterior[np.arange(len(rows)), learnt.codes[rows]]
     return loss[met_elsewhere]
 
 
@@ -330,7 +341,7 @@ def _loss_weighed(learnt: Learnt, centred: Floats, met_elsewhere: Array) -> Floa
     return loss[met_elsewhere]
 
 
-def _said_of_left_out_sessions(
+def _log_likelihood_of_left_out_sessions(
     learnt: Learnt, features: Floats
 ) -> tuple[Floats, Indices]:
     """Return what touches are taken for, their session left out, and which."""
@@ -353,3 +364,92 @@ def _n_sessions(names: Array, sessions: Array) -> Indices:
     days, day = np.unique(sessions, return_inverse=True)
     visits = np.unique((codes * len(days) + day)[sessions != ""])
     return np.bincount(visits // len(days), minlength=codes.max() + 1)
+
+
+class Recentring:
+    """Recognises in another session while it finds out what the session adds.
+
+    What `remount` takes off with all touches of a session at once, without labels, is
+    taken off with those there were so far: a little at first, more with each touch. The
+    beliefs of the episode under way move along.
+
+    Parameters
+    ----------
+    recogniser : ObjectRecogniser
+        As learnt; it stays as it is. Another camera, gain or baseline is for `remount`.
+
+    Attributes
+    ----------
+    recogniser : ObjectRecogniser
+        As it serves in the session by now.
+    n_touches : int
+        Touches of the session so far that showed contact.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate import Touches
+    >>> from palpate.recognition import ObjectRecogniser, Recentring
+    >>> images = np.random.default_rng(0).random((40, 3, 24))
+    >>> images[:20] += 1
+    >>> touches = Touches(images, object=["pen"] * 20 + ["mug"] * 20, geometry="none")
+    >>> today = Recentring(ObjectRecogniser().fit(touches))
+    >>> today.start().update(touches[:3]).best
+    'pen'
+    >>> today.start().update(touches[20:23]).best
+    'mug'
+    """
+
+    def __init__(self, recogniser: ObjectRecogniser) -> None:
+        learnt, report = without_sessions(recogniser.learnt())
+        self._moves = bool(report.get("centred", True))
+        self._as_learnt = copy(recogniser).serve(learnt)
+        report |= {"labelled": False}
+        self._as_learnt.chosen_ = {**recogniser.chosen_, "remount": report}
+        self._taught = learnt.taught
+        nothing = np.zeros((0, learnt.memory.features.shape[1]))
+        no_names = np.zeros((0, len(learnt.classes)))
+        self._sums = SessionSums.of(nothing, no_names, self._taught)
+        self.recogniser = self._as_learnt
+        self.start()
+
+    def start(
+        self, prior: Mapping[str, float] | None = None, strangers: float = STRANGERS
+    ) -> Self:
+        """Begin an episode, with another object; see `ObjectRecogniser.start`."""
+        self._begun = prior, strangers
+        self._episode: list[Evidence] = []
+        return self
+
+    @property
+    def n_touches(self) -> int:
+        """Touches of the session so far that showed contact."""
+        return self._sums.n_touches
+
+    def update(self, touch: Touches | Array) -> Belief:
+        """Take in one touch, or several, of the episode's object; return the belief.
+
+        It is that of all touches of the episode, as what the session adds is known now.
+        """
+        seen = self._as_learnt.evidence(touch)
+        counts = np.array([flag != NO_CONTACT for flag in seen.flags], dtype=bool)
+        counts |= self._as_learnt.uses_no_contact_
+        taken_for = softmax(seen.log_likelihood[counts], axis=1)
+        self._sums = self._sums.plus(
+            SessionSums.of(seen.features[counts], taken_for, self._taught)
+        )
+        self._episode.append(seen)
+        if self._moves:
+            shift = shift_unlabelled(self._sums, self._taught)
+            now = copy(self._as_learnt)
+            now.encoder_ = wrapped(now.encoder_).shifted(shift)
+            self.recogniser = now
+        else:
+            shift = np.zeros_like(self._sums.features)
+        belief = self.recogniser.start(*self._begun)
+        for seen_before in self._episode:
+            moved = seen_before.features + shift
+            belief.update(
+                self.recogniser.evidence_of(moved, seen_before.flags, seen_before.looks)
+            )
+        return belief

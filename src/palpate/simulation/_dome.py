@@ -54,6 +54,11 @@ class DomeSensor(ABC):
     def dome(self) -> "DomeCamera":
         """The membrane, its camera and its force."""
 
+    @property
+    def membrane(self) -> Membrane:
+        """The rubber."""
+        return self.dome.membrane
+
     @abstractmethod
     def image(
         self, press: DomePress | None = None, rng: np.random.Generator | None = None

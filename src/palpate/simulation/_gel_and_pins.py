@@ -19,7 +19,6 @@ from .._checks import check_count, check_number, check_positive
 from .._types import Array, Floats, Singles
 from ..touches import RGB
 from ._dome import DomeCamera, DomePress, DomeSensor, Frame
-from ._membrane import Membrane
 from ._optics import sampled
 
 _SUBPIXEL_BITS = 4
@@ -96,11 +95,6 @@ class GelCamera(DomeSensor):
         for colour in self.colours:
             check_positive("colours", colour)
 
-    @property
-    def membrane(self) -> Membrane:
-        """The rubber."""
-        return self.dome.membrane
-
     @cached_property
     def places_mm(self) -> tuple[Singles, Singles]:
         """X and y of the middle of each pixel about the axis, (n_rows, n_cols) each."""
@@ -119,11 +113,7 @@ class GelCamera(DomeSensor):
         if press is not None:
             light = light * (1 + np.float32(self.relief) * self._slopes(press))
         levels = np.maximum(light, 0) * np.float32(255 * self.dome.gain)
-        if rng is not None and self.dome.noise_sd > 0:
-            noise = rng.standard_normal(levels.shape, dtype=np.float32)
-            levels = levels + np.float32(self.dome.noise_sd) * noise
-        shown: Frame = np.clip(levels + np.float32(0.5), 0, 255).astype(np.uint8)
-        return shown
+        return _noisy(levels, self.dome.noise_sd, rng)
 
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this sensor as another recording would find it: other exposure."""
@@ -169,6 +159,15 @@ def _rest(gel: GelCamera) -> Singles:
     near = [(cos * x + sin * y) / half for cos, sin in _TOWARDS]
     light = np.stack([0.45 + 0.18 * nearness for nearness in near], axis=2)
     return np.asarray(light * np.array(gel.colours), dtype=np.float32)
+
+
+def _noisy(levels: Array, noise_sd: float, rng: np.random.Generator | None) -> Frame:
+    """Return grey levels as a picture, with noise where it is drawn by `rng`."""
+    if rng is not None and noise_sd > 0:
+        noise = rng.standard_normal(levels.shape, dtype=np.float32)
+        levels = levels + np.float32(noise_sd) * noise
+    shown: Frame = np.clip(levels + np.float32(0.5), 0, 255).astype(np.uint8)
+    return shown
 
 
 @dataclass(frozen=True)
@@ -227,11 +226,6 @@ class TacTipPins(DomeSensor):
         """(n_rows, n_cols) of the picture."""
         return self.dome.image_shape
 
-    @property
-    def membrane(self) -> Membrane:
-        """The rubber dome."""
-        return self.dome.membrane
-
     @cached_property
     def roots_mm(self) -> Singles:
         """X and y of the pins' roots about the axis, (n_pins, 2)."""
@@ -286,11 +280,7 @@ class TacTipPins(DomeSensor):
             filled, smooth = cv2.FILLED, cv2.LINE_AA
             how = (max(radius, 1), 255, filled, smooth, _SUBPIXEL_BITS)
             cv2.circle(picture, (col, row), *how)
-        if rng is None or self.dome.noise_sd == 0:
-            return picture
-        noise = rng.standard_normal(self.image_shape, dtype=np.float32)
-        noisy = picture + np.float32(self.dome.noise_sd) * noise
-        return np.clip(noisy + np.float32(0.5), 0, 255).astype(np.uint8)
+        return _noisy(picture, self.dome.noise_sd, rng)
 
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this sensor as another recording would find it."""

@@ -5,7 +5,7 @@ import os
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from os import PathLike
@@ -28,6 +28,7 @@ from ._layout import (
     levels_pattern,
     matched,
     odd_depths,
+    odd_folders,
 )
 from ._pictures import (
     GREY_WHERE_COLOUR,
@@ -46,6 +47,7 @@ _GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
 PICTURES = (".jpg", ".jpeg", ".png")
 _OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
 _LABELS = "labels.csv"
+_MOST_TABLE = 2**30  # bytes; only to say which objects are lost
 _TEXT_GROUPS = ("object", "category", "session")
 _NEEDED = ("object", "category", "session", "order", "n", *sum(POSITIONS.values(), ()))
 _WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
@@ -53,11 +55,15 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 class BadPicture(NamedTuple):
-    """A picture that cannot be used: its path in the folder, why, and the fix."""
+    """A picture that cannot be used: its path in the folder, why, and the fix.
+
+    `folder` is one whose pictures all lie wrongly in one way, else empty.
+    """
 
     picture: str
     problem: str
     fix: str
+    folder: str = ""
 
 
 @dataclass
@@ -79,6 +85,9 @@ class PictureCheck:
     coloured, grey : list of str
         Which of those that can be used are in colour, and in grey, where all were
         read in grey and the first in colour shows some; else none.
+    lost : dict of str to BadPicture
+        Objects of which no picture can be used, where some of others can, and the
+        first of each.
     """
 
     bad: list[BadPicture] = field(default_factory=list)
@@ -88,6 +97,7 @@ class PictureCheck:
     same: list[tuple[str, str]] = field(default_factory=list)
     coloured: list[str] = field(default_factory=list)
     grey: list[str] = field(default_factory=list)
+    lost: dict[str, BadPicture] = field(default_factory=dict)
 
 
 def folder_arrays(
@@ -108,13 +118,9 @@ def folder_arrays(
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if skip_bad:
         check = _checked(root, names, pattern, max_pixels, colour)
-        names = _without_bad(root, names, check.bad)
+        names = _without_bad(root, names, check)
     try:
-        columns = {} if pattern is None else _from_names(names, pattern)
-        if "object" not in columns:
-            columns = {**_from_table(root, names, max_bytes), **columns}
-        if "object" not in columns:
-            columns = {**labels_of_folders(names), **columns}
+        columns = _labels(root, names, pattern, max_bytes)
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
@@ -194,6 +200,7 @@ def _checked(
     """Look at every picture, and at whether it gets a label like the others."""
     check = _check_pictures(root, names, max_pixels=max_pixels, colour=colour)
     are_bad = {bad.picture for bad in check.bad}
+    placed: dict[str, tuple[str, str, str]] = {}
     fix = "move it to the folder of its object, or give it as `no_contact`"
     if pattern is not None:
         pairs = zip(names, matched(pattern, names), strict=True)
@@ -201,14 +208,52 @@ def _checked(
         if len(odd) == len(names):
             odd = dict.fromkeys(odd, "not named as levels or name_pattern say")
             fix = "give `levels` or a `name_pattern` as these paths are"
+        elif "/" in pattern.pattern:
+            placed = odd_folders(names, odd)
+            placed = {
+                n: (why, f"{by} instead", f) for n, (why, by, f) in placed.items()
+            }
     elif (root / _LABELS).is_file():
         odd = {}
     else:
         depths = odd_depths(names)[0].items()
         odd = {n: f"{where}, unlike the others" for n, where in depths}
-    check.bad += [BadPicture(n, why, fix) for n, why in odd.items() if n not in are_bad]
+        placed = odd_folders(names, odd)
+    check.bad += [
+        BadPicture(name, *placed.get(name, (why, fix, "")))
+        for name, why in odd.items()
+        if name not in are_bad
+    ]
     check.bad.sort(key=lambda bad: _natural_order(bad.picture))
+    if check.bad:
+        check.lost = _lost(root, names, pattern, check.bad, odd)
     return check
+
+
+def _lost(
+    root: Path,
+    names: Sequence[str],
+    pattern: re.Pattern[str] | None,
+    bad: Sequence[BadPicture],
+    odd: Collection[str],
+) -> dict[str, BadPicture]:
+    """Return the objects, or folders of odd pictures, of which nothing can be used."""
+    gone = {one.picture: one for one in bad}
+    named = [name for name in names if name not in odd]
+    try:
+        objects = _labels(root, named, pattern, _MOST_TABLE).get("object", ())
+    except TouchesError:  # said where touches are made of them
+        return {}
+    labels = dict(zip(named, map(str, objects), strict=False))
+    kept = {top for name in names if name not in gone for top in name.split("/")[:1]}
+    kept |= {label for name, label in labels.items() if name not in gone}
+    if pattern is None or "/" in pattern.pattern:
+        labels |= {name: name.partition("/")[0] for name in odd if "/" in name}
+    lost: dict[str, BadPicture] = {}
+    for name, label in labels.items() if kept else ():
+        if label not in kept:
+            lost.setdefault(label, gone[name])
+    return lost
 
 
 class _Seen(NamedTuple):
@@ -291,16 +336,23 @@ def _fix(problem: str) -> str:
     return "save it again as 8-bit JPEG or PNG, or take it out"
 
 
-def _without_bad(
-    root: Path, names: Sequence[str], bad: Sequence[BadPicture]
-) -> list[str]:
+def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[str]:
     """Return the pictures that can be used, and warn of the others."""
+    bad = check.bad
     gone = {odd.picture for odd in bad}
     kept = [name for name in names if name not in gone]
     if not kept:
         raise TouchesError(
             f"Pictures must be usable, got {len(names)} of which none is: "
             f"{bad[0].picture} is {bad[0].problem}. Fix: {bad[0].fix}."
+        )
+    if lost := [*check.lost]:
+        one = check.lost[lost[0]]
+        more = f" and {len(lost) - 5} more" * (len(lost) > 5)
+        them = lost[0] if len(lost) == 1 else "these"
+        raise TouchesError(
+            f"No picture of {', '.join(lost[:5])}{more} can be used: {one.picture} is "
+            f"{one.problem}. Fix: {one.fix}, or take {them} out of {root}."
         )
     if bad:
         first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:3])
@@ -401,6 +453,18 @@ def _natural_order(name: str) -> tuple[Any, ...]:
     return parts, name
 
 
+def _labels(
+    root: Path, names: Sequence[str], pattern: re.Pattern[str] | None, max_bytes: int
+) -> Arrays:
+    """Return the columns that names, else a table, else folders give."""
+    columns = {} if pattern is None else _from_names(names, pattern)
+    if "object" not in columns:
+        columns = {**_from_table(root, names, max_bytes), **columns}
+    if "object" not in columns:
+        columns = {**labels_of_folders(names), **columns}
+    return columns
+
+
 def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
     """Match every name; turn the named groups into columns.
 
@@ -408,13 +472,20 @@ def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
     """
     matches = matched(pattern, names)
     texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
+    odd = [n for n, match in zip(names, matches, strict=True) if match is None]
+    if odd:
+        fix = (
+            "correct the pattern, move the file out of the folder, or give it as "
+            "`no_contact` if that is what it shows"
+        )
+        if "/" in pattern.pattern:
+            _, fix, _ = odd_folders(names, odd).get(odd[0], ("", fix, ""))
+        raise TouchesError(
+            f"{odd[0]} must match name_pattern {pattern.pattern!r}, and does not. "
+            f"{fix[0].upper()}{fix[1:]}."
+        )
     for name, match in zip(names, matches, strict=True):
-        if match is None:
-            raise TouchesError(
-                f"{name} must match name_pattern {pattern.pattern!r}, and does not. "
-                "Correct the pattern, move the file out of the folder, or name it as "
-                "no_contact if that is what it shows."
-            )
+        assert match is not None
         for group, values in texts.items():
             if group in _NEEDED and not match[group]:
                 raise TouchesError(

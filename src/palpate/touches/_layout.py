@@ -13,7 +13,7 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -33,6 +33,8 @@ for name in names:
     print(json.dumps(found and found.groupdict()), flush=True)
 """
 Groups = dict[str, str | None]
+# Whatever lies below a folder is of the object that the folder names.
+_OF_FIRST = "`name_pattern='(?P<object>[^/]+)/.*'`"
 SKIPPED = "-"
 KEPT = "="
 _PARTS = re.compile(
@@ -166,6 +168,37 @@ def odd_depths(names: Sequence[str]) -> tuple[dict[str, str], str]:
     return {n: where[depth] for n, depth in pairs if depth != usual}, where[usual]
 
 
+def odd_folders(
+    names: Sequence[str], odd: Collection[str]
+) -> dict[str, tuple[str, str, str]]:
+    """Return what is wrong with odd paths that lie one level off in a folder, the fix.
+
+    And that folder: nothing of those that lie elsewhere, or where others lie mixed.
+    """
+    usual = {min(name.count("/"), 2) for name in names if name not in odd}
+    below: dict[tuple[str, int], list[str]] = {}
+    for name in odd:
+        place = name.partition("/")[0], min(name.count("/"), 2)
+        below.setdefault(place, []).append(name)
+    found: dict[str, tuple[str, str, str]] = {}
+    for (folder, depth), inside in below.items():
+        if (depth, usual) == (2, {1}):
+            among = list(dict.fromkeys(name.split("/")[1] for name in inside))
+            few = ", ".join(among[:3]) + ", ..." * (len(among) > 3)
+            problem = f"in folders inside {folder}/ ({few}), unlike the others"
+            fix = f"move them up into {folder}/, or say {_OF_FIRST}"
+        elif (depth, usual) == (1, {2}):
+            problem = "in one folder, where the others lie in two"
+            fix = (
+                "put them into one more folder, as the others are, or, if the first "
+                f"folder names the object, say {_OF_FIRST}"
+            )
+        else:
+            continue
+        found |= dict.fromkeys(inside, (problem, fix, folder))
+    return found
+
+
 def labels_of_folders(names: Sequence[str]) -> Arrays:
     """Take labels from the levels of folders above each picture.
 
@@ -177,11 +210,14 @@ def labels_of_folders(names: Sequence[str]) -> Arrays:
     if odd:
         first = next(iter(odd))
         other = next(name for name in names if name not in odd)
+        fix = (
+            "move it to the folder of its object, give a `name_pattern`, or give it as "
+            "`no_contact` if that is what it shows"
+        )
+        _, fix, _ = odd_folders(names, odd).get(first, ("", fix, ""))
         raise TouchesError(
-            f"Pictures must all be labelled by folders in one way, but {first} "
-            f"lies {odd[first]} and {other} lies {usual}. Move it to the folder of its "
-            "object, give a name_pattern, or name it as no_contact if that is what "
-            "it shows."
+            f"Pictures must all be labelled by folders in one way, but {first} lies "
+            f"{odd[first]} and {other} lies {usual}. {fix[0].upper()}{fix[1:]}."
         )
     folders = [name.split("/")[:-1] for name in names]
     if not folders[0]:
