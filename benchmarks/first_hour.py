@@ -105,7 +105,7 @@ class Desk:
         lesson = self.session.teacher.lesson
         rows = self.first[name]
         at = int(self.rng.integers(len(rows) - wanted + 1)) if in_a_row else 0
-        while len(lesson.ids) < wanted:
+        while lesson.done < wanted:  # touches without contact do not count
             told = obey and lesson.prompt
             fresh = in_a_row and not told and rows[at % len(rows)]
             row = self._elsewhere(name) if fresh is False else fresh

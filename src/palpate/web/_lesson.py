@@ -143,7 +143,7 @@ class Lesson:
     @property
     def done(self) -> int:
         """How many touches count."""
-        return len(self.ids) - len(self.silent)
+        return sum(key not in self.silent for key in self.ids)
 
     @property
     def prompt(self) -> str:

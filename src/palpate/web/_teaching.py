@@ -200,14 +200,14 @@ class Teacher:
     ) -> bool:
         """Take a stored touch into the lesson; return whether it counts."""
         assert self.lesson is not None
-        self.lesson.add(key, image, baseline, noise)
         channels = None if self._sensor is None else self._sensor.channels
         about = self._described.geometry, channels
-        if self.lesson.shows_contact(image, baseline, *about):
-            return True
-        self.lesson.silent.add(key)
-        self.silent.add(key)
-        return False
+        counts = self.lesson.shows_contact(image, baseline, *about)
+        if not counts:  # known before it is there, so that it is never counted
+            self.lesson.silent.add(key)
+            self.silent.add(key)
+        self.lesson.add(key, image, baseline, noise)
+        return counts
 
     def undo(self) -> tuple[str, str]:
         """Take back what was done last on the page; return the object and what to say.
