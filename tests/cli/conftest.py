@@ -39,11 +39,11 @@ def palpate(capsys, monkeypatch):
 @pytest.fixture
 def asked(monkeypatch):
     """At which shares of errors and refusals beliefs are asked to decide."""
-    found, plain = set(), Belief.decide
+    found, plain = set(), Belief.named
 
-    def decide(self, error=0.01, costs=None, *, refusal=None, level="object"):
+    def named(self, error=0.01, costs=None, *, refusal=None, level="object"):
         found.add((error, refusal))
         return plain(self, error, costs, refusal=refusal, level=level)
 
-    monkeypatch.setattr(Belief, "decide", decide)
+    monkeypatch.setattr(Belief, "named", named)
     return found

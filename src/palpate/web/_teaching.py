@@ -102,7 +102,11 @@ class Teacher:
         """
         if name is not None and not name.strip():
             raise ValueError("session must have a name, got nothing.")
-        started = time.strftime("%Y-%m-%d %H:%M:%S")
+        now = time.time()
+        started = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(now))
+        former = (self.journal.session or ("",))[0]
+        if former.startswith(started):  # begun within the same second
+            started += f".{int(now % 1 * 1000):03}"
         self._session = f"{started} {why}".strip() if name is None else name.strip()
 
     def begin(self, name: str, wanted: int) -> None:
