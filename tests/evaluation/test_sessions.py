@@ -130,7 +130,7 @@ def test_where_sessions_were_asked_what_was_measured_is_expected(week):
     figures, _ = evaluate(week, split="session", plan=PLAN)
     right = 100 * figures["accuracy"]["1"]
     assert other_day_said(figures) == (
-        "Each session was asked by those that learnt from the others alone: "
+        "Each session was left out of learning in turn: "
         f"{right:.1f} % right after 1 touch is what to expect of another session."
     )
     assert figures["n_objects"] == {"1": 4, "3": 4}  # asked in two folds
@@ -138,7 +138,9 @@ def test_where_sessions_were_asked_what_was_measured_is_expected(week):
     plan = Plan(touches=(3,), orders=4, remount="recentre")
     elsewhere, _ = evaluate(train, test, plan=plan)
     words = other_day_said(elsewhere)
-    assert words.startswith("The test touches are of sessions that did not teach: ")
+    assert words.startswith(
+        "Nothing was learnt from the sessions of the test touches: "
+    )
     assert words.endswith(
         "right after 3 touches (remount recentre) is what to expect of another session."
     )

@@ -46,7 +46,7 @@ def checked_seed(seed: int) -> int:
     return seed
 
 
-def known(name: str, values: Callable[[], Iterable[str]]) -> Callable[..., Any]:
+def one_of(name: str, values: Callable[[], Iterable[str]]) -> Callable[..., Any]:
     """Return what refuses a value of an option that is none of `values`."""
 
     def checked(value: str | None) -> str | None:
@@ -165,14 +165,14 @@ Preset = Annotated[
     option(
         "--preset",
         '"default", "corradi2015" or "liu2014".',
-        callback=known("--preset", _of_recognition("PresetName")),
+        callback=one_of("--preset", _of_recognition("PresetName")),
     ),
 ]
 Label = Annotated[
     str,
     option(
         'What to recognise: "object" or "category".',
-        callback=known("--label", _of_recognition("Label")),
+        callback=one_of("--label", _of_recognition("Label")),
     ),
 ]
 ErrorRate = Annotated[float, option("--error", "Accepted share of wrong names.")]
@@ -257,7 +257,7 @@ class Learning:
         option(
             "How objects come: any (angle and place), turned (any angle), shifted (any "
             "place), fixed (always the same), or auto: found out.",
-            callback=known("--presentation", _of_recognition("Presentation")),
+            callback=one_of("--presentation", _of_recognition("Presentation")),
         ),
     ] = "auto"
     seed: Seed = 0

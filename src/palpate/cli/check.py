@@ -238,13 +238,13 @@ def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
     """Return a row for each bad picture, one for those that lie wrongly in one way."""
     rows: list[list[str]] = []
     folders: dict[tuple[str, str], dict[str, int]] = {}
-    for one in bad:
-        why = one["problem"], one["fix"]
-        if one["folder"]:
+    for picture in bad:
+        why = picture["problem"], picture["fix"]
+        if folder := picture["folder"]:
             counts = folders.setdefault(why, {})
-            counts[one["folder"]] = counts.get(one["folder"], 0) + 1
+            counts[folder] = counts.get(folder, 0) + 1
         else:
-            rows.append([one["picture"], *why])
+            rows.append([picture["picture"], *why])
     for why, counts in folders.items():
         named = ", ".join(f"{folder}/" for folder in list(counts)[:_NAMED])
         more = f" and {len(counts) - _NAMED} more" * (len(counts) > _NAMED)

@@ -33,7 +33,7 @@ def evaluate(
         str | None,
         option(
             "Split --train itself: between, last, unseen-objects, session or subject.",
-            callback=_options.known("--split", _splits),
+            callback=_options.one_of("--split", _splits),
         ),
     ] = None,
     touches: Annotated[str, option("Accuracy after so many touches.")] = "1,5,15,30",

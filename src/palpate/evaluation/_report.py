@@ -259,12 +259,12 @@ def other_day_said(figures: dict[str, Any]) -> str:
     if not (figures["elsewhere"] and accuracy):
         return said_of_sessions(figures["sessions"])
     split, (k, *_) = figures["split"], accuracy
-    asked = "The test touches are of sessions that did not teach"
+    how = "Nothing was learnt from the sessions of the test touches"
     if split:
-        asked = f"Each {split} was asked by those that learnt from the others alone"
+        how = f"Each {split} was left out of learning in turn"
     used = figures["remount"]
     return (
-        f"{asked}: {as_text(accuracy[k], 100)} % right after {k} "
+        f"{how}: {as_text(accuracy[k], 100)} % right after {k} "
         f"touch{'es' * (k != '1')}{f' (remount {used})' * (used != 'none')} is what "
         f"to expect of another {split or 'session'}."
     )

@@ -42,7 +42,7 @@ class Fold:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether all that is asked was touched in sessions that did not teach."""
+        """Whether nothing was learnt from any session of the test touches."""
         taught, tested = self.train.session, self.test.session
         if taught is None or tested is None:
             return False

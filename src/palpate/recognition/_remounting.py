@@ -242,16 +242,21 @@ def _right_elsewhere(learnt: Learnt, met_elsewhere: Bools) -> Bools:
     """
     memory = learnt.memory
     if len(memory) > MOST_CHOOSING:
-        said, rows = _log_likelihood_of_left_out_sessions(learnt, memory.features)
-        right = learnt.classes[said.argmax(axis=1)] == memory.labels[rows]
+        log_likelihood, rows = _log_likelihood_of_left_out_sessions(
+            learnt, memory.features
+        )
+        right = learnt.classes[log_likelihood.argmax(axis=1)] == memory.labels[rows]
         return np.asarray(right[met_elsewhere[rows]])
     right = [np.empty(0, dtype=bool)]
     turn = np.unique(memory.sessions, return_inverse=True)[1] % MOST_TURNS
     for k in np.unique(turn[met_elsewhere]):
         labels, counts = np.unique(memory.labels[turn != k], return_counts=True)
         teachable = np.isin(memory.labels, labels[counts > 1])
-        others, asked = teachable & (turn != k), teachable & (turn == k) & met_elsewhere
-        if not asked.any() or (counts > 1).sum() < 2:
+        others, tested = (
+            teachable & (turn != k),
+            teachable & (turn == k) & met_elsewhere,
+        )
+        if not tested.any() or (counts > 1).sum() < 2:
             continue
         groups, objects = memory.blocks[others], memory.objects[others]
         pairs = np.stack([objects.astype(str), groups.astype(str)])
@@ -261,8 +266,8 @@ def _right_elsewhere(learnt: Learnt, met_elsewhere: Bools) -> Bools:
         machine, taught = clone(learnt.classifier), memory.features[others]
         with on_one_thread():
             machine.fit(taught, memory.labels[others], groups=groups)
-        best = machine.log_likelihood(memory.features[asked]).argmax(axis=1)
-        right.append(machine.classes_[best] == memory.labels[asked])
+        best = machine.log_likelihood(memory.features[tested]).argmax(axis=1)
+        right.append(machine.classes_[best] == memory.labels[tested])
     return np.concatenate(right)
 
 

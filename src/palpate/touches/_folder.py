@@ -243,7 +243,7 @@ def _lost(
     odd: Collection[str],
 ) -> dict[str, BadPicture]:
     """Return the objects, or folders of odd pictures, of which nothing can be used."""
-    gone = {one.picture: one for one in bad}
+    gone = {picture.picture: picture for picture in bad}
     named = [name for name in names if name not in odd]
     try:
         objects = labels_of(root, named, pattern, _MOST_TABLE).get("object", ())

@@ -189,7 +189,7 @@ def odd_folders(
     for name in odd:
         place = name.partition("/")[0], min(name.count("/"), 2)
         below.setdefault(place, []).append(name)
-    found: dict[str, tuple[str, str, str]] = {}
+    problems: dict[str, tuple[str, str, str]] = {}
     for (folder, depth), inside in below.items():
         if (depth, usual) == (2, {1}):
             among = list(dict.fromkeys(name.split("/")[1] for name in inside))
@@ -204,8 +204,8 @@ def odd_folders(
             )
         else:
             continue
-        found |= dict.fromkeys(inside, (problem, fix, folder))
-    return found
+        problems |= dict.fromkeys(inside, (problem, fix, folder))
+    return problems
 
 
 def labels_of_folders(names: Sequence[str]) -> Arrays:

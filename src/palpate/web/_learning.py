@@ -228,9 +228,9 @@ def _taught(
     library: TouchLibrary,
     image_shape: Sequence[int] | None,
     left_out: Sequence[str],
-    known: Sequence[str],
+    kept: Sequence[str],
 ) -> Any:
-    """Return what to learn: of objects not `known` two touches each at least."""
+    """Return what to learn: of objects not `kept` two touches each at least."""
     if image_shape is None:
         newest = library.list(limit=1, offset=max(0, len(library) - 1))
         if not newest:
@@ -247,7 +247,7 @@ def _taught(
         chosen = chosen[whole]
     labels = np.asarray(chosen.object)
     at, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
-    rows = np.flatnonzero((counts[at] >= LEAST_TOUCHES) | np.isin(labels, known))
+    rows = np.flatnonzero((counts[at] >= LEAST_TOUCHES) | np.isin(labels, kept))
     return chosen[rows] if len(rows) else None
 
 

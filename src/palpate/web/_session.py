@@ -303,9 +303,9 @@ class LiveSession:
             self.message = self.trouble = ""
             desk = desk_of(watch.sensor)
             if desk is not None:
-                known = name in desk.objects
-                self._put(desk, name if known else None)
-                if not known:
+                is_there = name in desk.objects
+                self._put(desk, name if is_there else None)
+                if not is_there:
                     self.message = f"Choose what {name} is: nothing is on the desk now."
             self._new_episode()
 
@@ -530,7 +530,7 @@ class LiveSession:
                     zip(*map(np.ndarray.tolist, counted), strict=True)
                 )
             if self.teacher is not None:
-                self.teacher.known = {*self._n_elsewhere}
+                self.teacher.elsewhere = {*self._n_elsewhere}
             if self.watch is not None:
                 self.watch.compare_with(recogniser)
             self._new_episode()
@@ -690,9 +690,9 @@ class LiveSession:
         assert self.teacher is not None
         assert self.model_path is not None
         path, shape = self.model_path, self.teacher.image_shape()
-        base, given = path if path.is_file() else None, self.given_model
-        if given is not None and not given.exists():
-            shutil.copyfile(path, given)
+        base, original = path if path.is_file() else None, self.given_model
+        if original is not None and not original.exists():
+            shutil.copyfile(path, original)
         answer = learn_apart(self.teacher.folder, path, base, changes, shape)
         if names := answer["objects"]:
             self._use(ObjectRecogniser.load(path))

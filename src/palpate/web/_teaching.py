@@ -78,7 +78,7 @@ class Teacher:
         self.lesson: Lesson | None = None
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
-        self.known: set[str] = set()  # what the model knows from elsewhere
+        self.elsewhere: set[str] = set()  # objects that the model knows from elsewhere
         self.silent: set[str] = set()  # ids of touches taught here without contact
         if TouchLibrary.is_library(self.folder):
             _ = self.library
@@ -195,7 +195,7 @@ class Teacher:
             return stored
         self.end()
         taught = {name for name, count in self._counts().items() if count > 1}
-        can_learn = len(taught | self.known) > 1
+        can_learn = len(taught | self.elsewhere) > 1
         then = "Learn to recognise it." if can_learn else "Teach another object."
         return f"{stored} {lesson.verdict or then}"
 
