@@ -18,7 +18,7 @@ from PIL import Image
 import palpate as package
 from palpate import Touches
 from palpate.cli import app
-from palpate.cli.recognise import print_episode
+from palpate.cli.recognise import outcome_lines, print_episode
 from palpate.library import TouchLibrary
 from palpate.recognition import Belief, Named, ObjectRecogniser
 
@@ -116,6 +116,22 @@ def test_recognise_draws_the_belief_for_people(palpate, archive, model):
     assert "Touches of mug:" in done.stdout
     assert "touch   1" in done.stdout
     assert "█" in done.stdout
+
+
+def test_recognise_counts_how_labelled_episodes_ended():
+    """A thing never learnt is rightly unknown; one alone needs no count."""
+    ended = [("mug", "mug"), ("mug", "mug"), ("pen", "mug"), ("pen", None)]
+    ended += [("box", "unknown"), ("box", "mug"), ("mug", "unknown")]
+    episodes = [{"object": name, "decision": decision} for name, decision in ended]
+    assert outcome_lines(episodes, ["mug", "pen"]) == [
+        (
+            "5 episodes of things learnt: 2 named right, 1 named wrong, 1 undecided, "
+            "1 called unknown."
+        ),
+        "2 episodes of things never learnt: 1 called unknown, 1 named wrong.",
+    ]
+    assert outcome_lines(episodes[:1], ["mug"]) == []
+    assert outcome_lines([{"object": None, "decision": "mug"}] * 2, ["mug"]) == []
 
 
 def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(capsys):

@@ -50,6 +50,7 @@ def learn(
 
     recognition.check_model_path(output)
     kept = unless_made("nothing is learnt", output)
+    replaces = ", in place of the model there" if output.exists() else ""
     with told_if_stopped(kept), stages() as stage, working.started():
         stage(f"reading {touches}")
         before = None
@@ -93,7 +94,7 @@ def learn(
         as_json,
         {"model": str(written), **learnt, "sessions": across},
         f"Learnt {counted(learnt['n_labels'], one, many)} from "
-        f"{counted(learnt['n_train_touches'])}, saved as {written}.",
+        f"{counted(learnt['n_train_touches'])}, saved as {written}{replaces}.",
         *few,
         recognition.said_of_sessions(across),
         " ".join(f"{detail[0].upper()}{detail[1:]}." for detail in details),

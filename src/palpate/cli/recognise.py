@@ -1,10 +1,12 @@
 """`palpate recognise`: model and touches -> a belief after each touch."""
 
+from collections import Counter
+from collections.abc import Collection
 from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 from . import _options
-from ._output import belief_line, print_json, say, stages
+from ._output import belief_line, counted, print_json, say, stages
 
 if TYPE_CHECKING:
     from ..recognition import Evidence, ObjectRecogniser
@@ -68,6 +70,9 @@ def recognise(
         say(OTHER_MOUNTING.format(f"{more}; see palpate remount"))
     for episode in episodes:
         print_episode(episode, explain=explain)
+    if recogniser.label == level:
+        for line in outcome_lines(episodes, recogniser.classes_.tolist()):
+            say(line)
 
 
 def recognise_episodes(
@@ -110,6 +115,26 @@ def recognise_episodes(
             }
         )
     return result
+
+
+def outcome_lines(
+    episodes: list[dict[str, Any]], classes: Collection[str]
+) -> list[str]:
+    """Return how episodes of labelled touches ended; none of one episode alone."""
+    if len(episodes) < 2 or any(episode["object"] is None for episode in episodes):
+        return []
+    outcomes: dict[str, Counter[str]] = {"learnt": Counter(), "never learnt": Counter()}
+    for episode in episodes:
+        name, decision = episode["object"], episode["decision"]
+        words = {None: "undecided", name: "named right", "unknown": "called unknown"}
+        kind = "learnt" if name in classes else "never learnt"
+        outcomes[kind][words.get(decision, "named wrong")] += 1
+    lines = []
+    for kind, ends in outcomes.items():
+        of_kind = f"episode of things {kind}", f"episodes of things {kind}"
+        numbers = ", ".join(f"{number} {end}" for end, number in ends.most_common())
+        lines += [f"{counted(ends.total(), *of_kind)}: {numbers}."] if ends else []
+    return lines
 
 
 def _pose(
