@@ -4,10 +4,11 @@ import json
 import os
 import time
 
+import numpy as np
 import pytest
 
 from palpate.library import LibraryError, TouchLibrary
-from palpate.sensors import DetectedTouch
+from palpate.sensors import DetectedTouch, ReplaySensor, SimulatedStream
 from palpate.web import LearningError, LiveSession
 
 from .conftest import waited
@@ -177,7 +178,7 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
 ):
     with make_session(library=folder) as session:
         session.place("disc")
-        session.teach("bar", 8)
+        session.teach("bar", 800)  # more than are touched meanwhile
     with make_session(library=folder) as session:
         session.place("disc")
         assert waited(lambda: session.watch.detector.touching)
@@ -198,6 +199,33 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
         assert (
             session.message == "Choose what my own bar is: nothing is on the desk now."
         )
+
+
+def test_a_simulated_lesson_goes_on_with_other_touches_after_a_restart(tmp_path):
+    pictures = []
+    for _ in range(2):
+        desk = SimulatedStream("bar10", rate_hz=500, hold=3, gap=3, ramp=0)
+        with LiveSession(desk, library=tmp_path / "desk") as session:
+            session.teach("bar10", 4)
+            assert waited(lambda opened=session: opened.teacher.lesson is None)
+            session.place(None)
+            rows = session.teacher.library.list(limit=None)
+            pictures = [session.teacher.library.image(row.id).tobytes() for row in rows]
+    assert len(pictures) == 8
+    assert len({*pictures}) == 8
+
+
+def test_a_recording_that_begins_anew_is_not_stored_twice(tmp_path, drawn):
+    few = drawn[np.flatnonzero(drawn.object == "disc")[:5]]
+    for n_stored in (3, 5):
+        replay = ReplaySensor(few, rate_hz=250, hold=3, gap=3)
+        with LiveSession(replay, library=tmp_path / "few") as session:
+            session.teach("disc", 3)
+            assert waited(lambda opened=session: opened.teacher.lesson is None)
+            session.place(None)
+            assert session.teacher.library.count() == n_stored
+    said = "All 5 touches that were recorded here are stored: 2 of 3 of disc."
+    assert session.message == said
 
 
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
