@@ -17,6 +17,7 @@ from palpate.recognition import (
     ObjectRecogniser,
     SequenceCalibration,
 )
+from palpate.recognition._sentences import sentence_of
 from palpate.recognition._strangers import Curve
 
 NAMES = ("ball", "cup", "mug", "pen", "rod")
@@ -324,6 +325,66 @@ def test_a_reason_is_one_sentence(start, shares, strangers, asked, sentence):
     belief.update_from_log_likelihood(np.zeros(5))
     assert belief.reason(**asked) == sentence.replace("1 touch", "2 touches")
     assert "said nothing." in belief.why()[-1]
+
+
+def test_where_touches_are_worth_one_more_of_them_are_not_asked_for(start, model):
+    """After six touches, as many as each object was taught with."""
+    odds = touch_evidence(model, 1, 90, 80, 1, 1)
+    for calibration, words in (
+        # However many there are, the cup has 90 : 80 at most, to the power of 1.
+        ((1.0, 1.0), "more touches will not tell; teach cup and mug again, at other"),
+        # Of many independent touches the cup has 90 : 80 to the power of them.
+        ((1.0, 0.0), "touch again"),
+    ):
+        episode = Episode(start(calibration=calibration))
+        for _ in range(5):
+            assert episode.add(odds) == "cup or mug: touch again"
+        said = episode.add(odds)
+        assert said.startswith(f"cup or mug: {words}")
+        assert said == episode.belief.reason()
+    # Only doubt about a stranger is left, and touches that add up may still end it.
+    assert (
+        not start(strangers=0.9)
+        .update(Evidence.together([touch_evidence(model, 1, 9e9, 1, 1, 1)] * 6))
+        .is_stuck(1e-6)
+    )
+    # What goes on to be decided is not touched: the projection is of a copy.
+    for _ in range(60):
+        episode.add(odds)
+    assert episode.decision == "cup"
+
+
+@pytest.mark.parametrize(
+    ("posterior", "unknown", "sentence"),
+    [
+        (
+            {"cup": 0.96, "mug": 0.0},
+            0.04,
+            "probably cup (96 %): {}cup again, at other places",
+        ),
+        (
+            {"cup": 0.6, "mug": 0.0},
+            0.4,
+            (
+                "cup or nothing I know: "
+                "{}cup again, at other places, or this, if it is new"
+            ),
+        ),
+        (
+            {"cup": 0.04, "mug": 0.0},
+            0.96,
+            "probably nothing I know (96 %): {}this, if it is new",
+        ),
+        (
+            {"cup": 0.4, "mug": 0.3, "pen": 0.25},
+            0.05,
+            "cup, mug or pen: {}cup, mug and pen again, at other places",
+        ),
+    ],
+)
+def test_what_to_teach_where_touches_do_not_tell(posterior, unknown, sentence):
+    said = sentence_of(posterior, unknown, 9, None, is_stuck=True)
+    assert said == sentence.format("more touches will not tell; teach ")
 
 
 def test_why_tells_the_figures_behind_a_sentence(start):
