@@ -14,7 +14,6 @@ from palpate import Touches
 from palpate.exploration import (
     Hemisphere,
     InformativeTouch,
-    PlacedBelief,
     Stations,
     TouchMap,
     TouchRecord,
@@ -180,7 +179,7 @@ def test_touches_one_by_one_or_at_once(touch_map):
 
 def test_the_belief_decides(touch_map):
     belief = touch_map.start()
-    assert isinstance(belief, PlacedBelief)
+    assert belief.log_joint.shape == (touch_map.n_objects, touch_map.n_turns)
     assert belief.decide() is None
     belief.update(_one("marked", 0.0))
     assert belief.best == "marked"

@@ -3,7 +3,6 @@
 from ._canvas import EdgeHistograms, RingPatterns, RingQuantiles
 from ._moments import CentroidMoments, HuMoments, PadShapes
 from ._moments import sorted_taxels as sorted_taxels
-from ._named import ENCODINGS as ENCODINGS
 from ._named import EncodingUnion, RootScaler, encoder_named
 from ._onnx import OnnxEncoding
 from ._onnx import OnnxError as OnnxError
@@ -18,8 +17,6 @@ from ._principal import KernelPCA, OrientedPCA, PrincipalShare, ZernikePCA
 from ._shape import FourierDescriptors, ShapeGeometry
 from ._shape import outer_boundary as outer_boundary
 from ._zernike import ZernikeMoments
-from ._zernike_tables import zernike_degrees as zernike_degrees
-from ._zernike_tables import zernike_values as zernike_values
 
 __all__ = [
     "CentroidMoments",

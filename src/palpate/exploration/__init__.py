@@ -10,7 +10,6 @@ from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._place_belief import PlaceBelief
 from ._place_filter import advice
-from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog as EpisodeLog
 from ._record import TouchRecord as TouchRecord
@@ -32,7 +31,6 @@ from ._strategies import (
 from ._strategies import Stations as Stations
 from ._strategies import most_promising as most_promising
 from ._surface_map import SurfaceMap
-from ._touch_map import PlacedBelief as PlacedBelief
 from ._touch_map import TouchMap
 from ._touch_map import freshness as freshness
 
