@@ -1,6 +1,7 @@
 """`palpate data`, and the verbs that find what it fetched."""
 
 import json
+import re
 import sys
 from operator import itemgetter
 from pathlib import Path
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 
 from palpate.cli import main
-from palpate.cli.serve import _copied
 from palpate.datasets import card, names, where
 from palpate.simulation import simulate_presses
 
@@ -172,16 +172,32 @@ def test_a_ready_model_is_made_once_and_recognises_its_sensor(
 def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     palpate, tmp_path, monkeypatch
 ):
+    """With no library, or a model of one's own, it is the file that was named."""
+    pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
     monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
-    path = tmp_path / "kept.palpate"
-    path.write_bytes(b"a model")
-    desk = tmp_path / "desk"
-    copy = _copied(path, Path("sim-dome"), desk)
-    assert copy == desk / "model.palpate"
-    assert copy.read_bytes() == b"a model"
-    with pytest.raises(ValueError, match=r"--model must be left out where .*desk has"):
-        _copied(path, Path("sim-dome"), desk)
-    assert _copied(path, Path("sim-dome"), None) == _copied(path, path, desk) == path
+    served = []
+    monkeypatch.setattr("palpate.web.create_app", lambda all_, *_, **__: all_)
+    monkeypatch.setattr("palpate.web.start_all", lambda sessions: None)
+
+    def run_app(sessions, opened):
+        served.extend(session.model_path for session in sessions)
+        opened.close()
+
+    monkeypatch.setattr("palpate.web.run_app", run_app)
+    ready = Path(palpate("data", "fetch", "sim-array")[1].strip())
+    content, desk = ready.read_bytes(), tmp_path / "desk"
+    serve = "serve", "--port", "0", "--model"
+    assert palpate(*serve, "sim-array", "--library", desk)[0] == 0
+    assert (desk / "model.palpate").read_bytes() == ready.read_bytes() == content
+    code, _, err = palpate(*serve, "sim-array", "--library", desk)
+    assert code == 1
+    assert re.search(r"--model must be left out where .*desk has", err)
+    assert palpate(*serve, "sim-array")[0] == 0
+    other = tmp_path / "other"
+    other.mkdir()
+    assert palpate(*serve, ready, "--library", other)[0] == 0
+    assert served == [desk / "model.palpate", ready, ready]
+    assert not (other / "model.palpate").exists()
 
 
 def test_a_ready_model_that_is_nearly_named_is_asked_about(palpate, tmp_path):

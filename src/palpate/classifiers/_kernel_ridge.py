@@ -33,7 +33,6 @@ from ._ridge import (
     inverse_blocks,
     left_out_scores,
     log_counts_of,
-    log_posterior,
     rows_by_size,
     smoothed_loss,
     solve_ridge,
@@ -417,9 +416,7 @@ class KernelRidgeClassifier(BayesRule):
         squared *= -self.width_ / self.unit_
         kernel = exp(squared, out=squared).astype(self.coefficients_.dtype, copy=False)
         scores = (kernel @ self.coefficients_).astype(np.float64, copy=False)
-        scores = scores + 1 / len(self.classes_)
-        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
-        return np.asarray(bent - self.log_counts_)
+        return self._bent(scores + 1 / len(self.classes_))
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
@@ -433,8 +430,12 @@ class KernelRidgeClassifier(BayesRule):
         return np.asarray(getattr(self, "left_out_rows_", all_rows))
 
     def _log_posterior(self, scores: Floats) -> Floats:
-        shape = (self.temperature_, self.bend_, 1.0)
-        return log_posterior(shape, scores, self.log_counts_)
+        return log_softmax(self._bent(scores))
+
+    def _bent(self, scores: Floats) -> Floats:
+        """Return large scores bent, and frequent labels leant against."""
+        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
+        return np.asarray(bent - self.log_counts_)
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""
