@@ -161,7 +161,7 @@ def test_touches_come_one_by_one_or_together(start, model):
     beliefs[0].update(touches)
     beliefs[1].update(given)
     for k in range(len(touches)):
-        beliefs[2].update(given.one(k))
+        beliefs[2].update(given.of_touch(k))
         beliefs[3].update(touches.images[k])
     for belief in beliefs[1:]:
         # Products of one row and of several round differently.
@@ -463,7 +463,7 @@ def test_evidence_names_what_is_wrong_with_it(start, model):
         belief.update(given._replace(by_encoding=given.by_encoding[:, :, :4]))
     with pytest.raises(ValueError, match="features must have shape"):
         belief.update(given._replace(features=given.features[:, :-1]))
-    whole = Evidence.together([given.one(0), given.one(1)])
+    whole = Evidence.together([given.of_touch(0), given.of_touch(1)])
     for one, other in zip(whole, given, strict=True):
         assert np.array_equal(one, other)
 

@@ -98,7 +98,7 @@ def serve(
         ExitStack() as stack,
     ):
         model = model and _copied(model_file(model), model, library)
-        chosen: list[Any] = [options.open(one) for one in addresses] or [None]
+        chosen: list[Any] = [options.open(address) for address in addresses] or [None]
         folders = [library]
         if len(addresses) > 1:
             folders = _folders(addresses, library, model)

@@ -33,7 +33,7 @@ _SHOWN, _NEAREST = 5, 6
 _MOST_PLACED = 100
 _NOTHING_MET = "touch {}: nothing met"
 _TEACH = "teach two objects, then learn"
-_START_AGAIN = "start palpate serve again with --library FOLDER to teach"
+_START_AGAIN = "start again with `library=FOLDER` to teach"
 _TELLS_NOTHING = _NOTHING_MET + ", which tells nothing without a map of the objects"
 # How far back the way of a miss is known to be free.
 _FREE_WAY_MM = 300.0
@@ -118,9 +118,9 @@ class LiveEpisode:
         and `force_n`, where they are known.
         """
         of_place = columns or {}
-        known = {name: of_place[name] for name in PLACED if name in of_place}
+        place = {name: of_place[name] for name in PLACED if name in of_place}
         touch = LiveTouch(
-            len(self.touches) + 1, time.time(), miss=image is None, **known
+            len(self.touches) + 1, time.time(), miss=image is None, **place
         )
         evidence = None
         if self.recogniser is not None and image is not None:
@@ -337,5 +337,5 @@ def _item(touch: LiveTouch, png: bytes | None) -> str:
         for name, share in shown
     )
     note = f"<p class=note>{escape(touch.note)}</p>" if touch.note else ""
-    told = f"<b>Touch {touch.number}</b>{note}<table>{rows}</table>"
-    return f"<li>{picture}<div>{told}</div></li>"
+    text = f"<b>Touch {touch.number}</b>{note}<table>{rows}</table>"
+    return f"<li>{picture}<div>{text}</div></li>"

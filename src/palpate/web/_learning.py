@@ -35,7 +35,7 @@ _TOO_LITTLE = (
 _NOT_FURTHER = (
     "The model must be of the sensor's {new} to be learnt further, but it knows "
     "{names} from images of {old}, and their touches are not in the library. Forget "
-    "those, or start with another --model."
+    "those, or start with another `model`."
 )
 
 

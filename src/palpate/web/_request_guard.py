@@ -41,6 +41,7 @@ _HEADERS = {
 }
 # What the page that asks for the token looks like; everybody may have it.
 _OPEN = ("/static/style.css", "/static/icon.svg")
+_WHERE = "open the address that was printed when this server started."
 _MOST_CLIENTS = 1000
 _MOST_FIELDS = 100
 _MORE_HEADERS = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}
@@ -117,8 +118,8 @@ class RequestGuard:
     def _refusal(self, request: HTTPConnection) -> tuple[int, str] | None:
         if not self._is_ours(request.headers.get("host", "")):
             return 403, (
-                "Host must be a name of this server, got another. Start palpate serve "
-                "with --name NAME, or use its address."
+                "Host must be a name of this server, got another. Use its address, "
+                "or start it with that as one of its `names`."
             )
         if _from_elsewhere(request):
             return 403, "Requests from pages of other sites are refused."
@@ -135,9 +136,9 @@ class RequestGuard:
         named = bearer.strip() if kind.lower() == "bearer" else ""
         token = named or in_address or request.cookies.get(cookie_name(request))
         if token is None:
-            return 401, "The token is missing; open the address palpate serve printed."
+            return 401, f"The token is missing; {_WHERE}"
         if not hmac.compare_digest(token.encode(), self._token):
-            return 403, "The token is wrong; open the address palpate serve printed."
+            return 403, f"The token is wrong; {_WHERE}"
         return None
 
     def _is_ours(self, host: str) -> bool:

@@ -328,7 +328,9 @@ Session = Annotated[LiveSession, Depends(_session)]
 
 async def _teacher(session: Session) -> Teacher:
     if session.teacher is None:
-        raise HTTPException(409, "There is no library here; start with --library.")
+        raise HTTPException(
+            409, "There is no library here; start with `library=FOLDER`."
+        )
     return session.teacher
 
 

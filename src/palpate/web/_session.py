@@ -370,7 +370,7 @@ class LiveSession:
         """
         self._begin_learning("Learning.", wait=wait)
 
-    def _begin_learning(self, said: str = "", *, wait: bool = False) -> None:
+    def _begin_learning(self, message: str = "", *, wait: bool = False) -> None:
         journal = self._teacher().journal
         if not self._learn_lock.acquire(blocking=False):
             raise LearningError("It is learning already; wait until it has finished.")
@@ -378,7 +378,7 @@ class LiveSession:
         with self._lock:
             self._changed_before, journal.changed = journal.changed, set()
             changes = list(self._changes)
-            self.message = said or self.message
+            self.message = message or self.message
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(changes,), daemon=True)
         thread.start()
@@ -442,7 +442,7 @@ class LiveSession:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but pictures, as plain values."""
         with self._lock:
-            teacher, model, given = self.teacher, self.recogniser, self.given_model
+            teacher, model, original = self.teacher, self.recogniser, self.given_model
             lesson = None if teacher is None else teacher.lesson
             return {
                 "sensor": None if self.watch is None else self.watch.to_dict(),
@@ -454,7 +454,9 @@ class LiveSession:
                     "encoding": str(model.chosen_.get("encoding", "")),
                     "file": str(self.model_path),
                     "n_elsewhere": self._n_elsewhere,
-                    "to_keep": str(given) if given and not given.exists() else "",
+                    "to_keep": str(original)
+                    if original and not original.exists()
+                    else "",
                 },
                 "library": None if teacher is None else teacher.to_dict(),
                 "lesson": None if lesson is None else lesson.to_dict(),
@@ -476,7 +478,7 @@ class LiveSession:
         if self.teacher is None:
             raise ValueError(
                 "Nothing can be taught without a library. Start again with "
-                "--library FOLDER."
+                "`library=FOLDER`."
             )
         return self.teacher
 

@@ -114,7 +114,7 @@ class Teacher:
         if self._sensor is None:
             raise SensorError(
                 "There is no sensor here whose touches could be stored. Post them "
-                "(teach/touch), or start again with --sensor."
+                "(teach/touch), or start again with a `sensor`."
             )
         lesson = Lesson(checked_name(name), wanted)
         self.end()
@@ -226,7 +226,7 @@ class Teacher:
                 return name, UNDONE[last.kind].format(name=name, to=last.to)
         raise LibraryError(
             "There is no touch to undo: nothing done on this page is left. "
-            "`palpate library retract` leaves older ones out."
+            "Older ones are removed by their pictures."
         )
 
     def _undo(self, last: Action) -> str | None:
