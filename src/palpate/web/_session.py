@@ -33,13 +33,17 @@ from ..sensors import (
     desk_of,
 )
 from ..touches import Touches
-from ._episode import LiveEpisode
+from ._episode import LiveEpisode, TopView, archive_beside
 from ._images import ImageKind, Names, check_image
-from ._learning import LearningError, learn_apart, start_learning
-from ._quality import advice, object_quality
+from ._learning import (
+    LearningError,
+    advice,
+    learn_apart,
+    object_quality,
+    start_learning,
+)
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
 from ._teaching import Teacher, columns_of
-from ._top_view import TopView, archive_beside
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -47,20 +51,6 @@ ONE_SESSION = (
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
-
-
-def start_all(sessions: Sequence["LiveSession"]) -> None:
-    """Start sessions; one that fails says so on its page, if another can go on."""
-    failed: list[Exception] = []
-    for session in sessions:
-        try:
-            session.start()
-        except (ValueError, OSError, SensorError) as error:
-            failed.append(error)
-            if session.watch is not None:
-                session.watch.failed = f"It is left out: {error}"
-    if len(failed) == len(sessions):
-        raise failed[0]
 
 
 class LiveSession:
@@ -174,6 +164,20 @@ class LiveSession:
             self.stop()
             raise
         return self
+
+    @staticmethod
+    def start_all(sessions: Sequence["LiveSession"]) -> None:
+        """Start sessions; one that fails says so on its page, if another can go on."""
+        failed: list[Exception] = []
+        for session in sessions:
+            try:
+                session.start()
+            except (ValueError, OSError, SensorError) as error:
+                failed.append(error)
+                if session.watch is not None:
+                    session.watch.failed = f"It is left out: {error}"
+        if len(failed) == len(sessions):
+            raise failed[0]
 
     def stop(self) -> None:
         """Free the sensor and the library."""

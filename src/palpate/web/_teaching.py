@@ -18,9 +18,8 @@ from ..library import checked_name as library_name
 from ..sensors import PLACE_COLUMNS, DetectedTouch, LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
-from ._journal import Action, Journal
 from ._learning import LEAST_TOUCHES, of_size
-from ._lesson import Lesson
+from ._lesson import Action, Journal, Lesson
 
 LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
