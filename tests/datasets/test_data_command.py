@@ -13,6 +13,7 @@ import pytest
 from palpate.cli import main
 from palpate.datasets import card, names, where
 from palpate.simulation import simulate_presses
+from palpate.web import PageServer
 
 from .conftest import zipped
 
@@ -172,32 +173,27 @@ def test_a_ready_model_is_made_once_and_recognises_its_sensor(
 def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     palpate, tmp_path, monkeypatch
 ):
-    """With no library, or a model of one's own, it is the file that was named."""
-    pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
     monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
-    served = []
-    monkeypatch.setattr("palpate.web.create_app", lambda all_, *_, **__: all_)
-    monkeypatch.setattr("palpate.web.start_all", lambda sessions: None)
+    path = Path(palpate("data", "fetch", "sim-array")[1].strip())
+    used, desk = [], tmp_path / "desk"
 
-    def run_app(sessions, opened):
-        served.extend(session.model_path for session in sessions)
-        opened.close()
+    def run(server, app):
+        used.append(app.state.session.model_path)
 
-    monkeypatch.setattr("palpate.web.run_app", run_app)
-    ready = Path(palpate("data", "fetch", "sim-array")[1].strip())
-    content, desk = ready.read_bytes(), tmp_path / "desk"
-    serve = "serve", "--port", "0", "--model"
-    assert palpate(*serve, "sim-array", "--library", desk)[0] == 0
-    assert (desk / "model.palpate").read_bytes() == ready.read_bytes() == content
-    code, _, err = palpate(*serve, "sim-array", "--library", desk)
+    monkeypatch.setattr(PageServer, "run", run)
+
+    def served(*words):
+        return palpate("serve", "--port", "0", "--model", *words)
+
+    assert served("sim-array", "--library", desk)[0] == 0
+    copy = desk / "model.palpate"
+    assert copy.read_bytes() == path.read_bytes()
+    code, _, err = served("sim-array", "--library", desk)
     assert code == 1
     assert re.search(r"--model must be left out where .*desk has", err)
-    assert palpate(*serve, "sim-array")[0] == 0
-    other = tmp_path / "other"
-    other.mkdir()
-    assert palpate(*serve, ready, "--library", other)[0] == 0
-    assert served == [desk / "model.palpate", ready, ready]
-    assert not (other / "model.palpate").exists()
+    assert served("sim-array")[0] == served(path, "--library", tmp_path / "new")[0] == 0
+    assert used == [copy, path, path]
 
 
 def test_a_ready_model_that_is_nearly_named_is_asked_about(palpate, tmp_path):
