@@ -416,7 +416,9 @@ class KernelRidgeClassifier(BayesRule):
         squared *= -self.width_ / self.unit_
         kernel = exp(squared, out=squared).astype(self.coefficients_.dtype, copy=False)
         scores = (kernel @ self.coefficients_).astype(np.float64, copy=False)
-        return self._bent(scores + 1 / len(self.classes_))
+        scores = scores + 1 / len(self.classes_)
+        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
+        return np.asarray(bent - self.log_counts_)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
@@ -430,12 +432,8 @@ class KernelRidgeClassifier(BayesRule):
         return np.asarray(getattr(self, "left_out_rows_", all_rows))
 
     def _log_posterior(self, scores: Floats) -> Floats:
-        return log_softmax(self._bent(scores))
-
-    def _bent(self, scores: Floats) -> Floats:
-        """Return large scores bent, and frequent labels leant against."""
         bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
-        return np.asarray(bent - self.log_counts_)
+        return log_softmax(bent - self.log_counts_)
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""
