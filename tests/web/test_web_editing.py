@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.library import LibraryError, TouchLibrary
-from palpate.sensors import DetectedTouch, ReplaySensor, SimulatedStream
+from palpate.sensors import DetectedTouch, ReplaySensor, open_sensor
 from palpate.web import LearningError, LiveSession
 
 from .conftest import waited
@@ -159,6 +159,34 @@ def test_the_objects_that_changed_since_it_learnt_are_known(folder):
         assert changed(session) == []  # another program has learnt since
 
 
+def test_what_is_undone_is_as_it_was_learnt(folder):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        session.move_touches([session.teacher.newest("disc", 1)[0].id], "cup")
+        session.remove_touches([session.teacher.newest("bar", 1)[0].id])
+        assert session.to_dict()["library"]["changed"] == ["bar", "cup", "disc"]
+        session.undo()
+        assert session.to_dict()["library"]["changed"] == ["cup", "disc"]
+        session.undo()
+    with LiveSession(library=folder) as session:
+        assert session.to_dict()["library"]["changed"] == []
+        assert not session.unlearnt
+
+
+def test_what_is_forgotten_comes_back_by_undo_and_is_learnt_again(folder):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        session.forget("disc")
+        assert waited(lambda: not session.learning)
+        assert counts(session) == {"bar": 8}
+        assert session.to_dict()["library"]["undo"]["kind"] == "forgotten"
+        assert session.undo() == "disc"
+        assert session.message == "The touches of disc are back: learn again."
+        assert counts(session) == {"bar": 8, "disc": 8}
+        session.learn(wait=True)
+        assert session.recogniser.classes_.tolist() == ["bar", "disc"]
+
+
 def test_what_changed_stays_so_where_learning_fails(folder, monkeypatch):
     def fail(*job):
         raise LearningError("no memory")
@@ -204,7 +232,7 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
 def test_a_simulated_lesson_goes_on_with_other_touches_after_a_restart(tmp_path):
     pictures = []
     for _ in range(2):
-        desk = SimulatedStream("bar10", rate_hz=500, hold=3, gap=3, ramp=0)
+        desk = open_sensor("sim:bar10?rate=500&hold=3&gap=3")
         with LiveSession(desk, library=tmp_path / "desk") as session:
             session.teach("bar10", 4)
             assert waited(lambda opened=session: opened.teacher.lesson is None)

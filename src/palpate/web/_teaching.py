@@ -48,6 +48,7 @@ UNDONE = {
     "taught": "The last touch of {name} is undone.",
     "removed": "What was removed of {name} is back.",
     "moved": "What was moved to {to} is back with {name}.",
+    "forgotten": "The touches of {name} are back: learn again.",
 }
 
 
@@ -391,7 +392,10 @@ class Teacher:
             raise MissingObjectError(name, self._counts())
         self.verdicts.pop(name, None)
         if stored:
+            keys = [row.id for row in self._rows(name)]
             self.library.retract(object=name, reason="forgotten on the page")
+            self.journal.add(Action("forgotten", name, keys))
+            self._drop_from_lesson(keys)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -466,6 +470,12 @@ class Teacher:
         shape, dtype = rows[0].image_shape, np.dtype(rows[0].dtype)
         names = self.channels(rows[0].id) if len(shape) == 3 else None
         return ImageKind(shape, dtype, names)
+
+    def ids_of(self, name: str) -> set[str]:
+        """Return the ids of an object's touches that are to be learnt."""
+        size = self.image_shape()
+        rows = self._rows(name) if name in self._counts() else []
+        return {row.id for row in rows if row.image_shape == size}
 
     def _counts(self) -> dict[str, int]:
         return {row.name: row.n_touches for row in self.library.objects()}

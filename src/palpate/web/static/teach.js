@@ -19,12 +19,15 @@ export function startTeach() {
   find("wanted").addEventListener("input", sayKept);
 }
 
-// The touches just made become the first of the object that is named next.
-export function teachThese(count) {
+// The touches just made become the first of the object that is named next, or of `name`.
+export function teachThese(count, name = "") {
   keeping = count;
   show(find("first-touches"), count > 0);
   sayKept();
   if (count) find("name").focus();
+  if (name === "") return;
+  find("name").value = name;
+  find("lesson").requestSubmit(find("start"));
 }
 
 function sayKept() {
@@ -80,6 +83,7 @@ const WORDS = {
   taught: ({ object }) => `Undo touch of ${object}`,
   removed: ({ object }) => `Undo removal from ${object}`,
   moved: ({ to }) => `Undo move to ${to}`,
+  forgotten: ({ object }) => `Undo forgetting ${object}`,
 };
 
 // Each button that cannot be pressed has its reason beside it.
