@@ -322,7 +322,7 @@ def test_what_is_said_is_of_now(make_session, tmp_path, drawn, drawn_model):
         session.teach("both", 1)
         # The model knows others: with this one there is something to learn.
         said = session._take(drawn.images[63])
-        assert said == "Touch 1 of 1 of both is stored. Learn to recognise it."
+        assert said == "Touch 1 of 1 of both is stored. Next: Learn, or another object."
         session.message = said
         said_while = []
         session._learn_apart = lambda changes: said_while.append(session.message)

@@ -243,7 +243,7 @@ class ReplaySensor(PlayedSensor):
             if self._rest is None:
                 raise SensorError(
                     "The recording must show what touching nothing looks like, got "
-                    "touches alone. Give the picture of it as `no_contact`."
+                    "touches alone. Give a picture of touching nothing as `no_contact`."
                 )
         super().__init__(
             f"replay of {source}",

@@ -25,6 +25,7 @@ from ..recognition import (
 )
 from ..sensors import (
     PLACE_COLUMNS,
+    ContactError,
     DetectedTouch,
     LiveSensor,
     PlayedSensor,
@@ -409,7 +410,16 @@ class LiveSession:
 
         What is taught from now on is of another session; `changed` says why, in words.
         """
-        self._watched().take_baseline(force=force, ask_press=ask_press)
+        desk = desk_of(self._watched().sensor)
+        try:
+            self._watched().take_baseline(force=force, ask_press=ask_press)
+        except ContactError as error:
+            if desk is None or desk.placed is None:
+                raise
+            raise ContactError(
+                f"{desk.placed} touches the sensor. Put nothing on the desk, then take "
+                "the baseline again."
+            ) from error
         self.message = "The baseline is taken."
         self._met, self._n_met, self.alarm = [], 0, ""
         if self.teacher is not None:

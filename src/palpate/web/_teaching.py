@@ -233,7 +233,9 @@ class Teacher:
         self.end()
         taught = {name for name, count in self._counts().items() if count > 1}
         can_learn = len(taught | self.elsewhere) > 1
-        then = "Learn to recognise it." if can_learn else "Teach another object."
+        then = (
+            "Next: Learn, or another object." if can_learn else "Teach another object."
+        )
         return f"{stored} {lesson.verdict or then}"
 
     def _repeat(self, lesson: Lesson, desk: PlayedSensor) -> str:
@@ -511,15 +513,18 @@ def columns_of(touch: DetectedTouch) -> dict[str, Any]:
 
 def checked_name(name: str) -> str:
     """Return the name of an object without blanks at its ends, or explain."""
-    tidy = library_name(" ".join(name.split()))
+    tidy = " ".join(name.split())
+    if not tidy:
+        raise ValueError("The name of an object must not be blank. Give one.")
+    tidy = library_name(tidy)
     if len(tidy) > LONGEST_NAME:
         raise ValueError(
             f"The name of an object must have at most {LONGEST_NAME} characters, got "
             f"{len(tidy)}. Shorten it."
         )
-    if tidy == "unknown":
+    if tidy in ("unknown", "nothing", "nothing learnt", "nothing I know"):
         raise ValueError(
-            "The name of an object must not be 'unknown', which is what palpate says "
+            f"The name of an object must not be {tidy!r}, which is what palpate says "
             "of objects it has not learnt."
         )
     return tidy

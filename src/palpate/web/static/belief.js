@@ -17,6 +17,7 @@ let episode = null;
 let marks = new Map();
 let resting = 0;
 let alarmed = false;
+let alarmText = "";
 
 export function startBelief() {
   find("fresh").addEventListener("click", () => {
@@ -34,9 +35,10 @@ export function startBelief() {
 export const currentEpisode = () => episode;
 
 // Where the touches look as if they were of another sensor, no name stands without doubt.
-export function showEpisode(whole, alarm) {
+export function showEpisode(whole, alarm = "") {
   episode = whole;
-  alarmed = alarm !== "";
+  alarmText = alarm;
+  alarmed = alarm !== "" && whole.touches.length > 0 && whole.decision !== "unknown";
   draw();
 }
 
@@ -47,8 +49,7 @@ export async function addTouch(news) {
   const inOrder = touch.number === held.length + 1;
   const whole = inOrder ? { ...news, touches: [...held, touch] } : (await get("episode")) ?? news;
   if (isOlder(whole)) return;
-  episode = whole;
-  draw();
+  showEpisode(whole, alarmText);
 }
 
 // Whether there were newer touches while an episode was asked for.
@@ -97,7 +98,7 @@ function draw() {
 function drawDecision(n) {
   const place = find("decision");
   const { decision, sentence, why, withdrawn } = episode;
-  const doubted = episode.in_doubt || (alarmed && n > 0);
+  const doubted = episode.in_doubt || alarmed;
   const learnt = document.body.dataset.asks === "true";
   const named = decided({ ...episode, in_doubt: doubted });
   const open = !learnt ? "Nothing learnt yet" : n === 0 ? "Touch something" : withdrawn.length ? "Undecided again" : "Undecided";
@@ -106,7 +107,7 @@ function drawDecision(n) {
   const note = episode.touches.at(-1)?.note;
   text(find("reason"), learnt && n ? [sentence, note, withdrawn.at(-1)].filter(Boolean).join(". ") : "");
   show(find("downloads"), n > 0);
-  show(find("doubt"), alarmed && n > 0);
+  show(find("doubt"), alarmed);
   show(find("limits"), n > 0 && episode.limits !== "");
   text(find("limits"), episode.limits);
   show(find("why"), n > 0 && why.length > 0);
