@@ -40,28 +40,26 @@ CORE = {
     "classifiers/_kernel_density_index.py": "kernel_density_index",
     "classifiers/_kernel_ridge.py": "kernel_ridge landmarks touch_classifier",
     "classifiers/_touch_classifier.py": "touch_classifier",
-    "library/_adding.py": "touch_library library_again library_channels library_store",
-    "library/_changes.py": "library_changes touch_library "
-    "library_store library_histories",
+    "library/_adding.py": "touch_library library_channels library_store",
+    "library/_changes.py": "library_changes touch_library library_store",
     "library/_checking.py": "library_changes library_store library_flips",
     "library/_content.py": "touch_library library_channels library_store",
     "library/_exchange.py": "lerobot_contents library_export library_parquet",
     "library/_migrating.py": "library_migrating",
     "library/_reading.py": "library_reading touch_library library_channels "
     "library_learning",
-    "library/_repairing.py": "library_changes library_store library_durability "
-    "library_histories",
+    "library/_repairing.py": "library_changes library_store library_durability",
     "library/_rows.py": "touch_library library_store library_reading",
     "library/_store.py": "touch_library library_store library_changes "
     "library_durability",
     "library/_where.py": "library_where",
     "touches/_archive.py": "touch_archive touch_archive_hostile",
     "touches/_columns.py": "touches_set touch_archive touches_channels "
-    "touches_joining touch_archive_hostile",
+    "touch_archive_hostile",
     "touches/_folder.py": "touch_folder touch_labels",
     "touches/_parquet.py": "library_parquet",
     "touches/_pictures.py": "touch_pictures touch_folder",
-    "touches/_touches.py": "touches_set touches_joining touches_channels touch_archive",
+    "touches/_touches.py": "touches_set touches_channels touch_archive",
     "exploration/_guarded.py": "guard_bounds guarded_touch force_limit faulty_arms",
     "exploration/_ways.py": "hemisphere explore faulty_arms",
     "exploration/_robot.py": "simulated_robot faulty_arms",
