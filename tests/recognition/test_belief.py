@@ -352,6 +352,12 @@ def test_where_touches_are_worth_one_more_of_them_are_not_asked_for(start, model
         .update(Evidence.together([touch_evidence(model, 1, 9e9, 1, 1, 1)] * 6))
         .is_stuck(1e-6)
     )
+    # Where that never tells, twenty touches are enough.
+    curve = type(model.strangers_.low_curve)(np.zeros(1), np.zeros((1, 1)))
+    flat = start(strangers=0.9, low_curve=curve, high_curve=curve)
+    cup = touch_evidence(model, 1, 9e9, 1, 1, 1)
+    assert not flat.update(Evidence.together([cup] * 19)).is_stuck()
+    assert flat.update(cup).is_stuck()
     # What goes on to be decided is not touched: the projection is of a copy.
     for _ in range(60):
         episode.add(odds)

@@ -522,8 +522,9 @@ class Belief:
         apart, the sequence calibration says that all touches of an episode are worth
         about one, or each says next to nothing: the belief then stays where it is,
         however many follow. False before there are as many touches as a middling
-        object was taught with, 20 at most, and where what so many more would add is
-        more than all so far told and tells the learnt objects apart.
+        object was taught with, 20 at most. Up to 20 touches, the longest episode that
+        was learnt from, it is also False where more of them may double what they told
+        and tell the learnt objects apart: what is in doubt is then only a stranger.
         """
         per_object = len(self._judge.memory) / len(self._judge.classes)
         n_touches = self._n_informative
@@ -539,7 +540,8 @@ class Belief:
             return False
         weight = self._judge.sequence_calibration.weight
         growth = _MANY_TIMES * weight(later._n_informative) / weight(n_touches)
-        return bool(growth <= 2 or _evidence.doubts(later.log_posterior) > error)
+        doubt = _evidence.doubts(later.log_posterior)
+        return bool(n_touches >= _ENOUGH or growth <= 2 or doubt > error)
 
     def probability(self, decision: Named) -> float:
         """Return the probability of what was decided."""
