@@ -545,6 +545,7 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
 ):
     """A disc touched twelve times in one place, and a bar that has two names."""
     images = np.concatenate([drawn.images[:1].repeat(12, 0), drawn.images[30:60]])
+    images[:12, 0, 0] = range(12)  # not the same to the last number: played again
     names = ["disc"] * 12 + ["bar", "rod"] * 15
     touches = Touches(images, object=names, no_contact=drawn.no_contact)
     sensor = ReplaySensor(touches, rate_hz=25, hold=3, gap=3)
@@ -744,8 +745,7 @@ def test_a_name_has_a_doubt_beside_it_while_the_sensor_looks_changed(
         expect(page.locator("#decision")).to_have_text("disc")
         expect(page.locator("#doubt")).to_be_hidden()
         taught.post_touch(discs[9])
-        expect(page.locator("#decision")).to_have_text("disc, in doubt")
-        expect(page.locator("#doubt")).to_contain_text("In doubt")
-        expect(page.locator("#step-3")).to_contain_text("disc, in doubt")
+        expect(page.locator("#doubt")).to_contain_text("In doubt: these touches do")
+        expect(page.locator("#decision")).to_have_text("disc")
         taught.take_baseline()
         expect(page.locator("#doubt")).to_be_hidden()

@@ -34,7 +34,7 @@ export function startBelief() {
 
 export const currentEpisode = () => episode;
 
-// Where the touches look as if they were of another sensor, no name stands without doubt.
+// Where touches look as if they were of another sensor, a doubt stands beside the name.
 export function showEpisode(whole, alarm = "") {
   episode = whole;
   alarmText = alarm;
@@ -83,7 +83,7 @@ function draw() {
   show(find("stranger"), unknown && teachable);
   show(find("wrong"), !unknown && teachable && Boolean(decided(episode)));
   const learnt = document.body.dataset.asks === "true";
-  const doubted = episode.in_doubt || alarmed ? ", in doubt" : "";
+  const doubted = episode.in_doubt ? ", in doubt" : "";
   step(3, !learnt ? "" : episode.decision ? episode.decision + doubted : n ? said : "ready", episode.decision !== null && !doubted);
   text(find("count"), n === 0 ? "no touch yet" : `${said}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
@@ -97,10 +97,9 @@ function draw() {
 // which is the library's: the terminal, reports and Python show the same.
 function drawDecision(n) {
   const place = find("decision");
-  const { decision, sentence, why, withdrawn } = episode;
-  const doubted = episode.in_doubt || alarmed;
+  const { decision, in_doubt: doubted, sentence, why, withdrawn } = episode;
   const learnt = document.body.dataset.asks === "true";
-  const named = decided({ ...episode, in_doubt: doubted });
+  const named = decided(episode);
   const open = !learnt ? "Nothing learnt yet" : n === 0 ? "Touch something" : withdrawn.length ? "Undecided again" : "Undecided";
   text(place, decision === "unknown" ? capital(named) : named ?? open);
   place.className = !named || doubted ? "undecided" : decision === "unknown" ? "unknown" : "decided";
