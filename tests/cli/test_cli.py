@@ -269,9 +269,9 @@ def test_touches_without_an_order_are_split_as_read_and_it_is_said(
     palpate, archive, tmp_path
 ):
     words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1"]
-    said = "there is no order (a column `order` or `time_s`), so touches were split as"
+    said = "The touches have no column order or time_s, which tells when each was made"
     assert said in " ".join(palpate(*words).stdout.split())
-    assert said in json.loads(palpate(*words, "--json").stdout)["chosen"]["found"][-1]
+    assert said in json.loads(palpate(*words, "--json").stdout)["notes"][-1]
     touches = Touches.load(archive)
     path = tmp_path / "t.npz"
     for name in ("order", "time_s"):  # `record` writes the second
@@ -543,7 +543,7 @@ def test_learning_says_first_what_was_learnt_and_of_what_little(palpate, tmp_pat
     assert done.returncode == 0, done.stderr
     first, few, *_ = done.stdout.splitlines()
     assert first == f"Learnt 2 objects from 15 touches, saved as {model}."
-    assert few == "Few touches of pen (3): 10 are a start, 60 are good."
+    assert few == "Few touches of pen (3): 20 are a start, 60 are good."
 
 
 def test_ctrl_c_while_the_command_is_imported_is_one_sentence():

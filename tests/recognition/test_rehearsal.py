@@ -180,7 +180,7 @@ def test_what_to_expect_of_another_day_is_said(both):
     assert f"expect about {100 * low:.0f} to {100 * high:.0f} % right" in sentence
     # Nothing was rehearsed: nothing is promised.
     assert "rehearsed" not in across_sessions(plain)
-    assert "how much less" in said_of_sessions(across_sessions(plain))
+    assert "can show how much less" in said_of_sessions(across_sessions(plain))
 
 
 def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):

@@ -13,7 +13,6 @@ from ._output import answer, as_typed, counted, percent, say, stages, table
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
 
-A_START, GOOD = 10, 60
 SHEET_OBJECTS, SHEET_TOUCHES, SHEET_SIDE = 60, 8, 96
 _SHOWN, _NAMED = 40, 3
 # Pictures in files that are not read beside JPEG and PNG.
@@ -185,20 +184,12 @@ def _objects(touches: "Touches") -> list[dict[str, Any]]:
     return rows
 
 
-def few_touches(numbers: dict[str, int]) -> str:
-    """Return which objects have few of these numbers of touches, "" if none has."""
-    few = [f"{name} ({n})" for name, n in numbers.items() if n < A_START]
-    if not few:
-        return ""
-    more = f" and {len(few) - 5} more" if len(few) > 5 else ""
-    names = ", ".join(few[:5])
-    return f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
-
-
 def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
+    from ..evaluation import few_touches
+
     objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
