@@ -122,6 +122,13 @@ def evaluate(
     if test is not None and split is None:
         folds = [Fold("test", train, test)]
     elif split is not None and test is None:
+        if split in VISITS and split not in train.columns:
+            held = ", ".join(train.columns) or "none"
+            raise ValueError(
+                f"train must have a column {split!r} to be split by, got {held}. "
+                f"Put the pictures into folders object/{split} and read them with "
+                f"`levels=object/{split}`, or write the column into the touches' file."
+            )
         folds = split_touches(train, split, plan.label)
     else:
         raise ValueError(
@@ -420,7 +427,8 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if best > 1.5 * figures["chance"] and as_good_alone(figures):
         yield (
             "What is no touch does as well as touch: record objects in turns, mount "
-            "the sensor anew in between, and evaluate with `split=session`."
+            "the sensor anew in between, put each mounting into a folder of its own "
+            "(object/session), and evaluate with `split=session`."
         )
     elsewhere = figures["split"] in VISITS or trials[0].fold.elsewhere
     yield from _of_unknown(figures, elsewhere)
