@@ -314,7 +314,8 @@ def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
     monkeypatch.setattr(PageServer, "run", lambda server, app: None)
     said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
-    address, code = said.stdout.split("\n", 1)
+    starting, address, code = said.stdout.split("\n", 2)
+    assert starting == "Starting; the address follows."
     assert re.match(r"Open http://[\d.]+:\d+/\?token=", address)
     assert "0.0.0.0" not in address  # no browser goes there
     assert "█" in code
@@ -331,7 +332,7 @@ def test_the_address_is_drawn_as_a_code_that_phones_read(palpate, monkeypatch):
     codes = set()
     for _ in range(3):  # OpenCV's reader misses about 1 % of faultless codes
         said = palpate("serve", "--port", "0", "--host", "0.0.0.0").stdout
-        address, *lines, _ = said.rstrip("\n").split("\n")
+        _, address, *lines, _ = said.rstrip("\n").split("\n")
         rows = [[halves[c][half] for c in line] for line in lines for half in (0, 1)]
         drawn = np.kron(np.array(rows, np.uint8) * 255, np.ones((8, 8), np.uint8))
         read = cv2.QRCodeDetector().detectAndDecode(drawn)[0]

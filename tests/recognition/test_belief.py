@@ -331,6 +331,67 @@ def test_a_reason_is_one_sentence(start, shares, strangers, asked, sentence):
     assert "said nothing." in belief.why()[-1]
 
 
+def test_where_touches_are_worth_one_more_of_them_are_not_asked_for(start, model):
+    """After six touches, as many as each object was taught with."""
+    odds = touch_evidence(model, 1, 90, 80, 1, 1)
+    for calibration, words in (
+        # However many there are, the cup has 90 : 80 at most, to the power of 1.
+        ((1.0, 1.0), "more touches will not tell; teach cup and mug again, at other"),
+        # Of many independent touches the cup has 90 : 80 to the power of them.
+        ((1.0, 0.0), "touch again"),
+    ):
+        episode = Episode(start(calibration=calibration))
+        for _ in range(5):
+            assert episode.add(odds) == "cup or mug: touch again"
+        said = episode.add(odds)
+        assert said.startswith(f"cup or mug: {words}")
+        assert said == episode.belief.reason()
+    # Only doubt about a stranger is left, and touches that add up may still end it.
+    assert (
+        not start(strangers=0.9)
+        .update(Evidence.together([touch_evidence(model, 1, 9e9, 1, 1, 1)] * 6))
+        .is_stuck(1e-6)
+    )
+    # Where that never tells, twenty touches are enough.
+    curve = type(model.strangers_.low_curve)(np.zeros(1), np.zeros((1, 1)))
+    flat = start(strangers=0.9, low_curve=curve, high_curve=curve)
+    cup = touch_evidence(model, 1, 9e9, 1, 1, 1)
+    assert not flat.update(Evidence.together([cup] * 19)).is_stuck()
+    assert flat.update(cup).is_stuck()
+    # What goes on to be decided is not touched: the projection is of a copy.
+    for _ in range(60):
+        episode.add(odds)
+    assert episode.decision == "cup"
+
+
+@pytest.mark.parametrize(
+    ("shares", "strangers", "words", "ways"),
+    [
+        (SURE, 0.0, "probably cup (95 %)", "cup again, at other places"),
+        (TORN, 0.0, "cup or mug", "cup and mug again, at other places"),
+        (
+            TORN,
+            0.3,
+            "nothing I know, cup or mug",
+            "cup and mug again, at other places, or this, if it is new",
+        ),
+        (
+            (0.3, 0.25, 0.2, 0.15, 0.1),
+            0.0,
+            "perhaps ball (30 %)",
+            "ball, cup and mug again, at other places",
+        ),
+    ],
+)
+def test_what_to_teach_where_touches_do_not_tell(start, shares, strangers, words, ways):
+    belief = start(calibration=(1.0, 1.0), strangers=strangers)
+    for _ in range(6):
+        assert not belief.is_stuck(0.02)
+        posed(belief, *shares)
+    said = f"{words}: more touches will not tell; teach {ways}"
+    assert belief.reason(error=0.02) == said
+
+
 def test_why_tells_the_figures_behind_a_sentence(start):
     belief = posed(start(strangers=0.1), *SURE)
     known, none, promise = belief.why(0.02)

@@ -4,10 +4,11 @@ import json
 import os
 import time
 
+import numpy as np
 import pytest
 
 from palpate.library import LibraryError, TouchLibrary
-from palpate.sensors import DetectedTouch
+from palpate.sensors import DetectedTouch, ReplaySensor, open_sensor
 from palpate.web import LearningError, LiveSession
 
 from .conftest import waited
@@ -158,6 +159,34 @@ def test_the_objects_that_changed_since_it_learnt_are_known(folder):
         assert changed(session) == []  # another program has learnt since
 
 
+def test_what_is_undone_is_as_it_was_learnt(folder):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        session.move_touches([session.teacher.newest("disc", 1)[0].id], "cup")
+        session.remove_touches([session.teacher.newest("bar", 1)[0].id])
+        assert session.to_dict()["library"]["changed"] == ["bar", "cup", "disc"]
+        session.undo()
+        assert session.to_dict()["library"]["changed"] == ["cup", "disc"]
+        session.undo()
+    with LiveSession(library=folder) as session:
+        assert session.to_dict()["library"]["changed"] == []
+        assert not session.unlearnt
+
+
+def test_what_is_forgotten_comes_back_by_undo_and_is_learnt_again(folder):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        session.forget("disc")
+        assert waited(lambda: not session.learning)
+        assert counts(session) == {"bar": 8}
+        assert session.to_dict()["library"]["undo"]["kind"] == "forgotten"
+        assert session.undo() == "disc"
+        assert session.message == "The touches of disc are back: learn again."
+        assert counts(session) == {"bar": 8, "disc": 8}
+        session.learn(wait=True)
+        assert session.recogniser.classes_.tolist() == ["bar", "disc"]
+
+
 def test_what_changed_stays_so_where_learning_fails(folder, monkeypatch):
     def fail(*job):
         raise LearningError("no memory")
@@ -177,7 +206,7 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
 ):
     with make_session(library=folder) as session:
         session.place("disc")
-        session.teach("bar", 8)
+        session.teach("bar", 800)  # more than are touched meanwhile
     with make_session(library=folder) as session:
         session.place("disc")
         assert waited(lambda: session.watch.detector.touching)
@@ -198,6 +227,33 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
         assert (
             session.message == "Choose what my own bar is: nothing is on the desk now."
         )
+
+
+def test_a_simulated_lesson_goes_on_with_other_touches_after_a_restart(tmp_path):
+    pictures = []
+    for _ in range(2):
+        desk = open_sensor("sim:bar10?rate=500&hold=3&gap=3")
+        with LiveSession(desk, library=tmp_path / "desk") as session:
+            session.teach("bar10", 4)
+            assert waited(lambda opened=session: opened.teacher.lesson is None)
+            session.place(None)
+            rows = session.teacher.library.list(limit=None)
+            pictures = [session.teacher.library.image(row.id).tobytes() for row in rows]
+    assert len(pictures) == 8
+    assert len({*pictures}) == 8
+
+
+def test_a_recording_that_begins_anew_is_not_stored_twice(tmp_path, drawn):
+    few = drawn[np.flatnonzero(drawn.object == "disc")[:5]]
+    for n_stored in (3, 5):
+        replay = ReplaySensor(few, rate_hz=250, hold=3, gap=3)
+        with LiveSession(replay, library=tmp_path / "few") as session:
+            session.teach("disc", 3)
+            assert waited(lambda opened=session: opened.teacher.lesson is None)
+            session.place(None)
+            assert session.teacher.library.count() == n_stored
+    said = "All 5 touches that were recorded here are stored: 2 of 3 of disc."
+    assert session.message == said
 
 
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
@@ -266,7 +322,7 @@ def test_what_is_said_is_of_now(make_session, tmp_path, drawn, drawn_model):
         session.teach("both", 1)
         # The model knows others: with this one there is something to learn.
         said = session._take(drawn.images[63])
-        assert said == "Touch 1 of 1 of both is stored. Learn to recognise it."
+        assert said == "Touch 1 of 1 of both is stored. Next: Learn, or another object."
         session.message = said
         said_while = []
         session._learn_apart = lambda changes: said_while.append(session.message)

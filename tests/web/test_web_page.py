@@ -713,3 +713,39 @@ def test_several_sensors_are_live_side_by_side(
         page.click("#stop")
         expect(lessons).to_be_hidden()
         assert [session.teacher.lesson is None for session in sessions] == [False, True]
+
+
+def test_a_wrong_name_is_put_right_with_the_touches_just_made(
+    page, taught, serving, drawn
+):
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#wrong")).to_be_hidden()
+        while taught.episode.decision is None:
+            for image in drawn.images[drawn.object == "disc"][:5]:
+                taught.post_touch(image)
+        expect(page.locator("#decision")).to_have_text("disc")
+        n_touches = len(taught.episode.touches)
+        page.get_by_label("Wrong? It is").fill("lid")
+        page.get_by_role("button", name="Teach these touches as it").click()
+        expect(page.locator("#step-2")).to_contain_text(f"lid: {n_touches} of 12")
+
+
+def test_a_name_has_a_doubt_beside_it_while_the_sensor_looks_changed(
+    page, taught, serving, drawn, monkeypatch
+):
+    changed = type("Check", (), {"changed": True})()
+    monkeypatch.setattr(type(taught.recogniser), "check_mounting", lambda *_: changed)
+    discs = drawn.images[drawn.object == "disc"]
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        for image in discs[:9]:
+            taught.post_touch(image)
+        expect(page.locator("#decision")).to_have_text("disc")
+        expect(page.locator("#doubt")).to_be_hidden()
+        taught.post_touch(discs[9])
+        expect(page.locator("#decision")).to_have_text("disc, in doubt")
+        expect(page.locator("#doubt")).to_contain_text("In doubt")
+        expect(page.locator("#step-3")).to_contain_text("disc, in doubt")
+        taught.take_baseline()
+        expect(page.locator("#doubt")).to_be_hidden()

@@ -179,16 +179,19 @@ def test_a_name_that_says_nothing_is_refused_in_one_sentence(
         for name, why in (
             ("...", "must hold a letter"),
             (".", "must hold a letter"),
-            ("   ", "must be a text"),
+            ("   ", "must not be blank"),
             ("mug\u202e", "can be printed"),
             ("m" * 81, "at most 80 characters, got 81"),
             ("unknown", "must not be 'unknown'"),
+            ("nothing", "must not be 'nothing'"),
         ):
             page.fill("#name", name)
             page.click("#start")
             status = page.locator("#status")
             expect(status).to_contain_text("The name of an object must ")
             expect(status).to_contain_text(why)
+            field = page.locator("#name")
+            expect(field).to_have_js_property("validationMessage", status.inner_text())
             assert session.teacher.lesson is None
 
 
@@ -510,3 +513,26 @@ def test_the_report_of_an_evaluation_fits_a_phone(page, drawn, tmp_path):
         .filter((e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.outerHTML)"""
     )
     assert wide == []
+
+
+def test_what_is_named_can_be_put_on_the_desk_before_it_is_taught(
+    page, make_session, serving
+):
+    session = make_session()
+    with serving(session) as (address, token):
+        opened(page, address, token)
+        session.place("bar")
+        page.fill("#name", "disc")
+        expect(page.locator("#mixed")).to_contain_text("On the desk lies bar")
+        page.click("#start")
+        page.get_by_role("button", name="Put disc there and start").click()
+        expect(page.locator("#placed")).to_have_value("disc")
+        expect(page.locator("li.object h3")).to_have_text("disc")
+        expect(page.locator("#progress")).to_be_hidden(timeout=PATIENT)
+        expect(page.locator("#why-not")).to_contain_text("Teach a second object")
+        session.post_lesson("W" * 80, session.baseline)
+        for width in (1280, 390):
+            page.set_viewport_size({"width": width, "height": 844})
+            expect(page.locator("#undo")).to_contain_text("WWW")
+            wide = page.evaluate("document.documentElement.scrollWidth")
+            assert wide <= width

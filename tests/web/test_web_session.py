@@ -402,7 +402,7 @@ def test_another_mounting_is_told_after_ten_touches(make_session, drawn, tmp_pat
         for image in known.images[1::3]:
             session.post_touch(image // 2 + 60)
         assert "sensor, mounting or light" in session.alarm
-        assert session.advice[0] == session.alarm
+        assert session.advice[0] == session.to_dict()["alarm"] == session.alarm
 
 
 def test_touches_of_nothing_do_not_count_towards_the_mounting(

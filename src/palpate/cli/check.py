@@ -224,7 +224,10 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             "day"
         )
     if touches.no_contact is None:
-        advice.append("a picture of touching nothing helps: --no-contact FILE")
+        advice.append(
+            "a picture of touching nothing helps, and a replay needs one: "
+            "--no-contact FILE"
+        )
     for name, control in checked["alone"].items():
         if control["right"] > control["chance"] + (1 - control["chance"]) / 3:
             split = "session" if most_sessions > 1 else "last"

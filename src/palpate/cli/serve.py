@@ -79,6 +79,8 @@ def serve(
     as_json: AsJson = False,
 ) -> None:
     """Serve the page and the API of sensors, to whoever has the printed address."""
+    if not as_json:
+        say("Starting; the address follows.", flush=True)
     from .. import web
     from ..web import LiveSession, create_app
 
@@ -95,9 +97,9 @@ def serve(
     ):
         if server.elsewhere:
             say(
-                f"palpate: {library} is served already, at {server.elsewhere} Touches "
+                f"palpate: {library} is served already, at {server.elsewhere} (touches "
                 "of both go into one library, but each page learns and shows by "
-                "itself: better open that address, or end that palpate with Ctrl-C "
+                "itself). Better open that address, or end that palpate with Ctrl-C "
                 "first.",
                 file=sys.stderr,
             )
@@ -116,6 +118,9 @@ def serve(
             stack.enter_context(logged(session, log, number))
             stack.callback(session.stop)
         LiveSession.start_all(sessions)
+        for address, session in zip(addresses, sessions, strict=False):
+            if session.watch is not None and (why := session.watch.failed):
+                say(f"palpate: {address}: {why}", file=sys.stderr)
         for number, session in enumerate(sessions, start=1):
             stack.enter_context(
                 published(session, _of(publish, number, len(addresses)))

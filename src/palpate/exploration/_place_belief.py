@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from textwrap import wrap
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -305,6 +305,10 @@ class PlaceBelief(Belief):
         by_place = self._log_objects - log_posterior
         placed = log_softmax(by_encoding + by_place, axis=-1)
         super()._hear(self._log_objects, placed)
+
+    def is_stuck(self, *asked: Any, **more: Any) -> bool:
+        """Return False: touches at other places may always tell."""
+        return False
 
     def pose(self, name: str | None = None) -> StandingPose:
         """Return how the most probable object stands, or the one of that name.

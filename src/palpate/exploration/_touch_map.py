@@ -365,6 +365,10 @@ class PlacedBelief(Belief):
         """Log probability of each object, were it one of them (nats), (n_objects,)."""
         return np.asarray(logsumexp(self.log_joint, axis=1))
 
+    def is_stuck(self, *asked: Any, **more: Any) -> bool:
+        """Return False: touches at other places may always tell."""
+        return False
+
     @property
     def best_without_places(self) -> str:
         """The object that is most probable by the touches alone."""

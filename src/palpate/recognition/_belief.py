@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 
@@ -36,6 +37,9 @@ Level = Literal["object", "category", "any"]
 LEVELS = ("object", "category", "any")
 # The share of episodes with something that was never learnt, unless the user says.
 STRANGERS = 0.05
+# More touches are said not to tell after as many as an object was taught with, at most
+# so many, where so many times as many would decide nothing.
+_ENOUGH, _MANY_TIMES = 20, 1000
 # Objects and letters that a picture of a belief shows.
 _BARS, _LETTERS = 10, 24
 
@@ -498,7 +502,46 @@ class Belief:
         probability = 0.0 if decision is None else self.probability(decision)
         named = None if decision is None else (*decision, probability)
         n_counted = sum(map(counts, self.flags))
-        return sentence_of(self.posterior, self.unknown, n_counted, named)
+        is_stuck = decision is None and self.is_stuck(
+            error, costs, refusal=refusal, level=level
+        )
+        shares = self.posterior, self.unknown
+        return sentence_of(*shares, n_counted, named, is_stuck=is_stuck)
+
+    def is_stuck(
+        self,
+        error: float = 0.01,
+        costs: Costs | None = None,
+        *,
+        refusal: float | None = None,
+        level: Level = "object",
+    ) -> bool:
+        """Return whether a thousand times the touches so far would not decide.
+
+        Parameters are those of `decide`. Where training touches left out are not told
+        apart, the sequence calibration says that all touches of an episode are worth
+        about one, or each says next to nothing: the belief then stays where it is,
+        however many follow. False before there are as many touches as a middling
+        object was taught with, 20 at most. Up to 20 touches, the longest episode that
+        was learnt from, it is also False where more of them may double what they told
+        and tell the learnt objects apart: what is in doubt is then only a stranger.
+        """
+        per_object = len(self._judge.memory) / len(self._judge.classes)
+        n_touches = self._n_informative
+        if n_touches < min(_ENOUGH, per_object):
+            return False
+        later = copy(self)
+        later._n_informative *= _MANY_TIMES
+        later._total = _MANY_TIMES * self._total
+        later._each = _MANY_TIMES * self._each
+        later._distance = _MANY_TIMES * self._distance
+        later._weigh()
+        if later.named(error, costs, refusal=refusal, level=level) is not None:
+            return False
+        weight = self._judge.sequence_calibration.weight
+        growth = _MANY_TIMES * weight(later._n_informative) / weight(n_touches)
+        doubt = _evidence.doubts(later.log_posterior)
+        return bool(n_touches >= _ENOUGH or growth <= 2 or doubt > error)
 
     def probability(self, decision: Named) -> float:
         """Return the probability of what was decided."""

@@ -204,7 +204,11 @@ class Episode:
         if self.touches and all(touch.flag == "no contact" for touch in self.touches):
             return "no contact yet: touch again"
         if named is None:
-            return sentence_of(belief.posterior, belief.unknown, n_touches, None)
+            is_stuck = belief.is_stuck(
+                self.error, refusal=self.refusal, level=self.asked_level
+            )
+            shares = belief.posterior, belief.unknown
+            return sentence_of(*shares, n_touches, None, is_stuck=is_stuck)
         decision = *named, belief.probability(named)
         words = sentence_of(belief.posterior, belief.unknown, n_touches, decision)
         if not self.in_doubt:

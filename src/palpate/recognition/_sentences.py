@@ -71,11 +71,14 @@ def sentence_of(
     unknown: float,
     n_touches: int,
     decision: tuple[str, str, float] | None,
+    *,
+    is_stuck: bool = False,
 ) -> str:
-    """Return what is decided, or what it may be.
+    """Return what is decided, or what it may be, and what to do then.
 
     Of the probabilities of the learnt objects and of none of them, the number of
-    touches, and level, name and probability of the decision, None where there is none.
+    touches, and level, name and probability of the decision, None where there is none;
+    `is_stuck` where more touches would not decide either.
     """
     after = f"after {n_touches_of(n_touches)}"
     if decision is not None:
@@ -89,7 +92,18 @@ def sentence_of(
         return f"{name}, {share} {after}"
     if not n_touches:
         return "no touch yet: touch it"
-    return f"{_candidates(posterior, unknown)}: touch again"
+    names, words = _candidates(posterior, unknown)
+    return f"{words}: {_teach_again(names) if is_stuck else 'touch again'}"
+
+
+def _teach_again(names: Sequence[str]) -> str:
+    """Return what to teach so that touches tell which of these names it is."""
+    learnt = [name for name in names if name != NOTHING]
+    last = learnt[-1:] if len(learnt) < 2 else [f"{learnt[-2]} and {learnt[-1]}"]
+    listed = ", ".join([*learnt[:-2], *last])
+    ways = [f"{listed} again, at other places"] * bool(learnt)
+    ways += ["this, if it is new"] * (len(learnt) < len(names))
+    return f"more touches will not tell; teach {', or '.join(ways)}"
 
 
 def counts(flag: str) -> bool:
@@ -105,8 +119,10 @@ def touch_note(number: int, flag: str) -> str:
     return f"touch {number}: {flag}{counted}"
 
 
-def _candidates(posterior: Mapping[str, float], unknown: float) -> str:
-    """Return the most probable names, joined by "or"."""
+def _candidates(
+    posterior: Mapping[str, float], unknown: float
+) -> tuple[list[str], str]:
+    """Return the most probable names, and these joined by "or"."""
     shares = {**posterior, NOTHING: unknown}
     ranked = sorted(shares, key=lambda name: -shares[name])
     names, total = [], 0.0
@@ -116,10 +132,10 @@ def _candidates(posterior: Mapping[str, float], unknown: float) -> str:
         if total >= _MOST_LIKELY:
             break
     if len(names) == 1:
-        return f"probably {names[0]} ({share_of(total)})"
+        return names, f"probably {names[0]} ({share_of(total)})"
     if total < _MOST_LIKELY:
-        return f"perhaps {names[0]} ({share_of(shares[names[0]])})"
-    return f"{', '.join(names[:-1])} or {names[-1]}"
+        return names, f"perhaps {names[0]} ({share_of(shares[names[0]])})"
+    return names, f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 class Promise(NamedTuple):

@@ -305,7 +305,10 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
     elif kind == "ros":
         sensor = RosSensor(place, **arguments)
     elif kind == "sim":
-        sensor = SimulatedStream(place, **arguments)
+        try:
+            sensor = SimulatedStream(place, **arguments)
+        except ValueError as error:
+            raise AddressError(str(error)) from error
     elif kind == "replay":
         arguments.pop("image_shape", None)
         sensor = ReplaySensor(Path(place), **arguments)

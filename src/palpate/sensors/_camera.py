@@ -265,4 +265,6 @@ def _open_video(camera: str) -> Any:
     import cv2
 
     place = find_camera(camera)
+    # What is wrong is said once, in a sentence of our own.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     return cv2.VideoCapture(int(place) if place.isdigit() else place)

@@ -90,6 +90,19 @@ class PlayedSensor(LiveSensor):
             if self._rest is not None:
                 self._frames.extend([self._rest] * max(self._gap, 2))
 
+    def go_on(self, n_stored: int) -> None:
+        """Play other touches than before so many were stored, where they are made.
+
+        Called before it is connected, so that a desk that is served again does not
+        begin anew. The same seed and number make the same touches. A recording has
+        those that it has.
+        """
+
+    @property
+    def n_recorded(self) -> int | None:
+        """How many touches there are of what is placed; None where they never end."""
+        return None
+
     @abstractmethod
     def _next_touch(self, name: str) -> Array | None:
         """Return the next touch of an object, or None while it is being made."""
@@ -230,7 +243,7 @@ class ReplaySensor(PlayedSensor):
             if self._rest is None:
                 raise SensorError(
                     "The recording must show what touching nothing looks like, got "
-                    "touches alone. Give the picture of it as `no_contact`."
+                    "touches alone. Give a picture of touching nothing as `no_contact`."
                 )
         super().__init__(
             f"replay of {source}",
@@ -244,6 +257,10 @@ class ReplaySensor(PlayedSensor):
             gap=gap,
         )
         self.channels = recorded.channels
+
+    @property
+    def n_recorded(self) -> int | None:
+        return None if self.placed is None else len(self._rows[self.placed])
 
     def _next_touch(self, name: str) -> Array:
         rows = self._rows[name]
@@ -330,6 +347,7 @@ class SimulatedStream(PlayedSensor):
         check_option("sim:OBJECT", name, [*_KINDS, *solids, *parts])
         kind = name if name in _KINDS else "dome" if name in solids else "array"
         noise_sd, first = _KINDS[kind]
+        self._random_state = random_state
         self._rng = np.random.default_rng(random_state)
         self._device: DomeCamera | GelCamera | PressureArray
         if kind == "dome":
@@ -361,6 +379,10 @@ class SimulatedStream(PlayedSensor):
             ramp=ramp,
         )
         self.placed = first if name in _KINDS else name
+
+    def go_on(self, n_stored: int) -> None:
+        if n_stored:
+            self._rng = np.random.default_rng([self._random_state, n_stored])
 
     def _open(self) -> None:
         super()._open()

@@ -254,6 +254,9 @@ class State(BaseModel):
         Field(description="Of each learnt object, how left-out touches are recognised"),
     ]
     advice: Annotated[list[str], Field(description="What to teach next.")]
+    alarm: Annotated[
+        str, Field(description="That recent touches look like another sensor's.")
+    ] = ""
     learning: bool
     unlearnt: Annotated[
         bool, Field(description="Touches were taught, removed or moved since.")

@@ -124,8 +124,8 @@ class PageServer:
             if not self.elsewhere:
                 raise
             raise OSError(
-                f"{library} is served already, at {self.elsewhere} Open that address, "
-                f"or end that palpate with Ctrl-C first. ({error})"
+                f"{library} is served already, at {self.elsewhere} (open that address, "
+                f"or end that palpate with Ctrl-C first). {error}"
             ) from error
         self.address = _address_of(host, self._socket.getsockname()[1])
 

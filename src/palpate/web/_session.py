@@ -25,6 +25,7 @@ from ..recognition import (
 )
 from ..sensors import (
     PLACE_COLUMNS,
+    ContactError,
     DetectedTouch,
     LiveSensor,
     PlayedSensor,
@@ -317,7 +318,20 @@ class LiveSession:
         """Take back what was done last with touches; return the object they are of."""
         with self._changing():
             name, self.message = self._teacher().undo()
+            self._note_as_learnt()
             return name
+
+    def _note_as_learnt(self) -> None:
+        """Note which changed objects have just the touches again that were learnt."""
+        if self.recogniser is None:
+            return
+        teacher, memory = self._teacher(), self.recogniser.memory_
+        labels, stored = memory.labels.astype(str), teacher.known_ids()
+        for name in [*teacher.journal.changed]:
+            learnt = {*memory.touch_ids[labels == name].tolist()} & stored
+            if teacher.ids_of(name) == learnt:
+                teacher.journal.changed.discard(name)
+                teacher.journal.learnt()
 
     def remove_touches(self, ids: Sequence[str]) -> str:
         """Leave stored touches out, which `undo` takes back; return what to say."""
@@ -396,7 +410,16 @@ class LiveSession:
 
         What is taught from now on is of another session; `changed` says why, in words.
         """
-        self._watched().take_baseline(force=force, ask_press=ask_press)
+        desk = desk_of(self._watched().sensor)
+        try:
+            self._watched().take_baseline(force=force, ask_press=ask_press)
+        except ContactError as error:
+            if desk is None or desk.placed is None:
+                raise
+            raise ContactError(
+                f"{desk.placed} touches the sensor. Put nothing on the desk, then take "
+                "the baseline again."
+            ) from error
         self.message = "The baseline is taken."
         self._met, self._n_met, self.alarm = [], 0, ""
         if self.teacher is not None:
@@ -471,6 +494,7 @@ class LiveSession:
                     self._silent | (teacher.silent if teacher else set())
                 ),
                 "advice": self.advice,
+                "alarm": self.alarm,
                 "learning": self.learning,
                 "unlearnt": self.unlearnt,
                 "learn_error": self.learn_error,

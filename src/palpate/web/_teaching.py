@@ -6,6 +6,7 @@ What was done can be undone, also after a restart: see `Journal`.
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,14 @@ from .._checks import check_count, did_you_mean
 from .._types import Array
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
 from ..library import checked_name as library_name
-from ..sensors import PLACE_COLUMNS, DetectedTouch, LiveSensor, SensorError
+from ..sensors import (
+    PLACE_COLUMNS,
+    DetectedTouch,
+    LiveSensor,
+    PlayedSensor,
+    SensorError,
+    desk_of,
+)
 from ..touches import Touches
 from ._images import ImageKind, Names
 from ._learning import LEAST_TOUCHES, of_size
@@ -29,10 +37,18 @@ NO_CONTACT_SAID = (
     "That touch of {} shows no contact and does not count: touch it again. It is "
     "stored; press its picture to remove it."
 )
+REPEATED = (
+    "That touch of {} is stored already, the same to the last number: it was played "
+    "again and is not stored twice."
+)
+NO_MORE = (
+    "All {n} touches that were recorded here are stored: {done} of {wanted} of {name}."
+)
 UNDONE = {
     "taught": "The last touch of {name} is undone.",
     "removed": "What was removed of {name} is back.",
     "moved": "What was moved to {to} is back with {name}.",
+    "forgotten": "The touches of {name} are back: learn again.",
 }
 
 
@@ -71,6 +87,10 @@ class Teacher:
             self._described = SensorDescription(
                 sensor.name, unit=sensor.unit, geometry=sensor.geometry
             )
+        self._desk = desk_of(sensor)
+        # Pictures of the object of the lesson, where touches are played: by touch id.
+        self._pictures: dict[str, bytes] = {}
+        self._n_repeated = 0  # one after the other
         self.journal = Journal(self.folder / JOURNAL)
         self._lessons = self.journal.n_lessons
         self.begin_session(name=self.journal.goes_on(self._described.name))
@@ -81,6 +101,9 @@ class Teacher:
         self.silent: set[str] = set()  # ids of touches taught here without contact
         if TouchLibrary.is_library(self.folder):
             _ = self.library
+            if self._desk is not None:
+                stats = self.library.stats()
+                self._desk.go_on(stats.n_touches + stats.n_retracted)
 
     @property
     def library(self) -> TouchLibrary:
@@ -120,6 +143,12 @@ class Teacher:
         self._lessons += 1
         self.lesson = lesson
         self.journal.begin_lesson(lesson.name, wanted)
+        self._n_repeated, self._pictures = 0, {}
+        if self._desk is not None and lesson.name in self._counts():
+            rows = self._rows(lesson.name)
+            self._pictures = {
+                row.id: _digest(self.library.image(row.id)) for row in rows
+            }
 
     def resume(self, baseline: Array | None, noise: float) -> str:
         """Go on with the lesson that a restart interrupted; return its object."""
@@ -182,11 +211,20 @@ class Teacher:
         noise: float,
         columns: Mapping[str, Any] | None = None,
     ) -> str:
-        """Store one touch of the lesson, which ends when full; return what to say."""
+        """Store one touch of the lesson, which ends when full; return what to say.
+
+        A touch that is played again is not stored again: it would be learnt, and asked
+        about, as if it were another.
+        """
         assert self.lesson is not None
         lesson = self.lesson
+        if self._desk is not None and _digest(image) in self._pictures.values():
+            return self._repeat(lesson, self._desk)
         channels = None if self._sensor is None else self._sensor.channels
         key = self.store(lesson.name, image, channels, baseline, columns)
+        self._n_repeated = 0
+        if self._desk is not None:
+            self._pictures[key] = _digest(image)
         if not self._add(key, image, baseline, noise):
             return NO_CONTACT_SAID.format(lesson.name)
         stored = f"Touch {lesson.done} of {lesson.wanted} of {lesson.name} is stored."
@@ -195,8 +233,20 @@ class Teacher:
         self.end()
         taught = {name for name, count in self._counts().items() if count > 1}
         can_learn = len(taught | self.elsewhere) > 1
-        then = "Learn to recognise it." if can_learn else "Teach another object."
+        then = (
+            "Next: Learn, or another object." if can_learn else "Teach another object."
+        )
         return f"{stored} {lesson.verdict or then}"
+
+    def _repeat(self, lesson: Lesson, desk: PlayedSensor) -> str:
+        """Say that a touch was played again; of a whole recording the lesson ends."""
+        self._n_repeated += 1
+        n_recorded = desk.n_recorded
+        if n_recorded is None or self._n_repeated < n_recorded:
+            return REPEATED.format(lesson.name)
+        self.end()
+        about = {"done": lesson.done, "wanted": lesson.wanted, "name": lesson.name}
+        return NO_MORE.format(n=n_recorded, **about)
 
     def _add(
         self, key: str, image: Array, baseline: Array | None, noise: float
@@ -312,6 +362,7 @@ class Teacher:
     def _drop_from_lesson(self, ids: Sequence[str]) -> None:
         lesson = self.lesson
         for key in ids:
+            self._pictures.pop(key, None)
             if lesson is not None and key in lesson.ids:
                 lesson.drop(key)
 
@@ -343,7 +394,10 @@ class Teacher:
             raise MissingObjectError(name, self._counts())
         self.verdicts.pop(name, None)
         if stored:
+            keys = [row.id for row in self._rows(name)]
             self.library.retract(object=name, reason="forgotten on the page")
+            self.journal.add(Action("forgotten", name, keys))
+            self._drop_from_lesson(keys)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -419,6 +473,12 @@ class Teacher:
         names = self.channels(rows[0].id) if len(shape) == 3 else None
         return ImageKind(shape, dtype, names)
 
+    def ids_of(self, name: str) -> set[str]:
+        """Return the ids of an object's touches that are to be learnt."""
+        size = self.image_shape()
+        rows = self._rows(name) if name in self._counts() else []
+        return {row.id for row in rows if row.image_shape == size}
+
     def _counts(self) -> dict[str, int]:
         return {row.name: row.n_touches for row in self.library.objects()}
 
@@ -429,6 +489,11 @@ class Teacher:
             raise MissingObjectError(name, self._counts())
         offset = 0 if limit is None else max(0, count - limit)
         return self.library.list(f"object = {quoted(name)}", limit, offset)
+
+
+def _digest(image: Array) -> bytes:
+    """Return what is the same for pictures that are the same to the last number."""
+    return sha256(image.tobytes()).digest()
 
 
 def _counted(rows: Sequence[TouchRow]) -> str:
@@ -448,15 +513,18 @@ def columns_of(touch: DetectedTouch) -> dict[str, Any]:
 
 def checked_name(name: str) -> str:
     """Return the name of an object without blanks at its ends, or explain."""
-    tidy = library_name(" ".join(name.split()))
+    tidy = " ".join(name.split())
+    if not tidy:
+        raise ValueError("The name of an object must not be blank. Give one.")
+    tidy = library_name(tidy)
     if len(tidy) > LONGEST_NAME:
         raise ValueError(
             f"The name of an object must have at most {LONGEST_NAME} characters, got "
             f"{len(tidy)}. Shorten it."
         )
-    if tidy == "unknown":
+    if tidy in ("unknown", "nothing", "nothing learnt", "nothing I know"):
         raise ValueError(
-            "The name of an object must not be 'unknown', which is what palpate says "
+            f"The name of an object must not be {tidy!r}, which is what palpate says "
             "of objects it has not learnt."
         )
     return tidy

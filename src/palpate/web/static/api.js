@@ -51,6 +51,6 @@ async function answered(ask) {
 
 function worded(detail) {
   // What programs are told beside: here a button says it.
-  if (typeof detail === "string") return detail.replace(" (force)", "");
+  if (typeof detail === "string") return detail.replace("take it anyway (force)", "press “Take baseline anyway”");
   return Array.isArray(detail) ? detail.map((one) => one.msg).join("; ") : "";
 }

@@ -20,9 +20,9 @@ const handlers = {
     showSteps(state);
     showSensor(state.sensor);
     showHealth(state.health);
-    showEpisode(state.episode);
-    showNearest(state.nearest);
     showTeach(state);
+    showEpisode(state.episode, state.alarm);
+    showNearest(state.nearest);
     showObjects(state);
     if (message !== null && state.message !== message && state.message) say(state.message);
     message = state.message;

@@ -16,6 +16,8 @@ const ROOM = 0.25; // share of a column that has room for letters
 let episode = null;
 let marks = new Map();
 let resting = 0;
+let alarmed = false;
+let alarmText = "";
 
 export function startBelief() {
   find("fresh").addEventListener("click", () => {
@@ -23,12 +25,20 @@ export function startBelief() {
     post("episode/start");
   });
   find("teach-this").addEventListener("click", () => teachThese(episode.touches.length));
+  find("wrong").addEventListener("submit", (event) => {
+    event.preventDefault();
+    teachThese(episode.touches.length, find("right-name").value);
+    find("right-name").value = "";
+  });
 }
 
 export const currentEpisode = () => episode;
 
-export function showEpisode(whole) {
+// Where the touches look as if they were of another sensor, no name stands without doubt.
+export function showEpisode(whole, alarm = "") {
   episode = whole;
+  alarmText = alarm;
+  alarmed = alarm !== "" && whole.touches.length > 0 && whole.decision !== "unknown";
   draw();
 }
 
@@ -39,8 +49,7 @@ export async function addTouch(news) {
   const inOrder = touch.number === held.length + 1;
   const whole = inOrder ? { ...news, touches: [...held, touch] } : (await get("episode")) ?? news;
   if (isOlder(whole)) return;
-  episode = whole;
-  draw();
+  showEpisode(whole, alarmText);
 }
 
 // Whether there were newer touches while an episode was asked for.
@@ -70,9 +79,11 @@ function draw() {
   clearTimeout(resting);
   if (n && episode.open) resting = setTimeout(() => show(find("rested"), true), RESTED_MS);
   const unknown = episode.decision === "unknown";
-  show(find("stranger"), unknown && !find("teaching").hidden && !find("lesson").hidden);
+  const teachable = n > 0 && !find("teaching").hidden && !find("lesson").hidden;
+  show(find("stranger"), unknown && teachable);
+  show(find("wrong"), !unknown && teachable && Boolean(decided(episode)));
   const learnt = document.body.dataset.asks === "true";
-  const doubted = episode.in_doubt ? ", in doubt" : "";
+  const doubted = episode.in_doubt || alarmed ? ", in doubt" : "";
   step(3, !learnt ? "" : episode.decision ? episode.decision + doubted : n ? said : "ready", episode.decision !== null && !doubted);
   text(find("count"), n === 0 ? "no touch yet" : `${said}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
@@ -86,15 +97,17 @@ function draw() {
 // which is the library's: the terminal, reports and Python show the same.
 function drawDecision(n) {
   const place = find("decision");
-  const { decision, in_doubt: doubted, sentence, why, withdrawn } = episode;
+  const { decision, sentence, why, withdrawn } = episode;
+  const doubted = episode.in_doubt || alarmed;
   const learnt = document.body.dataset.asks === "true";
-  const named = decided(episode);
+  const named = decided({ ...episode, in_doubt: doubted });
   const open = !learnt ? "Nothing learnt yet" : n === 0 ? "Touch something" : withdrawn.length ? "Undecided again" : "Undecided";
   text(place, decision === "unknown" ? capital(named) : named ?? open);
   place.className = !named || doubted ? "undecided" : decision === "unknown" ? "unknown" : "decided";
   const note = episode.touches.at(-1)?.note;
   text(find("reason"), learnt && n ? [sentence, note, withdrawn.at(-1)].filter(Boolean).join(". ") : "");
   show(find("downloads"), n > 0);
+  show(find("doubt"), alarmed);
   show(find("limits"), n > 0 && episode.limits !== "");
   text(find("limits"), episode.limits);
   show(find("why"), n > 0 && why.length > 0);

@@ -60,12 +60,18 @@ export async function asked(dialog) {
   return dialog.returnValue === "ok";
 }
 
-export function confirmed(title, words, yes, no) {
+export const confirmed = async (...words) => await chosen(...words) === "ok";
+
+// As `confirmed`, perhaps with something better to do `first`: "ok", "first", or "" for no.
+export async function chosen(title, words, yes, no, first = "") {
   text(find("confirm-title"), title);
   text(find("confirm-text"), words);
   text(find("confirm-ok"), yes);
   text(find("confirm-no"), no);
-  return asked(find("confirm"));
+  text(find("confirm-first"), first);
+  show(find("confirm-first"), first !== "");
+  const done = await asked(find("confirm"));
+  return done ? "ok" : find("confirm").returnValue === "first" ? "first" : "";
 }
 
 // What one of the three steps is like, and whether it is done.

@@ -65,11 +65,18 @@ function draw() {
   text(find("editor-title"), `A touch of ${object}`);
   find("editor-picture").src = url(`touches/${id}/picture?side=${SIDE}`);
   find("editor-picture").alt = `A touch of ${object}`;
-  const when = added === null ? "" : `stored ${new Date(1000 * added).toLocaleString()}`;
+  const when = added === null ? "" : `stored ${dated(new Date(1000 * added))}`;
   const place = touches.length > 1 ? `${at + 1} of ${touches.length}, newest first` : "";
   text(find("editor-about"), [place, when, session && `session ${session}`].filter(Boolean).join("; "));
   find("editor-newer").disabled = at === 0;
   find("editor-older").disabled = at === touches.length - 1;
+}
+
+// As sessions are called: 2026-01-31 09:05:00, in the time of this place.
+function dated(day) {
+  const two = (number) => String(number).padStart(2, "0");
+  const date = [day.getFullYear(), two(day.getMonth() + 1), two(day.getDate())].join("-");
+  return `${date} ${[day.getHours(), day.getMinutes(), day.getSeconds()].map(two).join(":")}`;
 }
 
 function turn(step) {

@@ -163,7 +163,7 @@ async function rename(name) {
 }
 
 async function forget(name) {
-  const words = `Its touches are left out from now on, and ${name} is no longer recognised.`;
+  const words = `Its touches are left out from now on, and ${name} is no longer recognised. Undo, under Teach, brings back those that are stored here.`;
   if (await confirmed(`Forget ${name}?`, words, "Forget", "Keep") && await post("objects/forget", { object: name })) focusOn(null);
 }
 

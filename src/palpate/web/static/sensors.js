@@ -54,11 +54,17 @@ export function mixed() {
   return new Set(placed.map(([, name]) => name)).size > 1 ? placed.map((one) => one.join(": ")).join(", ") : "";
 }
 
+// Whether all that are taught can have the same thing before them.
+export function canPlace(name) {
+  const desks = OF_ALL.count < 2 || !find("as-one").checked ? [OF_ALL.desks.get(here)] : [...OF_ALL.desks.values()];
+  return desks.every((desk) => desk?.objects.includes(name));
+}
+
 export function showMixed() {
   const words = mixed();
   show(find("mixed"), words !== "");
   if (OF_ALL.count < 2 || !find("as-one").checked) {
-    text(find("mixed"), words && `On the desk lies ${words}: its touches would be stored as ${find("name").value.trim()}. Put that there first.`);
+    text(find("mixed"), words && `On the desk lies ${words}: its touches would be stored as ${find("name").value.trim()}. Start asks whether to put that there.`);
     return;
   }
   text(find("mixed"), words && `Different things lie before the sensors (${words}): all would be stored under one name. `

@@ -1,9 +1,9 @@
 // Teaching: a name, so many touches, undo, learn.
 
 import { get, OF_ALL, post, url } from "./api.js";
-import { confirmed, drawn, find, make, pictures, show, step, text, unbroken } from "./dom.js";
+import { chosen, drawn, find, make, pictures, show, step, text, unbroken } from "./dom.js";
 import { openStored } from "./editor.js";
-import { mixed } from "./sensors.js";
+import { canPlace, mixed } from "./sensors.js";
 import { learnable } from "./steps.js";
 
 const SHOWN = 12;
@@ -17,14 +17,19 @@ export function startTeach() {
   find("undo").addEventListener("click", () => post("teach/undo"));
   find("learn").addEventListener("click", () => post("learn"));
   find("wanted").addEventListener("input", sayKept);
+  find("name").addEventListener("input", ({ target }) => target.setCustomValidity(""));
 }
 
-// The touches just made become the first of the object that is named next.
-export function teachThese(count) {
+// The touches just made become the first of the object that is named next, or of `name`.
+export function teachThese(count, name = "") {
   keeping = count;
   show(find("first-touches"), count > 0);
   sayKept();
   if (count) find("name").focus();
+  if (name === "") return;
+  find("name").value = name;
+  find("name").setCustomValidity("");
+  find("lesson").requestSubmit(find("start"));
 }
 
 function sayKept() {
@@ -56,7 +61,7 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   showInterrupted(library.interrupted);
   show(find("lesson"), sensor !== null && lesson === null);
   if (lesson) showLesson(lesson);
-  showButtons(library, model, learning, sensor);
+  showButtons(library, model, learning, sensor, error);
   show(find("given"), Boolean(model?.to_keep) && !lesson);
   text(find("given"), model?.to_keep ? `Learn adds what is taught here to what ${model.file} knows, and writes that file anew. As it is now it stays as ${model.to_keep}.` : "");
   show(find("learn-error"), error !== "");
@@ -80,20 +85,25 @@ const WORDS = {
   taught: ({ object }) => `Undo touch of ${object}`,
   removed: ({ object }) => `Undo removal from ${object}`,
   moved: ({ to }) => `Undo move to ${to}`,
+  forgotten: ({ object }) => `Undo forgetting ${object}`,
 };
 
 // Each button that cannot be pressed has its reason beside it.
-function showButtons(library, model, learning, sensor) {
+function showButtons(library, model, learning, sensor, error) {
   const enough = learnable(library, model);
   const why = sensor ? [] : ["Start: there is no sensor here. Post touches to /api/teach/touch, or start palpate serve again with --sensor."];
   find("start").disabled = sensor !== null && (!sensor.baseline || sensor.lost !== "");
   if (find("start").disabled) why.push(`Start: ${sensor.lost ? "the sensor gives no frames" : "take the baseline first"}.`);
   find("undo").disabled = library.undo === null;
   text(find("undo"), library.undo === null ? "Undo" : WORDS[library.undo.kind](library.undo));
+  find("undo").title = find("undo").textContent;
   if (find("undo").disabled) why.push("Undo: nothing was taught here.");
   find("learn").disabled = learning || (!enough && !model);
   if (learning) why.push("Learn: it is learning.");
-  else if (find("learn").disabled) why.push("Learn: two objects need two touches each.");
+  else if (find("learn").disabled && error === "") {
+    const one = library.objects.length === 1 && library.objects[0].n_touches > 1;
+    why.push(one ? "Teach a second object: name it and press Start. Then comes Learn." : "Learn: two objects need two touches each.");
+  }
   text(find("why-not"), why.join(" "));
 }
 
@@ -141,9 +151,18 @@ async function begin(event) {
   event.preventDefault();
   const order = { object: find("name").value, touches: Number(find("wanted").value), keep_episode: keeping > 0 };
   const different = mixed();
-  if (different && !await confirmed("Different things?", `Before the sensor${OF_ALL.count > 1 ? "s lie" : " lies"} ${different}. All touches would be stored as ${order.object}.`,
-    "Teach all the same", "Cancel")) return;
-  if (!await post("teach", order)) return;
+  if (different) {
+    const words = `Before the sensor${OF_ALL.count > 1 ? "s lie" : " lies"} ${different}. All touches would be stored as ${order.object}.`;
+    const first = canPlace(order.object.trim()) ? `Put ${order.object.trim()} there and start` : "";
+    const answer = await chosen("Different things?", words, "Teach all the same", "Cancel", first);
+    if (!answer || (answer === "first" && !await post("place", { object: order.object.trim() }))) return;
+  }
+  if (!await post("teach", order)) {
+    const refused = find("status").textContent;
+    find("name").setCustomValidity(refused.startsWith("The name") ? refused : "");
+    find("name").reportValidity();
+    return;
+  }
   find("name").value = "";  // how many touches are wanted stays as it was typed
   teachThese(0);
   find("stop").focus();
