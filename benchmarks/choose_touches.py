@@ -39,13 +39,13 @@ from palpate.exploration import (
     InformativeTouch,
     RandomHemisphere,
     Raster,
-    Stand,
     TouchMap,
     TouchRecord,
     as_touches,
     explore_to_learn,
     put_down,
 )
+from palpate.exploration._simulated_objects import Stand
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import HOUSEHOLD, DomeCamera, SimObject
 from recorded_choice import (

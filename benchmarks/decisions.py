@@ -22,9 +22,7 @@ from palpate import Touches
 from palpate._durable import write_text
 from palpate._types import Floats
 from palpate.evaluation import (
-    Episodes,
     Plan,
-    Trial,
     calibration_error,
     decide_episodes,
     evaluate,
@@ -33,6 +31,8 @@ from palpate.evaluation import (
     split_touches,
 )
 from palpate.evaluation import draw_touches as drawn
+from palpate.evaluation._episodes import Episodes
+from palpate.evaluation._trial import Trial
 from palpate.recognition import stranger_log_shares
 
 ERRORS = (0.01, 0.05)

@@ -10,15 +10,13 @@ part of its report.
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from contextlib import closing
 from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
 from palpate.sensors import open_sensor
-from palpate.web import LiveSession, create_app, new_token, open_socket, server_of
+from palpate.web import LiveSession, PageServer, create_app, page_token
 
 TAUGHT = ("mug", "stapler", "pen", "toothbrush", "box", "ball")
 TOUCHED, N_TAUGHT, LONGEST = "mug", 24, 30
@@ -78,23 +76,18 @@ def main() -> None:
     with (
         tempfile.TemporaryDirectory() as place,
         LiveSession(sensor, library=Path(place) / "desk", error=0.05) as session,
-        closing(open_socket("127.0.0.1", 0)) as opened,
         sync_playwright() as driver,
     ):
         taught(session)
-        token, port = new_token(), opened.getsockname()[1]
-        server = server_of(create_app(session, token))
-        thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
-        thread.start()
+        token = page_token()
         browser = driver.chromium.launch(
             executable_path="/usr/bin/chromium", args=["--no-sandbox"]
         )
-        for name, (width, height) in SIZES.items():
-            page = browser.new_page(viewport={"width": width, "height": height})
-            pictured(page, f"http://127.0.0.1:{port}/?token={token}", folder, name)
-        browser.close()
-        server.should_exit = True
-        thread.join(10)
+        with PageServer().running(create_app(session, token)) as address:
+            for name, (width, height) in SIZES.items():
+                page = browser.new_page(viewport={"width": width, "height": height})
+                pictured(page, f"{address}?token={token}", folder, name)
+            browser.close()
 
 
 if __name__ == "__main__":

@@ -116,7 +116,7 @@ def figures(
         for _ in range(ORDERS):
             belief = recogniser.start(strangers=0)
             for k, row in enumerate(rng.permutation(rows)[: max(LENGTHS)]):
-                belief.update(evidence.one(int(row)))
+                belief.update(evidence.of_touch(int(row)))
                 if k + 1 in LENGTHS:
                     right[k + 1].append(belief.best == name)
     return [*(100 * float(np.mean(right[k])) for k in LENGTHS), seconds]

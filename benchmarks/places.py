@@ -39,7 +39,6 @@ from palpate.exploration import (
     PlaceBelief,
     RandomHemisphere,
     Raster,
-    Stand,
     SurfaceMap,
     TouchMap,
     TouchRecord,
@@ -47,6 +46,7 @@ from palpate.exploration import (
     explore_to_learn,
     put_down,
 )
+from palpate.exploration._simulated_objects import Stand
 from palpate.exploration._surface import mesh_surface
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import (

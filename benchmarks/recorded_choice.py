@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palpate import Touches
-from palpate.exploration import Stations, TouchMap, freshness, most_promising
+from palpate.exploration import TouchMap
+from palpate.exploration._strategies import Stations, most_promising
+from palpate.exploration._touch_map import freshness
 from palpate.recognition import Belief
 
 

@@ -6,8 +6,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import typer
 
 import pictures
+from palpate.cli import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -71,3 +73,25 @@ def test_the_install_line_names_the_repository_and_extras_that_exist():
 def test_the_first_page_is_read_in_minutes():
     words = PAGES[0].read_text("utf-8").split()
     assert len(words) < 830
+
+
+@pytest.mark.parametrize("folder", ["tutorials", "howto", "explanation", "reference"])
+def test_an_index_links_every_page_that_is_written_by_hand(folder):
+    """A toctree is a list on the site alone; links can be followed anywhere."""
+    text = (ROOT / "docs" / folder / "index.md").read_text("utf-8")
+    trees = re.findall(r":::\{toctree\}\n(.*?)\n:::", text, flags=re.DOTALL)
+    entries = [line for tree in trees for line in tree.split("\n") if line]
+    pages = {e for e in entries if not e.startswith((":", "generated/"))}
+    links = dict(re.findall(r"^- \[(.+)\]\((\S+)\.md\)$", text, flags=re.MULTILINE))
+    assert set(links.values()) == pages
+    for title, page in links.items():
+        written = (ROOT / "docs" / folder / f"{page}.md").read_text("utf-8")
+        assert f"# {title}\n" in written
+
+
+def test_every_verb_stands_on_the_page_of_commands():
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
+    command = typer.main.get_command(app)
+    for verb, inner in command.commands.items():
+        for name in getattr(inner, "commands", {"": None}):
+            assert f"`palpate {verb} {name}".rstrip() in page

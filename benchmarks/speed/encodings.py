@@ -24,14 +24,9 @@ from joblib import cpu_count
 
 from palpate._extras import missing
 from palpate._types import Array, Bools, Floats, Singles
-from palpate.encodings import (
-    ENCODINGS,
-    HuMoments,
-    ZernikeMoments,
-    encoder_named,
-    zernike_degrees,
-    zernike_values,
-)
+from palpate.encodings import HuMoments, ZernikeMoments, encoder_named
+from palpate.encodings._named import ENCODINGS
+from palpate.encodings._zernike_tables import zernike_degrees, zernike_values
 from palpate.images import DomeCrop, crop_discs, inscribed_mask, standardise_discs
 
 from . import (

@@ -13,7 +13,6 @@ its sensor; the CPU time of the whole process stands beside it.
 
 import json
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from copy import deepcopy
@@ -102,7 +101,7 @@ def _watched(seconds: float) -> list[Row]:
     from websockets.sync.client import connect
 
     from palpate.sensors import ReplaySensor
-    from palpate.web import LiveSession, create_app, open_socket, server_of
+    from palpate.web import LiveSession, PageServer, create_app
 
     # A dome touched by a round and a long thing.
     rng = np.random.default_rng(0)
@@ -117,22 +116,12 @@ def _watched(seconds: float) -> list[Row]:
         model = ObjectRecogniser().fit(touches).save(Path(folder) / "m.palpate")
         sensor = ReplaySensor(touches, rate_hz=_OFFERED_HZ, hold=4, gap=4)
         session = LiveSession(sensor, model=model)
-        opened = open_socket("127.0.0.1", 0)
-        server = server_of(create_app(session, "bench"), log_level="error")
-        thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
-        thread.start()
-        while not server.started:
-            time.sleep(0.01)
-        port = opened.getsockname()[1]
-        try:
-            address = f"ws://127.0.0.1:{port}/ws?token=bench"
-            with connect(address, max_size=None) as page:
+        app = create_app(session, "bench")
+        with PageServer().running(app, log_level="error") as address:
+            socket = f"{address.replace('http', 'ws')}ws?token=bench"
+            with connect(socket, max_size=None) as page:
                 page.recv()
                 return _page_rows(page, seconds)
-        finally:
-            server.should_exit = True
-            thread.join(10)
-            opened.close()
 
 
 def _page_rows(page: Any, seconds: float) -> list[Row]:

@@ -12,13 +12,10 @@ from palpate.classifiers import (
     EncodingPool,
     KernelDensityBayes,
     KernelRidgeClassifier,
-    _landmarks,
-    _touch_classifier,
     learns_by_landmarks,
 )
-from palpate.classifiers._ridge import log_posterior
-from palpate.classifiers._touch_classifier import rows_left_out
 
+MOST_ANSWERS = "palpate.classifiers._touch_classifier.MOST_ANSWERS"
 SETTINGS = {"widths": [1.0], "ridges": [0.1], "max_touches": 50, "n_landmarks": 40}
 
 
@@ -37,8 +34,8 @@ def refitted_from_scratch(machine, X, labels, groups):
     other = KernelRidgeClassifier(**SETTINGS)
     other.__dict__.update(machine.__dict__)
     codes = np.searchsorted(machine.classes_, labels)
-    landmarks = machine._summed.regression._landmarks
-    regression = _landmarks.LandmarkRegression(landmarks, machine.ridge_)
+    before = machine._summed.regression
+    regression = type(before)(before._landmarks, machine.ridge_)
     return regression.learn(X - machine.mean_, codes, len(machine.classes_))
 
 
@@ -87,8 +84,8 @@ def test_other_touches_are_learnt_from_the_beginning():
 def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
     X, labels, groups = drawn(10, 30)
     whole = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
-    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 70)
-    monkeypatch.setattr(_landmarks, "TOUCHES_AT_ONCE", 16)
+    monkeypatch.setattr("palpate.classifiers._landmarks.TOUCHES_A_TASK", 70)
+    monkeypatch.setattr("palpate.classifiers._landmarks.TOUCHES_AT_ONCE", 16)
     with parallel_config("threading", n_jobs=2):
         apart = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
     assert_allclose(apart.scores(X), whole.scores(X), atol=1e-5)
@@ -120,12 +117,14 @@ def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
 def test_of_very_many_answers_a_part_is_left_out(
     monkeypatch, n_labels, n_each, n_groups
 ):
-    monkeypatch.setattr(_touch_classifier, "MOST_ANSWERS", 2000)
+    monkeypatch.setattr(MOST_ANSWERS, 2000)
     codes = np.repeat(np.arange(n_labels), n_each)
     groups = np.tile(np.arange(n_each) * n_groups // n_each, n_labels)
     groups = groups + n_groups * codes
-    rows = rows_left_out(codes, groups)
-    assert len(rows) < len(codes)
+    X = np.random.default_rng(0).normal(size=(len(codes), 2))
+    machine = KernelRidgeClassifier(**SETTINGS).fit(X, codes, groups=groups)
+    rows = machine.left_out_rows
+    assert len(machine.left_out_scores_) == len(rows) < len(codes)
     assert (np.diff(rows) > 0).all()
     assert len(rows) * n_labels <= max(2000, 2 * 25 * n_labels)
     chosen = np.unique(codes[rows])
@@ -141,7 +140,7 @@ def test_a_pool_of_a_part_left_out_is_nearly_that_of_all(monkeypatch):
     X, labels, groups = drawn(30, 20)
     parts = {"first": 2, "second": 2}
     every = EncodingPool(parts).fit(X, labels, groups=groups)
-    monkeypatch.setattr(_touch_classifier, "MOST_ANSWERS", 9000)
+    monkeypatch.setattr(MOST_ANSWERS, 9000)
     some = EncodingPool(parts).fit(X, labels, groups=groups)
     rows = some.left_out_rows
     assert len(rows) < len(every.left_out_rows) == 600
@@ -153,8 +152,9 @@ def test_a_pool_of_a_part_left_out_is_nearly_that_of_all(monkeypatch):
 
 
 def test_of_few_answers_all_are_left_out():
-    codes = np.repeat(np.arange(40), 6)
-    assert_array_equal(rows_left_out(codes, np.arange(240)), np.arange(240))
+    X, labels, groups = drawn(40, 6)
+    machine = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
+    assert_array_equal(machine.left_out_rows, np.arange(240))
 
 
 def test_landmarks_are_for_many_touches_or_many_targets():
@@ -210,11 +210,16 @@ def test_a_thousand_objects_of_two_touches_are_learnt():
     assert peak < 500 * MB
 
 
-def test_large_scores_are_bent_and_frequent_labels_leant_against():
-    scores, log_counts = np.array([[0.8, -0.2]]), np.log([4.0, 2.0])
-    found = log_posterior((10.0, 0.5, 1.0), scores, log_counts)
-    odds = 10 * 0.8 / 1.4 + 10 * 0.2 / 1.1 - np.log(2)
-    assert found[0, 0] - found[0, 1] == pytest.approx(odds)
+def test_large_scores_are_bent_and_frequent_labels_leant_against(rng):
+    X, labels = rng.normal(size=(6, 2)), np.repeat(["mug", "pen"], [4, 2])
+    machine = KernelRidgeClassifier(widths=[1.0], ridges=[0.1]).fit(X, labels)
+    machine.temperature_, machine.bend_ = 10.0, 0.5
+    for scores, found in (
+        (machine.scores(X), machine.log_likelihood(X)),
+        (machine.left_out_scores_, machine.left_out_log_likelihood()),
+    ):
+        mug, pen = (10 * scores / (1 + 0.5 * np.abs(scores))).T
+        assert_allclose(found[:, 0] - found[:, 1], mug - pen - np.log(4 / 2))
 
 
 def test_very_many_touches_are_stored_in_single_precision(rng):

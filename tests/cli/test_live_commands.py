@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 from contextlib import closing
+from urllib.parse import urlsplit
 
+import cv2
 import httpx
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
-from palpate.web import LiveSession, open_socket, serving_at
+from palpate.web import LiveSession, PageServer, create_app
 
 
 @pytest.fixture(scope="module")
@@ -139,12 +141,11 @@ def test_serve_decides_at_the_refusal_asked_for(
     pytest.importorskip("fastapi", reason='needs the extra "web"')
     ends, touches = [], Touches.load(recording)
 
-    def run_app(app, opened):
+    def run(server, app):
         asked.clear()
         ends.append(app.state.session.post_touch(touches.images[0]))
-        opened.close()
 
-    monkeypatch.setattr("palpate.web.run_app", run_app)
+    monkeypatch.setattr(PageServer, "run", run)
     assert palpate("serve", "--model", model, "--port", "0", *LEVELS).returncode == 0
     assert [(end["error"], end["refusal"]) for end in ends] == [(0.02, 0.3)]
     assert asked == {(0.02, 0.3)}
@@ -230,7 +231,7 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
     palpate, monkeypatch, tmp_path, words, message
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
+    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
     done = palpate("serve", "--library", tmp_path / "l", "--port=0", *words)
     assert done.returncode in (1, 2)
     assert message in done.stderr
@@ -311,7 +312,7 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
 
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
-    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
+    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
     said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
     address, code = said.stdout.split("\n", 1)
     assert re.match(r"Open http://[\d.]+:\d+/\?token=", address)
@@ -323,9 +324,25 @@ def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
     assert "█" not in quiet.stdout
 
 
+def test_the_address_is_drawn_as_a_code_that_phones_read(palpate, monkeypatch):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
+    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
+    halves = {" ": (0, 0), "▄": (0, 1), "▀": (1, 0), "█": (1, 1)}
+    codes = set()
+    for _ in range(3):  # OpenCV's reader misses about 1 % of faultless codes
+        said = palpate("serve", "--port", "0", "--host", "0.0.0.0").stdout
+        address, *lines, _ = said.rstrip("\n").split("\n")
+        rows = [[halves[c][half] for c in line] for line in lines for half in (0, 1)]
+        drawn = np.kron(np.array(rows, np.uint8) * 255, np.ones((8, 8), np.uint8))
+        read = cv2.QRCodeDetector().detectAndDecode(drawn)[0]
+        assert read in ("", address.removeprefix("Open "))
+        codes.add(read)
+    assert codes != {""}
+
+
 def test_the_token_is_the_one_that_was_chosen_or_kept(palpate, monkeypatch, tmp_path):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
-    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
+    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
 
     def token_of(words):
         return json.loads(palpate(*words).stdout)["token"]
@@ -408,24 +425,25 @@ def test_a_library_that_is_served_already_is_named_with_its_address(
 ):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
     pytest.importorskip("fcntl", reason="Windows keeps no two servers apart")
-    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
+    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
     library = tmp_path / "desk"
     words = ["serve", "--library", library, "--json"]
-    with closing(open_socket("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with closing(PageServer()) as taken:
+        port = urlsplit(taken.address).port
         used = palpate(*words, "--port", port)
         assert used.returncode == 1
         assert "another program, perhaps a palpate that was not ended" in used.stderr
         assert "free one" in used.stderr
     assert palpate(*words, "--port", "0").stderr == ""  # nobody serves it any more
-    with serving_at(library, "http://127.0.0.1:4711/"):
+    app = create_app(LiveSession(), "token")
+    with PageServer(library=library).running(app, log_level="error") as address:
         beside = palpate(*words, "--port", "0")
         assert beside.returncode == 0
-        there = f"{library} is served already, at http://127.0.0.1:4711/"
+        there = f"{library} is served already, at {address}"
         assert there in beside.stderr
         assert json.loads(beside.stdout)["address"]
-        with closing(open_socket("127.0.0.1", 0)) as taken:
-            port = taken.getsockname()[1]
+        with closing(PageServer()) as taken:
+            port = urlsplit(taken.address).port
             refused = palpate(*words, "--port", port)
         assert refused.returncode == 1
         assert there in refused.stderr
@@ -447,7 +465,7 @@ def test_ctrl_c_says_what_is_kept(palpate, monkeypatch, recording, tmp_path):
 
     monkeypatch.setattr("palpate.recognition.ObjectRecogniser.fit", stop)
     monkeypatch.setattr("palpate.evaluation.evaluate", stop)
-    monkeypatch.setattr("palpate.web.run_app", stop)
+    monkeypatch.setattr(PageServer, "run", stop)
     monkeypatch.setattr("palpate.touches.check_folder", stop)
     model, report = tmp_path / "m.palpate", tmp_path / "r.html"
     model.write_text("before")

@@ -1,6 +1,7 @@
 """`palpate data`, and the verbs that find what it fetched."""
 
 import json
+import re
 import sys
 from operator import itemgetter
 from pathlib import Path
@@ -10,9 +11,9 @@ import numpy as np
 import pytest
 
 from palpate.cli import main
-from palpate.cli.serve import _copied
 from palpate.datasets import card, names, where
 from palpate.simulation import simulate_presses
+from palpate.web import PageServer
 
 from .conftest import zipped
 
@@ -172,16 +173,27 @@ def test_a_ready_model_is_made_once_and_recognises_its_sensor(
 def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     palpate, tmp_path, monkeypatch
 ):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
     monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
-    path = tmp_path / "kept.palpate"
-    path.write_bytes(b"a model")
-    desk = tmp_path / "desk"
-    copy = _copied(path, Path("sim-dome"), desk)
-    assert copy == desk / "model.palpate"
-    assert copy.read_bytes() == b"a model"
-    with pytest.raises(ValueError, match=r"--model must be left out where .*desk has"):
-        _copied(path, Path("sim-dome"), desk)
-    assert _copied(path, Path("sim-dome"), None) == _copied(path, path, desk) == path
+    path = Path(palpate("data", "fetch", "sim-array")[1].strip())
+    used, desk = [], tmp_path / "desk"
+
+    def run(server, app):
+        used.append(app.state.session.model_path)
+
+    monkeypatch.setattr(PageServer, "run", run)
+
+    def served(*words):
+        return palpate("serve", "--port", "0", "--model", *words)
+
+    assert served("sim-array", "--library", desk)[0] == 0
+    copy = desk / "model.palpate"
+    assert copy.read_bytes() == path.read_bytes()
+    code, _, err = served("sim-array", "--library", desk)
+    assert code == 1
+    assert re.search(r"--model must be left out where .*desk has", err)
+    assert served("sim-array")[0] == served(path, "--library", tmp_path / "new")[0] == 0
+    assert used == [copy, path, path]
 
 
 def test_a_ready_model_that_is_nearly_named_is_asked_about(palpate, tmp_path):

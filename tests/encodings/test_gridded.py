@@ -1,11 +1,12 @@
 """Levels on a grid, edges, rings, pads, slopes of a gel: known without the code."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from palpate.encodings import (
-    ENCODINGS,
     EdgeHistograms,
     GridLevels,
     PadShapes,
@@ -293,4 +294,9 @@ def test_grey_images_are_refused(dented):
 
 
 def test_it_needs_lights_and_so_has_no_name():
-    assert not any(kind is PhotometricGradients for kind, _ in ENCODINGS.values())
+    with pytest.raises(ValueError, match="name must be one of") as refusal:
+        encoder_named("photometric gradients")
+    names = re.findall(r"'([^']+)'", str(refusal.value).partition(", or several")[0])
+    assert len(names) > 10
+    kinds = {type(encoder_named(name)) for name in names}
+    assert PhotometricGradients not in kinds

@@ -5,7 +5,6 @@ import pytest
 from sklearn.metrics import davies_bouldin_score, roc_auc_score
 
 from palpate.evaluation import (
-    calibration_bins,
     calibration_error,
     davies_bouldin,
     roc_area,
@@ -22,9 +21,13 @@ def test_sure_and_always_wrong_is_the_worst():
 
 
 def test_bins_have_equal_mass():
-    confidence = np.linspace(0, 1, 25)
-    _, _, counts = calibration_bins(confidence, confidence > 0.5)
-    assert counts.tolist() == [3] * 5 + [2] * 5
+    """The error of 25 episodes by hand, in bins of three and of two."""
+    confidence, hit = np.linspace(0, 1, 25), np.arange(25) % 2
+    ends = np.cumsum([3] * 5 + [2] * 5)[:-1]
+    bins = zip(np.split(confidence, ends), np.split(hit, ends), strict=True)
+    error = sum(len(b) * abs(b.mean() - h.mean()) for b, h in bins) / 25
+    mixed = np.random.default_rng(0).permutation(25)
+    assert calibration_error(confidence[mixed], hit[mixed]) == pytest.approx(error)
 
 
 def test_known_calibration_error():
@@ -55,11 +58,9 @@ def test_spread_is_that_of_a_sample_and_nothing_for_one():
 
 def test_there_are_ten_bins_unless_another_number_is_asked_for():
     belief = np.linspace(0.1, 1, 40)
-    means, shares, counts = calibration_bins(belief, belief > 0)
-    assert len(means) == len(shares) == 10
-    assert counts.tolist() == [4] * 10
-    np.testing.assert_allclose(means, belief.reshape(10, 4).mean(axis=1))
-    assert len(calibration_bins(belief[:3], [1, 0, 1])[0]) == 3
+    # Of three episodes each is a bin by itself.
+    few = [0.1, 0.5, 0.7], [1, 0, 1]
+    assert calibration_error(*few) == pytest.approx((0.9 + 0.5 + 0.3) / 3)
     rng = np.random.default_rng(0)
     hit = rng.random(40) < belief
     ten = calibration_error(belief, hit, n_bins=10)

@@ -18,7 +18,6 @@ from palpate.exploration import (
     Guard,
     Hemisphere,
     RandomHemisphere,
-    Stand,
     explore,
     gather,
     guarded_touch,
@@ -205,12 +204,12 @@ def touching(arm):
 @contextmanager
 def put_before(arm):
     """Let whatever is put down be put before this arm."""
-
-    def put_down(thing, *_, **__):
-        return Stand(thing, NEAR, arm, arm, arm)
-
     names = "_simulated_objects", "environment"
     rooms = [import_module(f"palpate.exploration.{name}") for name in names]
+
+    def put_down(thing, *_, **__):
+        return rooms[0].Stand(thing, NEAR, arm, arm, arm)
+
     with ExitStack() as stack:
         for room in rooms:
             stack.enter_context(mock.patch.object(room, "put_down", put_down))

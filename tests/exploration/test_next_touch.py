@@ -14,12 +14,8 @@ from palpate import Touches
 from palpate.exploration import (
     Hemisphere,
     InformativeTouch,
-    PlacedBelief,
-    Stations,
     TouchMap,
     TouchRecord,
-    freshness,
-    most_promising,
 )
 from palpate.recognition import ObjectRecogniser, SequenceCalibration
 from recorded_choice import (
@@ -29,6 +25,8 @@ from recorded_choice import (
     look_at_recorded,
 )
 
+# What is left to be had a width away from where it was touched.
+ONE_WIDTH = 1 - np.exp(-0.5)
 N_TURNS = 12
 STEP = 2 * np.pi / N_TURNS
 PATTERNS = np.random.default_rng(42).normal(size=(3, 3, 3))
@@ -180,7 +178,7 @@ def test_touches_one_by_one_or_at_once(touch_map):
 
 def test_the_belief_decides(touch_map):
     belief = touch_map.start()
-    assert isinstance(belief, PlacedBelief)
+    assert belief.log_joint.shape == (touch_map.n_objects, touch_map.n_turns)
     assert belief.decide() is None
     belief.update(_one("marked", 0.0))
     assert belief.best == "marked"
@@ -294,9 +292,6 @@ def test_what_is_known_is_not_touched_again(strategy):
     again = strategy.next_pose(None, [nothing])
     apart = np.linalg.norm(np.asarray(pose.direction) - np.asarray(again.direction))
     assert apart > strategy.touch_map.width_
-    assert_allclose(
-        freshness(np.zeros((1, 2)), np.array([[3.0, 4.0]]), 5.0), 1 - np.exp(-0.5)
-    )
 
 
 @pytest.mark.parametrize(
@@ -306,10 +301,22 @@ def test_what_is_known_is_not_touched_again(strategy):
         pytest.param([0.2, 0.5], [1, 0.1], 0, id="unless it is stale"),
         pytest.param([0.2, -0.5], [0.1, 1], 0, id="never what misleads"),
         pytest.param([0.2, -0.5], [0.001, 1], 1, id="when nothing is left, the new"),
+        pytest.param([0.2001, 0.2 * ONE_WIDTH], [ONE_WIDTH, 1], 0, id="just as much"),
+        pytest.param([0.1999, 0.2 * ONE_WIDTH], [ONE_WIDTH, 1], 1, id="a little less"),
     ],
 )
-def test_the_promise_of_a_place(gain, fresh, best):
-    assert most_promising(np.array(gain), np.array(fresh)) == best
+def test_the_promise_of_a_place(height_map, monkeypatch, gain, fresh, best):
+    """Of two beside one that was touched, as far away as they are fresh.
+
+    At a distance of d the share 1 - exp(-d^2 / (2 width^2)) is still to be had.
+    """
+    widths = np.sqrt(-2 * np.log1p(-np.minimum(fresh, 1 - 1e-12)))
+    places = np.zeros((3, 2))
+    places[1:, 1] = height_map.width_ * widths
+    chooser = InformativeRecorded(height_map, places)
+    gains = np.array([9.0, *gain])
+    monkeypatch.setattr(chooser, "expected_gain", lambda belief: gains)
+    assert chooser.next_touch(None, [0]) == 1 + best
 
 
 def test_being_sure_leaves_nothing_to_learn(touch_map, strategy):
@@ -415,8 +422,8 @@ def test_recorded_places_do_not_turn(touch_map):
 
 def test_stations_are_places_of_their_own(height_map):
     places = np.array([[1.5, 0.5], [-1.5, 0.5]])
-    stations = Stations(height_map, places[:, np.newaxis])
-    log_joint = np.log(np.full((2, 1), 0.5))
-    above, below = stations.expected_gain(log_joint, 0)
+    belief = height_map.start()
+    assert_allclose(np.exp(belief.log_posterior), 0.5)
+    above, below = InformativeRecorded(height_map, places).expected_gain(belief)
     assert above > 0.3
     assert below < 0.05

@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.exploration import TouchMap
-from palpate.exploration._touch_map import places_of, turned_back
 from palpate.recognition import ObjectRecogniser
 
 WIDTHS, SHARES = (0.08, 0.15, 0.3, 0.6), (0.03, 0.1, 0.3)
@@ -139,19 +138,31 @@ def test_the_loss_is_that_of_the_true_object_summed_over_turns(touch_map):
     assert both == pytest.approx((found + first) / 2)
 
 
-def test_places_turn_back_about_the_vertical():
+def test_places_turn_back_about_the_vertical(touch_map):
     """On an object turned by a quarter what is met at x is its own -y."""
-    stations = turned_back(np.array([[1.0, 0.0, 0.5]]), 4)[0]
-    expected = [[1, 0, 0.5], [0, -1, 0.5], [-1, 0, 0.5], [0, 1, 0.5]]
-    assert_allclose(stations, expected, atol=1e-12)
-    assert_allclose(turned_back(np.array([[3.0, 4.0]]), 1), [[[3, 4]]])
+    touch, x = touch_map.features_[[7]], 0.95
+    turned = touch_map.placed_ratio(touch, np.array([[x, 0.0, 0.1]]))[0]
+    for turn, place in enumerate(
+        [[x, 0, 0.1], [0, -x, 0.1], [-x, 0, 0.1], [0, x, 0.1]]
+    ):
+        upright = touch_map.placed_ratio(touch, np.array([place]))[0, :, 0]
+        # Sums of exponentials of rounded distances.
+        assert_allclose(turned[:, turn], upright, atol=1e-9)
+    assert len(np.unique(turned.round(3), axis=1).T) == 4
 
 
 @pytest.mark.parametrize(("length", "refused"), [(0.992, 0), (1.008, 0), (1.02, 1)])
-def test_directions_of_a_few_digits_are_taken(length, refused):
-    touch = Touches(np.ones((1, 3, 3)), direction=[[0, 0, -length]], geometry="none")
+def test_directions_of_a_few_digits_are_taken(touches, touch_map, length, refused):
+    """The place is the direction turned round, as long as it was given."""
+    image = {"images": touches.images[:1], "geometry": "none"}
+    touch = Touches(**image, direction=[[-length, 0, 0]])
     if refused:
-        with pytest.raises(ValueError, match=r"unit vectors .*-1\.02\] in touch 0"):
-            places_of(touch, None, 4)
-    else:
-        assert_allclose(places_of(touch, None, 4), [[0, 0, length]])
+        with pytest.raises(ValueError, match=r"unit vectors .*\[-1\.02, .* in touch 0"):
+            touch_map.start().update(touch)
+        return
+    taken = touch_map.start().update(touch)
+    placed, whole = (
+        touch_map.start().update(Touches(**image), [[x, 0, 0]]) for x in (length, 1)
+    )
+    assert_allclose(taken.log_joint, placed.log_joint, rtol=1e-12)
+    assert np.abs(taken.log_joint - whole.log_joint).max() > 1e-6

@@ -6,11 +6,11 @@ again (`--kind model --seed 17`), and ends the run with exit code 1.
 """
 
 import argparse
+import atexit
 import io
 import json
 import random
 import tempfile
-import threading
 import time
 import traceback
 import warnings
@@ -243,16 +243,12 @@ def _played(name, chance):
 def client():
     import httpx
 
-    from palpate.web import LiveSession, create_app, open_socket, server_of
+    from palpate.web import LiveSession, PageServer, create_app
 
     session = LiveSession(None, library=Path(tempfile.mkdtemp()) / "library").start()
-    listening = open_socket("127.0.0.1", 0)
-    server = server_of(create_app(session, "token"), log_level="error")
-    server.install_signal_handlers = lambda: None
-    threading.Thread(target=server.run, args=([listening],), daemon=True).start()
-    while not server.started:
-        time.sleep(0.01)
-    address = f"http://127.0.0.1:{listening.getsockname()[1]}"
+    served = PageServer().running(create_app(session, "token"), log_level="error")
+    address = served.__enter__()
+    atexit.register(served.__exit__, None, None, None)
     known = {"Authorization": "Bearer token"}
     return httpx.Client(base_url=address, headers=known, timeout=30)
 

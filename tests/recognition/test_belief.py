@@ -13,11 +13,9 @@ from palpate.recognition import (
     Belief,
     Episode,
     Evidence,
-    Named,
     ObjectRecogniser,
     SequenceCalibration,
 )
-from palpate.recognition._strangers import Curve
 
 NAMES = ("ball", "cup", "mug", "pen", "rod")
 KINDS = ("", "vessel", "vessel", "tool", "tool")
@@ -77,14 +75,21 @@ def stranger_model(model):
 
     The score's logarithm in nats is compared with 0, its deviation being 1.
     """
-    falling = Curve(np.log([1e-9, 1.0]), np.log([[1e-8, 10.0]]))
+    learnt = model.strangers_
+    falling = replace(
+        learnt.low_curve,
+        levels=np.log([1e-9, 1.0]),
+        log_ratios=np.log([[1e-8, 10.0]]),
+    )
     return replace(
-        model.strangers_,
+        learnt,
         weights=np.array([0.7, 0.3]),
         high=np.array([[0.0, 1.0]]),
         low_curve=falling,
         low_category_curve=falling,
-        high_curve=Curve(np.array([1.0, 9.0]), np.array([[0.0, 8.0]])),
+        high_curve=replace(
+            falling, levels=np.array([1.0, 9.0]), log_ratios=np.array([[0.0, 8.0]])
+        ),
     )
 
 
@@ -161,7 +166,7 @@ def test_touches_come_one_by_one_or_together(start, model):
     beliefs[0].update(touches)
     beliefs[1].update(given)
     for k in range(len(touches)):
-        beliefs[2].update(given.one(k))
+        beliefs[2].update(given.of_touch(k))
         beliefs[3].update(touches.images[k])
     for belief in beliefs[1:]:
         # Products of one row and of several round differently.
@@ -225,7 +230,7 @@ def test_a_stranger_is_named_when_its_probability_reaches_it(start):
     assert belief.decide(missing * 0.999) is None
     assert belief.decide(1e-6, refusal=missing * 1.001) == "unknown"
     assert belief.decide(missing * 1.001, refusal=1e-6) is None
-    assert belief.named(0.4) == Named("unknown", "unknown")
+    assert belief.named(0.4) == ("unknown", "unknown")
     # The same touches in a closed world are of the object that they favour.
     closed = posed(start(), *SURE, by_encoding=torn)
     assert (closed.unknown, closed.decide(0.1)) == (0, "cup")
@@ -463,7 +468,7 @@ def test_evidence_names_what_is_wrong_with_it(start, model):
         belief.update(given._replace(by_encoding=given.by_encoding[:, :, :4]))
     with pytest.raises(ValueError, match="features must have shape"):
         belief.update(given._replace(features=given.features[:, :-1]))
-    whole = Evidence.together([given.one(0), given.one(1)])
+    whole = Evidence.together([given.of_touch(0), given.of_touch(1)])
     for one, other in zip(whole, given, strict=True):
         assert np.array_equal(one, other)
 

@@ -381,7 +381,7 @@ def test_evidence_taken_apart_is_put_together_again(rng):
     features, said, each, far = parts
     flags = ["", "double contact", "", "saturated", ""]
     whole = Evidence(features, said, flags, each, far, rng.normal(size=(5, 7)))
-    alone = [whole.one(k) for k in range(5)]
+    alone = [whole.of_touch(k) for k in range(5)]
     assert [part.flags for part in alone] == [[flag] for flag in flags]
     assert {len(array) for part in alone for array in part} == {1}
     for one, other in zip(Evidence.together(alone), whole, strict=True):

@@ -13,8 +13,6 @@ from numpy.testing import assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.recognition import ModelFileError, SequenceCalibration
-from palpate.recognition._learnt import RemountedEncoder
-from palpate.recognition._strangers import Curve
 
 HANG_S = 2.0
 MB = 2**20
@@ -187,10 +185,18 @@ def test_what_could_not_be_read_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def ratios(change):
+    """Return what changes a curve by a change of its ratios."""
+    return lambda curve: replace(curve, log_ratios=change(curve.log_ratios))
+
+
 def remounted(**taken_off):
     """Return a model to change, its encoder wrapped in what is taken off."""
     model = deepcopy(models()[0])
-    model.encoder_ = RemountedEncoder(model.encoder_, **taken_off)
+    images = np.random.default_rng(0).random((8, *model.encoder_.image_shape_))
+    model.remount(Touches(100 * images, geometry="none"))
+    nothing = {**dict.fromkeys(TAKEN_OFF), "gain": 1.0}
+    model.encoder_ = replace(model.encoder_, **{**nothing, **taken_off})
     return model
 
 
@@ -210,7 +216,7 @@ def test_what_is_added_to_a_touch_must_be_as_large_as_it(tmp_path, name):
 
 def test_an_encoder_wrapped_twice_is_refused(tmp_path):
     model = remounted()
-    model.encoder_ = RemountedEncoder(model.encoder_)
+    model.encoder_ = replace(model.encoder_, encoder=model.encoder_)
     with pytest.raises(ModelFileError, match="encoder_ is a RemountedEncoder"):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
 
@@ -264,11 +270,11 @@ def with_nan(values):
         ("high", lambda v: 0 * v, "no spread"),
         ("exceeded", with_nan, "NaN or infinity"),
         ("exceeded", lambda v: v[:0], "no such table"),
-        ("low_curve", lambda v: Curve(v.levels[::-1], v.log_ratios), "falls"),
-        ("low_curve", lambda v: Curve(v.levels, v.log_ratios[:, 1:]), "no such table"),
-        ("low_curve", lambda v: Curve(v.levels, v.log_ratios[[0, 0, 0]]), "other obj"),
-        ("high_curve", lambda v: Curve(v.levels, -v.log_ratios), "falls"),
-        ("high_curve", lambda v: Curve(with_nan(v.levels), v.log_ratios), "NaN"),
+        ("low_curve", lambda v: replace(v, levels=v.levels[::-1]), "falls"),
+        ("low_curve", ratios(lambda r: r[:, 1:]), "no such table"),
+        ("low_curve", ratios(lambda r: r[[0, 0, 0]]), "other obj"),
+        ("high_curve", ratios(lambda r: -r), "falls"),
+        ("high_curve", lambda v: replace(v, levels=with_nan(v.levels)), "NaN"),
         ("low_category_curve", lambda v: v.levels, "a curve of its strangers_ is a"),
         ("n_units", lambda v: 0, "n_units must be at least 1"),
         ("population", lambda v: 5, "no text"),
@@ -596,7 +602,7 @@ def with_calibration(sense, calibration):
     ("name", "change"),
     [
         ("weights", lambda v: np.ones_like(v) / len(v)),
-        ("low_curve", lambda v: Curve(v.levels, 0 * v.log_ratios)),
+        ("low_curve", ratios(lambda r: 0 * r)),
         ("high", lambda v: np.c_[v[:, 0], 0 * v[:, 0] + 1e-6]),
         ("usual", lambda v: v - 1e6),
         ("far", lambda v: np.c_[v[:, 0] - 1e6, v[:, 1]]),

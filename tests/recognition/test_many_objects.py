@@ -1,5 +1,6 @@
 """Very many objects: files, sessions and changes where only a part is left out."""
 
+import re
 from copy import copy
 from functools import cache
 
@@ -8,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
-from palpate.classifiers import NearbyTouches, _kernel_ridge, _touch_classifier
-from palpate.recognition import _learning, across_sessions
+from palpate.classifiers import NearbyTouches
+from palpate.recognition import across_sessions
 
 
 def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
@@ -27,8 +28,8 @@ def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
 def very_many():
     """Some hundred touches are many, and two thousand answers of them too many."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_kernel_ridge, "_MOST_TARGETS", 1000)
-        patch.setattr(_touch_classifier, "MOST_ANSWERS", 2000)
+        patch.setattr("palpate.classifiers._kernel_ridge._MOST_TARGETS", 1000)
+        patch.setattr("palpate.classifiers._touch_classifier.MOST_ANSWERS", 2000)
         yield
 
 
@@ -145,9 +146,18 @@ def test_more_objects_than_memory_is_for_are_refused_and_a_way_is_named():
     )
     with pytest.raises(ValueError, match=ways):
         ObjectRecogniser().fit(np.zeros((n_touches, 1, 2)), names)
+    assert needed_gb(names) == 11.1
     for labels in (kinds, names[kinds == "kind 3"]):
-        _learning.refuse_too_large(labels, 8.0)
-    _learning.refuse_too_large(names, 11.2)
+        assert needed_gb(labels) < 8
+
+
+def needed_gb(labels):
+    """Return how much memory learning is said to take."""
+    recogniser = ObjectRecogniser()
+    recogniser.max_memory_gb = 1e-3
+    with pytest.raises(ValueError, match="of memory") as refused:
+        recogniser.fit(np.zeros((len(labels), 1, 2)), labels)
+    return float(re.search(r"some ([\d.]+) GB", str(refused.value))[1])
 
 
 def test_sessions_of_an_object_are_counted():

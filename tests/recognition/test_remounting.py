@@ -8,11 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.classifiers import _touch_classifier
 from palpate.encodings import ScaledPixels
 from palpate.recognition import (
     ObjectRecogniser,
-    _remounting,
     across_sessions,
     adapt,
     said_of_sessions,
@@ -214,7 +212,7 @@ def test_confirmed_touches_that_mislead_count_less(monkeypatch, tmp_path, seed):
     confirmed = np.tile([True, False], 12) == (np.arange(24) < 12)
     learnt = ObjectRecogniser(rehearse=False).fit(_postures(4, seed))
     now = adapt(learnt, there[confirmed])
-    monkeypatch.setattr(_remounting, "N_WEIGHTS", 1)
+    monkeypatch.setattr("palpate.recognition._remounting.N_WEIGHTS", 1)
     before = adapt(learnt, there[confirmed])
     assert _right(now, there[~confirmed]) > _right(before, there[~confirmed])
     weight = now.chosen_["remount"]["weight"]
@@ -839,7 +837,7 @@ def test_touches_that_all_lie_to_one_side_are_told(taught):
 def test_of_very_many_touches_another_day_is_told_by_some(monkeypatch):
     parts = [_session(0, 8, 0, "one"), _session(OFFSET / 9, 8, 1, "two")]
     touches = Touches.concatenate(parts)
-    monkeypatch.setattr(_touch_classifier, "MOST_ANSWERS", 300)
+    monkeypatch.setattr("palpate.classifiers._touch_classifier.MOST_ANSWERS", 300)
     learnt = ObjectRecogniser(None, encodings={"levels": ScaledPixels()}).fit(touches)
     assert len(learnt.left_out_rows) < len(touches)
     assert across_sessions(learnt)["expected"] > 0.5

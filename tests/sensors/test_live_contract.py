@@ -17,7 +17,6 @@ from palpate.sensors import (
     Reading,
     ReplaySensor,
     SensorError,
-    SimulatedStream,
     TouchDetector,
     TouchSensor,
     channels_of,
@@ -58,9 +57,9 @@ def recording(n=6, shape=(4, 5)):
     [
         Counting(),
         ReplaySensor(recording(), rate_hz=500),
-        SimulatedStream("bar10", rate_hz=300),
-        SimulatedStream("mug", (32, 32), rate_hz=200),
-        SimulatedStream("gel", (32, 48), rate_hz=200),
+        open_sensor("sim:bar10", rate_hz=300),
+        open_sensor("sim:mug", image_shape=(32, 32), rate_hz=200),
+        open_sensor("sim:gel", image_shape=(32, 48), rate_hz=200),
     ],
     ids=lambda sensor: sensor.name,
 )
@@ -208,7 +207,8 @@ def test_nothing_can_lie_before_a_simulated_sensor(kind):
 
 
 def test_simulated_touches_are_touches_of_what_lies_there():
-    with SimulatedStream("disc13", rate_hz=200, hold=4, gap=4, ramp=2) as sensor:
+    how = {"rate_hz": 200, "hold": 4, "gap": 4, "ramp": 2}
+    with open_sensor("sim:disc13", **how) as sensor:
         peaks = [int(sensor.read_next().image.max()) for _ in range(120)]
     assert max(peaks) > 30  # pressed
     assert min(peaks) <= 3  # and released: noise of half a level, six sd

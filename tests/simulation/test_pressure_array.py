@@ -10,7 +10,6 @@ from shapely import contains_xy
 from shapely.geometry import Polygon
 
 from palpate.simulation import PARTS, Part, Press, PressureArray
-from palpate.simulation._array import footprint, unevenness, window_influence
 
 IDEAL = PressureArray(gain_spread=0, dead_zone_kpa=0, noise_kpa=0)
 NUT, HEXAGON, SQUARE, DISC = "hexagon13-hole8", "hexagon13", "square13", "disc13"
@@ -30,22 +29,33 @@ def spread(image):
     return np.sqrt((weight * ((row - row_mean) ** 2 + (col - col_mean) ** 2)).sum())
 
 
+def stress_beside_a_cell(x, y, sensing_mm, depth_mm):
+    """Stress per unit force (1/mm²) at a taxel, of a pin on one cell at (x, y) mm."""
+    array = PressureArray(
+        grid_mm=0.4, cover_mm=depth_mm, cover_modulus_mpa=500, sensing_mm=sensing_mm
+    )
+    pin = Part("pin", np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.21)
+    press = Press(x_mm=x - 1, y_mm=y - 1, load_kgf=0.1)
+    assert np.count_nonzero(array.contact_kpa(pin, press)) == 1
+    return array.stress_kpa(pin, press)[4, 4] / (1e3 * press.force_n)
+
+
 @pytest.mark.parametrize("depth_mm", [0.2, 0.9, 2.0])
-@pytest.mark.parametrize("place", [(0.0, 0.0), (0.5, 0.2), (1.5, 0.0), (3.0, 4.0)])
-def test_window_influence_is_the_mean_of_point_loads(place, depth_mm):
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.4, 0.8), (1.6, 0.0), (2.8, 4.0)])
+def test_a_window_has_the_mean_of_point_loads(place, depth_mm):
     x, y = place
     total, _ = integrate.dblquad(
         lambda v, u: boussinesq(u - x, v - y, depth_mm), -0.65, 0.65, -0.65, 0.65
     )
-    influence = window_influence(np.array(x), np.array(y), 1.3, depth_mm)
+    stress = stress_beside_a_cell(x, y, 1.3, depth_mm)
     # The quadrature's own tolerance.
-    assert influence == pytest.approx(total / 1.3**2, rel=1e-6, abs=1e-9)
+    assert stress == pytest.approx(total / 1.3**2, rel=1e-6, abs=1e-9)
 
 
-def test_a_tiny_window_far_down_feels_a_point_load():
-    influence = window_influence(np.array(1.0), np.array(2.0), 1e-3, 3.0)
+def test_a_tiny_window_far_down_has_a_point_load():
+    stress = stress_beside_a_cell(1.2, 2.0, 1e-3, 3.0)
     # The window is 3000 times smaller than its depth; cancelling costs digits.
-    assert influence == pytest.approx(boussinesq(1, 2, 3), rel=1e-4)
+    assert stress == pytest.approx(boussinesq(1.2, 2, 3), rel=1e-4)
 
 
 def test_stress_is_that_of_a_pin_as_a_point_load():
@@ -165,26 +175,43 @@ def test_a_soft_cover_evens_out_what_a_thin_one_breaks_up():
     assert (np.diff(areas) > 0).all()
 
 
-def test_unevenness_has_unit_variance_and_its_length():
-    rng = np.random.default_rng(0)
-    fields = np.stack([unevenness((61, 61), 0.1, rng) for _ in range(2000)])
-    # 2000 fields with about 16 independent places each, met 1 % apart.
-    assert np.var(fields) == pytest.approx(1, abs=0.03)
-    apart = np.mean(fields[:, 30, 15] * fields[:, 30, 45])
-    # Covariance exp(-d² / (2 length²)) at d = length = 3 mm; 2000 draws, 3 sd.
-    assert apart == pytest.approx(np.exp(-0.5), abs=0.08)
+def test_unevenness_has_unit_variance_and_its_length(rng):
+    array = PressureArray(grid_mm=1.0)
+    plate = Part("plate", np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 9.5)
+    press = Press(load_kgf=10, roughness_um=1)
+    # All is in contact, so that 1 um more is so much less pressure.
+    kpa_per_um = array.cover_modulus_mpa / array.cover_mm
+    fields = np.stack(
+        [array.contact_kpa(plate, press, rng)[1:-1, 1:-1] for _ in range(6000)]
+    )
+    assert fields.min() > 0
+    fields /= kpa_per_um
+    # Half the mean square of differences at a distance d is 1 - exp(-d² / (2 length²)),
+    # about which those of 6000 fields scatter by 0.009 (sd over seeds) at 9 mm.
+    for cells, lengths in ((3, 1), (9, 3)):  # of 1 mm; of 3 mm
+        for apart in (
+            fields[:, cells:] - fields[:, :-cells],
+            fields[:, :, cells:] - fields[:, :, :-cells],
+        ):
+            expected = 1 - np.exp(-(lengths**2) / 2)
+            assert np.mean(apart**2) / 2 == pytest.approx(expected, abs=0.03)
 
 
-def test_footprint_agrees_with_a_test_of_every_point(rng):
+@pytest.mark.parametrize("seed", range(5))
+def test_what_touches_is_the_face_at_every_point(seed):
+    """A part that reaches beyond the array of 40 x 30 cells, with a hole."""
+    rng = np.random.default_rng(seed)
     corners = rng.uniform(-5, 45, size=(7, 2))
     around = np.argsort(np.arctan2(*(corners - corners.mean(axis=0)).T))
     outline = corners[around]
     hole = outline.mean(axis=0) + 0.2 * (outline - outline.mean(axis=0))
-    inside, row, col = footprint([outline, hole], 40, 30)
-    whole = np.zeros((40, 30), dtype=bool)
-    whole[row : row + inside.shape[0], col : col + inside.shape[1]] = inside
+    array = PressureArray(4, 3, grid_mm=0.2)
+    loops = [(loop - (15, 20)) * 0.2 for loop in (outline, hole)]
+    pressure = array.contact_kpa(
+        Part("part", loops[0], (loops[1],)), Press(load_kgf=0.1)
+    )
     y, x = np.mgrid[:40, :30] + 0.5
-    assert_array_equal(whole, contains_xy(Polygon(outline, [hole]), x, y))
+    assert_array_equal(pressure > 0, contains_xy(Polygon(outline, [hole]), x, y))
 
 
 def test_moving_by_a_pitch_moves_the_image():

@@ -1,7 +1,6 @@
 """Sessions, servers and drawn things to touch, for the whole room."""
 
 import shutil
-import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
-from palpate.web import LiveSession, create_app, learn_job, new_token
+from palpate.web import LiveSession, PageServer, create_app, learn_job, page_token
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
 pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
@@ -142,24 +141,11 @@ def hand():
 @contextmanager
 def serving(session, token=None, port=0, keep_alive_s=5, **limits):
     """Run the application of a session, on a free port; give address and token."""
-    from palpate.web import open_socket, server_of
-
-    token = token or new_token()
-    opened = open_socket("127.0.0.1", port)
+    token = token or page_token()
     app = create_app(session, token, **limits)
-    server = server_of(app, log_level="error")
-    server.install_signal_handlers = lambda: None
-    server.config.timeout_keep_alive = keep_alive_s
-    thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    try:
-        yield f"http://127.0.0.1:{opened.getsockname()[1]}", token
-    finally:
-        server.should_exit = True
-        thread.join(10)
-        opened.close()
+    how = {"log_level": "error", "timeout_keep_alive": keep_alive_s}
+    with PageServer(port=port).running(app, **how) as address:
+        yield address.rstrip("/"), token
 
 
 @pytest.fixture(name="serving", scope="session")

@@ -28,7 +28,6 @@ from palpate.library import TouchLibrary
 from palpate.sensors import open_node, open_sensor
 from palpate.sensors.ros import STRING, read_message
 from palpate.web import Event, LiveSession, RosPublisher
-from palpate.web._sensor_watch import Listeners
 
 pytest.importorskip("rosbags")
 
@@ -142,7 +141,7 @@ def test_what_holds_a_number_is_met_by_nobody_else():
 
 def test_a_listener_that_takes_no_frames_is_sent_none():
     """Frames cost a picture each, and beliefs need none."""
-    listeners, with_frames, without = Listeners(), [], []
+    listeners, with_frames, without = LiveSession().listeners, [], []
     listeners.add(with_frames.append)
     listeners.add(without.append, frames=False)
     for kind in ("frame", "touch", "frame", "state"):

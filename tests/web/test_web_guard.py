@@ -1,30 +1,21 @@
 """Nobody comes in without the token, and nobody brings too much."""
 
-import asyncio
 import json
 import logging
 import socket
 import threading
 import time
 from contextlib import ExitStack, suppress
+from types import SimpleNamespace
 
-import cv2
-import numpy as np
+import httpx
 import pytest
+from uvicorn.protocols.http.h11_impl import H11Protocol
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from palpate.library import TouchLibrary
-from palpate.web import (
-    checked_token,
-    create_app,
-    kept_token,
-    new_token,
-    open_socket,
-    qr_code,
-)
-from palpate.web._connections import SaidOnce, saying_once
-from palpate.web._reading import ReadingRoom
+from palpate.web import PageServer, create_app, page_token
 
 TOKEN = "right-token"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -177,7 +168,7 @@ def test_every_answer_says_what_a_browser_may_do(client, path, headers):
 
 
 def test_half_a_request_is_not_waited_for(make_session, connected, monkeypatch):
-    monkeypatch.setattr("palpate.web._connections._HEAD_S", 0.2)
+    monkeypatch.setattr("palpate.web._request_guard._HEAD_S", 0.2)
     monkeypatch.setattr("palpate.web._request_guard._PART_S", 0.2)
     # What rests on a connection after an answer has as long as uvicorn keeps it.
     with connected(make_session(sensor=False), keep_alive_s=0.3) as client:
@@ -229,26 +220,20 @@ def test_a_body_that_is_too_large_is_refused(client):
         assert "at most 10000 bytes" in answer.json()["detail"]
 
 
-def test_no_answer_is_held_back_until_the_one_before_is_acknowledged():
+def test_no_answer_is_held_back_until_the_one_before_is_acknowledged(make_session):
     """Nagle's algorithm would add 40 ms to every answer but the first."""
+    options = []
 
-    async def asked():
-        loop = asyncio.get_running_loop()
-        taken = loop.create_future()
+    class Taking(H11Protocol):
+        def connection_made(self, transport):
+            accepted = transport.get_extra_info("socket")
+            options.append(accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            super().connection_made(transport)
 
-        class Taking(asyncio.Protocol):
-            def connection_made(self, transport):
-                accepted = transport.get_extra_info("socket")
-                option = socket.IPPROTO_TCP, socket.TCP_NODELAY
-                taken.set_result(accepted.getsockopt(*option))
-                transport.close()
-
-        opened = open_socket("127.0.0.1", 0)
-        async with await loop.create_server(Taking, sock=opened):
-            with socket.create_connection(opened.getsockname()):
-                return await asyncio.wait_for(taken, 20)
-
-    assert asyncio.run(asked())
+    app = create_app(make_session(sensor=False), TOKEN)
+    with PageServer().running(app, http=Taking, log_level="error") as address:
+        assert httpx.get(f"{address}api/health", headers=BEARER).status_code == 200
+    assert options == [1]
 
 
 def test_too_many_requests_are_slowed_down(make_session, connected):
@@ -262,12 +247,12 @@ def test_too_many_requests_are_slowed_down(make_session, connected):
 
 def test_a_library_keeps_its_token_for_its_owner_alone(tmp_path):
     TouchLibrary.open(tmp_path / "library", create=True).close()
-    token = kept_token(tmp_path / "library")
-    assert kept_token(tmp_path / "library") == token
+    token = page_token(tmp_path / "library")
+    assert page_token(tmp_path / "library") == token
     kept = tmp_path / "library" / "page.token"
     assert kept.stat().st_mode & 0o777 == 0o600
     kept.chmod(0o644)  # others may have read it: it is no secret any more
-    assert kept_token(tmp_path / "library") != token
+    assert page_token(tmp_path / "library") != token
     assert kept.stat().st_mode & 0o777 == 0o600
     with TouchLibrary.open(tmp_path / "library") as library:
         assert library.check().ok
@@ -276,22 +261,12 @@ def test_a_library_keeps_its_token_for_its_owner_alone(tmp_path):
 @pytest.mark.parametrize("token", ["short", "x" * 15, "x" * 201, "a b" * 9, "é" * 20])
 def test_a_token_that_is_easily_guessed_or_sent_wrongly_is_refused(token):
     with pytest.raises(ValueError, match=r"16 to 200 letters.*Leave it out") as refused:
-        checked_token(token)
+        page_token(chosen=token)
     assert token not in str(refused.value)
 
 
-def test_the_address_is_drawn_as_a_code_that_phones_read():
-    # One address, since OpenCV's reader misses about 1 % of faultless codes.
-    words = "http://192.168.7.9:8765/?token=Zq3vN0tK8yRw5bXe1LhUj7SdPa2Gc6Mf"
-    lines = qr_code(words).split("\n")
-    halves = {" ": (0, 0), "▄": (0, 1), "▀": (1, 0), "█": (1, 1)}
-    rows = [[halves[one][half] for one in line] for line in lines for half in (0, 1)]
-    drawn = np.kron(np.array(rows, np.uint8) * 255, np.ones((8, 8), np.uint8))
-    assert cv2.QRCodeDetector().detectAndDecode(drawn)[0] == words
-
-
 def test_tokens_are_long_and_never_alike():
-    tokens = {new_token() for _ in range(100)}
+    tokens = {page_token() for _ in range(100)}
     assert len(tokens) == 100
     assert min(map(len, tokens)) >= 32  # 24 bytes in base64
 
@@ -305,7 +280,7 @@ def test_idle_connections_give_way_to_whoever_comes(
     make_session, connected, monkeypatch
 ):
     """The oldest without a token are closed; one that has shown it is kept."""
-    monkeypatch.setattr("palpate.web._connections.most_waiting", lambda: 5)
+    monkeypatch.setattr("palpate.web._request_guard.most_waiting", lambda: 5)
     with connected(make_session(sensor=False)) as client:
         assert client.get("/api/health").status_code == 200  # and stays connected
         place = client.base_url.host, client.base_url.port
@@ -325,7 +300,7 @@ def test_idle_connections_give_way_to_whoever_comes(
 def test_connections_that_rest_after_their_token_are_bounded_too(
     make_session, connected, monkeypatch
 ):
-    monkeypatch.setattr("palpate.web._connections.most_waiting", lambda: 3)
+    monkeypatch.setattr("palpate.web._request_guard.most_waiting", lambda: 3)
     session = make_session(sensor=False)
     with connected(session) as client:
         place = client.base_url.host, client.base_url.port
@@ -363,22 +338,25 @@ def test_the_owners_requests_do_not_use_up_those_of_a_stranger(make_session, con
     assert answer.status_code == 403
 
 
-def test_what_goes_wrong_again_and_again_is_said_once_a_minute(caplog, monkeypatch):
+def test_what_goes_wrong_again_and_again_is_said_once_a_minute(
+    make_session, connected, caplog, monkeypatch
+):
     now_s = 0.0
-    monkeypatch.setattr("palpate.web._connections.time.monotonic", lambda: now_s)
-    log = logging.getLogger("palpate.test")
-    log.addFilter(SaidOnce())
-    for now_s in (0.0, 1.0, 59.0, 61.0):
-        log.error("accept() failed\nsocket %s", now_s)
-        log.error("something else %s", now_s)
+    clock = SimpleNamespace(monotonic=lambda: now_s)
+    log = logging.getLogger("asyncio")
+    with connected(make_session(sensor=False)):
+        monkeypatch.setattr("palpate.web._request_guard.time", clock)
+        for now_s in (0.0, 1.0, 59.0, 61.0):
+            log.error("accept() failed\nsocket %s", now_s)
+            log.error("something else %s", now_s)
     said = [record.getMessage().partition("\n")[0] for record in caplog.records]
     assert said.count("accept() failed") == 2
     assert len(said) == 6
 
 
-def test_the_log_is_left_as_it_was():
+def test_the_log_is_left_as_it_was(make_session, connected):
     before = [*logging.getLogger("asyncio").filters]
-    with saying_once():
+    with connected(make_session(sensor=False)):
         assert len(logging.getLogger("asyncio").filters) == len(before) + 1
     assert logging.getLogger("asyncio").filters == before
 
@@ -387,15 +365,14 @@ def test_a_picture_that_takes_too_long_holds_up_nothing_else(
     make_session, connected, monkeypatch
 ):
     go_on = threading.Event()
-    room = ReadingRoom("test", 1, 0.2)
-    monkeypatch.setattr("palpate.web._routes.PICTURES", room)
+    monkeypatch.setattr("palpate.web._routes.PICTURES._limit_s", 0.2)
     monkeypatch.setattr(
         "palpate.web._routes.read_picture", lambda *_: go_on.wait(30) and None
     )
     kind = {"Content-Type": "image/jpeg"}
     with connected(make_session(sensor=False)) as client:
         try:
-            for _ in range(8):  # the first is being read, the others wait
+            for _ in range(8):  # four are being read, the others wait
                 answer = client.post("/api/touch/picture", content=b"x", headers=kind)
                 assert answer.status_code == 503
                 assert "took more than 0.2 s" in answer.json()["detail"]
@@ -410,7 +387,7 @@ def test_a_picture_that_takes_too_long_holds_up_nothing_else(
 
 def test_what_is_being_answered_is_not_hung_up_on(make_session, connected, monkeypatch):
     """The limit is for heads: an answer, and a websocket, may take longer."""
-    monkeypatch.setattr("palpate.web._connections._HEAD_S", 0.2)
+    monkeypatch.setattr("palpate.web._request_guard._HEAD_S", 0.2)
     monkeypatch.setattr(
         "palpate.web._routes.read_json", lambda _: time.sleep(0.8) or ({}, None)
     )

@@ -6,9 +6,14 @@ from types import SimpleNamespace
 import pytest
 from starlette.requests import HTTPConnection, Request
 
-from palpate.web import _connections, _request_guard
-from palpate.web._connections import PatientProtocol, SaidOnce, most_waiting
-from palpate.web._request_guard import RequestGuard, cookie_name
+from palpate.web import _request_guard
+from palpate.web._request_guard import (
+    PatientProtocol,
+    RequestGuard,
+    SaidOnce,
+    cookie_name,
+    most_waiting,
+)
 from palpate.web._teaching import checked_name
 
 
@@ -16,8 +21,7 @@ from palpate.web._teaching import checked_name
 def clock(monkeypatch):
     """Give a clock that a test sets."""
     now = SimpleNamespace(s=100.0)
-    for module in (_request_guard, _connections):
-        monkeypatch.setattr(module.time, "monotonic", lambda: now.s)
+    monkeypatch.setattr(_request_guard.time, "monotonic", lambda: now.s)
     return now
 
 
@@ -246,7 +250,7 @@ class Waiting(PatientProtocol):
 
 def test_the_oldest_of_each_kind_gives_way(monkeypatch):
     """Those that are answered, or close already, do not count."""
-    monkeypatch.setattr(_connections, "most_waiting", lambda: 2)
+    monkeypatch.setattr(_request_guard, "most_waiting", lambda: 2)
     strangers = [Waiting(made_s, False) for made_s in (5.0, 3.0, 4.0)]
     known = [Waiting(made_s, True) for made_s in (1.0, 2.0)]
     others = [Waiting(0.0, True, closing=True), Waiting(0.0, True, busy=True)]

@@ -4,12 +4,11 @@ import time
 
 import pytest
 
-from palpate.web import Event
-from palpate.web._sensor_watch import Health, Listeners
+from palpate.web import Event, LiveSession
 
 
 def test_one_listener_goes_and_the_others_stay():
-    listeners, told = Listeners(), {"a": 0, "b": 0}
+    listeners, told = LiveSession().listeners, {"a": 0, "b": 0}
     ears = {}
     for name in told:
 
@@ -30,7 +29,7 @@ def test_one_listener_goes_and_the_others_stay():
 
 
 def test_a_listener_that_fails_is_not_told_again_and_holds_up_nobody():
-    listeners, told = Listeners(), []
+    listeners, told = LiveSession().listeners, []
 
     def fail(event):
         told.append("fail")
@@ -44,7 +43,7 @@ def test_a_listener_that_fails_is_not_told_again_and_holds_up_nobody():
 
 
 def test_health_counts_frames_of_the_last_seconds():
-    health = Health(None)
+    health = LiveSession().health
     assert health.to_dict() == {
         "rate_hz": 0.0,
         "n_frames": 0,
@@ -58,14 +57,14 @@ def test_health_counts_frames_of_the_last_seconds():
     found = health.to_dict()
     assert found["n_frames"] == 150
     assert found["rate_hz"] == pytest.approx(50)  # of the last hundred
-    old = Health(None)
+    old = LiveSession().health
     for number in range(150):
         old.count_frame(now_s - 3 - (149 - number) / 50)
     assert old.to_dict()["rate_hz"] == 0.0  # none within two seconds
 
 
 def test_latencies_are_medians_in_milliseconds():
-    health = Health(None)
+    health = LiveSession().health
     for latency_ms in (10.0, 20.0, 900.0):
         health.count_touch(latency_ms)
     assert health.to_dict()["belief_ms"] == 20.0

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.recognition._strangers import Curve
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
@@ -416,7 +415,9 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
     # Of two things taught little is called unknown: here every score speaks for it.
     recogniser = taught.recogniser
     model = recogniser.strangers_
-    always = Curve(np.zeros(1), np.full((1, 1), 9.0))
+    always = replace(
+        model.low_curve, levels=np.zeros(1), log_ratios=np.full((1, 1), 9.0)
+    )
     recogniser.strangers_ = replace(model, low_curve=always, high_curve=always)
     taught.begin_episode()
     with serving(taught) as (address, token):

@@ -150,7 +150,7 @@ def test_without_a_library_there_is_one_next_step(page, make_session, serving, d
         assert words.count("--library FOLDER") == 1
         for other in ("Belief after", "two objects", "Name an object", "learn again"):
             assert other not in words
-    assert "--library" in session.episode.sentence
+    assert "`library=FOLDER`" in session.episode.sentence
 
 
 @pytest.mark.parametrize("width", [390, 1280])

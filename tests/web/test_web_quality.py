@@ -9,11 +9,7 @@ from numpy.testing import assert_allclose
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import LiveSensor
-from palpate.web import LiveSession, Variety, advice, object_quality
-from palpate.web._episode import episode_report
-from palpate.web._lesson import Lesson
-from palpate.web._quality import limits
-from palpate.web._teaching import Teacher
+from palpate.web import LiveSession, advice, object_quality
 
 from .conftest import waited
 
@@ -26,8 +22,32 @@ def pressed(row, col, force=100.0):
     return REST + force * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 20)
 
 
+class Quiet(LiveSensor):
+    """A sensor that shows nothing by itself."""
+
+    def __init__(self, shape=(4, 4, 3), geometry="plane"):
+        super().__init__("quiet", "grey level", shape, np.uint8, geometry)
+
+    def _open(self):
+        pass
+
+    def _grab(self):
+        return []
+
+    def _close(self):
+        pass
+
+
+def lesson_of(sensor, folder="not-there"):
+    """Return a teacher who has begun to teach a cup with a sensor."""
+    teacher = LiveSession(sensor, library=folder).teacher
+    teacher.begin("cup", 1000)
+    return teacher
+
+
 def told(images, baseline=REST, noise=0.0):
-    variety = Variety()
+    """Return which touches of a lesson are alike."""
+    variety = lesson_of(Quiet()).lesson.variety
     for image in images:
         variety.add(image, baseline, noise)
     return variety
@@ -60,7 +80,7 @@ def test_touches_that_have_nothing_in_common_are_a_root_of_two_apart():
     assert_allclose(first, again, atol=1e-12)
     assert_allclose(np.hypot(*np.subtract(first, other)), 2**0.5, atol=1e-3)
     assert [one["like"] for one in variety.map()] == [None, None, 1]
-    assert Variety().map() == []
+    assert told([]).map() == []
     (alone,) = told([pressed(8, 8)]).map()
     assert (alone["x"], alone["y"]) == (0, 0)
 
@@ -240,17 +260,20 @@ def test_a_lesson_asks_for_another_touch_where_one_shows_no_contact(
 
 
 @pytest.mark.parametrize("geometry", ["dome", "array", "plane"])
-def test_a_touch_without_contact_is_told_before_there_is_a_model(geometry, rng):
+def test_a_touch_without_contact_is_told_before_there_is_a_model(
+    geometry, rng, tmp_path
+):
     row, col = np.mgrid[:60, :80]
     pins = 60 * ((row % 6 < 2) & (col % 6 < 2))
     rest = ((60 + pins) * (np.hypot(row - 30, col - 40) < 25)).astype(np.uint8)
     images = np.tile(rest, (4, 1, 1))
     images[3, 0, 0] += 1
     images[:3, 20:40, 30:50] = rng.integers(0, 255, (3, 20, 20), dtype=np.uint8)
-    lesson = Lesson("cup", 8)
-    told = [lesson.shows_contact(image, rest, geometry, None) for image in images]
-    assert told == [True, True, True, False]
-    assert lesson.shows_contact(images[3], None, geometry, None)
+    teacher = lesson_of(Quiet((60, 80), geometry), tmp_path / "library")
+    said = [teacher.take(image, rest, 0.0) for image in images]
+    assert ["does not count" in words for words in said] == [False, False, False, True]
+    assert "does not count" not in teacher.take(images[3], None, 0.0)
+    teacher.close()
 
 
 def test_the_sentence_and_the_count_are_of_touches_that_count(make_session, drawn):
@@ -269,42 +292,22 @@ def test_the_sentence_and_the_count_are_of_touches_that_count(make_session, draw
 
 @pytest.mark.parametrize(("n_touches", "first"), [(3, 1), (60, 1), (63, 4)])
 def test_the_newest_sixty_touches_are_on_the_map(n_touches, first, rng):
-    variety = Variety()
-    for _ in range(n_touches):
-        variety.add(rng.uniform(0, 99, (6, 6)), None, 0.1)
+    variety = told(rng.uniform(0, 99, (n_touches, 6, 6)), None, 0.1)
     numbers = [one["number"] for one in variety.map()]
     assert numbers == list(range(first, n_touches + 1))
 
 
 def test_a_touch_that_is_dropped_leaves_its_like_new(rng):
     image = rng.uniform(0, 99, (6, 6))
-    variety = Variety()
-    for one in (image, rng.uniform(0, 99, (6, 6)), image):
-        variety.add(one, None, 0.1)
+    variety = told([image, rng.uniform(0, 99, (6, 6)), image], None, 0.1)
     assert variety.like == [None, None, 1]
     assert variety.n_new == 2
     variety.drop(0)
     assert variety.like == [None, None]
 
 
-class ColourSensor(LiveSensor):
-    """A camera of 4 x 4 pixels that shows nothing."""
-
-    def __init__(self):
-        super().__init__("colour", "grey level", (4, 4, 3), np.uint8, "plane")
-
-    def _open(self):
-        pass
-
-    def _grab(self):
-        return []
-
-    def _close(self):
-        pass
-
-
 def test_a_lesson_of_a_camera_keeps_its_channels(tmp_path):
-    teacher = Teacher(tmp_path / "library", ColourSensor())
+    teacher = LiveSession(Quiet(), library=tmp_path / "library").teacher
     teacher.begin("mug", 2)
     image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     said = teacher.take(image, None, 1.0, {"force_n": 0.5})
@@ -323,14 +326,12 @@ def test_colours_are_compared_one_by_one(rng):
     base = rng.uniform(0, 99, (6, 8))
     red, blue = np.zeros((6, 8, 3)), np.zeros((6, 8, 3))
     red[..., 0], blue[..., 2] = base, base
-    variety = Variety()
-    for one in (red, blue, red):
-        variety.add(one, None, 0.1)
+    variety = told([red, blue, red], None, 0.1)
     assert variety.like == [None, None, 1]
 
 
 def test_what_was_removed_or_moved_comes_back(tmp_path):
-    teacher = Teacher(tmp_path / "library", ColourSensor())
+    teacher = LiveSession(Quiet(), library=tmp_path / "library").teacher
     images = np.arange(96, dtype=np.uint8).reshape(2, 4, 4, 3)
     keys = [teacher.store("mug", image, ("r", "g", "b"), None) for image in images]
     assert teacher.remove(keys[:1]) == "1 touch of mug removed."
@@ -344,24 +345,30 @@ def test_what_was_removed_or_moved_comes_back(tmp_path):
     teacher.close()
 
 
-def test_what_a_name_is_worth_is_said_where_little_was_learnt(drawn):
+def test_what_a_name_is_worth_is_said_where_little_was_learnt(drawn, tmp_path):
+    def limits(touches):
+        model = ObjectRecogniser("liu2014").fit(touches).save(tmp_path / "m.palpate")
+        return LiveSession(model=model).episode.limits
+
     names = np.repeat([f"thing {n}" for n in range(6)], 10)
     images = drawn.images[:60].copy()
     images[:, 0, 0] = np.arange(60)
     many = Touches(images, object=names, geometry="array")
-    assert limits(ObjectRecogniser("liu2014").fit(many)) == ""
-    five = limits(ObjectRecogniser("liu2014").fit(many[:50]))
+    assert limits(many) == ""
+    five = limits(many[:50])
     assert five.startswith("It knows 5 objects and nothing else: ")
     assert "fewer than" not in five
-    few = limits(ObjectRecogniser("liu2014").fit(many[1:]))
+    few = limits(many[1:])
     assert few.startswith("Of thing 0 it learnt fewer than 10 touches: ")
-    fewer = limits(ObjectRecogniser("liu2014").fit(many[::2]))
+    fewer = limits(many[::2])
     assert fewer.startswith("Of thing 0, thing 1, thing 2 and 3 more it learnt")
 
 
-def test_limits_stand_in_the_episode_and_its_report(make_session, drawn, drawn_model):
-    with make_session(sensor=False, model=drawn_model) as session:
-        session.post_touch(drawn.images[0])
-        told = session.episode.to_dict()["limits"]
-        assert told.startswith("It knows 2 objects and nothing else")
-        assert told in episode_report(session.episode)
+def test_limits_stand_in_the_episode_and_its_report(
+    make_session, connected, drawn, drawn_model
+):
+    with connected(make_session(sensor=False, model=drawn_model)) as client:
+        client.session.post_touch(drawn.images[0])
+        limits = client.get("/api/episode").json()["limits"]
+        assert limits.startswith("It knows 2 objects and nothing else")
+        assert limits in client.get("/api/episode/report").text

@@ -10,7 +10,7 @@ from palpate import TouchLibrary
 from palpate.cli import app
 from palpate.recognition import ModelFileError
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
-from palpate.web import LiveSession, start_all
+from palpate.web import LiveSession, PageServer
 
 
 class Missing(LiveSensor):
@@ -87,7 +87,7 @@ def test_one_that_fails_is_said_and_the_other_goes_on(fingers, connected):
         assert second["lost"] == ""
         assert client.get("/api/frame", params={"sensor": 2}).status_code == 200
     with pytest.raises(SensorError, match="Nothing is plugged in at 7"):
-        start_all([LiveSession(Missing()), LiveSession(Missing())])
+        LiveSession.start_all([LiveSession(Missing()), LiveSession(Missing())])
 
 
 def test_the_command_refuses_what_cannot_be(tmp_path):
@@ -107,8 +107,8 @@ def test_two_of_one_place_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
     """The address tells them apart, in the folder of the library and on the page."""
     served = []
     monkeypatch.setattr("palpate.web.create_app", lambda all_, *_, **__: [*all_])
-    monkeypatch.setattr("palpate.web.run_app", lambda app, _: served.extend(app))
-    monkeypatch.setattr("palpate.web.start_all", lambda sessions: None)
+    monkeypatch.setattr(PageServer, "run", lambda _, app: served.extend(app))
+    monkeypatch.setattr(LiveSession, "start_all", lambda sessions: None)
     two = "--sensor", "sim:bar10?seed=1", "--sensor", "sim:bar10?seed=2"
     words = ["serve", "--port", "0", *two, "--library", str(tmp_path / "hand")]
     result = CliRunner().invoke(app, words)

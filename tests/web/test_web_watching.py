@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.sensors import Frame, LiveSensor, SensorError
-from palpate.web import Event
-from palpate.web._sensor_watch import Health, Listeners, SensorWatch, _kind
+from palpate.web import Event, LiveSession
 
 
 class Still(LiveSensor):
@@ -31,8 +30,7 @@ class Still(LiveSensor):
 
 @pytest.fixture
 def watch():
-    sensor, listeners = Still(), Listeners()
-    return SensorWatch(sensor, lambda *_: None, listeners, Health(sensor), "peak")
+    return LiveSession(Still()).watch
 
 
 def learnt(shape):
@@ -47,11 +45,20 @@ def frame(image, number=0):
     return Frame(np.asarray(image), time.monotonic(), number)
 
 
-def test_sizes_are_told_in_colour_where_that_differs():
-    assert _kind((4, 5), (6, 7)) == "4 x 5 taxels"
-    assert _kind((4, 5, 3), (6, 7, 3)) == "4 x 5 taxels"
-    assert _kind((4, 5), (4, 5, 3)) == "4 x 5 taxels in grey"
-    assert _kind((4, 5, 3), (4, 5)) == "4 x 5 taxels in colour"
+@pytest.mark.parametrize(
+    ("shape", "other", "sizes"),
+    [
+        ((4, 5), (6, 7), ("4 x 5 taxels", "6 x 7 taxels")),
+        ((4, 5, 3), (6, 7, 3), ("4 x 5 taxels", "6 x 7 taxels")),
+        ((4, 5), (4, 5, 3), ("4 x 5 taxels in grey", "4 x 5 taxels in colour")),
+        ((4, 5, 3), (4, 5), ("4 x 5 taxels in colour", "4 x 5 taxels in grey")),
+    ],
+)
+def test_sizes_are_told_in_colour_where_that_differs(shape, other, sizes):
+    watch = LiveSession(Still(shape)).watch
+    watch.compare_with(learnt(other))
+    seen, got = sizes
+    assert f"images of {seen}, which still gives, got one of {got}." in watch.misfit
 
 
 def test_a_model_of_other_images_is_a_misfit(watch):
@@ -167,7 +174,9 @@ def test_the_last_forty_touches_are_compared(watch):
 
 
 def test_health_is_of_the_last_hundred_and_the_sensors_drops():
-    health = Health(SimpleNamespace(n_dropped=3))
+    sensor = Still()
+    sensor.n_dropped = 3
+    health = LiveSession(sensor).health
     assert health.to_dict()["n_dropped"] == 3
     for latency_ms in range(150):
         health.count_touch(float(latency_ms))
@@ -177,7 +186,7 @@ def test_health_is_of_the_last_hundred_and_the_sensors_drops():
     assert health.to_dict()["rate_hz"] == 0
     health.count_frame(now_s + 0.25)
     assert health.to_dict()["rate_hz"] == pytest.approx(4)
-    same = Health(None)
+    same = LiveSession().health
     for _ in range(2):
         same.count_frame(now_s)
     assert same.to_dict()["rate_hz"] == 0
@@ -185,7 +194,7 @@ def test_health_is_of_the_last_hundred_and_the_sensors_drops():
 
 @pytest.mark.parametrize(("ago_s", "rate_hz"), [(1.5, 10), (2.5, 0)])
 def test_a_sensor_silent_for_two_seconds_has_no_rate(ago_s, rate_hz):
-    health, now_s = Health(None), time.monotonic()
+    health, now_s = LiveSession().health, time.monotonic()
     for number in range(5):
         health.count_frame(now_s - ago_s - (4 - number) / 10)
     assert health.to_dict()["rate_hz"] == pytest.approx(rate_hz)

@@ -172,7 +172,7 @@ def log_episodes(
         for number, (label, _, rows) in enumerate(touches.episodes(), start=1):
             episode = recogniser.episode(error=error)
             for count, row in enumerate(rows, start=1):
-                episode.add(evidence.one(row))
+                episode.add(evidence.of_touch(row))
                 belief = {
                     "episode": number,
                     "touch": count,

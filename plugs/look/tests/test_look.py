@@ -59,7 +59,7 @@ def expected(model, touches):
     for _, _, rows in asked.episodes():
         belief = recogniser.start()
         for row in rows:
-            belief.update(evidence.one(row))
+            belief.update(evidence.of_touch(row))
             found.append((int(row), belief.posterior, belief.unknown))
     return found
 

@@ -33,7 +33,6 @@ from ._ridge import (
     inverse_blocks,
     left_out_scores,
     log_counts_of,
-    log_posterior,
     rows_by_size,
     smoothed_loss,
     solve_ridge,
@@ -433,8 +432,8 @@ class KernelRidgeClassifier(BayesRule):
         return np.asarray(getattr(self, "left_out_rows_", all_rows))
 
     def _log_posterior(self, scores: Floats) -> Floats:
-        shape = (self.temperature_, self.bend_, 1.0)
-        return log_posterior(shape, scores, self.log_counts_)
+        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
+        return log_softmax(bent - self.log_counts_)
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""

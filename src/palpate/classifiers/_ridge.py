@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize
 
-from .._numbers import log_loss, log_softmax
+from .._numbers import log_loss
 from .._types import Array, Floats, Indices
 
 # The inverse's root is kept in so many strips, none longer than its last row: together
@@ -312,13 +312,6 @@ def smoothed_loss(
         temperature -= slope / curve if curve > 0 else np.inf
         if not low < temperature < high:
             temperature = float(np.sqrt(low * high))
-
-
-def log_posterior(shape: Shape, scores: Floats, log_counts: Floats) -> Floats:
-    """Log posterior under equal priors; `shape` is (temperature, bend, lean)."""
-    temperature, bend, lean = shape
-    bent = temperature * scores / (1 + bend * np.abs(scores))
-    return log_softmax(bent - lean * log_counts)
 
 
 def fair_shares(codes: Array) -> Floats:

@@ -18,8 +18,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from .. import __version__
-from ._options import flag
-from ._output import Stopped, WrongUse, answer, as_typed, printable, say, translate_for
+from . import _options, _output
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -43,7 +42,7 @@ for name in VERBS:
         app.add_typer(verb, name=name)
     else:
         app.command()(verb)
-translate_for(app)
+_output.translate_for(app)
 
 
 def _join_lines(group: typer.Typer) -> None:
@@ -68,11 +67,11 @@ FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryErr
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        say(f"palpate {__version__}")
+        _output.say(f"palpate {__version__}")
         raise typer.Exit
 
 
-_version = flag(
+_version = _options.flag(
     "--version", "Print the version.", callback=_print_version, is_eager=True
 )
 
@@ -95,7 +94,7 @@ def main() -> None:
         if code != _STOPPED:
             sys.exit(code)
         _end_stopped(_BY_CTRL_C)
-    except Stopped as stopped:
+    except _output.Stopped as stopped:
         _end_stopped(str(stopped))
     except typer.Abort as abort:
         if isinstance(abort.__cause__, KeyboardInterrupt):  # of older packages
@@ -104,15 +103,16 @@ def main() -> None:
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
-        message, code = as_typed(_sentence(error)), 1 + isinstance(error, WrongUse)
+        wrong_use = isinstance(error, _output.WrongUse)
+        message, code = _output.as_typed(_sentence(error)), 1 + wrong_use
     except _Usage as error:
-        error.message = as_typed(_no_number(error) or error.message)
+        error.message = _output.as_typed(_no_number(error) or error.message)
         if not as_json:
-            say(_shown(error), file=sys.stderr)
+            _output.say(_shown(error), file=sys.stderr)
             sys.exit(error.exit_code)
         message, code = error.format_message(), error.exit_code
-    answer(as_json, {"error": message})
-    say(f"palpate: {message}", file=sys.stderr)
+    _output.answer(as_json, {"error": message})
+    _output.say(f"palpate: {message}", file=sys.stderr)
     sys.exit(code)
 
 
@@ -134,7 +134,7 @@ def _no_number(error: Any) -> str:
 
 
 def _end_stopped(message: str) -> NoReturn:
-    say(f"palpate: {message}", file=sys.stderr)
+    _output.say(f"palpate: {message}", file=sys.stderr)
     sys.exit(_STOPPED)
 
 
@@ -151,7 +151,7 @@ def _plain_warnings() -> Iterator[None]:
     usual = warnings.formatwarning
 
     def plain(message: Any, *rest: Any, **more: Any) -> str:
-        return usual(printable(as_typed(str(message))), *rest, **more)
+        return usual(_output.printable(_output.as_typed(str(message))), *rest, **more)
 
     warnings.formatwarning = plain
     try:

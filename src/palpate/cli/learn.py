@@ -88,11 +88,11 @@ def learn(
     if recogniser.pose_:
         sentences = [*sentences, "poses on the array are learnt too"]
     details = learnt["chosen"]["encoding"], *sentences
-    one, many = ("object", "") if learnt["label"] == "object" else _CATEGORY
+    label, many = ("object", "") if learnt["label"] == "object" else _CATEGORY
     answer(
         as_json,
         {"model": str(written), **learnt, "sessions": across},
-        f"Learnt {counted(learnt['n_labels'], one, many)} from "
+        f"Learnt {counted(learnt['n_labels'], label, many)} from "
         f"{counted(learnt['n_train_touches'])}, saved as {written}{replaces}.",
         *few,
         recognition.said_of_sessions(across),

@@ -91,7 +91,7 @@ def recognise_episodes(
         episode, poses = recogniser.episode(**how), []
         ended: dict[str, Any] = {}
         for row in rows:
-            episode.add(evidence.one(row))
+            episode.add(evidence.of_touch(row))
             if recogniser.pose_ is not None:
                 poses.append(_pose(recogniser, touches[int(row)], episode.belief.best))
             if episode.decision is not None and not ended:

@@ -5,7 +5,7 @@ import shutil
 import sys
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from ._options import (
     AsJson,
@@ -28,9 +28,6 @@ from .sensor import (
     logged,
     published,
 )
-
-if TYPE_CHECKING:
-    from socket import socket
 
 HERE = "127.0.0.1"
 
@@ -83,22 +80,29 @@ def serve(
 ) -> None:
     """Serve the page and the API of sensors, to whoever has the printed address."""
     from .. import web
-    from ..web import LiveSession, checked_token, create_app, kept_token
+    from ..web import LiveSession, create_app
 
-    web.require_web()
     check_publish(publish)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
     addresses = sensor or []
-    chosen_token = None if token is None else checked_token(token)
+    token = None if token is None else web.page_token(chosen=token)
     kept = "" if library is None else f" What was taught is kept in {library}."
     with (
         told_if_stopped(f"nothing is served any more.{kept}"),
-        closing(_opened(host, port, library)) as socket,
+        closing(web.PageServer(host, port, library)) as server,
         ExitStack() as stack,
     ):
+        if server.elsewhere:
+            say(
+                f"palpate: {library} is served already, at {server.elsewhere} Touches "
+                "of both go into one library, but each page learns and shows by "
+                "itself: better open that address, or end that palpate with Ctrl-C "
+                "first.",
+                file=sys.stderr,
+            )
         model = model and _copied(model_file(model), model, library)
-        chosen: list[Any] = [options.open(one) for one in addresses] or [None]
+        chosen: list[Any] = [options.open(address) for address in addresses] or [None]
         folders = [library]
         if len(addresses) > 1:
             folders = _folders(addresses, library, model)
@@ -111,43 +115,15 @@ def serve(
             number = len(sessions) * (len(addresses) > 1)
             stack.enter_context(logged(session, log, number))
             stack.callback(session.stop)
-        web.start_all(sessions)
+        LiveSession.start_all(sessions)
         for number, session in enumerate(sessions, start=1):
             stack.enter_context(
                 published(session, _of(publish, number, len(addresses)))
             )
-        if chosen_token is None:
-            chosen_token = web.new_token() if library is None else kept_token(library)
-        app = create_app(sessions, chosen_token, names=[host, *(name or ())])
-        at = socket.getsockname()[1]
-        if library is not None:
-            stack.enter_context(web.serving_at(library, web.address_of(host, at)))
-        _say_where(host, at, chosen_token, as_json=as_json)
-        web.run_app(app, socket)
-
-
-def _opened(host: str, port: int, library: Path | None) -> "socket":
-    """Return a socket that listens; say where the same library is served already."""
-    from .. import web
-
-    there = "" if library is None else web.served_at(library)
-    try:
-        opened = web.open_socket(host, port)
-    except OSError as error:
-        if there:
-            raise OSError(
-                f"{library} is served already, at {there} Open that address, or end "
-                f"that palpate with Ctrl-C first. ({error})"
-            ) from error
-        raise
-    if there:
-        say(
-            f"palpate: {library} is served already, at {there} Touches of both go into "
-            "one library, but each page learns and shows by itself: better open that "
-            "address, or end that palpate with Ctrl-C first.",
-            file=sys.stderr,
-        )
-    return opened
+        token = token or web.page_token(library)
+        app = create_app(sessions, token, names=[host, *(name or ())])
+        _say_where(host, server.address, token, as_json=as_json)
+        server.run(app)
 
 
 def _of(address: str | None, number: int, n_sensors: int) -> str | None:
@@ -202,10 +178,7 @@ def _folders(
     return [library / name if library else None for name in names]
 
 
-def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
-    from ..web import address_of, qr_code
-
-    address = address_of(host, port)
+def _say_where(host: str, address: str, token: str, *, as_json: bool) -> None:
     far = host not in (HERE, "localhost", "::1")
     if far:
         say(
@@ -219,5 +192,17 @@ def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
     else:
         say(f"Open {address}?token={token}", flush=True)
         if far and "utf" in (sys.stdout.encoding or "").lower():
-            say(qr_code(f"{address}?token={token}"))
+            say(_qr_code(f"{address}?token={token}"))
         say("End with Ctrl-C. What is taught is kept at once.", flush=True)
+
+
+def _qr_code(text: str) -> str:
+    """Return a text as a QR code of half blocks, for a dark terminal."""
+    import cv2
+    import numpy as np
+
+    modules = cv2.QRCodeEncoder.create().encode(text) > 0
+    light = np.pad(modules, (2, 2 + len(modules) % 2), constant_values=True)
+    lines = zip(light[::2].tolist(), light[1::2].tolist(), strict=True)
+    rows = (zip(top, bottom, strict=True) for top, bottom in lines)
+    return "\n".join("".join(" ▄▀█"[2 * a + b] for a, b in row) for row in rows)

@@ -1,21 +1,22 @@
 """Image -> vector: encoders of images, and what puts features on one scale."""
 
 from ._canvas import EdgeHistograms, RingPatterns, RingQuantiles
-from ._kernel_pca import KernelPCA
 from ._moments import CentroidMoments, HuMoments, PadShapes
 from ._moments import sorted_taxels as sorted_taxels
-from ._named import ENCODINGS as ENCODINGS
 from ._named import EncodingUnion, RootScaler, encoder_named
 from ._onnx import OnnxEncoding
 from ._onnx import OnnxError as OnnxError
-from ._pixels import GridLevels, PhotometricGradients, ScaledPixels, TaxelVector
-from ._polar_gradients import PolarGradients
-from ._principal import OrientedPCA, PrincipalShare, ZernikePCA
+from ._pixels import (
+    GridLevels,
+    PhotometricGradients,
+    PolarGradients,
+    ScaledPixels,
+    TaxelVector,
+)
+from ._principal import KernelPCA, OrientedPCA, PrincipalShare, ZernikePCA
 from ._shape import FourierDescriptors, ShapeGeometry
 from ._shape import outer_boundary as outer_boundary
 from ._zernike import ZernikeMoments
-from ._zernike_tables import zernike_degrees as zernike_degrees
-from ._zernike_tables import zernike_values as zernike_values
 
 __all__ = [
     "CentroidMoments",

@@ -19,8 +19,13 @@ from .._types import Array, Floats
 from . import _principal
 from ._canvas import EdgeHistograms, RingPatterns, RingQuantiles
 from ._moments import N_MOMENTS, CentroidMoments, HuMoments, PadShapes
-from ._pixels import PAPER_SIDE, GridLevels, ScaledPixels, TaxelVector
-from ._polar_gradients import PolarGradients
+from ._pixels import (
+    PAPER_SIDE,
+    GridLevels,
+    PolarGradients,
+    ScaledPixels,
+    TaxelVector,
+)
 from ._principal import Components, OrientedPCA, PrincipalEncoder, ZernikePCA
 from ._zernike import ZernikeMoments
 

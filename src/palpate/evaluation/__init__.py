@@ -14,9 +14,7 @@ from ._comparisons import disc_centres as disc_centres
 from ._comparisons import named_alone as named_alone
 from ._comparisons import sorted_pixels as sorted_pixels
 from ._comparisons import without_contact as without_contact
-from ._episodes import Episodes as Episodes
 from ._episodes import decide_episodes as decide_episodes
-from ._episodes import run_episodes as run_episodes
 from ._evaluate import evaluate
 from ._evaluate import few_touches as few_touches
 from ._report import bound_said as bound_said
@@ -38,8 +36,6 @@ from ._splits import protocol_folds as protocol_folds
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches
 from ._trial import Plan, calibration_error, davies_bouldin, roc_area
-from ._trial import Trial as Trial
-from ._trial import calibration_bins as calibration_bins
 from ._trial import spread as spread
 
 __all__ = [

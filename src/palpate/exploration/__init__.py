@@ -10,7 +10,6 @@ from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._place_belief import PlaceBelief
 from ._place_filter import advice
-from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog as EpisodeLog
 from ._record import TouchRecord as TouchRecord
@@ -20,7 +19,6 @@ from ._robot import FAULTS as FAULTS
 from ._robot import MissingFrames as MissingFrames
 from ._robot import Robot, RobotError, SimulatedRobot, check_robot
 from ._simulated_objects import QUICK_GUARD as QUICK_GUARD
-from ._simulated_objects import Stand as Stand
 from ._simulated_objects import explore_to_learn, put_down
 from ._strategies import (
     Hemisphere,
@@ -29,12 +27,8 @@ from ._strategies import (
     Raster,
     Strategy,
 )
-from ._strategies import Stations as Stations
-from ._strategies import most_promising as most_promising
 from ._surface_map import SurfaceMap
-from ._touch_map import PlacedBelief as PlacedBelief
 from ._touch_map import TouchMap
-from ._touch_map import freshness as freshness
 
 __all__ = [
     "Guard",

@@ -357,7 +357,7 @@ class PlacedBelief(Belief):
         log_pictures = log_softmax(evidence.log_likelihood, axis=1)
         for number, placed in enumerate(self._map.weighed(log_pictures, ratio)):
             self._placed = self._placed + placed
-            super().update(evidence.one(number))
+            super().update(evidence.of_touch(number))
         return self
 
     @property

@@ -2,7 +2,6 @@
 
 from ._array import ArrayCleanUp, ChannelMean, fill_dead_taxels
 from ._array import NoLivingTaxelError as NoLivingTaxelError
-from ._array import binarise as binarise
 from ._array import grey as grey
 from ._array import otsu_threshold as otsu_threshold
 from ._array import stage_pictures as stage_pictures

@@ -536,8 +536,9 @@ def make_folder(place: Path) -> None:
         raise LibraryError(
             f"{place} must be a folder that can be made, got: {error.strerror}."
         ) from error
-    # Hidden files, and those of a library that is being made or lost, may lie there.
-    ours = FEATURES, DAMAGED
+    # Hidden files, those of a library that is being made or lost, and the model that a
+    # page begins with may lie there.
+    ours = FEATURES, DAMAGED, "model.palpate"
     for other in others:
         if other not in ours and not other.startswith((".", "library.", "page.")):
             raise LibraryError(

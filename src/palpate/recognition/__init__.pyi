@@ -2,7 +2,6 @@ from ._alarm import OTHER_MOUNTING as OTHER_MOUNTING
 from ._alarm import MountingCheck as MountingCheck
 from ._belief import STRANGERS as STRANGERS
 from ._belief import Belief as Belief
-from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
 from ._contact import NO_CONTACT as NO_CONTACT
 from ._contact import correlation as correlation

@@ -113,7 +113,7 @@ class Episode:
         """
         if isinstance(touch, Evidence):
             for number in range(len(touch.flags)):
-                self._add(touch.one(number), options)
+                self._add(touch.of_touch(number), options)
         elif isinstance(touch, Touches):
             for number in range(len(touch)):
                 self._add(touch[number : number + 1], options)

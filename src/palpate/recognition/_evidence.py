@@ -60,7 +60,7 @@ class Evidence(NamedTuple):
         arrays = {name: np.concatenate(rows) for name, rows in columns.items()}
         return cls(**arrays, flags=flags)
 
-    def one(self, touch: int) -> Evidence:
+    def of_touch(self, touch: int) -> Evidence:
         """Return the evidence of a single touch."""
         parts: tuple[Any, ...] = self
         return Evidence(*(part[touch : touch + 1] for part in parts))

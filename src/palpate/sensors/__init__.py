@@ -14,7 +14,6 @@ from ._address import open_sensor
 from ._address import ros_place as ros_place
 from ._bench import SimulatedBench, SimulatedSensor
 from ._camera import CameraSensor
-from ._camera import camera_names as camera_names
 from ._camera import find_camera as find_camera
 from ._contract import PLACE_COLUMNS as PLACE_COLUMNS
 from ._contract import Frame as Frame
@@ -23,20 +22,18 @@ from ._contract import channels_of as channels_of
 from ._detector import ContactError as ContactError
 from ._detector import DetectedTouch as DetectedTouch
 from ._detector import TouchDetector
-from ._framing import BinaryFraming, LineFraming
-from ._framing import write_binary as write_binary
-from ._framing import write_line as write_line
 from ._health import SensorMemory as SensorMemory
 from ._health import baseline_warning as baseline_warning
 from ._health import gain_warning as gain_warning
 from ._health import sensor_health as sensor_health
 from ._played import PlayedSensor as PlayedSensor
 from ._played import ReplaySensor
-from ._played import SimulatedStream as SimulatedStream
 from ._ros import RosSensor as RosSensor
 from ._ros import RosService as RosService
 from ._ros import open_node as open_node
-from ._serial import SerialArraySensor
+from ._serial import BinaryFraming, LineFraming, SerialArraySensor
+from ._serial import write_binary as write_binary
+from ._serial import write_line as write_line
 
 __all__ = [
     "BinaryFraming",

@@ -357,12 +357,12 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
             f"{bad[0].picture} is {bad[0].problem}. Fix: {bad[0].fix}."
         )
     if lost := [*check.lost]:
-        one = check.lost[lost[0]]
+        odd = check.lost[lost[0]]
         more = f" and {len(lost) - 5} more" * (len(lost) > 5)
         them = lost[0] if len(lost) == 1 else "these"
         raise TouchesError(
-            f"No picture of {', '.join(lost[:5])}{more} can be used: {one.picture} is "
-            f"{one.problem}. Fix: {one.fix}, or take {them} out of {root}."
+            f"No picture of {', '.join(lost[:5])}{more} can be used: {odd.picture} is "
+            f"{odd.problem}. Fix: {odd.fix}, or take {them} out of {root}."
         )
     if bad:
         first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:_LISTED])

@@ -19,14 +19,12 @@ from fastapi.staticfiles import StaticFiles
 from pydantic import ValidationError
 
 from ..sensors import ContactError, SensorError
-from ._connections import saying_once
 from ._learning import LearningError
-from ._request_guard import STATIC, RequestGuard, cookie_name
+from ._request_guard import STATIC, RequestGuard, cookie_name, saying_once
 from ._routes import router
 from ._sensor_watch import Event
-from ._session import LiveSession, start_all
+from ._session import LiveSession
 from ._teaching import MissingObjectError, MissingTouchError
-from ._touch_routes import router as touch_router
 
 _COOKIE_S = 30 * 24 * 3600
 _NOT_NOW = (ContactError, SensorError, LearningError)
@@ -40,7 +38,7 @@ def build_app(sessions: Sequence[LiveSession], token: str, **limits: Any) -> Fas
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         with saying_once():
-            start_all(sessions)
+            LiveSession.start_all(sessions)
             try:
                 yield
             finally:
@@ -64,7 +62,6 @@ def build_app(sessions: Sequence[LiveSession], token: str, **limits: Any) -> Fas
         session.listeners.number = number
     app.state.session, app.state.sessions = sessions[0], sessions
     app.include_router(router)
-    app.include_router(touch_router)
     app.websocket("/ws")(_Hub(sessions).serve)
 
     @app.get("/", include_in_schema=False)

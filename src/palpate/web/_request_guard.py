@@ -1,4 +1,4 @@
-"""Who may come in, and how much they may bring: token, body size and rate.
+"""Who may come in, and how much they may bring: token, size, rate, connections.
 
 Everything but the look of the page that asks for it needs the token: pages, API and
 websocket. It comes as `Authorization: Bearer TOKEN`, as the cookie that the page sets
@@ -7,23 +7,33 @@ constant time. A request that a page of another site makes is refused by its `Or
 one for a name that is not this server's (DNS rebinding) by its `Host`. A browser that
 is refused gets a page with a field for the token. Every answer forbids what the page
 does not need.
+
+Nobody needs a token to connect. Of connections that have not shown it yet the oldest
+gives way to the next, so that whoever has the token always comes in, and the files the
+process may open are never used up. What goes wrong again and again is said once a
+minute.
 """
 
 import asyncio
 import hmac
+import logging
 import socket
+import sys
 import time
-from collections.abc import Collection
-from contextlib import suppress
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from string import Template
+from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn import Server
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 STATIC = Path(__file__).parent / "static"
 _RULES = (
@@ -41,6 +51,7 @@ _HEADERS = {
 }
 # What the page that asks for the token looks like; everybody may have it.
 _OPEN = ("/static/style.css", "/static/icon.svg")
+_WHERE = "open the address that was printed when this server started."
 _MOST_CLIENTS = 1000
 _MOST_FIELDS = 100
 _MORE_HEADERS = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}
@@ -51,7 +62,14 @@ _DROP_TIMES, _DROP_S = 10, 0.5
 _IMAGES, _FEW_WORDS = ("/api/touch", "/api/teach/touch"), 2**16
 # A body of which nothing comes for so long is given up.
 _PART_S = 20.0
-
+# A head that takes so long is given up.
+_HEAD_S = 10.0
+# Of the files that the process may open, this share may be connections without a token,
+# and as much those with it; so many are accepted before any of them is looked at, and
+# so many wait for that in the system.
+_SHARE, _FILES, AT_ONCE, _QUEUE = 1 / 3, 1024, 32, 1024
+_AGAIN_S, _MOST_SAID = 60.0, 1000
+_LOGGERS = ("asyncio", "uvicorn.error")
 
 _Permits = dict[str, tuple[float, float]]  # of an address: how many, and when
 
@@ -117,8 +135,8 @@ class RequestGuard:
     def _refusal(self, request: HTTPConnection) -> tuple[int, str] | None:
         if not self._is_ours(request.headers.get("host", "")):
             return 403, (
-                "Host must be a name of this server, got another. Start palpate serve "
-                "with --name NAME, or use its address."
+                "Host must be a name of this server, got another. Use its address, "
+                "or start it with that as one of its `names`."
             )
         if _from_elsewhere(request):
             return 403, "Requests from pages of other sites are refused."
@@ -135,9 +153,9 @@ class RequestGuard:
         named = bearer.strip() if kind.lower() == "bearer" else ""
         token = named or in_address or request.cookies.get(cookie_name(request))
         if token is None:
-            return 401, "The token is missing; open the address palpate serve printed."
+            return 401, f"The token is missing; {_WHERE}"
         if not hmac.compare_digest(token.encode(), self._token):
-            return 403, "The token is wrong; open the address palpate serve printed."
+            return 403, f"The token is wrong; {_WHERE}"
         return None
 
     def _is_ours(self, host: str) -> bool:
@@ -239,3 +257,119 @@ async def _refuse(
         page = Template((STATIC / "sign-in.html").read_text(encoding="utf-8"))
         answer = HTMLResponse(page.substitute(detail=detail), status, headers)
     await answer(scope, receive, send)
+
+
+class PatientProtocol(H11Protocol):
+    """HTTP whose connections are bounded, as is the time that a head may take.
+
+    uvicorn limits how long a connection may rest between two requests, not how long
+    the first one, or one that was begun, may take. `RequestGuard` finds a connection
+    in the state of its requests, and tells it by `signed_in` that the token was shown.
+    """
+
+    signed_in = False
+    _ending: asyncio.TimerHandle | None = None
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.app_state = {**self.app_state, "connection": self}
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._made_s = self.loop.time()
+        self._make_room()
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        """Go on waiting unless a request is whole, or a websocket by now."""
+        super().data_received(data)
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._wait(False)
+
+    @property
+    def _answering(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _make_room(self) -> None:
+        """Close the oldest of the connections that wait, beyond what may be open."""
+        waiting = [
+            connection
+            for connection in self.connections
+            if isinstance(connection, PatientProtocol)
+            and not connection._answering
+            and not connection.transport.is_closing()
+        ]
+        for signed_in in (False, True):
+            alike = [
+                connection
+                for connection in waiting
+                if connection.signed_in == signed_in
+            ]
+            if len(alike) > most_waiting():
+                min(alike, key=lambda connection: connection._made_s).transport.abort()
+
+    def _wait(self, whether: bool = True) -> None:
+        upgraded = self.transport.get_protocol() is not self
+        if not whether or self._answering or upgraded:
+            if self._ending is not None:
+                self._ending.cancel()
+            self._ending = None
+        elif self._ending is None:
+            self._ending = self.loop.call_later(_HEAD_S, self.transport.close)
+
+
+def most_waiting() -> int:
+    """Return how many connections of a kind may wait, by the limit of open files."""
+    files = _FILES
+    if sys.platform != "win32":
+        import resource
+
+        files = min(files, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+    return int(files * _SHARE)
+
+
+class PatientServer(Server):
+    """A server that takes a few connections at a time from a long queue.
+
+    asyncio has one number for both, and while it takes, nothing else goes on.
+    """
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        for listening in sockets or ():
+            listening.listen(_QUEUE)
+
+
+class SaidOnce(logging.Filter):
+    """Lets a message through once a minute, by its first line."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._last_s: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the message was not said within the last minute."""
+        message, now_s = record.getMessage().partition("\n")[0], time.monotonic()
+        if now_s - self._last_s.get(message, -_AGAIN_S) < _AGAIN_S:
+            return False
+        if len(self._last_s) >= _MOST_SAID:
+            self._last_s.clear()
+        self._last_s[message] = now_s
+        return True
+
+
+@contextmanager
+def saying_once() -> Iterator[None]:
+    """Keep the log of a server from growing by one message again and again."""
+    once = SaidOnce()
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    for logger in loggers:
+        logger.addFilter(once)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeFilter(once)

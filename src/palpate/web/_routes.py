@@ -1,299 +1,86 @@
 """The API: the same actions for the page and for robots.
 
-First what goes in and out, as OpenAPI describes it, then the actions. Each runs in a
-thread of its own; what a session refuses becomes a clear answer in `_app`.
+Each runs in a thread of its own; what a session refuses becomes a clear answer in
+`_app`. Images that come in are read by threads of their own: what is slow to read holds
+up others of its kind alone, and no teaching, no websocket and no picture of the page.
 """
 
+import asyncio
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from math import hypot
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ParamSpec, TypeVar
 
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.security import HTTPBearer
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 from starlette.background import BackgroundTask
 
 from .._types import Array
+from ..library import LibraryError
 from ..touches import Touches
-from ._episode import LiveTouch, episode_report
+from ._episode import episode_report
 from ._images import KINDS, is_miss, read_json, read_picture, thumbnail
-from ._reading import NUMBERS, PICTURES
+from ._schemas import (
+    REFUSALS,
+    Attempt,
+    BaselineOrder,
+    Done,
+    EpisodeState,
+    LessonOrder,
+    Moving,
+    NamedImage,
+    NamedPlace,
+    Numbers,
+    OneObject,
+    Place,
+    PlacedImage,
+    Placing,
+    Renaming,
+    SeenFromAbove,
+    SomeTouches,
+    State,
+    Stored,
+    StoredTouch,
+)
 from ._session import LiveSession
 from ._teaching import Teacher
 
-_Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
-Vector = tuple[_Number, _Number, _Number]
-Numbers = Annotated[list[float] | None, Query(min_length=3, max_length=3)]
-Name = Annotated[str, Field(min_length=1, max_length=80, description="Object's name.")]
-# What is wrong with a new name says `checked_name`, in one sentence.
-NewName = Annotated[
-    str, Field(max_length=1000, description="Object's name, 1 to 80 printed characters")
-]
-
-
-class Answer(BaseModel):
-    """What was refused, and why."""
-
-    detail: str
-
-
-class Order(BaseModel):
-    """The body of a request; a field that is not known is refused."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class Image(Order):
-    """One frame of numbers."""
-
-    image: Annotated[
-        list[list[float | None]],
-        Field(
-            min_length=1,
-            max_length=4096,
-            description="Taxels, rows of equal length, in the sensor's unit; null for "
-            "a dead taxel.",
-        ),
-    ]
-
-
-class Place(Order):
-    """Where a touch was made, from where the middle of the object is assumed."""
-
-    position_mm: Annotated[
-        Vector | None, Field(description="Tip of the sensor (x, y, z), z up, in mm.")
-    ] = None
-    direction: Annotated[
-        Vector | None, Field(description="Unit vector of the approach (x, y, z).")
-    ] = None
-    force_n: Annotated[
-        float | None,
-        Field(gt=0, le=1e3, allow_inf_nan=False, description="Of the press, in N."),
-    ] = None
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if (self.position_mm is None) != (self.direction is None):
-            raise ValueError("position_mm and direction go together, got one of them.")
-        if self.direction is not None and abs(hypot(*self.direction) - 1) > 0.01:
-            raise ValueError(
-                f"direction must have length 1, got {hypot(*self.direction):.3g}. "
-                "Divide it by its length."
-            )
-        return self
-
-    def columns(self) -> dict[str, Any]:
-        """Return what is known of it, as columns of a touch."""
-        return self.model_dump(include={*Place.model_fields}, exclude_none=True)
-
-
-class Attempt(Place):
-    """Where a touch was made, if known, or where nothing was met."""
-
-    miss: Annotated[
-        bool,
-        Field(description="The tip went there, that way, and met nothing: no image."),
-    ] = False
-
-    @model_validator(mode="after")
-    def _check_miss(self) -> Self:
-        if self.miss and (self.position_mm is None or self.force_n is not None):
-            raise ValueError(
-                "A miss must have position_mm and direction and no force_n: where the "
-                "tip ended, and the way that it went without meeting anything."
-            )
-        return self
-
-
-class PlacedImage(Place, Image):
-    """One frame of numbers, and where it was taken, if known."""
-
-
-class OneObject(Order):
-    """An object."""
-
-    object: Name
-
-
-class NamedObject(Order):
-    """An object, which may be a new one."""
-
-    object: NewName
-
-
-class LessonOrder(NamedObject):
-    """What to teach with the next touches of the sensor."""
-
-    touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
-    keep_episode: Annotated[
-        bool, Field(description="The touches of the episode become its first.")
-    ] = False
-
-
-class Renaming(OneObject):
-    """An object's name and its new one."""
-
-    name: NewName
-    merge: Annotated[bool, Field(description="Join the object of that name.")] = False
-
-
-class NamedPlace(NamedObject, Place):
-    """An object, and where it was touched, if known."""
-
-
-class NamedImage(NamedPlace, Image):
-    """One frame of numbers, of an object."""
-
-
-class Placing(Order):
-    """What lies before a replayed or simulated sensor; null for nothing."""
-
-    object: Name | None
-
-
-class BaselineOrder(Order):
-    """How to take the baseline, the frame of touching nothing."""
-
-    force: Annotated[
-        bool, Field(description="Take it although something seems to touch.")
-    ] = False
-    ask_press: Annotated[
-        bool,
-        Field(description="Then only try touches, until press/keep or press/undo."),
-    ] = False
-
-
-class EpisodeState(BaseModel):
-    """An episode: its touches, the belief after each, the decision."""
-
-    number: int
-    open: bool
-    error: Annotated[float, Field(description="Accepted share of wrong names.")]
-    refusal: Annotated[
-        float, Field(description="Unknown is said at a probability of 1 less this.")
-    ]
-    strangers: Annotated[
-        float, Field(description="Expected share of episodes with something unlearnt.")
-    ]
-    decision: Annotated[
-        str | None, Field(description='An object, "unknown", or null: undecided.')
-    ]
-    category: Annotated[
-        str | None, Field(description="The category, where only that is sure.")
-    ]
-    in_doubt: Annotated[
-        bool, Field(description="Something else is more probable than what is decided.")
-    ]
-    best: str | None
-    sentence: Annotated[str, Field(description="What is decided, or what it may be.")]
-    reason: Annotated[str, Field(description="As `sentence`.")]
-    limits: Annotated[
-        str,
-        Field(description="What a name is worth where little was learnt, or empty."),
-    ]
-    withdrawn: Annotated[
-        list[str], Field(description="A sentence for each decision withdrawn.")
-    ]
-    why: Annotated[list[str], Field(description="The figures behind the sentence.")]
-    touches: list[LiveTouch]
-
-
-class Stored(BaseModel):
-    """A touch that is on the disk."""
-
-    id: str
-
-
-class Done(BaseModel):
-    """What was done, for people."""
-
-    message: str
-
-
-class NearTouch(BaseModel):
-    """A stored touch and how far it is from the current one."""
-
-    id: str | None
-    object: str
-    distance: float
-
-
-class SeenTouch(BaseModel):
-    """Where a touch of the episode was made, from above."""
-
-    number: int
-    x_mm: float
-    y_mm: float
-
-
-class SurfacePoint(BaseModel):
-    """Where the surface is expected, with an ellipse of one standard deviation."""
-
-    x_mm: float
-    y_mm: float
-    long_mm: Annotated[float, Field(description="Half of the longer axis.")]
-    short_mm: float
-    turn_deg: Annotated[float, Field(description="Of the longer axis, from x.")]
-
-
-class SeenFromAbove(BaseModel):
-    """What the places of touches tell; empty where none has one."""
-
-    sentence: Annotated[str, Field(description="How it stands, or why it is open.")] = (
-        ""
-    )
-    pose: Annotated[
-        dict[str, Any] | None,
-        Field(description="Object, face, turn and offset, with their deviations."),
-    ] = None
-    touches: list[SeenTouch] = []
-    misses: Annotated[
-        list[SeenTouch], Field(description="Where the tip ended without a contact.")
-    ] = []
-    surface: list[SurfacePoint] = []
-
-
-class State(BaseModel):
-    """Everything the page shows but pictures."""
-
-    sensor: dict[str, Any] | None
-    model: dict[str, Any] | None
-    library: dict[str, Any] | None
-    lesson: dict[str, Any] | None
-    episode: EpisodeState
-    nearest: list[NearTouch]
-    quality: Annotated[
-        list[dict[str, Any]],
-        Field(description="Of each learnt object, how left-out touches are recognised"),
-    ]
-    advice: Annotated[list[str], Field(description="What to teach next.")]
-    learning: bool
-    unlearnt: Annotated[
-        bool, Field(description="Touches were taught, removed or moved since.")
-    ]
-    learn_error: str
-    message: str
-    health: dict[str, Any]
-
-
-REFUSALS: dict[int | str, dict[str, Any]] = {
-    400: {"model": Answer, "description": "A body that cannot be read."},
-    401: {"model": Answer, "description": "No token."},
-    403: {"model": Answer, "description": "Wrong token, name of server, or origin."},
-    404: {"model": Answer, "description": "There is no such thing."},
-    408: {"model": Answer, "description": "The body stopped coming."},
-    409: {"model": Answer, "description": "Not now, or not with this server."},
-    413: {"model": Answer, "description": "Too large."},
-    422: {"description": "Not what was asked for."},
-    429: {"model": Answer, "description": "Too many requests."},
-    503: {"model": Answer, "description": "The image took too long to read."},
-    507: {"model": Answer, "description": "The disk has no room."},
-}
+_Given = ParamSpec("_Given")
+_Read = TypeVar("_Read")
+
+
+class ReadingRoom:
+    """A few threads that read images, each in bounded time, waiting included.
+
+    A thread cannot be stopped: it goes on until what it reads ends, which the limits
+    on size and scans bound, and its result is dropped.
+    """
+
+    def __init__(self, name: str, n_threads: int, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._pool = ThreadPoolExecutor(n_threads, f"palpate-{name}")
+
+    async def read(
+        self,
+        read: Callable[_Given, _Read],
+        *args: _Given.args,
+        **how: _Given.kwargs,
+    ) -> _Read:
+        """Return what `read` returns; answer 503 where that takes too long."""
+        reading = asyncio.wrap_future(self._pool.submit(read, *args, **how))
+        try:
+            return await asyncio.wait_for(reading, self._limit_s)
+        except TimeoutError:
+            raise HTTPException(
+                503,
+                f"The image took more than {self._limit_s:g} s to read, or to wait for "
+                "others. Send it again, or a smaller one.",
+                {"Retry-After": "1"},
+            ) from None
 
 
 def _body(schema: dict[str, Any], *kinds: str) -> dict[str, Any]:
@@ -301,6 +88,8 @@ def _body(schema: dict[str, Any], *kinds: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content}}
 
 
+PICTURES = ReadingRoom("pictures", 4, 10.0)
+NUMBERS = ReadingRoom("numbers", 2, 30.0)
 _MISS_WITH_IMAGE = (
     "A miss must come without a picture, as JSON to `touch`: nothing was met there. "
     "Leave `image` or `miss` out."
@@ -310,8 +99,8 @@ _ATTEMPTS = [kind.model_json_schema() for kind in (PlacedImage, Attempt)]
 _IMAGE = _body({"anyOf": _ATTEMPTS}, "application/json")
 _NAMED_IMAGE = _body(NamedImage.model_json_schema(), "application/json")
 _EPISODE: Any = {"response_model": EpisodeState, "tags": ["episode"]}
-TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
-router = APIRouter(prefix="/api", responses=REFUSALS, dependencies=[Depends(TOKEN)])
+_TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
+router = APIRouter(prefix="/api", responses=REFUSALS, dependencies=[Depends(_TOKEN)])
 
 
 async def _session(
@@ -328,7 +117,9 @@ Session = Annotated[LiveSession, Depends(_session)]
 
 async def _teacher(session: Session) -> Teacher:
     if session.teacher is None:
-        raise HTTPException(409, "There is no library here; start with --library.")
+        raise HTTPException(
+            409, "There is no library here; start with `library=FOLDER`."
+        )
     return session.teacher
 
 
@@ -420,7 +211,7 @@ def undo_baseline(session: Session) -> Done:
 def press(session: Session) -> Response:
     """Return the last test press, as its difference from the baseline, as a PNG."""
     channels = None if session.watch is None else session.watch.sensor.channels
-    return shown_touch(session.press_difference(), channels)
+    return _shown_touch(session.press_difference(), channels)
 
 
 @router.post("/zero", tags=["sensor"], deprecated=True)
@@ -516,7 +307,7 @@ def episode_picture(
         image = episode.images[number - 1]
     if image is None:
         raise HTTPException(404, f"The episode has no picture of touch {number}.")
-    return shown_touch(image, episode.channels, side)
+    return _shown_touch(image, episode.channels, side)
 
 
 @router.post("/teach", tags=["teach"])
@@ -590,7 +381,50 @@ def export(name: NameQuery, teacher: StoredTouches) -> Response:
     return _archive(teacher.touches(name), f"{name}.npz")
 
 
-def shown_touch(
+@router.get("/objects/touches", tags=["objects"])
+def stored(
+    name: NameQuery,
+    teacher: StoredTouches,
+    limit: Annotated[int, Query(ge=1, le=200)] = 8,
+    offset: Annotated[int, Query(ge=0, description="So many newer ones.")] = 0,
+) -> list[StoredTouch]:
+    """Return the newest touches of an object, newest first."""
+    return [
+        StoredTouch(id=row.id, session=str(row.session or ""), added_s=row.added_s)
+        for row in teacher.newest(name, limit, offset)
+    ]
+
+
+@router.post("/touches/remove", tags=["objects"])
+def remove(order: SomeTouches, session: Session) -> Done:
+    """Leave stored touches out; `teach/undo` takes them back in."""
+    return Done(message=session.remove_touches(order.ids))
+
+
+@router.post("/touches/move", tags=["objects"])
+def move(order: Moving, session: Session) -> Done:
+    """Let stored touches be of another object; `teach/undo` moves them back."""
+    return Done(message=session.move_touches(order.ids, order.object))
+
+
+@router.get("/touches/{key}/picture", tags=["objects"], response_class=Response)
+def picture(
+    key: str,
+    teacher: StoredTouches,
+    side: Annotated[int, Query(ge=16, le=640, description="Pixels.")] = 96,
+) -> Response:
+    """Return a stored touch as a PNG."""
+    try:
+        image = teacher.library.image(key)
+        channels = teacher.channels(key) if image.ndim == 3 else None
+    except LibraryError as error:
+        raise HTTPException(404, str(error)) from error
+    answer = _shown_touch(image, channels, side)
+    answer.headers["Cache-Control"] = "private, max-age=86400, immutable"
+    return answer
+
+
+def _shown_touch(
     image: Array, channels: Sequence[str] | None, side: int = 96
 ) -> Response:
     return Response(thumbnail(image, channels, side), media_type="image/png")

@@ -1,17 +1,16 @@
-"""Serving a session: its application, its token, and the socket it listens on."""
+"""Serving a session: its application, its token, and the server that answers."""
 
 import errno
 import os
 import re
 import secrets
 import socket
+import threading
+import time
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
-
-import cv2
-import numpy as np
 
 from .._extras import needed
 from ._session import LiveSession
@@ -45,7 +44,7 @@ def create_app(
         Started and stopped with the application.
     token : str
         What everybody must know: as `Authorization: Bearer TOKEN`, as the cookie that
-        the page sets, or, to read, as `?token=TOKEN`. See `new_token`.
+        the page sets, or, to read, as `?token=TOKEN`. See `page_token`.
     max_body : int, default=16 MiB
         Largest body of a request, in bytes.
     rate_hz : float, default=200
@@ -59,29 +58,130 @@ def create_app(
     ImportError
         FastAPI is missing; the message names the extra.
     """
-    require_web()
+    _require_web()
     from ._app import build_app
 
     sessions = (session,) if isinstance(session, LiveSession) else tuple(session)
     return build_app(sessions, token, max_body=max_body, rate_hz=rate_hz, names=names)
 
 
-def new_token() -> str:
-    """Return a token that nobody guesses: 192 random bits."""
-    return secrets.token_urlsafe(24)
+def page_token(library: str | Path | None = None, *, chosen: str | None = None) -> str:
+    """Return what everybody must know: `chosen`, if it will do, or a random token.
+
+    That is 192 bits that nobody guesses: with a `library` those that are kept with it,
+    new ones where others may read them.
+    """
+    if chosen is not None:
+        if not _TOKEN.fullmatch(chosen):
+            raise ValueError(
+                "token must be 16 to 200 letters, digits or any of . _ ~ -, got "
+                f"another text of {len(chosen)} characters. Leave it out for one "
+                "nobody guesses."
+            )
+        return chosen
+    return secrets.token_urlsafe(24) if library is None else _kept_token(library)
 
 
-def checked_token(token: str) -> str:
-    """Return a token that somebody chose, or say what it must be."""
-    if not _TOKEN.fullmatch(token):
-        raise ValueError(
-            "token must be 16 to 200 letters, digits or any of . _ ~ -, got another "
-            f"text of {len(token)} characters. Leave it out for one nobody guesses."
-        )
-    return token
+class PageServer:
+    """A server of a page, which listens from the first; `run` answers.
+
+    Parameters
+    ----------
+    host : str
+        Address of this machine to listen on; other than 127.0.0.1 is the network.
+    port : int
+        Where to listen; 0 takes a free one.
+    library : path, optional
+        Folder that the page is of. Its address stands there while it is served.
+
+    Attributes
+    ----------
+    address : str
+        Where a browser finds it.
+    elsewhere : str
+        Where the library is served already, "" where it is not.
+
+    Raises
+    ------
+    ImportError
+        The packages of the extra `web` are missing.
+    ValueError, OSError
+        The port is none, or there is no listening there; the message says why.
+    """
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        library: str | Path | None = None,
+    ) -> None:
+        _require_web()
+        self._library = library
+        self.elsewhere = "" if library is None else _served_at(library)
+        try:
+            self._socket = _open_socket(host, port)
+        except OSError as error:
+            if not self.elsewhere:
+                raise
+            raise OSError(
+                f"{library} is served already, at {self.elsewhere} Open that address, "
+                f"or end that palpate with Ctrl-C first. ({error})"
+            ) from error
+        self.address = _address_of(host, self._socket.getsockname()[1])
+
+    def close(self) -> None:
+        """Stop listening; `run` does it when it ends."""
+        self._socket.close()
+
+    def run(self, app: Any, **options: Any) -> None:
+        """Answer for an application until the process is told to end.
+
+        `options` are of `uvicorn.Config`.
+        """
+        with self._kept_address():
+            _server_of(app, **options).run(sockets=[self._socket])
+
+    @contextmanager
+    def running(self, app: Any, **options: Any) -> Iterator[str]:
+        """Answer in a thread of its own meanwhile; yields the address."""
+        server = _server_of(app, **options)
+        with closing(self), self._kept_address():
+            sockets = [self._socket]
+            thread = threading.Thread(target=server.run, args=(sockets,), daemon=True)
+            thread.start()
+            while thread.is_alive() and not server.started:
+                time.sleep(0.01)
+            try:
+                yield self.address
+            finally:
+                server.should_exit = True
+                thread.join(10)
+
+    @contextmanager
+    def _kept_address(self) -> Iterator[None]:
+        """Keep the address beside the library while it is served.
+
+        The system gives the file back when a program dies.
+        """
+        if self._library is None:
+            yield
+            return
+        path = Path(self._library) / ADDRESS_FILE
+        with path.open("a+", encoding="utf-8") as file:
+            if _locked(file):
+                file.truncate(0)
+                file.write(self.address)
+                file.flush()
+            yield
 
 
-def kept_token(library: str | Path) -> str:
+def _require_web() -> None:
+    """Raise `ImportError`, naming the extra, where the web packages are missing."""
+    for module in ("fastapi", "uvicorn", "websockets"):
+        needed(module, "web", "The page")
+
+
+def _kept_token(library: str | Path) -> str:
     """Return the token kept with a library, a new one where others may read it."""
     path = Path(library) / TOKEN_FILE
     private = os.name != "posix" or (path.exists() and not path.stat().st_mode & 0o077)
@@ -89,7 +189,7 @@ def kept_token(library: str | Path) -> str:
         kept = path.read_text(encoding="utf-8").strip()
         if _TOKEN.fullmatch(kept):
             return kept
-    token = new_token()
+    token = secrets.token_urlsafe(24)
     path.unlink(missing_ok=True)
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "w", encoding="utf-8") as file:
@@ -97,21 +197,7 @@ def kept_token(library: str | Path) -> str:
     return token
 
 
-@contextmanager
-def serving_at(library: str | Path, address: str) -> Iterator[None]:
-    """Keep the address of a server beside its library while it is served.
-
-    The system gives the file back when a program dies.
-    """
-    with (Path(library) / ADDRESS_FILE).open("a+", encoding="utf-8") as file:
-        if _locked(file):
-            file.truncate(0)
-            file.write(address)
-            file.flush()
-        yield
-
-
-def served_at(library: str | Path) -> str:
+def _served_at(library: str | Path) -> str:
     """Return the address of a server of this library that is running, or ""."""
     path = Path(library) / ADDRESS_FILE
     if not path.is_file():
@@ -136,34 +222,7 @@ def _locked(file: IO[str]) -> bool:
     return True
 
 
-def address_of(host: str, port: int) -> str:
-    """Return where a browser finds a server that listens on a host and a port."""
-    if host in ("0.0.0.0", "::"):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.connect(_ELSEWHERE)
-                host = probe.getsockname()[0]
-            except OSError:  # no network
-                host = "127.0.0.1"
-    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
-
-
-def qr_code(text: str) -> str:
-    """Return a text as a QR code of half blocks, for a dark terminal."""
-    modules = cv2.QRCodeEncoder.create().encode(text) > 0
-    light = np.pad(modules, (2, 2 + len(modules) % 2), constant_values=True)
-    lines = zip(light[::2].tolist(), light[1::2].tolist(), strict=True)
-    rows = (zip(top, bottom, strict=True) for top, bottom in lines)
-    return "\n".join("".join(" ▄▀█"[2 * a + b] for a, b in row) for row in rows)
-
-
-def require_web() -> None:
-    """Raise `ImportError`, naming the extra, where the web packages are missing."""
-    for module in ("fastapi", "uvicorn", "websockets"):
-        needed(module, "web", "The page")
-
-
-def open_socket(host: str, port: int) -> socket.socket:
+def _open_socket(host: str, port: int) -> socket.socket:
     """Return a socket that listens, or say what is in the way."""
     if not 0 <= port <= LAST_PORT:
         raise ValueError(
@@ -188,27 +247,32 @@ def open_socket(host: str, port: int) -> socket.socket:
     return opened
 
 
-def server_of(app: Any, *, log_level: str = "warning") -> "Server":
-    """Return the server of an ASGI application; it is not running yet."""
+def _address_of(host: str, port: int) -> str:
+    """Return where a browser finds a server that listens on a host and a port."""
+    if host in ("0.0.0.0", "::"):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect(_ELSEWHERE)
+                host = probe.getsockname()[0]
+            except OSError:  # no network
+                host = "127.0.0.1"
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+def _server_of(app: Any, **options: Any) -> "Server":
     import uvicorn
 
-    from ._connections import AT_ONCE, PatientProtocol, PatientServer
+    from ._request_guard import AT_ONCE, PatientProtocol, PatientServer
 
-    config = uvicorn.Config(
-        app,
-        log_level=log_level,
-        access_log=False,  # its lines would hold the token
-        http=PatientProtocol,
-        backlog=AT_ONCE,
-        ws="websockets-sansio",
-        ws_max_size=2**16,
-        ws_per_message_deflate=False,  # pictures are small already, and time is not
-        timeout_graceful_shutdown=3,
-        server_header=False,
-    )
-    return PatientServer(config)
-
-
-def run_app(app: Any, opened: socket.socket) -> None:
-    """Run an ASGI application on a socket until the process is told to end."""
-    server_of(app).run(sockets=[opened])
+    config: dict[str, Any] = {
+        "log_level": "warning",
+        "access_log": False,  # its lines would hold the token
+        "http": PatientProtocol,
+        "backlog": AT_ONCE,
+        "ws": "websockets-sansio",
+        "ws_max_size": 2**16,
+        "ws_per_message_deflate": False,  # pictures are small already, and time is not
+        "timeout_graceful_shutdown": 3,
+        "server_header": False,
+    }
+    return PatientServer(uvicorn.Config(app, **{**config, **options}))

@@ -33,13 +33,17 @@ from ..sensors import (
     desk_of,
 )
 from ..touches import Touches
-from ._episode import LiveEpisode
+from ._episode import LiveEpisode, TopView, archive_beside
 from ._images import ImageKind, Names, check_image
-from ._learning import LearningError, learn_apart, start_learning
-from ._quality import advice, object_quality
+from ._learning import (
+    LearningError,
+    advice,
+    learn_apart,
+    object_quality,
+    start_learning,
+)
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
 from ._teaching import Teacher, columns_of
-from ._top_view import TopView, archive_beside
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -47,20 +51,6 @@ ONE_SESSION = (
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
-
-
-def start_all(sessions: Sequence["LiveSession"]) -> None:
-    """Start sessions; one that fails says so on its page, if another can go on."""
-    failed: list[Exception] = []
-    for session in sessions:
-        try:
-            session.start()
-        except (ValueError, OSError, SensorError) as error:
-            failed.append(error)
-            if session.watch is not None:
-                session.watch.failed = f"It is left out: {error}"
-    if len(failed) == len(sessions):
-        raise failed[0]
 
 
 class LiveSession:
@@ -174,6 +164,20 @@ class LiveSession:
             self.stop()
             raise
         return self
+
+    @staticmethod
+    def start_all(sessions: Sequence["LiveSession"]) -> None:
+        """Start sessions; one that fails says so on its page, if another can go on."""
+        failed: list[Exception] = []
+        for session in sessions:
+            try:
+                session.start()
+            except (ValueError, OSError, SensorError) as error:
+                failed.append(error)
+                if session.watch is not None:
+                    session.watch.failed = f"It is left out: {error}"
+        if len(failed) == len(sessions):
+            raise failed[0]
 
     def stop(self) -> None:
         """Free the sensor and the library."""
@@ -370,7 +374,7 @@ class LiveSession:
         """
         self._begin_learning("Learning.", wait=wait)
 
-    def _begin_learning(self, said: str = "", *, wait: bool = False) -> None:
+    def _begin_learning(self, message: str = "", *, wait: bool = False) -> None:
         journal = self._teacher().journal
         if not self._learn_lock.acquire(blocking=False):
             raise LearningError("It is learning already; wait until it has finished.")
@@ -378,7 +382,7 @@ class LiveSession:
         with self._lock:
             self._changed_before, journal.changed = journal.changed, set()
             changes = list(self._changes)
-            self.message = said or self.message
+            self.message = message or self.message
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(changes,), daemon=True)
         thread.start()
@@ -442,7 +446,7 @@ class LiveSession:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but pictures, as plain values."""
         with self._lock:
-            teacher, model, given = self.teacher, self.recogniser, self.given_model
+            teacher, model, original = self.teacher, self.recogniser, self.given_model
             lesson = None if teacher is None else teacher.lesson
             return {
                 "sensor": None if self.watch is None else self.watch.to_dict(),
@@ -454,7 +458,9 @@ class LiveSession:
                     "encoding": str(model.chosen_.get("encoding", "")),
                     "file": str(self.model_path),
                     "n_elsewhere": self._n_elsewhere,
-                    "to_keep": str(given) if given and not given.exists() else "",
+                    "to_keep": str(original)
+                    if original and not original.exists()
+                    else "",
                 },
                 "library": None if teacher is None else teacher.to_dict(),
                 "lesson": None if lesson is None else lesson.to_dict(),
@@ -476,7 +482,7 @@ class LiveSession:
         if self.teacher is None:
             raise ValueError(
                 "Nothing can be taught without a library. Start again with "
-                "--library FOLDER."
+                "`library=FOLDER`."
             )
         return self.teacher
 

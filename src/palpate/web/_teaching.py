@@ -18,9 +18,8 @@ from ..library import checked_name as library_name
 from ..sensors import PLACE_COLUMNS, DetectedTouch, LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
-from ._journal import Action, Journal
 from ._learning import LEAST_TOUCHES, of_size
-from ._lesson import Lesson
+from ._lesson import Action, Journal, Lesson
 
 LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
@@ -114,7 +113,7 @@ class Teacher:
         if self._sensor is None:
             raise SensorError(
                 "There is no sensor here whose touches could be stored. Post them "
-                "(teach/touch), or start again with --sensor."
+                "(teach/touch), or start again with a `sensor`."
             )
         lesson = Lesson(checked_name(name), wanted)
         self.end()
@@ -226,7 +225,7 @@ class Teacher:
                 return name, UNDONE[last.kind].format(name=name, to=last.to)
         raise LibraryError(
             "There is no touch to undo: nothing done on this page is left. "
-            "`palpate library retract` leaves older ones out."
+            "Older ones are removed by their pictures."
         )
 
     def _undo(self, last: Action) -> str | None:
