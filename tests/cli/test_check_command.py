@@ -193,7 +193,8 @@ def test_pictures_on_their_side_are_told_from_those_of_another_size(palpate, tmp
     found = json.loads(palpate("check", tmp_path, "--json").stdout)
     small, tall = found["bad"]
     assert small["problem"] == "6 x 5 8-bit PNG, not 12 x 10 8-bit PNG"
-    assert small["fix"].startswith("convert it")
+    assert small["fix"].startswith("crop or pad it to that size")
+    assert "not in sub-folders of one" in small["fix"]
     assert tall["problem"] == "10 x 12 8-bit PNG, not 12 x 10 8-bit PNG: on its side"
     assert tall["fix"].startswith("turn it by 90 degrees")
 
@@ -275,6 +276,16 @@ def test_pictures_that_are_turned_flat_or_there_twice_are_noted(palpate, tmp_pat
         "1 file of .txt",
     ):
         assert any(words in note for note in notes), words
+    pytest.importorskip("matplotlib", reason='needs the extra "plot"')
+    palpate("check", root, "--report", tmp_path / "c.html")
+    page = (tmp_path / "c.html").read_text()
+    assert "title='mug/0.png'" in page
+    for caption in (
+        "turned.png<br>turned upright",
+        "flat.png<br>flat",
+        "9.png<br>a copy",
+    ):
+        assert caption in page
 
 
 def test_the_sheet_shows_touches_of_each_object(palpate, odd, tmp_path):
@@ -338,6 +349,39 @@ def test_layouts_that_people_have(tmp_path, paths, objects, sessions):
     assert np.unique(touches.object).tolist() == objects
     found = None if touches.session is None else np.unique(touches.session).tolist()
     assert found == sessions
+
+
+def test_two_folders_of_the_same_names_are_told(palpate, tmp_path):
+    places = [
+        f"{part}/{name}" for part in ("teach", "later") for name in ("mug", "pen")
+    ]
+    folders(tmp_path / "set", *places)
+    (line,) = (
+        line
+        for line in json.loads(palpate("check", tmp_path / "set", "--json").stdout)[
+            "advice"
+        ]
+        if "the same names" in line
+    )
+    assert line.startswith("the same names (mug, pen) are in later/ and teach/")
+    assert "--levels -/object" in line
+    folders(tmp_path / "other", "tools/saw", "tools/awl", "toys/car", "toys/top")
+    advice = json.loads(palpate("check", tmp_path / "other", "--json").stdout)["advice"]
+    assert not any("the same names" in line for line in advice)
+
+
+def test_many_pictures_wrong_in_one_way_are_one_row(palpate, tmp_path):
+    for name in ("mug", "pen"):
+        for number in range(4):
+            put(tmp_path / name / f"{number}.png")
+    done = palpate("check", tmp_path, "--levels", "session/object")
+    assert "and 5 more" in " ".join(done.stdout.split())
+    _, table = done.stdout.split("8 pictures cannot be used")
+    assert table.count("not named as levels") == 1
+    found = json.loads(
+        palpate("check", tmp_path, "--levels", "session/object", "--json").stdout
+    )
+    assert len(found["bad"]) == 8
 
 
 @pytest.mark.parametrize(

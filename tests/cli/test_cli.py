@@ -156,6 +156,37 @@ def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(capsys):
     assert gaps == [before for before, after in steps if after > before + 1] != []
 
 
+def test_dots_never_stand_for_one_touch(capsys):
+    shares = {"posterior": {"mug": 0.6, "pen": 0.3}, "unknown": 0.1}
+    for used in range(1, 40):
+        beliefs = [{"touch": n, "flag": "", **shares} for n in range(1, used + 1)]
+        episode = {"object": "mug", "beliefs": beliefs, "touches_used": used}
+        print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
+        numbers = [
+            int(found[1])
+            for line in capsys.readouterr().out.splitlines()
+            if (found := re.search(r"touch +(\d+)", line))
+        ]
+        assert all(after - before != 2 for before, after in pairwise(numbers))
+
+
+def test_a_number_that_is_none_is_said_with_one_that_is(palpate, archive):
+    words = ["evaluate", "--train", archive, "--split", "last"]
+    for more in (["--error", "5%"], ["--error=5%"]):
+        done = palpate(*words, *more)
+        assert done.returncode == 2
+        assert "--error must be a number such as 0.01, got '5%'." in done.stderr
+    done = palpate(*words, "--orders", "2.5")
+    assert "--orders must be a whole number such as 20, got '2.5'." in done.stderr
+
+
+def test_a_split_by_session_needs_sessions_and_says_how(palpate, archive):
+    done = palpate("evaluate", "--train", archive, "--split", "session")
+    assert done.returncode == 1
+    assert "--train must have a column 'session'" in done.stderr
+    assert "--levels object/session" in done.stderr
+
+
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     report = tmp_path / "r.html"
@@ -271,9 +302,9 @@ def test_touches_without_an_order_are_split_as_read_and_it_is_said(
     palpate, archive, tmp_path
 ):
     words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1"]
-    said = "there is no order (a column `order` or `time_s`), so touches were split as"
+    said = "The touches have no column order or time_s, which tells when each was made"
     assert said in " ".join(palpate(*words).stdout.split())
-    assert said in json.loads(palpate(*words, "--json").stdout)["chosen"]["found"][-1]
+    assert said in json.loads(palpate(*words, "--json").stdout)["notes"][-1]
     touches = Touches.load(archive)
     path = tmp_path / "t.npz"
     for name in ("order", "time_s"):  # `record` writes the second
@@ -538,14 +569,14 @@ def test_touches_before_the_model_are_told(palpate, tmp_path):
 
 def test_learning_says_first_what_was_learnt_and_of_what_little(palpate, tmp_path):
     rng = np.random.default_rng(0)
-    levels = rng.normal(np.repeat((60, 150), (12, 3))[:, None, None], 9, (15, 8, 8))
-    Touches(levels, object=["mug"] * 12 + ["pen"] * 3).save(tmp_path / "t.npz")
+    levels = rng.normal(np.repeat((60, 150), (20, 3))[:, None, None], 9, (23, 8, 8))
+    Touches(levels, object=["mug"] * 20 + ["pen"] * 3).save(tmp_path / "t.npz")
     model = tmp_path / "m.palpate"
     done = palpate("learn", tmp_path / "t.npz", "-o", model)
     assert done.returncode == 0, done.stderr
     first, few, *_ = done.stdout.splitlines()
-    assert first == f"Learnt 2 objects from 15 touches, saved as {model}."
-    assert few == "Few touches of pen (3): 10 are a start, 60 are good."
+    assert first == f"Learnt 2 objects from 23 touches, saved as {model}."
+    assert few == "Few touches of pen (3): 20 are a start, 60 are good."
 
 
 def test_ctrl_c_while_the_command_is_imported_is_one_sentence():

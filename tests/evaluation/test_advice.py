@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate
+from palpate.evaluation import Plan, evaluate, few_touches
 from palpate.evaluation._evaluate import recommendations, verdict
 
 RNG = np.random.default_rng(0)
@@ -36,9 +36,11 @@ def test_no_more_than_three_and_each_a_sentence():
 
 
 def test_few_touches_are_named():
-    (few,) = (one for one in said(touches(6, noise=9)) if "taught with 5" in one)
-    assert "give every object 60, all over it" in few
-    assert not any("was taught with" in one for one in said(touches(24)))
+    (few,) = (one for one in said(touches(6, noise=9)) if "Taught with few" in one)
+    assert few == (
+        "Taught with few touches of a (5), b (5), c (5): 20 are a start, 60 are good."
+    )
+    assert not any("Taught with" in one for one in said(touches(32)))
 
 
 def test_what_is_alike_is_named():
@@ -48,7 +50,7 @@ def test_what_is_alike_is_named():
 
 def test_one_session_is_named_and_two_are_not():
     assert any("one session" in one for one in said(touches()))
-    twice = touches(session=np.tile(["mon", "tue"], 36))
+    twice = touches(40, session=np.tile(["mon", "tue"], 60))
     assert not any("one session" in one for one in said(twice))
     assert said(twice, split="session") == []  # all is right: nothing to do
 
@@ -110,11 +112,13 @@ def test_a_tenth_without_contact_is_worth_saying(share, is_said):
 
 @pytest.mark.parametrize(
     ("n_taught", "best", "is_said"),
-    [(19, 0.94, True), (20, 0.94, False), (19, 0.95, False)],
+    [(19, 0.94, True), (20, 0.94, False), (19, 0.95, True)],
 )
-def test_fewer_than_twenty_touches_where_it_is_not_good(n_taught, best, is_said):
+def test_fewer_than_twenty_touches_are_few(n_taught, best, is_said):
     said = recommendations(figures_of((best, best)), [trial_of(n_taught)])
-    assert any(f"was taught with {n_taught} touches" in one for one in said) == is_said
+    assert (
+        any(f"Taught with few touches of a ({n_taught})" in s for s in said) == is_said
+    )
 
 
 @pytest.mark.parametrize(
@@ -181,8 +185,9 @@ def test_one_sentence_says_whether_it_is_good_and_why():
     assert "brightness alone" in as_good
     # Where all are right, a control that was behind before has only come to the end.
     assert verdict(figured(1.0, 1.0)) == (
-        "Good: 100 % right after 5 touches (50 % after 1), where chance is 25 %, and "
-        "brightness alone, which is no touch, 10 % after 1."
+        "Better than no touch after 1 touch, not after 5: 50 % right after 1, where "
+        "chance is 25 %, and brightness alone, which is no touch, 10 %; after 5 both "
+        "are 100 %."
     )
     always = {"accuracy": {"1": 1.0, "5": 1.0}, "controls": {"b": {"1": 1, "5": 1}}}
     assert verdict({**always, "chance": 0.25}).startswith("This does not show")
@@ -272,10 +277,6 @@ def test_as_good_as_touch_is_equal_or_better_where_both_are_above_chance():
 def test_after_one_touch_the_sentences_are_in_the_singular():
     figures = figured(0.9, 0.1) | {"accuracy": {"1": 0.9}}
     assert verdict(figures).startswith("Fair: 90 % right after 1 touch, where")
-    said = recommendations(figures_of((0.5, 0.5)), [trial_of(1)])
-    assert any("was taught with 1 touch: give every object 60" in one for one in said)
-    said = recommendations(figures_of((0.5, 0.5)), [trial_of(2)])
-    assert any("was taught with 2 touches: give" in one for one in said)
 
 
 @pytest.mark.parametrize("split", ["session", "subject"])
@@ -288,26 +289,20 @@ def test_what_was_asked_elsewhere_is_told_of_mountings(split):
     assert "one session" in recommendations(here, [trial_of()])[0]
 
 
-def test_of_few_touches_no_object_is_named_by_itself_unless_it_is_alone():
-    def first(counts):
-        trial = trial_of()
-        names = [name for name, n in counts.items() for _ in range(n)]
-        trial.recogniser.memory_ = SimpleNamespace(labels=np.array(names))
-        return recommendations(figures_of((0.5, 0.5)), [trial])[0].split(":")[0]
-
-    assert first({"a": 18, "b": 17, "c": 19}) == (
-        "All 3 object labels were taught with 17 to 19 touches"
+def test_objects_with_few_touches_are_named_alike_by_check_learn_and_evaluate():
+    assert few_touches({"a": 9, "b": 20, "c": 60}) == (
+        "few touches of a (9): 20 are a start, 60 are good"
     )
-    assert first({"a": 18, "b": 18}) == "Every object was taught with 18 touches"
-    assert first({"a": 9, "b": 12, "c": 60}) == (
-        "2 of 3 object labels were taught with 9 to 12 touches"
+    assert few_touches({"a": 20}) == ""
+    assert few_touches(dict.fromkeys("abcdefg", 3)).startswith(
+        "few touches of a (3), b (3), c (3), d (3), e (3) and 2 more: "
     )
-    assert first({"a": 9, "b": 20}) == "a was taught with 9 touches"
 
 
 def with_strangers(n_named, n_labels=5, expected=0.05):
     """Figures of five objects that are told apart, and strangers' 20 episodes."""
     ends = {"error": 0.05, "strangers": expected, "n_episodes": 20, "refused": 0}
+    ends |= {"right": 20, "wrong": 0}
     more = {"decision": ends, "unknown_decision": ends | {"wrong": n_named}}
     return figures_of((0.9, 0.97), n_labels=n_labels, **more)
 
@@ -316,14 +311,15 @@ def test_strangers_that_were_named_are_said_first_and_what_to_do():
     figures = with_strangers(20)
     (said,) = recommendations(figures, [trial_of()])  # and not to touch on
     assert said == (
-        "In 20 of 20 episodes a stranger was given a name: teach more than 5 things, 6 "
-        "are a start; expect more strangers (`strangers=0.2`); accept fewer wrong "
-        "names (`error=0.005`). Each makes that rarer, none impossible, and takes "
-        "more touches."
+        "In 20 of 20 episodes a stranger was given a name: teach at least 6 things, "
+        "not 5; expect more strangers (`strangers=0.2`); accept fewer wrong names "
+        "(`error=0.005`). Each makes that rarer, none impossible, and takes more "
+        "touches."
     )
     assert verdict(figures) == (
         "Good with known objects alone: 97 % right after 3 touches, where chance is "
-        "25 %. Things that were never learnt were given a name in 20 of 20 episodes."
+        "25 %. Things that were never learnt, in 20 episodes: 20 got a name, 0 were "
+        "called unknown, 0 stayed undecided."
     )
     (other,) = recommendations(with_strangers(2, 6, 0.2), [trial_of()])
     assert "name: accept fewer" in other
@@ -332,7 +328,19 @@ def test_strangers_that_were_named_are_said_first_and_what_to_do():
 def test_of_strangers_that_were_told_it_is_said_and_more_touches_may_help():
     figures = with_strangers(1)  # as often as was accepted
     assert verdict(figures).startswith("Good: 97 %")
-    assert verdict(figures).endswith("were given a name in 1 of 20 episodes.")
+    assert verdict(figures).endswith(
+        "in 20 episodes: 1 got a name, 0 were called unknown, 19 stayed undecided."
+    )
+    none, gain = recommendations(figures, [trial_of()])
+    assert none == (
+        "None of 20 episodes with strangers ended as unknown. What may help, and is "
+        "not measured here: teach at least 6 things, not 5; touch more often; say that "
+        "more strangers come (`strangers=0.2`), which needs less evidence for unknown, "
+        "also where a known object is touched."
+    )
+    assert gain.startswith("More touches help")
+    figures["unknown_decision"]["refused"] = 3
+    assert "0 were" not in verdict(figures)
     (gain,) = recommendations(figures, [trial_of()])
     assert gain.startswith("More touches help")
 
@@ -340,10 +348,16 @@ def test_of_strangers_that_were_told_it_is_said_and_more_touches_may_help():
 @pytest.mark.parametrize("split", ["last", "session"])
 def test_known_objects_called_unknown_are_said_and_what_to_do(split):
     ends = {"error": 0.01, "strangers": 0.05, "n_episodes": 160, "refused": 160}
+    ends |= {"right": 0, "wrong": 0}
     figures = figures_of((1.0, 1.0), decision=ends, split=split)
     (said,) = recommendations(figures, [trial_of()])
     assert said.startswith("In 160 of 160 episodes a known object was called unknown")
     assert said.endswith("where nothing else can come, say `strangers=0`.")
     assert ("remount=recentre:10" in said) == (split == "session")
+    assert verdict(figures).endswith(
+        "That counts the most probable object, strangers aside. To decide at an error "
+        "of 0.01, with 5 % strangers expected: of 160 episodes with known objects 0 "
+        "ended with the right name, 0 with a wrong one, 160 as unknown, 0 undecided."
+    )
     figures["decision"] = ends | {"refused": 80}
     assert recommendations(figures, [trial_of()]) == []

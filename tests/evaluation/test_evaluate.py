@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from html import escape
 
 import numpy as np
@@ -13,7 +14,9 @@ from palpate.evaluation import (
     decide_episodes,
     decision_table,
     evaluate,
+    explained_episodes,
     plots,
+    strangers_answers,
     write_report,
 )
 
@@ -89,6 +92,61 @@ def test_what_becomes_of_strangers_is_told_as_they_are_decided(result):
     _, columns, (known, strangers) = decision_table(figures)
     assert (columns[0], known[0], strangers[0]) == ("objects", "known", "strangers")
     assert strangers[3].startswith(f"{decision['refused']} (")
+    answers = decision["answers"]
+    assert {*answers} == {*trials[0].unknown_episodes.objects}
+    of_all = sum((Counter(each) for each in answers.values()), Counter())
+    assert of_all.total() == n_episodes
+    assert of_all["unknown"] == decision["refused"]
+    assert of_all["undecided"] == undecided
+    lines = strangers_answers(figures)
+    assert len(lines) == len(answers)
+    assert all(", never learnt: " in line for line in lines)
+
+
+def test_wrong_names_of_strangers_are_explained_first(tmp_path):
+    """A thing that feels just like a learnt one gets its name."""
+    alike = drawn(2, NAMES[:1])
+    stranger = Touches(alike.images, object=[NAMES[3]] * 16, geometry="none")
+    train, test = drawn(0, NAMES[:3]), drawn(1, NAMES[:3])
+    plan = Plan(touches=(1, 3), orders=3)
+    figures, trials = evaluate(train, test, unknown=stranger, plan=plan)
+    assert figures["unknown_decision"]["wrong"] > 0
+    first, *others = explained_episodes(figures, trials)
+    assert first.is_stranger
+    assert not first.right
+    assert first.name == first.truth == NAMES[3]
+    assert first.label == NAMES[0]
+    assert {*first.touches.object} == {NAMES[3]}
+    assert first.label in figures["unknown_decision"]["answers"][NAMES[3]]
+    assert not any(other.is_stranger for other in others)
+    pytest.importorskip("matplotlib", reason='needs the extra "plot"')
+    page = write_report(tmp_path / "r.html", figures, trials).read_text()
+    why = page[page.index("<h2>Why") :]
+    assert f"<b>{NAMES[3]}</b>, never learnt, taken for <b>{first.label}</b>" in why
+    assert strangers_answers(figures)[0] in page
+
+
+def test_numbers_of_touches_that_no_object_has_are_named():
+    plan = Plan(touches=(1, 4, 500), orders=2)
+    figures, _ = evaluate(drawn(0, NAMES), split="between", plan=plan)
+    n_test = max(np.unique(drawn(0, NAMES).object, return_counts=True)[1]) // 4
+    assert list(figures["accuracy"]) == ["1", "4"]
+    (left_out,) = (note for note in figures["notes"] if note.startswith("Left out"))
+    assert left_out == (
+        f"Left out: figures after 500 touches; no object has more than {n_test} test "
+        "touches."
+    )
+
+
+def test_shares_above_the_learnt_limit_are_of_both_kinds(result):
+    figures, (trial,) = result
+    limit = trial.recogniser.strangers_.threshold(3)
+    for key, episodes in (
+        ("unknown_refused", trial.unknown_episodes),
+        ("known_refused", trial.episodes),
+    ):
+        share = (episodes.unknown_after(3) > limit).mean()
+        assert figures[key]["3"] == pytest.approx(share)
 
 
 def test_every_episode_ends_as_a_belief_asked_after_each_touch_does():

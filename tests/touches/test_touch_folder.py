@@ -13,7 +13,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.touches import TouchesError, decode_bytes, png_bytes, read_folder
+from palpate.touches import (
+    TouchesError,
+    check_folder,
+    decode_bytes,
+    png_bytes,
+    read_folder,
+)
 
 from .conftest import first_levels
 
@@ -117,7 +123,7 @@ def test_one_picture_is_one_touch(put):
         Touches.load(root / "3.png")
 
 
-def test_pictures_of_another_size_or_format_are_named(put):
+def test_pictures_of_another_size_or_depth_are_named(put):
     root = put("a/1.png", "a/2.png", "a/3.png")
     Image.new("L", (6, 5)).save(root / "a" / "2.png")
     message = r"got 6 x 5 8-bit PNG in .*2.png \(2 of 3 are 6 x 4 8-bit PNG\)"
@@ -126,9 +132,29 @@ def test_pictures_of_another_size_or_format_are_named(put):
     Image.new("I;16", (6, 4)).save(root / "a" / "2.png")
     with pytest.raises(TouchesError, match="got 6 x 4 16-bit PNG"):
         Touches.load(root)
-    (root / "a" / "2.png").unlink()
-    Image.new("L", (6, 4)).save(root / "a" / "2.jpg")
-    with pytest.raises(TouchesError, match="got 6 x 4 8-bit JPEG"):
+    with pytest.raises(TouchesError, match="Save it again with 8 bits"):
+        Touches.load(root)
+
+
+def test_jpeg_and_png_of_one_size_and_depth_stand_together(put):
+    root = put("a/1.png", "a/2.png", "b/3.png", "b/4.png")
+    for name, level in (("a/2", 90), ("b/4", 200)):
+        (root / f"{name}.png").unlink()
+        Image.new("L", (6, 4), level).save(root / f"{name}.jpg")
+    touches = Touches.load(root)
+    assert list(touches.columns["source_path"]) == [
+        "a/1.png",
+        "a/2.jpg",
+        "b/3.png",
+        "b/4.jpg",
+    ]
+    assert touches.images.shape == (4, 4, 6)
+    for row, level in ((1, 90), (3, 200)):  # one level stays itself in a JPEG
+        assert np.abs(touches.images[row].astype(int) - level).max() <= 1
+    check, _ = check_folder(root)
+    assert check.bad == []
+    Image.new("L", (5, 4)).save(root / "a" / "2.jpg")
+    with pytest.raises(TouchesError, match=r"got 5 x 4 8-bit JPEG .*Crop or pad it"):
         Touches.load(root)
 
 
@@ -136,7 +162,7 @@ def test_no_picture_is_decoded_before_all_headers_agree(put, monkeypatch):
     root = put("a/1.png", "a/2.png")
     Image.new("L", (6, 5)).save(root / "a" / "2.png")
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("decoded"))
-    with pytest.raises(TouchesError, match="one size and format"):
+    with pytest.raises(TouchesError, match="one size and depth"):
         Touches.load(root)
 
 
@@ -219,8 +245,8 @@ def test_a_picture_that_changes_after_its_header_was_read(put, monkeypatch):
     for size in ((6, 5), (8000, 8000)):
         other = Image.new("1", size)
         changes.append((lambda other=other: other.save(path), "changed meanwhile"))
-    jpeg = Image.new("L", (6, 4))
-    changes.append((lambda: jpeg.save(path, "JPEG"), "changed meanwhile"))
+    deeper = Image.new("I;16", (6, 4))
+    changes.append((lambda: deeper.save(path), "changed meanwhile"))
     for change, message in changes:
         path.write_bytes(before)
         with monkeypatch.context() as patched:

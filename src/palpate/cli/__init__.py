@@ -106,7 +106,7 @@ def main() -> None:
         wrong_use = isinstance(error, _output.WrongUse)
         message, code = _output.as_typed(_sentence(error)), 1 + wrong_use
     except _Usage as error:
-        error.message = _output.as_typed(error.message)
+        error.message = _output.as_typed(_no_number(error) or error.message)
         if not as_json:
             _output.say(_shown(error), file=sys.stderr)
             sys.exit(error.exit_code)
@@ -114,6 +114,23 @@ def main() -> None:
     _output.answer(as_json, {"error": message})
     _output.say(f"palpate: {message}", file=sys.stderr)
     sys.exit(code)
+
+
+def _no_number(error: Any) -> str:
+    """Return what an option that must be a number got, and one; "" of other uses."""
+    if "valid number" not in error.message and "valid integer" not in error.message:
+        return ""
+    option = max(error.param.opts, key=len)
+    words = [word.partition("=") for word in sys.argv[1:]]
+    for place, (word, equals, value) in enumerate(words):
+        if word in error.param.opts:
+            got = value if equals else "".join(*words[place + 1 : place + 2])
+            whole = "integer" in error.message
+            default = error.param.default
+            number = default if isinstance(default, int | float) else 1
+            kind = "a whole number" if whole else "a number"
+            return f"{option} must be {kind} such as {number}, got {got!r}."
+    return ""
 
 
 def _end_stopped(message: str) -> NoReturn:

@@ -453,7 +453,8 @@ class Reading:
                 if quiet or self.skip_bad or not path.is_dir():
                     raise
                 raise TouchesError(
-                    f"{error} `palpate check {path}` lists all that is wrong."
+                    f"{error} `palpate check {path}{' --colour' * bool(self.colour)}` "
+                    "lists all that is wrong."
                 ) from error
         for warning in () if quiet else left_out:
             say(warning.message, file=sys.stderr)

@@ -13,9 +13,20 @@ from ._output import answer, as_typed, counted, percent, say, stages, table
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
 
-A_START, GOOD = 10, 60
 SHEET_OBJECTS, SHEET_TOUCHES, SHEET_SIDE = 60, 8, 96
-_SHOWN, _NAMED = 40, 3
+_SHOWN, _NAMED, _ALIKE = 40, 3, 5
+_SHEET_STYLE = (
+    "<style>.sheet{display:flex;flex-wrap:wrap;gap:.5rem}.sheet div{width:6rem;"
+    "font-size:.75rem;line-height:1.25;overflow-wrap:anywhere}"
+    ".sheet img{display:block;max-width:100%;outline:1px solid #b8c2cc}</style>"
+)
+_ODD = {
+    "turned": "turned upright",
+    "coloured": "in colour",
+    "grey": "in grey",
+    "flat": "flat",
+    "copies": "a copy",
+}
 # Pictures in files that are not read beside JPEG and PNG.
 STILLS = (".bmp", ".webp", ".tif", ".tiff", ".gif", ".heic", ".avif")
 
@@ -185,26 +196,22 @@ def _objects(touches: "Touches") -> list[dict[str, Any]]:
     return rows
 
 
-def few_touches(numbers: dict[str, int]) -> str:
-    """Return which objects have few of these numbers of touches, "" if none has."""
-    few = [f"{name} ({n})" for name, n in numbers.items() if n < A_START]
-    if not few:
-        return ""
-    more = f" and {len(few) - 5} more" if len(few) > 5 else ""
-    names = ", ".join(few[:5])
-    return f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
-
-
 def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
+    from ..evaluation import few_touches
+
     objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
         return [f"nothing is labelled: {fix}, or see --name-pattern"]
     if checked["bad"]:
-        advice.append("mend the pictures above, or learn with --skip-bad")
+        advice.append(
+            "mend the pictures that cannot be used, or learn without them: --skip-bad"
+        )
+    if folders := _sets_of_same_names(touches):
+        advice.append(folders)
     if len(objects) == 1:
         advice.append("there is one object: add others, or nothing can be told apart")
     few = few_touches({row["object"]: row["touches"] for row in objects})
@@ -233,13 +240,35 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     return advice
 
 
+def _sets_of_same_names(touches: "Touches") -> str:
+    """Return what to do where two folders hold objects of the same names, or ""."""
+    if touches.object is None or touches.category is None:
+        return ""
+    below: dict[str, set[str]] = {}
+    for name in set(map(str, touches.object)):
+        folder, _, rest = name.partition("/")
+        below.setdefault(folder, set()).add(rest)
+    names = set.intersection(*below.values()) - {""} if len(below) > 1 else set()
+    if len(names) < 2:
+        return ""
+    folders = sorted(below)
+    few = ", ".join(sorted(names)[:_NAMED]) + ", ..." * (len(names) > _NAMED)
+    of_folders = " and ".join(f"{folder}/" for folder in folders[:_NAMED])
+    return (
+        f"the same names ({few}) are in {of_folders}, and count as different objects: "
+        "if each folder is a set of its own, one to learn and one to test, give it by "
+        f"itself, as .../{folders[0]}; if all are one set, say --levels -/object"
+    )
+
+
 def _bad(pictures: "PictureCheck") -> list[dict[str, Any]]:
     return [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad]
 
 
 def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
-    """Return a row for each bad picture, one for those that lie wrongly in one way."""
+    """Return a row for each bad picture, one for many that are wrong in one way."""
     rows: list[list[str]] = []
+    alike: dict[tuple[str, str], list[str]] = {}
     folders: dict[tuple[str, str], dict[str, int]] = {}
     for picture in bad:
         why = picture["problem"], picture["fix"]
@@ -247,7 +276,12 @@ def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
             counts = folders.setdefault(why, {})
             counts[folder] = counts.get(folder, 0) + 1
         else:
-            rows.append([picture["picture"], *why])
+            alike.setdefault(why, []).append(picture["picture"])
+    for why, names in alike.items():
+        if len(names) > _ALIKE:
+            rows.append([f"{_first(names)}: {counted(len(names), 'picture')}", *why])
+        else:
+            rows += [[name, *why] for name in names]
     for why, counts in folders.items():
         named = ", ".join(f"{folder}/" for folder in list(counts)[:_NAMED])
         more = f" and {len(counts) - _NAMED} more" * (len(counts) > _NAMED)
@@ -299,6 +333,8 @@ def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
     from ..evaluation import html_table, report_page, worded
 
     title = f"{checked['touches']}: {counted(checked['n_touches'], 'touch', 'touches')}"
+    if checked["bad"]:
+        title += f", {counted(len(checked['bad']), 'picture')} cannot be used"
     parts = [f"<h1>{escape(title)}</h1>"]
     lines = [
         checked["problem"],
@@ -307,37 +343,69 @@ def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
         *_alone_lines(checked["alone"]),
     ]
     parts += [f"<p>{worded(line)}</p>" for line in lines if line]
-    advice = "".join(f"<li>{worded(line)}</li>" for line in checked["advice"])
-    parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
     if checked["bad"]:
         rows = _rows(checked["bad"])
         columns = ["picture", "what is wrong", "to do"]
         text = "<style>.text :is(td, th) {text-align: left}</style>"
         bad = html_table("Cannot be used", columns, rows)
         parts.append(f"{text}<div class=text>{bad}</div>")
+    advice = "".join(f"<li>{worded(line)}</li>" for line in checked["advice"])
+    parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
     if touches is not None and touches.object is not None:
-        parts.append(_sheet(touches, checked["objects"]))
+        parts.append(_sheet(touches, checked))
     return report_page(title, parts)
 
 
-def _sheet(touches: "Touches", objects: list[dict[str, Any]]) -> str:
-    """Return touches of each object, evenly out of its recording, as HTML."""
+def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
+    """Return touches of each object, evenly out of its recording, as HTML.
+
+    Each has the name of its file, and what is odd about it.
+    """
     import numpy as np
 
     from ..touches import as_shown, png_address
 
-    parts = ["<h2>Touches of each object, evenly out of its recording</h2>"]
+    objects, odd = checked["objects"], _odd_words(checked["odd"])
+    names = touches.columns.get("source_path", np.full(len(touches), ""))
+    parts = [
+        _SHEET_STYLE,
+        "<h2>Touches of each object, evenly out of its recording</h2>",
+    ]
+    if checked["bad"]:
+        parts.append("<p class=note>Pictures that cannot be used are not shown.</p>")
     for entry in objects[:SHEET_OBJECTS]:
         rows = np.flatnonzero(touches.object == entry["object"])
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHEET_TOUCHES).astype(int))]
         pictures = "".join(
-            f"<img alt='touch {row}' src='{png_address(image, SHEET_SIDE)}'>"
-            for row, image in zip(
-                rows, as_shown(touches.images[rows], touches.channels), strict=True
+            _sheet_picture(png_address(image, SHEET_SIDE), int(row), name, odd)
+            for row, name, image in zip(
+                rows,
+                names[rows].astype(str),
+                as_shown(touches.images[rows], touches.channels),
+                strict=True,
             )
         )
         many = counted(entry["touches"])
-        parts.append(f"<p>{escape(entry['object'])}: {many}</p><div>{pictures}</div>")
+        parts.append(
+            f"<p>{escape(entry['object'])}: {many}</p><div class=sheet>{pictures}</div>"
+        )
     if len(objects) > SHEET_OBJECTS:
         parts.append(f"<p>and {len(objects) - SHEET_OBJECTS} more objects</p>")
     return "".join(parts)
+
+
+def _sheet_picture(address: str, row: int, name: str, odd: dict[str, str]) -> str:
+    """Return a touch of the sheet above the name of its file and what is odd."""
+    image = f"<img alt='touch {row}' title='{escape(name)}' src='{address}'>"
+    words = [name.rpartition("/")[2], odd.get(name, "")]
+    return f"<div>{image}{'<br>'.join(escape(word) for word in words if word)}</div>"
+
+
+def _odd_words(odd: dict[str, list[Any]]) -> dict[str, str]:
+    """Return in a few words what is odd about pictures, by name."""
+    words: dict[str, list[str]] = {}
+    for kind, names in odd.items():
+        for name in names:
+            picture = name[0] if kind == "copies" else name
+            words.setdefault(picture, []).append(_ODD[kind])
+    return {name: ", ".join(each) for name, each in words.items()}

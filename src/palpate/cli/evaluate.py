@@ -122,7 +122,7 @@ def print_figures(figures: dict[str, Any]) -> None:
     title = (
         f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "
         f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
-        f"touches, chance {percent(figures['chance'])} %"
+        f"touches, chance {100 * figures['chance']:.3g} %"
     )
     if figures["remount"] != "none":
         title += f", remount {figures['remount']}"
@@ -130,11 +130,15 @@ def print_figures(figures: dict[str, Any]) -> None:
     table(
         title, ["after touches", *figures["accuracy"]], evaluation.figure_lines(figures)
     )
+    for sentence in figures["notes"]:
+        say(sentence)
     for sentence in figures["chosen"].get("found", ()):
-        say(f"Found out from the training touches: {sentence}.")
+        say(f"From the training touches: {sentence}.")
     for flag, share in figures["flags"].items():
         say(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
     table(*evaluation.decision_table(figures))
+    for line in evaluation.strangers_answers(figures):
+        say(line)
     ends = figures["decision"], figures.get("unknown_decision")
     say(evaluation.bound_said(*ends))
     for sentence in evaluation.as_good_alone(figures):

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from . import _options
 from ._output import answer, counted, stages, told_if_stopped, unless_made
-from .check import few_touches
 
 _CATEGORY = "category", "categories"
 
@@ -104,6 +103,8 @@ def learn(
 def _few(training: "_options.Labelled", label: str) -> list[str]:
     """Return one line on labels of few touches, or none."""
     import numpy as np
+
+    from ..evaluation import few_touches
 
     labels = training.object if label == "object" else training.category
     if labels is None:

@@ -154,9 +154,10 @@ def print_episode(episode: dict[str, Any], *, explain: bool = False) -> None:
     name = episode["object"]
     say(f"{'Touches of ' + name if name is not None else 'Touches'}:")
     used, last = episode["touches_used"], 0
+    shown = _shown_touches(used)
     for belief in episode["beliefs"][:used]:
         number = belief["touch"]
-        if number > SHOWN_ALL and number not in (*SHOWN_LATER, used):
+        if number not in shown:
             continue
         if number > last + 1:
             say("         ...")
@@ -171,6 +172,13 @@ def print_episode(episode: dict[str, Any], *, explain: bool = False) -> None:
     for sentence in (*episode["withdrawn"], *(episode["why"] if explain else ())):
         say(f"    {sentence}")
     say()
+
+
+def _shown_touches(used: int) -> set[int]:
+    """Return which touches get a line; a gap of one would take a line as well."""
+    shown = {*range(1, SHOWN_ALL + 1), *SHOWN_LATER, used}
+    gaps = {n for n in range(1, used) if n not in shown and {n - 1, n + 1} <= shown}
+    return shown | gaps
 
 
 def _pose_line(pose: dict[str, Any]) -> str:

@@ -16,6 +16,7 @@ from ._comparisons import sorted_pixels as sorted_pixels
 from ._comparisons import without_contact as without_contact
 from ._episodes import decide_episodes as decide_episodes
 from ._evaluate import evaluate
+from ._evaluate import few_touches as few_touches
 from ._report import bound_said as bound_said
 from ._report import check_report_path as check_report_path
 from ._report import decision_table as decision_table
@@ -24,6 +25,7 @@ from ._report import figure_lines as figure_lines
 from ._report import html_table as html_table
 from ._report import other_day_said as other_day_said
 from ._report import report_page as report_page
+from ._report import strangers_answers as strangers_answers
 from ._report import worded as worded
 from ._report import write_report
 from ._splits import PROTOCOLS as PROTOCOLS

@@ -209,6 +209,18 @@ class Decisions:
         }
 
 
+def answers_of(episodes: Episodes, ends: Decisions, classes: Array) -> NDArray[np.str_]:
+    """Return each episode's answer: a name, "unknown" or "undecided"."""
+    answers = []
+    for name, log_posterior in zip(episodes.objects, episodes.beliefs, strict=True):
+        rows = ends.objects == name
+        orders = np.arange(len(log_posterior))
+        best = log_posterior[orders, ends.touches[rows] - 1].argmax(axis=1)
+        named = np.where(ends.refused[rows], "unknown", classes[best].astype(str))
+        answers.append(np.where(ends.decided[rows], named, "undecided"))
+    return np.concatenate(answers)
+
+
 def decide_episodes(
     episodes: Episodes,
     error: float,

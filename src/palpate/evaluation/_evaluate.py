@@ -43,10 +43,12 @@ from ._trial import Plan, Trial, figures_of
 _MOST = 3
 # Right after the most touches that were asked for: good, and worth going on with.
 _GOOD, _FAIR = 0.95, 0.8
-# A share of touches without contact, an accuracy gained, a share of all mistakes, and a
-# number of training touches, at which something is worth saying.
-_IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES, _FEW_TOUCHES = 0.1, 0.05, 1 / 3, 20
-_ENOUGH_TOUCHES = 60
+# A share of touches without contact, an accuracy gained, and a share of all mistakes,
+# at which something is worth saying.
+_IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES = 0.1, 0.05, 1 / 3
+# Touches of an object: fewer than the first are few, the second are good.
+A_START, GOOD = 20, 60
+_NAMED = 5
 # Of fewer things than this every stranger resembles one; strangers that are expected.
 _FEW_LABELS, _MANY_STRANGERS = 6, 0.2
 # From this on a tenth of an accepted error is worth asking for.
@@ -55,8 +57,8 @@ _LEAST_ERROR = 1e-4
 Progress = Callable[[str], None]
 N_TIMED = 100
 _UNORDERED = (
-    "there is no order (a column `order` or `time_s`), so touches were split as they "
-    "were read"
+    "The touches have no column order or time_s, which tells when each was made: they "
+    "were split in the order in which they were read."
 )
 
 
@@ -120,6 +122,13 @@ def evaluate(
     if test is not None and split is None:
         folds = [Fold("test", train, test)]
     elif split is not None and test is None:
+        if split in VISITS and split not in train.columns:
+            held = ", ".join(train.columns) or "none"
+            raise ValueError(
+                f"train must have a column {split!r} to be split by, got {held}. "
+                f"Put the pictures into folders object/{split} and read them with "
+                f"`levels=object/{split}`, or write the column into the touches' file."
+            )
         folds = split_touches(train, split, plan.label)
     else:
         raise ValueError(
@@ -136,8 +145,7 @@ def evaluate(
         trials = in_parallel(_run, tasks, "Folds", show=False)
     figures = figures_of(trials, plan, split)
     if split in ("between", "last") and recorded_order(train) is None:
-        findings = figures["chosen"].get("found", ())
-        figures["chosen"] = {**figures["chosen"], "found": [*findings, _UNORDERED]}
+        figures["notes"].append(_UNORDERED)
     figures["verdict"] = verdict(figures)
     figures["recommendations"] = recommendations(figures, trials)
     return figures, trials
@@ -186,6 +194,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
+        trial.unknown = unknown
         trial.unknown_episodes = _meet_unknown(recogniser, unknown, plan)
     progress(f"{fold.name}: nuisance controls")
     trial.controls = _controls(trial, labels, objects, plan)
@@ -301,16 +310,40 @@ def strangers_said(figures: dict[str, Any]) -> str:
     """Return how many strangers were given a name, as a sentence; "" without any."""
     if (ends := figures.get("unknown_decision")) is None:
         return ""
-    n_named, n_episodes = ends["wrong"], ends["n_episodes"]
+    n_named, n_refused, n_episodes = ends["wrong"], ends["refused"], ends["n_episodes"]
     return (
-        f"Things that were never learnt were given a name in {n_named} of {n_episodes} "
-        "episodes."
+        f"Things that were never learnt, in {n_episodes} episodes: {n_named} got a "
+        f"name, {n_refused} were called unknown, {n_episodes - n_named - n_refused} "
+        "stayed undecided."
+    )
+
+
+def _strangers_aside_said(figures: dict[str, Any]) -> str:
+    """Return what becomes of known objects where strangers may come, as a sentence.
+
+    "" where nearly as many are named right then as the most probable one is.
+    """
+    ends = figures.get("decision")
+    right = max([0.0, *list(figures["accuracy"].values())[-1:]])
+    if not ends or ends["right"] >= (right - _GAIN) * ends["n_episodes"]:
+        return ""
+    n_episodes, n_named, n_wrong = (
+        ends[name] for name in ("n_episodes", "right", "wrong")
+    )
+    n_undecided = n_episodes - n_named - n_wrong - ends["refused"]
+    return (
+        "That counts the most probable object, strangers aside. To decide at an error "
+        f"of {ends['error']:g}, with {100 * ends['strangers']:g} % strangers expected: "
+        f"of {n_episodes} episodes with known objects {n_named} ended with the right "
+        f"name, {n_wrong} with a wrong one, {ends['refused']} as unknown, "
+        f"{n_undecided} undecided."
     )
 
 
 def verdict(figures: dict[str, Any]) -> str:
-    """Return whether this is good, and why; of strangers too, where there were any."""
-    return f"{_verdict(figures)} {strangers_said(figures)}".rstrip()
+    """Return whether this is good, and why; what else was asked of strangers."""
+    aside, strangers = _strangers_aside_said(figures), strangers_said(figures)
+    return " ".join(filter(None, (_verdict(figures), aside, strangers)))
 
 
 def _too_many_named(figures: dict[str, Any]) -> bool:
@@ -326,7 +359,7 @@ def _verdict(figures: dict[str, Any]) -> str:
         return "Nothing can be said: no object has as many test touches as asked for."
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
-    after = f"{100 * right:.0f} % right after {last} touch{'es' * (last != '1')}"
+    after = f"{100 * right:.0f} % right after {_touches(last)}"
     beside, k = f"chance is {100 * chance:.0f} %", telling(figures)
     alone = {name: v[k] for name, v in figures["controls"].items() if v and k in v}
     alone.pop("no contact", None)
@@ -336,11 +369,18 @@ def _verdict(figures: dict[str, Any]) -> str:
         if k != last:
             after += f" ({100 * accuracy[k]:.0f} % after {k})"
             reached += f" after {k}"
-        beside += f", and {best} alone, which is no touch, {reached}"
+        at_once = reached.removesuffix(f" after {k}")
+        beside += f", and {best} alone, which is no touch, {at_once}"
         if alone[best] >= accuracy[k] and right > 1.5 * chance:
             return (
                 f"This does not show that touch works: {after}, but {best} alone, "
                 f"which is no touch, names {reached}."
+            )
+        if k != last:  # there both get all right
+            return (
+                f"Better than no touch after {_touches(k)}, not after {last}: "
+                f"{100 * accuracy[k]:.0f} % right after {k}, where {beside}; after "
+                f"{last} both are 100 %."
             )
     if right <= 1.5 * chance:
         return f"Not better than guessing: {after}, where {beside}."
@@ -348,6 +388,20 @@ def _verdict(figures: dict[str, Any]) -> str:
     if _too_many_named(figures):
         good += " with known objects alone"
     return f"{good}: {after}, where {beside}."
+
+
+def _touches(number: str) -> str:
+    return f"{number} touch{'es' * (number != '1')}"
+
+
+def few_touches(numbers: dict[str, int]) -> str:
+    """Return which objects have few of these numbers of touches, "" if none has."""
+    few = [f"{name} ({n})" for name, n in numbers.items() if n < A_START]
+    if not few:
+        return ""
+    more = f" and {len(few) - _NAMED} more" * (len(few) > _NAMED)
+    names = ", ".join(few[:_NAMED])
+    return f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
 
 
 def recommendations(figures: dict[str, Any], trials: Sequence[Trial]) -> list[str]:
@@ -373,12 +427,14 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if best > 1.5 * figures["chance"] and as_good_alone(figures):
         yield (
             "What is no touch does as well as touch: record objects in turns, mount "
-            "the sensor anew in between, and evaluate with `split=session`."
+            "the sensor anew in between, put each mounting into a folder of its own "
+            "(object/session), and evaluate with `split=session`."
         )
     elsewhere = figures["split"] in VISITS or trials[0].fold.elsewhere
     yield from _of_unknown(figures, elsewhere)
-    if best < _GOOD and (few := _taught_little(figures["label"], trials[0])):
-        yield f"{few}: give every {figures['label']} {_ENOUGH_TOUCHES}, all over it."
+    few = few_touches(Counter(trials[0].recogniser.memory_.labels.tolist()))
+    if few:
+        yield f"Taught with {few}."
     confirming = _confirming(figures, trials[0], measured=elsewhere)
     if elsewhere and best < _GOOD and figures["remount"] == "none":
         yield (
@@ -421,11 +477,12 @@ def _of_unknown(figures: dict[str, Any], elsewhere: bool) -> Iterator[str]:
             f"it is touched now{again}; where nothing else can come, say `strangers=0`."
         )
     if not _too_many_named(figures):
+        yield from _of_undecided(figures)
         return
     ends = figures["unknown_decision"]
     todo = []
     if (n_labels := figures["n_labels"]) < _FEW_LABELS:
-        todo.append(f"teach more than {n_labels} things, {_FEW_LABELS} are a start")
+        todo.append(f"teach at least {_FEW_LABELS} things, not {n_labels}")
     if ends["strangers"] < _MANY_STRANGERS:
         todo.append(f"expect more strangers (`strangers={_MANY_STRANGERS}`)")
     if ends["error"] >= _LEAST_ERROR:
@@ -439,23 +496,23 @@ def _of_unknown(figures: dict[str, Any], elsewhere: bool) -> Iterator[str]:
     )
 
 
-def _taught_little(label: str, trial: Trial) -> str:
-    """Return which labels were taught with few touches, as a clause; "" if none."""
-    counts = Counter(trial.recogniser.memory_.labels.tolist())
-    few = {name: n for name, n in counts.items() if n < _FEW_TOUCHES}
-    if not few:
-        return ""
-    least, most = min(few.values()), max(few.values())
-    touches = f"{least} to {most} touches"
-    if least == most:
-        touches = f"{least} touch{'es' * (least > 1)}"
-    if len(few) == 1:
-        return f"{next(iter(few))} was taught with {touches}"
-    if len(few) < len(counts):
-        return f"{len(few)} of {len(counts)} {label} labels were taught with {touches}"
-    if least == most:
-        return f"Every {label} was taught with {touches}"
-    return f"All {len(few)} {label} labels were taught with {touches}"
+def _of_undecided(figures: dict[str, Any]) -> Iterator[str]:
+    """Yield what to do where no stranger is ever called unknown."""
+    ends = figures.get("unknown_decision")
+    if not ends or ends["refused"]:
+        return
+    todo = ["touch more often"]
+    if (n_labels := figures["n_labels"]) < _FEW_LABELS:
+        todo.insert(0, f"teach at least {_FEW_LABELS} things, not {n_labels}")
+    if ends["strangers"] < _MANY_STRANGERS:
+        todo.append(
+            f"say that more strangers come (`strangers={_MANY_STRANGERS}`), which "
+            "needs less evidence for unknown, also where a known object is touched"
+        )
+    yield (
+        f"None of {ends['n_episodes']} episodes with strangers ended as unknown. What "
+        f"may help, and is not measured here: {'; '.join(todo)}."
+    )
 
 
 def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str:

@@ -19,8 +19,7 @@ from ..recognition import about, said_of_sessions
 from ..touches import Touches, as_shown, png_address
 from . import plots
 from ._comparisons import as_good_alone
-from ._episodes import Decisions, decide_episodes
-from ._evaluate import strangers_said
+from ._episodes import Decisions, Episodes, answers_of, decide_episodes
 from ._trial import Trial, calibration_bins, scored, spread
 
 EXAMPLES = 6
@@ -28,6 +27,7 @@ SIDE = 120
 PAIRS = 5
 PICTURES_PER_PAIR = 4
 EPISODES, WRONG = 6, 4
+STRANGERS_LISTED = 8
 MOVED, NEAREST = 3, 3
 SMALL_SIDE = 72
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
@@ -67,6 +67,15 @@ class Explained(NamedTuple):
     rows: Indices
     label: str
     right: bool
+    is_stranger: bool = False
+
+    @property
+    def touches(self) -> Touches:
+        """The touches of the episode, in their order."""
+        unknown = self.trial.unknown
+        if self.is_stranger and unknown is not None:
+            return unknown[self.rows]
+        return self.trial.fold.test[self.rows]
 
 
 def check_report_path(path: str | Path) -> Path:
@@ -165,7 +174,7 @@ def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
     """Return what each figure is, and its value after each number of touches."""
     over = "folds" if figures["n_folds"] > 1 else "objects"
     rows: list[tuple[str, dict[str, Any], float, int]] = [
-        ("right, %", figures["accuracy"], 100, 1),
+        ("right, strangers aside, %", figures["accuracy"], 100, 1),
         (f"sd over {over}, %", figures["accuracy_sd"], 100, 1),
         ("objects", figures["n_objects"], 1, 0),
         ("log loss, nats", figures["log_loss"], 1, 2),
@@ -178,8 +187,9 @@ def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
         label = "touches without contact, %" if bare else f"{name} alone, %"
         rows.append((label, curve or dict.fromkeys(figures["accuracy"]), 100, 1))
     rows.append(("unknown, ROC area", figures.get("unknown_auroc", {}), 1, 3))
-    refused = "strangers refused, where 5 % of known are, %"
-    rows.append((refused, figures.get("unknown_refused", {}), 100, 1))
+    for name, key in {"strangers": "unknown_refused", "known": "known_refused"}.items():
+        over = f"{name} refused at the learnt limit, %"
+        rows.append((over, figures.get(key, {}), 100, 1))
     return [
         [name, *(as_text(values.get(k), scale, n) for k in figures["accuracy"])]
         for name, values, scale, n in rows
@@ -210,8 +220,27 @@ def _ended(decision: dict[str, Any]) -> list[str]:
     n_episodes = decision["n_episodes"]
     undecided = round(n_episodes * decision["undecided"])
     counts = decision["right"], decision["wrong"], decision["refused"], undecided
-    cells = [f"{n} ({as_text(n / n_episodes, 100)} %)" for n in counts]
+    shares = [as_text(n / n_episodes, 100).removesuffix(".0") for n in counts]
+    cells = [f"{n} ({share} %)" for n, share in zip(counts, shares, strict=True)]
     return [*cells, as_text(decision["mean_touches"])]
+
+
+def strangers_answers(figures: dict[str, Any]) -> list[str]:
+    """Return what strangers were called, a line each, those named oftenest first."""
+    answers = figures.get("unknown_decision", {}).get("answers", {})
+    not_named = {"unknown", "undecided"}
+    n_named = {
+        stranger: sum(n for answer, n in counts.items() if answer not in not_named)
+        for stranger, counts in answers.items()
+    }
+    ranked = sorted(answers, key=lambda stranger: -n_named[stranger])
+    lines = []
+    for stranger in ranked[:STRANGERS_LISTED]:
+        each = ", ".join(f"{answer} {n}" for answer, n in answers[stranger].items())
+        lines.append(f"{stranger}, never learnt: {each}.")
+    if more := len(ranked) - STRANGERS_LISTED:
+        lines += [f"And {more} more things never learnt."] if more > 0 else []
+    return lines
 
 
 def bound_said(
@@ -278,16 +307,35 @@ def as_text(value: float | None, scale: float = 1, digits: int = 1) -> str:
 def explained_episodes(
     figures: dict[str, Any], trials: Sequence[Trial]
 ) -> list[Explained]:
-    """Return at most six decided episodes: up to four wrong, the others right."""
+    """Return at most six decided episodes: up to four wrong, the others right.
+
+    Names given to strangers come first.
+    """
     accepted = [figures["decision"][k] for k in ("error", "refusal", "strangers")]
     ends = [decide_episodes(t.episodes, *accepted) for t in trials]
+    strange = [
+        decide_episodes(t.unknown_episodes, *accepted)
+        for t in trials
+        if t.unknown_episodes is not None and t.unknown is not None
+    ]
+    named = _first_of_each(strange, lambda end: end.decided & ~end.refused)
     wrong = _first_of_each(ends, lambda end: end.decided & ~end.right)
     right = _first_of_each(ends, lambda end: end.right)
-    few = wrong[: max(WRONG, EPISODES - len(right))][:EPISODES]
-    n_right = min(EPISODES - len(few), len(right))
+    n_wrong = max(WRONG, EPISODES - len(right))
+    n_wrong = min(n_wrong, len(named) + len(wrong), EPISODES)
+    n_right = min(EPISODES - n_wrong, len(right))
     places = np.unique(np.linspace(0, len(right) - 1, n_right).astype(int))
-    chosen = few + [right[place] for place in places]
-    return [_explained(trials[fold], ends[fold], number) for fold, number in chosen]
+    return [
+        *(_stranger(trials[f], strange[f], number) for f, number in named[:n_wrong]),
+        *(
+            _explained(trials[f], ends[f], number)
+            for f, number in wrong[: max(0, n_wrong - len(named))]
+        ),
+        *(
+            _explained(trials[f], ends[f], number)
+            for f, number in (right[p] for p in places)
+        ),
+    ]
 
 
 def _head(figures: dict[str, Any]) -> str:
@@ -333,6 +381,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         "where there are several). Dashed: what nuisance values achieve by themselves."
         " Second: a belief of 0.9 should be right nine times in ten.</p>"
         + html_table("", ["after touches", *figures["accuracy"]], figure_lines(figures))
+        + _lines(figures["notes"])
     )
 
 
@@ -349,20 +398,33 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     return (
         f"<h2>What is taken for what, after {k} touch{'es' * (k > 1)}</h2>"
         + plots.confusion_plot(confusion, names)
+        + _lines(strangers_answers(figures))
         + "<h2>Most confused pairs</h2>"
-        + (shown or f"<p>{none} {strangers_said(figures)}</p>")
+        + (shown or f"<p>{none}</p>")
     )
+
+
+def _lines(sentences: Iterable[str]) -> str:
+    """Return sentences as a paragraph, a line each; nothing of none."""
+    text = "<br>".join(escape(sentence) for sentence in sentences if sentence)
+    return f"<p>{text}</p>" if text else ""
 
 
 def _pair(
     trials: Sequence[Trial], names: list[str], pair: tuple[int, int], share: float
 ) -> str:
+    """Return a confused pair: the touches that alone were confused, and examples."""
     true, taken_for = (escape(names[i]) for i in pair)
+    pictures, what = _confused_touches(trials, pair), f"touches of {true} taken for"
+    label = f"{what} {taken_for}, one at a time"
+    if not pictures:  # together alone
+        pictures = _pictures(trials, names[pair[0]], PICTURES_PER_PAIR)
+        label = f"examples that taught {true}"
+    others = _pictures(trials, names[pair[1]], PICTURES_PER_PAIR)
+    columns = (pictures, label), (others, f"examples that taught {taken_for}")
     cells = "".join(
-        "<div><div class=touches>"
-        f"{_pictures(trials, names[i], PICTURES_PER_PAIR)}</div>"
-        f"<span class=note>{escape(names[i])}</span></div>"
-        for i in pair
+        f"<div><div class=touches>{images}</div><span class=note>{text}</span></div>"
+        for images, text in columns
     )
     title = f"<b>{true}</b> taken for <b>{taken_for}</b>"
     return f"<p>{title}: {100 * share:.0f} %</p><div class=row>{cells}</div>"
@@ -378,17 +440,37 @@ def _examples(trials: Sequence[Trial]) -> str:
     return f"<h2>Touches of each label</h2>{lines}"
 
 
+def _confused_touches(trials: Sequence[Trial], pair: tuple[int, int]) -> str:
+    """Return test touches that by themselves are taken for the other, as images."""
+    images: list[str] = []
+    for trial in trials:
+        singles = trial.episodes.singles or trial.episodes
+        for truth, rows, beliefs in zip(
+            singles.truth, singles.rows, singles.beliefs, strict=True
+        ):
+            if truth == pair[0]:
+                confused = rows[beliefs[:, 0].argmax(axis=1) == pair[1], 0]
+                name = str(trial.recogniser.classes_[truth])
+                left = PICTURES_PER_PAIR - len(images)
+                images += _images(trial, trial.fold.test[confused[:left]], name)
+    return "".join(images)
+
+
 def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     """Return evenly spaced training touches of a label, cleaned up, as images."""
     trial = trials[0]
     rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
     rows_shown = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
-    touches = trial.fold.train[rows_shown]
+    return "".join(_images(trial, trial.fold.train[rows_shown], name))
+
+
+def _images(trial: Trial, touches: Touches, name: str) -> list[str]:
+    """Return touches of a label, cleaned up, as images."""
+    if not len(touches):
+        return []
     cleaned = as_shown(trial.recogniser.encoder_.clean(touches), touches.channels)
     alt = escape(f"touch of {name}")
-    return "".join(
-        f"<img src='{png_address(image, SIDE)}' alt='{alt}'>" for image in cleaned
-    )
+    return [f"<img src='{png_address(image, SIDE)}' alt='{alt}'>" for image in cleaned]
 
 
 def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
@@ -404,11 +486,12 @@ def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         return ""
     return (
         "<h2>Why: the touches that moved the belief most</h2>"
-        "<p class=note>Of some episodes, wrong decisions first where there are any: a "
-        "touch, and how far it moved the balance between the two most probable labels "
-        "(nats; 2.3 are a factor of ten). Beside it the training touches most like "
-        "it, and how far "
-        f"they are (1: as two middling training touches).</p>{shown}"
+        "<p class=note>Some episodes, wrong decisions first: names given to things "
+        "never learnt, then other wrong ones. Each line shows a touch, and how "
+        "far it moved the balance between the two most probable labels (in nats: 2.3 "
+        "make one of them ten times more probable). Beside it are the training touches "
+        "most like it, and their distance: 1 is the median distance between two "
+        f"training touches.</p>{shown}"
     )
 
 
@@ -424,28 +507,36 @@ def _first_of_each(
 
 
 def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
-    episodes, classes = trial.episodes, trial.recogniser.classes_
-    name, used = str(end.objects[number]), int(end.touches[number])
-    whose = episodes.objects.index(name)
-    order = number % len(episodes.rows[whose])
-    best = episodes.beliefs[whose][order, used - 1].argmax()
-    return Explained(
-        trial,
-        name,
-        str(classes[episodes.truth[whose]]),
-        episodes.rows[whose][order, :used],
-        "unknown" if end.refused[number] else str(classes[best]),
-        bool(end.right[number]),
-    )
+    classes = trial.recogniser.classes_
+    name, rows = _touches_of(trial.episodes, end, number)
+    truth = trial.episodes.truth[trial.episodes.objects.index(name)]
+    answer = answers_of(trial.episodes, end, classes)[number]
+    right = bool(end.right[number])
+    return Explained(trial, name, str(classes[truth]), rows, str(answer), right)
+
+
+def _stranger(trial: Trial, end: Decisions, number: int) -> Explained:
+    assert trial.unknown_episodes is not None
+    name, rows = _touches_of(trial.unknown_episodes, end, number)
+    classes = trial.recogniser.classes_
+    answer = answers_of(trial.unknown_episodes, end, classes)[number]
+    return Explained(trial, name, name, rows, str(answer), False, is_stranger=True)
+
+
+def _touches_of(episodes: Episodes, end: Decisions, number: int) -> tuple[str, Indices]:
+    """Return whose episode it is, and the numbers of the touches up to its end."""
+    name = str(end.objects[number])
+    rows = episodes.rows[episodes.objects.index(name)]
+    return name, rows[number % len(rows), : int(end.touches[number])]
 
 
 def _episode(explained: Explained, decision: dict[str, Any]) -> str:
     belief = explained.trial.recogniser.start(strangers=decision["strangers"])
-    belief.update(explained.trial.fold.test[explained.rows])
+    belief.update(explained.touches)
     reason = belief.reason(decision["error"], refusal=decision["refusal"])
-    of_label = (
-        "" if explained.name == explained.truth else f" ({escape(explained.truth)})"
-    )
+    of_label = ", never learnt," if explained.is_stranger else ""
+    if explained.name != explained.truth:
+        of_label = f" ({escape(explained.truth)})"
     moved = "".join(
         f"<div class=why>{''.join(_touch(explained, step))}</div>"
         for step in belief.explain(MOVED, NEAREST)
@@ -467,7 +558,7 @@ def _touch(explained: Explained, step: dict[str, Any]) -> Iterator[str]:
     more, less = pair if step["nats"] > 0 else pair[::-1]
     lines = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
     lines += [f"over {less}", *filter(None, [step["flag"]])]
-    yield _cell(explained.trial, fold.test[explained.rows[[step["touch"] - 1]]], lines)
+    yield _cell(explained.trial, explained.touches[[step["touch"] - 1]], lines)
     for near in step["nearest"]:
         train = fold.train[np.array([near["row"]])]
         yield _cell(

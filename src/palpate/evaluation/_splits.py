@@ -156,8 +156,8 @@ def column_of(touches: Touches, name: str) -> Array:
     if name not in touches.columns:
         held = ", ".join(touches.columns) or "none"
         raise ValueError(
-            f"touches must have a column {name!r}, got {held}. Add it, or name folders "
-            "after objects or pass `name_pattern`."
+            f"The touches must have a column {name!r}, got {held}. Add it, or name "
+            "folders after objects or pass `name_pattern`."
         )
     return touches.columns[name]
 

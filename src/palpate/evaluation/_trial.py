@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,7 +25,8 @@ from ..recognition import (
     across_sessions,
     check_strangers,
 )
-from ._episodes import Decisions, Episodes, Scores, decide_episodes
+from ..touches import Touches
+from ._episodes import Decisions, Episodes, Scores, answers_of, decide_episodes
 from ._splits import VISITS, Fold
 
 # Distances of centroids below this share of the touches' extent are rounding.
@@ -122,8 +124,10 @@ class Trial:
         To learn; per touch to encode and to recognise.
     uncalibrated : Episodes or None
         `episodes` as they would be if touches of one episode added up in full.
+    unknown : Touches or None
+        Touches of unknown objects, where there are any.
     unknown_episodes : Episodes or None
-        The same of unknown objects, where there are any.
+        Their episodes, like `episodes`.
     flags : dict
         Share of the test touches with each flag, such as "no contact".
     controls : dict
@@ -136,6 +140,7 @@ class Trial:
     episodes: Episodes
     seconds: dict[str, float]
     uncalibrated: Episodes | None = None
+    unknown: Touches | None = None
     unknown_episodes: Episodes | None = None
     flags: dict[str, float] = field(default_factory=dict)
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
@@ -169,17 +174,17 @@ def figures_of(
     figures.update({name: {} for name in names})
     for k in plan.touches:
         _figures_after(k, trials, figures)
+    figures["notes"] = _too_long_said(trials, plan)
     if right := _categories_right(trials, plan):
         figures["category_accuracy"] = right
     if trials[0].unknown_episodes is not None:
-        figures["unknown_auroc"], figures["unknown_refused"] = _unknown(trials, plan)
+        of_strangers = "unknown_auroc", "unknown_refused", "known_refused"
+        figures.update(zip(of_strangers, _unknown(trials, plan), strict=True))
     accepted = *plan.accepted, plan.strangers
     ends = [decide_episodes(t.episodes, *accepted) for t in trials]
     figures["decision"] = Decisions.pooled(ends).to_dict(*accepted)
-    strange = [t.unknown_episodes for t in trials if t.unknown_episodes is not None]
-    if strange:
-        ends = [decide_episodes(episodes, *accepted) for episodes in strange]
-        figures["unknown_decision"] = Decisions.pooled(ends).to_dict(*accepted)
+    if trials[0].unknown_episodes is not None:
+        figures["unknown_decision"] = _strangers_ends(trials, *accepted)
     figures["controls"] = _mean_controls(trials)
     seen = dict.fromkeys(flag for t in trials for flag in t.flags)
     shares = {f: [t.flags.get(f, 0.0) for t in trials] for f in seen}
@@ -189,6 +194,19 @@ def figures_of(
         for name in trials[0].seconds
     }
     return figures
+
+
+def _too_long_said(trials: Sequence[Trial], plan: Plan) -> list[str]:
+    """Return a sentence on the numbers of touches that no object has, or none."""
+    longest = max(b.shape[1] for t in trials for b in t.episodes.beliefs)
+    left_out = ", ".join(str(k) for k in plan.touches if k > longest)
+    if not left_out:
+        return []
+    sentence = (
+        f"Left out: figures after {left_out} touches; no object has more than "
+        f"{longest} test touches."
+    )
+    return [sentence]
 
 
 def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> None:
@@ -231,11 +249,31 @@ def _categories_right(trials: Sequence[Trial], plan: Plan) -> dict[str, float]:
     return result
 
 
-def _unknown(
-    trials: Sequence[Trial], plan: Plan
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return ROC areas and shares refused after each number of touches."""
-    area, refused = {}, {}
+def _strangers_ends(trials: Sequence[Trial], *accepted: float) -> dict[str, Any]:
+    """Return how strangers' episodes ended; `answers` counts those of each stranger."""
+    parts: list[Decisions] = []
+    answers: dict[str, Counter[str]] = {}
+    for trial in trials:
+        assert trial.unknown_episodes is not None
+        ends = decide_episodes(trial.unknown_episodes, *accepted)
+        parts.append(ends)
+        each = answers_of(trial.unknown_episodes, ends, trial.recogniser.classes_)
+        for name in trial.unknown_episodes.objects:
+            of_name = answers.setdefault(name, Counter())
+            of_name.update(each[ends.objects == name].tolist())
+    ended = Decisions.pooled(parts).to_dict(*accepted)
+    return ended | {"answers": {n: dict(c.most_common()) for n, c in answers.items()}}
+
+
+def _unknown(trials: Sequence[Trial], plan: Plan) -> list[dict[str, float]]:
+    """Return ROC areas, and shares of strangers and of known objects refused.
+
+    After each number of touches. Refused is what exceeds the limit of learning: the
+    evidence that one in twenty episodes of training touches left out exceeds.
+    """
+    area: dict[str, float] = {}
+    refused: dict[str, float] = {}
+    refused_known: dict[str, float] = {}
     for k in plan.touches:
         ends = []
         for trial in trials:
@@ -244,11 +282,12 @@ def _unknown(
             above = trial.unknown_episodes.unknown_after(k)
             if len(below) and len(above):
                 limit = trial.recogniser.strangers_.threshold(k)
-                ends.append((roc_area(below, above), (above > limit).mean()))
+                shares = (above > limit).mean(), (below > limit).mean()
+                ends.append((roc_area(below, above), *shares))
         if ends:
             means = [float(np.mean(each)) for each in zip(*ends, strict=True)]
-            area[str(k)], refused[str(k)] = means
-    return area, refused
+            area[str(k)], refused[str(k)], refused_known[str(k)] = means
+    return [area, refused, refused_known]
 
 
 def _mean_controls(trials: Sequence[Trial]) -> dict[str, dict[str, float] | None]:

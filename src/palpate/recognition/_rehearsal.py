@@ -231,11 +231,12 @@ def said_of_rehearsal(rehearsal: dict[str, Any]) -> str:
     """Return what `rehearse` found as a sentence for people."""
     if "why" in rehearsal:
         return f"no sessions were rehearsed: {rehearsal['why']}"
-    by = f"as {rehearsal['told_by']} tell"
+    what = "invented sessions (another day, light or mounting)"
+    tested = f"as tests on {rehearsal['told_by']} showed"
     if not rehearsal["share"]:
-        return f"invented sessions (another day, light or mounting) do not help, {by}"
-    learnt = "what was learnt from invented sessions (another day, light or mounting)"
-    return f"{learnt} counts {100 * rehearsal['share']:.0f} %, {by}"
+        return f"learning from {what} too does not help, {tested}"
+    share = f"{100 * rehearsal['share']:.0f} %"
+    return f"it also learnt from {what}; that counts {share}, {tested}"
 
 
 def _rows(memory: Memory) -> Indices:

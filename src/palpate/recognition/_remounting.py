@@ -292,7 +292,7 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
         )
     return (
         f"{taught}, and none in two: on another day, or mounted anew, expect less than "
-        "today; how much less only touches of another session tell."
+        "today. Only touches of another session can show how much less."
     )
 
 

@@ -4,7 +4,6 @@ import hashlib
 import os
 import re
 import warnings
-from collections import Counter
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -38,6 +37,8 @@ from ._pictures import (
     common_header,
     decode_picture,
     decode_pictures,
+    fix_of_another,
+    most_common_header,
     n_cores,
 )
 from ._tables import TABLES, folder_levels
@@ -46,6 +47,7 @@ _GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
 PICTURES = (".jpg", ".jpeg", ".png")
 _OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
 _GREY = {".bmp", ".webp"}  # pictures too, read where there is no JPEG or PNG
+_LISTED = 5  # pictures left out
 _MOST_TABLE = 2**30  # bytes; only to say which objects are lost
 
 
@@ -290,19 +292,21 @@ def _check_pictures(
 
     with ThreadPoolExecutor(n_cores()) as pool:
         seen = dict(zip(names, pool.map(look, names), strict=True))
-    headers = Counter(picture.header for picture in seen.values() if picture.header)
-    usual = headers.most_common(1)[0][0] if headers else None
+    headers = [picture.header for picture in seen.values() if picture.header]
+    usual = most_common_header(headers) if headers else None
     check = PictureCheck(usual=str(usual or ""))
     first: dict[bytes, str] = {}
     for name, picture in seen.items():
         if picture.header is None:
             check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
-        elif picture.header != usual:
+        elif usual is not None and not picture.header.is_like(usual):
             problem = f"{picture.header}, not {usual}"
-            fix = "convert it"
-            if usual is not None and _is_on_its_side(picture.header, usual):
-                problem, fix = f"{problem}: on its side", "turn it by 90 degrees"
-            fix += ", or keep the two kinds in folders of their own"
+            fix = fix_of_another(picture.header, usual)
+            if _is_on_its_side(picture.header, usual):
+                problem, fix = (
+                    f"{problem}: on its side",
+                    f"turn it by 90 degrees; {fix}",
+                )
             check.bad.append(BadPicture(name, problem, fix))
         else:
             check.turned += [name] * (picture.orientation > 1)
@@ -310,7 +314,8 @@ def _check_pictures(
             if (copy := first.setdefault(picture.digest, name)) != name:
                 check.same.append((name, copy))
     if not colour:
-        alike = {n: picture for n, picture in seen.items() if picture.header == usual}
+        bad = {odd.picture for odd in check.bad}
+        alike = {n: picture for n, picture in seen.items() if n not in bad}
         in_colour = [n for n, picture in alike.items() if picture.coloured]
         if in_colour and shows_colour(root / in_colour[0]):
             check.coloured = in_colour
@@ -321,7 +326,7 @@ def _check_pictures(
 def _is_on_its_side(header: Header, usual: Header) -> bool:
     """Whether a picture is as large as most, with its sides changed over."""
     turned = header._replace(n_rows=header.n_cols, n_cols=header.n_rows)
-    return header != usual and turned == usual
+    return not header.is_like(usual) and turned.is_like(usual)
 
 
 def shows_colour(path: Path) -> bool:
@@ -338,7 +343,7 @@ def _fix(problem: str) -> str:
         return "leave out `colour`, or take it out"
     if "pixels" in problem and "more than" in problem:
         return "make it smaller"
-    return "save it again as 8-bit JPEG or PNG, or take it out"
+    return "save it again as JPEG or PNG, as deep as the others, or take it out"
 
 
 def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[str]:
@@ -360,8 +365,8 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
             f"{odd.problem}. Fix: {odd.fix}, or take {them} out of {root}."
         )
     if bad:
-        first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:3])
-        more = "" if len(bad) <= 3 else f"; and {len(bad) - 3} more"
+        first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:_LISTED])
+        more = f"; and {len(bad) - _LISTED} more" * (len(bad) > _LISTED)
         n = f"{len(bad)} picture{'s' * (len(bad) > 1)}"
         warnings.warn(
             f"{n} of {len(names)} in {root} left out: {first}{more}.", stacklevel=5
@@ -403,7 +408,7 @@ def no_contact_picture(
 def _like(path: Path, like: Header, max_pixels: int) -> Array:
     """Return the picture of no contact, which must be as large and deep as `like`."""
     header = _pictures.picture_header(path, max_pixels=max_pixels, colour=like.colour)
-    if header._replace(format=like.format) != like:
+    if not header.is_like(like):
         raise TouchesError(
             f"no_contact must be {like.n_cols} x {like.n_rows} {like.n_bits}-bit like "
             f"the touches, got {header} in {path}. Convert it, or give another."

@@ -73,9 +73,10 @@ class PictureError(Exception):
 
 
 class Header(NamedTuple):
-    """Format, size and depth: the same for all pictures of a set, upright.
+    """Format, size and depth, upright; the same for all pictures of a set.
 
-    `colour` counts only where colours are asked for; it is False elsewhere.
+    But for the format: JPEG and PNG may stand together. `colour` counts only where
+    colours are asked for; it is False elsewhere.
     """
 
     format: str
@@ -87,6 +88,10 @@ class Header(NamedTuple):
     def __str__(self) -> str:
         kind = f"{'colour ' * self.colour}{self.format}"
         return f"{self.n_cols} x {self.n_rows} {self.n_bits}-bit {kind}"
+
+    def is_like(self, other: "Header") -> bool:
+        """Whether a picture has the other's size and depth, in whatever format."""
+        return self._replace(format=other.format) == other
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -150,14 +155,34 @@ def common_header(paths: Sequence[Path], *, max_pixels: int, colour: bool) -> He
     """Return the header that all pictures share; the error names who differs."""
     limits: dict[str, Any] = {"max_pixels": max_pixels, "colour": colour}
     headers = [picture_header(path, **limits) for path in paths]
-    (most, n_most), *others = Counter(headers).most_common()
-    if others:
-        odd = next(i for i, header in enumerate(headers) if header != most)
+    most = most_common_header(headers)
+    odd = [i for i, header in enumerate(headers) if not header.is_like(most)]
+    if odd:
+        n_most = len(paths) - len(odd)
+        fix = fix_of_another(headers[odd[0]], most)
         raise TouchesError(
-            f"Pictures must all have one size and format, got {headers[odd]} in "
-            f"{paths[odd]} ({n_most} of {len(paths)} are {most}). "
-            "Convert it, or keep the two kinds in folders of their own."
+            f"Pictures must all have one size and depth, got {headers[odd[0]]} in "
+            f"{paths[odd[0]]} ({n_most} of {len(paths)} are {most}). "
+            f"{fix[0].upper()}{fix[1:]}."
         )
+    return most
+
+
+def fix_of_another(header: Header, usual: Header) -> str:
+    """Return what to do with a picture of another size or depth than most."""
+    if header.n_bits != usual.n_bits:
+        return f"save it again with {usual.n_bits} bits, or take it out"
+    return (
+        "crop or pad it to that size (another proportion makes a disc an ellipse), or "
+        "keep the two kinds in two sets of touches, not in sub-folders of one"
+    )
+
+
+def most_common_header(headers: Sequence[Header]) -> Header:
+    """Return the most frequent header of the most frequent size and depth."""
+    kinds = Counter(header._replace(format="") for header in headers)
+    ((kind, _),) = kinds.most_common(1)
+    ((most, _),) = Counter(h for h in headers if h.is_like(kind)).most_common(1)
     return most
 
 
@@ -202,9 +227,9 @@ def _decode_into(out: Array, path: Path, header: Header) -> bytes:
         with _opened(path, header.n_rows * header.n_cols) as file:
             data = file.read()
         now, orientation = _read_header(BytesIO(data))
-        if (now := now.checked(header.colour)) != header:
+        if not (now := now.checked(header.colour)).is_like(header):
             raise PictureError(f"{now} after {header}: the file changed meanwhile")
-        _levels(data, header, orientation, out)
+        _levels(data, now, orientation, out)
         return data
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
@@ -257,7 +282,10 @@ def refusal(path: Path, error: OSError | PictureError) -> TouchesError:
         )
     fix = "Save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out."
     if GREY_WHERE_COLOUR in str(error):
-        fix = "Leave `colour` out, or take it out."
+        return TouchesError(
+            f"{path} must be a picture in colour, got {error}. Leave `colour` out, or "
+            "take it out."
+        )
     return TouchesError(
         f"{path} must be a whole JPEG or PNG in grey or colour, got {error}. {fix}"
     )
