@@ -71,7 +71,9 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
     session = LiveSession(sensor)
     with session:
         assert waited(lambda: session.watch.detector.touching)
-        with pytest.raises(ContactError, match="Something touches"):
+        # What is played cannot be lifted.
+        said = "disc touches the sensor. Put nothing on the desk"
+        with pytest.raises(ContactError, match=said):
             session.take_baseline()
         session.place(None)
         assert waited(lambda: not session.watch.detector.touching)
