@@ -98,6 +98,22 @@ def learning_here(request, monkeypatch):
         monkeypatch.setattr("palpate.web._session.start_learning", lambda: None)
 
 
+class Still(LiveSensor):
+    """A sensor that gives nothing by itself."""
+
+    def __init__(self, shape=(4, 4), geometry="array", unit="count"):
+        super().__init__("still", unit, shape, np.uint8, geometry)
+
+    def _open(self):
+        pass
+
+    def _grab(self):
+        return []
+
+    def _close(self):
+        pass
+
+
 class HandSensor(LiveSensor):
     """An array that reads whatever a test says, and does not know its baseline."""
 

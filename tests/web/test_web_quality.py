@@ -8,10 +8,9 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
-from palpate.sensors import LiveSensor
 from palpate.web import LiveSession, advice, object_quality
 
-from .conftest import waited
+from .conftest import Still, waited
 
 REST = np.full((40, 60), 7.0)
 
@@ -20,22 +19,6 @@ def pressed(row, col, force=100.0):
     """A round press of an array that rests at 7."""
     rows, cols = np.mgrid[:40, :60]
     return REST + force * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 20)
-
-
-class Quiet(LiveSensor):
-    """A sensor that shows nothing by itself."""
-
-    def __init__(self, shape=(4, 4, 3), geometry="plane"):
-        super().__init__("quiet", "grey level", shape, np.uint8, geometry)
-
-    def _open(self):
-        pass
-
-    def _grab(self):
-        return []
-
-    def _close(self):
-        pass
 
 
 def lesson_of(sensor, folder="not-there"):
@@ -47,7 +30,7 @@ def lesson_of(sensor, folder="not-there"):
 
 def told(images, baseline=REST, noise=0.0):
     """Return which touches of a lesson are alike."""
-    variety = lesson_of(Quiet()).lesson.variety
+    variety = lesson_of(Still((4, 4, 3), "plane", "grey level")).lesson.variety
     for image in images:
         variety.add(image, baseline, noise)
     return variety
@@ -269,7 +252,7 @@ def test_a_touch_without_contact_is_told_before_there_is_a_model(
     images = np.tile(rest, (4, 1, 1))
     images[3, 0, 0] += 1
     images[:3, 20:40, 30:50] = rng.integers(0, 255, (3, 20, 20), dtype=np.uint8)
-    teacher = lesson_of(Quiet((60, 80), geometry), tmp_path / "library")
+    teacher = lesson_of(Still((60, 80), geometry, "grey level"), tmp_path / "library")
     said = [teacher.take(image, rest, 0.0) for image in images]
     assert ["does not count" in words for words in said] == [False, False, False, True]
     assert "does not count" not in teacher.take(images[3], None, 0.0)
@@ -307,7 +290,9 @@ def test_a_touch_that_is_dropped_leaves_its_like_new(rng):
 
 
 def test_a_lesson_of_a_camera_keeps_its_channels(tmp_path):
-    teacher = LiveSession(Quiet(), library=tmp_path / "library").teacher
+    teacher = LiveSession(
+        Still((4, 4, 3), "plane", "grey level"), library=tmp_path / "library"
+    ).teacher
     teacher.begin("mug", 2)
     image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     said = teacher.take(image, None, 1.0, {"force_n": 0.5})
@@ -331,7 +316,9 @@ def test_colours_are_compared_one_by_one(rng):
 
 
 def test_what_was_removed_or_moved_comes_back(tmp_path):
-    teacher = LiveSession(Quiet(), library=tmp_path / "library").teacher
+    teacher = LiveSession(
+        Still((4, 4, 3), "plane", "grey level"), library=tmp_path / "library"
+    ).teacher
     images = np.arange(96, dtype=np.uint8).reshape(2, 4, 4, 3)
     keys = [teacher.store("mug", image, ("r", "g", "b"), None) for image in images]
     assert teacher.remove(keys[:1]) == "1 touch of mug removed."

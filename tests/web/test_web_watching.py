@@ -8,24 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from palpate.sensors import Frame, LiveSensor, SensorError
+from palpate.sensors import Frame, SensorError
 from palpate.web import Event, LiveSession
 
-
-class Still(LiveSensor):
-    """A sensor that gives nothing by itself."""
-
-    def __init__(self, shape=(4, 4), geometry="array"):
-        super().__init__("still", "count", shape, np.uint8, geometry)
-
-    def _open(self):
-        pass
-
-    def _grab(self):
-        return []
-
-    def _close(self):
-        pass
+from .conftest import Still
 
 
 @pytest.fixture
