@@ -206,7 +206,7 @@ def test_of_three_objects_a_pair_is_told():
     trial = trial_of(confusion=confusion, names="abc")
     found = recommendations(figures_of((0.5, 0.5)), [trial])
     assert [one.split(":")[0] for one in found] == [
-        "100 % of the mistakes are a taken for b"
+        "After 3 touches 100 % of the mistakes are a taken for b"
     ]
 
 

@@ -290,3 +290,29 @@ def test_ticks_are_whole_round_and_few():
     assert plots.whole_ticks(5) == [1, 2, 3, 4, 5]
     assert plots.whole_ticks(20) == [1, 5, 10, 15, 20]
     assert all(len(plots.whole_ticks(n)) <= 8 for n in range(2, 400))
+
+
+def test_how_often_an_object_was_taught_is_no_nuisance_of_the_sensor(
+    monkeypatch, tmp_path
+):
+    """Noise of three parts an object: each fold asks one object, then taught less.
+
+    Nothing tells the objects apart, so no control may name more than chance and a
+    chance of the draw. Rows of the matrix of names are of the folds that ask.
+    """
+    rng = np.random.default_rng(5)
+    names = np.repeat(["mug", "box", "pen"], 24)
+    parts = np.char.add(names, np.tile(np.repeat(list("abc"), 8), 3))
+    noise = Touches(rng.random((72, 8, 8)), object=names, session=parts)
+    plan = Plan(touches=(1, 3), orders=2)
+    figures, trials = evaluate(noise, split="session", plan=plan)
+    assert len(trials) == 9
+    for name in ("brightness", "sorted pixels"):
+        assert max(figures["controls"][name].values()) < 0.6
+    pytest.importorskip("matplotlib", reason='needs the extra "plot"')
+    drawn_shares = []
+    monkeypatch.setattr(
+        plots, "confusion_plot", lambda shares, names: drawn_shares.append(shares) or ""
+    )
+    write_report(tmp_path / "r.html", figures, trials)
+    np.testing.assert_allclose(drawn_shares[0].sum(axis=1), 1)

@@ -38,7 +38,7 @@ from ._splits import (
     recorded_order,
     split_touches,
 )
-from ._trial import Plan, Trial, figures_of
+from ._trial import Plan, Trial, confusion_of, figures_of
 
 _MOST = 3
 # Right after the most touches that were asked for: good, and worth going on with.
@@ -288,6 +288,7 @@ def _controls(
     taught = recogniser.memory_.labels[of_train]
     whose = recogniser.memory_.objects[of_train]
     groups = left_out_groups(train, taught, whose, plan.label)
+    even = _evenly(taught, labels, plan.seed)
 
     def curve(rows: Floats, which: Any = slice(None)) -> dict[str, float]:
         episode_args = (objects[which], labels[which], plan.orders, plan.seed)
@@ -299,11 +300,28 @@ def _controls(
     for name, measure in CONTROLS.items():
         if (in_train := measure(train)) is None or (in_test := measure(test)) is None:
             continue
-        result[name] = curve(control_log_likelihood(in_train, taught, groups, in_test))
+        learnt = in_train[even], taught[even], groups[even]
+        result[name] = curve(control_log_likelihood(*learnt, in_test))
     idle = without_contact(test)
     any_idle = idle is not None and idle.any()
     result["no contact"] = curve(trial.log_likelihood[idle], idle) if any_idle else None
     return result
+
+
+def _evenly(taught: Array, asked: Array, seed: int) -> Array:
+    """Return training rows in which no count of touches gives the answer away.
+
+    Where a fold asks about some labels alone, what is left of these in training may be
+    less than of the others: to learn that is no nuisance of the sensor.
+    """
+    names, codes = np.unique(taught, return_inverse=True)
+    here = np.isin(names, asked)
+    if here.all() or not here.any():
+        return np.arange(len(taught))
+    most = np.bincount(codes)[here].min()
+    order = np.random.default_rng(seed).permutation(len(taught))
+    by_label = [order[codes[order] == code][:most] for code in range(len(names))]
+    return np.sort(np.concatenate(by_label))
 
 
 def strangers_said(figures: dict[str, Any]) -> str:
@@ -451,8 +469,9 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if pair := _confused(int(last), trials):
         true, taken, share = pair
         yield (
-            f"{100 * share:.0f} % of the mistakes are {true} taken for {taken}: touch "
-            "them where they differ, or give both one name if nobody needs them apart."
+            f"After {last} touch{'es' * (last != '1')} {100 * share:.0f} % of the "
+            f"mistakes are {true} taken for {taken}: touch them where they differ, or "
+            "give both one name if nobody needs them apart."
         )
     # Where strangers are named, touching until it decides names more of them.
     if not _too_many_named(figures) and (gained := _gained(accuracy)):
@@ -545,26 +564,15 @@ def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str
 
 def _confused(k: int, trials: Sequence[Trial]) -> tuple[str, str, float] | None:
     """Return the pair with a third of all mistakes after k touches, if there is one."""
-    mistakes: Counter[tuple[str, str]] = Counter()
-    ends = [(t, t.episodes.scores(k)) for t in trials]
-    for trial, scores in ends:
-        names = trial.recogniser.classes_.tolist()
-        if scores is not None:
-            shares = scores.confusion / len(names) / len(trials)
-            mistakes.update(
-                {
-                    (names[i], names[j]): float(share)
-                    for (i, j), share in np.ndenumerate(shares)
-                    if i != j
-                }
-            )
-    total = sum(mistakes.values())
-    if len(trials[0].recogniser.classes_) < 3 or total < _GAIN / 2:
+    names = trials[0].recogniser.classes_.tolist()
+    mistakes = confusion_of(trials, k)
+    np.fill_diagonal(mistakes, 0)
+    total = float(mistakes.sum())
+    if len(names) < 3 or total / len(names) < _GAIN / 2:
         return None
-    (true, taken), share = mistakes.most_common(1)[0]
-    if share / total < _SHARE_OF_MISTAKES:
-        return None
-    return true, taken, share / total
+    true, taken = np.unravel_index(mistakes.argmax(), mistakes.shape)
+    share = float(mistakes[true, taken]) / total
+    return (names[true], names[taken], share) if share >= _SHARE_OF_MISTAKES else None
 
 
 def _gained(accuracy: dict[str, float]) -> tuple[str, str] | None:

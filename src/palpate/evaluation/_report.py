@@ -20,7 +20,7 @@ from ..touches import Touches, as_shown, png_address
 from . import plots
 from ._comparisons import as_good_alone
 from ._episodes import Decisions, Episodes, answers_of, decide_episodes
-from ._trial import Trial, calibration_bins, scored, spread
+from ._trial import Trial, calibration_bins, confusion_of, scored, spread
 
 EXAMPLES = 6
 SIDE = 120
@@ -388,7 +388,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
     names = [str(name) for name in trials[0].recogniser.classes_]
-    confusion = np.mean([scores.confusion for scores in scored(trials, k)], axis=0)
+    confusion = confusion_of(trials, k)
     off = confusion.copy()
     np.fill_diagonal(off, 0)
     order = np.argsort(off, axis=None)[::-1][:PAIRS].tolist()

@@ -151,6 +151,16 @@ def scored(trials: Sequence[Trial], k: int) -> list[Scores]:
     return [scores for t in trials if (scores := t.episodes.scores(k)) is not None]
 
 
+def confusion_of(trials: Sequence[Trial], k: int) -> Floats:
+    """Return the share of each answer (columns) per true label (rows), k touches in.
+
+    Means over the folds that ask about the label; a row of zeros where none does.
+    """
+    shares = np.array([scores.confusion for scores in scored(trials, k)])
+    n_asked = (shares.sum(axis=2) > 0).sum(axis=0)
+    return np.asarray(shares.sum(axis=0) / np.maximum(n_asked, 1)[:, np.newaxis])
+
+
 def figures_of(
     trials: Sequence[Trial], plan: Plan, split: str | None
 ) -> dict[str, Any]:
