@@ -121,7 +121,7 @@ def test_recognise_draws_the_belief_for_people(palpate, archive, model):
 
 
 def test_recognise_counts_how_labelled_episodes_ended():
-    """A thing never learnt is rightly unknown; one alone needs no count."""
+    """A thing never learnt is rightly unknown; a learnt one alone needs no count."""
     ended = [("mug", "mug"), ("mug", "mug"), ("pen", "mug"), ("pen", None)]
     ended += [("box", "unknown"), ("box", "mug"), ("mug", "unknown")]
     episodes = [{"object": name, "decision": decision} for name, decision in ended]
@@ -133,6 +133,8 @@ def test_recognise_counts_how_labelled_episodes_ended():
         "2 episodes of things never learnt: 1 called unknown, 1 named wrong.",
     ]
     assert outcome_lines(episodes[:1], ["mug"]) == []
+    (stranger,) = outcome_lines(episodes[4:5], ["mug"])
+    assert stranger == "1 episode of things never learnt: 1 called unknown."
     assert outcome_lines([{"object": None, "decision": "mug"}] * 2, ["mug"]) == []
 
 
