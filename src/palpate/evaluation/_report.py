@@ -451,8 +451,9 @@ def _confused_touches(trials: Sequence[Trial], pair: tuple[int, int]) -> str:
             if truth == pair[0]:
                 confused = rows[beliefs[:, 0].argmax(axis=1) == pair[1], 0]
                 name = str(trial.recogniser.classes_[truth])
-                left = PICTURES_PER_PAIR - len(images)
-                images += _images(trial, trial.fold.test[confused[:left]], name)
+                shown = confused[: PICTURES_PER_PAIR - len(images)]
+                if len(shown):
+                    images += _images(trial, trial.fold.test[shown], name)
     return "".join(images)
 
 
@@ -466,8 +467,6 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
 
 def _images(trial: Trial, touches: Touches, name: str) -> list[str]:
     """Return touches of a label, cleaned up, as images."""
-    if not len(touches):
-        return []
     cleaned = as_shown(trial.recogniser.encoder_.clean(touches), touches.channels)
     alt = escape(f"touch of {name}")
     return [f"<img src='{png_address(image, SIDE)}' alt='{alt}'>" for image in cleaned]
