@@ -283,8 +283,13 @@ def bound_said(
 
 
 def other_day_said(figures: dict[str, Any]) -> str:
-    """Return what to expect on another day: as measured, where that was asked."""
+    """Return what to expect on another day: as measured, where that was asked.
+
+    "" where categories of objects never touched were asked: expected are learnt ones.
+    """
     accuracy = figures["accuracy"]
+    if figures["split"] == "unseen-objects":
+        return ""
     if not (figures["elsewhere"] and accuracy):
         return said_of_sessions(figures["sessions"])
     split, (k, *_) = figures["split"], accuracy
@@ -346,6 +351,7 @@ def _head(figures: dict[str, Any]) -> str:
     findings = "".join(
         f"<br>Found: {escape(finding)}." for finding in chosen.get("found", ())
     )
+    other_day = other_day_said(figures)
     return (
         f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
         f"{good}<p>Preset <b>{escape(figures['preset'])}</b>, "
@@ -354,7 +360,7 @@ def _head(figures: dict[str, Any]) -> str:
         f"{figures['orders']} random orders of each object's touches.<br>"
         f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
         f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
-        f"{findings}<br>{escape(other_day_said(figures))}</span></p>"
+        f"{findings}{'<br>' * bool(other_day)}{escape(other_day)}</span></p>"
     )
 
 
