@@ -257,6 +257,16 @@ def test_report_escapes_names(tmp_path):
     assert "<script>" not in page
 
 
+def test_what_is_to_be_typed_is_code_in_a_report(result, tmp_path):
+    figures, trials = result
+    typed = "palpate evaluate --split session"
+    told = {"recommendations": [f"Say `{typed}` & --seed."], "notes": ["No `order`."]}
+    page = write_report(tmp_path / "r.html", figures | told, trials).read_text()
+    assert f"Say <code>{typed}</code> &amp; <code>--seed</code>." in page
+    assert "No <code>order</code>." in page
+    assert "`" not in page
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
