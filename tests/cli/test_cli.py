@@ -21,6 +21,7 @@ from palpate.cli import app
 from palpate.cli.recognise import outcome_lines, print_episode
 from palpate.library import TouchLibrary
 from palpate.recognition import Belief, ObjectRecogniser
+from palpate.web import LiveSession
 
 NAMES = ("ball", "mug", "pen")
 ROOT = Path(__file__).parents[2]
@@ -63,6 +64,24 @@ def test_learn_writes_a_model_that_recognises(palpate, archive, tmp_path):
     learnt = json.loads(done.stdout)
     assert learnt["n_labels"] == 3
     assert ObjectRecogniser.load(learnt["model"]).classes_.tolist() == list(NAMES)
+
+
+def test_learn_warns_of_few_objects_as_the_page_does(palpate, tmp_path):
+    images = np.random.default_rng(0).normal(size=(60, 3, 24))
+    names = np.repeat([f"thing {n}" for n in range(6)], 10)
+    kinds = np.repeat(["odd", "even"], 30)
+    labels = {"object": names, "category": kinds, "geometry": "none"}
+    six = Touches(images, **labels)
+    file, model = tmp_path / "t.npz", tmp_path / "m.palpate"
+    six[:50].save(file)
+    lines = palpate("learn", file, "-o", model).stdout.splitlines()
+    (warning,) = [line for line in lines if line.startswith("It knows")]
+    assert warning.startswith("It knows 5 objects and nothing else: ")
+    assert LiveSession(model=model).episode.limits == warning
+    six.save(file)
+    assert "It knows" not in palpate("learn", file, "-o", model).stdout
+    told = palpate("learn", file, "-o", model, "--label", "category").stdout
+    assert "It knows 2 categories and nothing else: " in told
 
 
 def test_recognise_gives_one_episode_per_object(palpate, archive, model):
@@ -121,7 +140,7 @@ def test_recognise_draws_the_belief_for_people(palpate, archive, model):
 
 
 def test_recognise_counts_how_labelled_episodes_ended():
-    """A thing never learnt is rightly unknown; one alone needs no count."""
+    """A thing never learnt is rightly unknown; a learnt one alone needs no count."""
     ended = [("mug", "mug"), ("mug", "mug"), ("pen", "mug"), ("pen", None)]
     ended += [("box", "unknown"), ("box", "mug"), ("mug", "unknown")]
     episodes = [{"object": name, "decision": decision} for name, decision in ended]
@@ -133,6 +152,8 @@ def test_recognise_counts_how_labelled_episodes_ended():
         "2 episodes of things never learnt: 1 called unknown, 1 named wrong.",
     ]
     assert outcome_lines(episodes[:1], ["mug"]) == []
+    (stranger,) = outcome_lines(episodes[4:5], ["mug"])
+    assert stranger == "1 episode of things never learnt: 1 called unknown."
     assert outcome_lines([{"object": None, "decision": "mug"}] * 2, ["mug"]) == []
 
 

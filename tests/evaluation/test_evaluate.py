@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.cli.evaluate import print_figures
 from palpate.evaluation import (
     Plan,
     decide_episodes,
     decision_table,
     evaluate,
     explained_episodes,
+    other_day_said,
     plots,
     strangers_answers,
     write_report,
@@ -213,6 +215,21 @@ def test_unseen_objects_recognise_categories():
     assert figures["n_labels"] == 2
 
 
+def test_of_unseen_objects_nothing_is_expected_of_another_day(tmp_path, capsys):
+    """What is expected is of learnt objects, and none of these was learnt."""
+    names = ("mug_a", "mug_b", "pen_a", "pen_b")
+    figures, trials = evaluate(drawn(0, names), split="unseen-objects", plan=PLAN)
+    assert other_day_said(figures) == ""
+    page = write_report(tmp_path / "r.html", figures, trials).read_text()
+    print_figures(figures)
+    for text in (page, capsys.readouterr().out):
+        assert "none in two" not in text
+    learnt = figures | {"split": "last"}
+    assert "none in two" in other_day_said(learnt)
+    print_figures(learnt)
+    assert "none in two" in capsys.readouterr().out
+
+
 def test_drawn_training_touches_and_same_seed_same_figures():
     plan = Plan(touches=(1, 3), orders=3, train_touches=8, seed=5)
     first, _ = evaluate(drawn(0, NAMES), split="last", plan=plan)
@@ -238,6 +255,16 @@ def test_report_escapes_names(tmp_path):
     figures, trials = evaluate(drawn(0, names), drawn(1, names), plan=PLAN)
     page = write_report(tmp_path / "r.html", figures, trials).read_text()
     assert "<script>" not in page
+
+
+def test_what_is_to_be_typed_is_code_in_a_report(result, tmp_path):
+    figures, trials = result
+    typed = "palpate evaluate --split session"
+    told = {"recommendations": [f"Say `{typed}` & --seed."], "notes": ["No `order`."]}
+    page = write_report(tmp_path / "r.html", figures | told, trials).read_text()
+    assert f"Say <code>{typed}</code> &amp; <code>--seed</code>." in page
+    assert "No <code>order</code>." in page
+    assert "`" not in page
 
 
 @pytest.mark.parametrize(

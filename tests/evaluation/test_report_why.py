@@ -133,6 +133,28 @@ def test_confused_pairs_are_of_two_objects_the_most_confused_first(result, tmp_p
         assert int(share) == pytest.approx(100 * confusion[row, col], abs=0.51)
 
 
+def test_a_pair_without_a_confused_touch_left_has_a_report_too(result, tmp_path):
+    """More folds add nothing to four pictures; some pairs have no single touch."""
+    figures, trials = result
+    page = write_report(tmp_path / "r.html", figures, [*trials] * 3).read_text()
+    assert "one at a time" in page
+    alone = [
+        replace(t, episodes=replace(t.episodes, singles=None, beliefs=first_right(t)))
+        for t in trials
+    ]
+    page = write_report(tmp_path / "r.html", figures, alone).read_text()
+    assert "one at a time" not in page
+    assert "taken for <b>" in page
+
+
+def first_right(trial):
+    """The beliefs of a trial, where all are sure of the truth after one touch."""
+    return [
+        np.concatenate([0 * b[:, :1] + np.eye(b.shape[2])[truth], b[:, 1:]], axis=1)
+        for truth, b in zip(trial.episodes.truth, trial.episodes.beliefs, strict=True)
+    ]
+
+
 @pytest.mark.parametrize(
     ("right", "n_objects", "sentence"),
     [

@@ -143,7 +143,8 @@ def print_figures(figures: dict[str, Any]) -> None:
     say(evaluation.bound_said(*ends))
     for sentence in evaluation.as_good_alone(figures):
         say(sentence)
-    say(evaluation.other_day_said(figures))
+    if other_day := evaluation.other_day_said(figures):
+        say(other_day)
     if gone := figures["left_out"]:
         names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
         say(f"Left out, met in no other {figures['split']}: {len(gone)} ({names}).")

@@ -120,8 +120,12 @@ def recognise_episodes(
 def outcome_lines(
     episodes: list[dict[str, Any]], classes: Collection[str]
 ) -> list[str]:
-    """Return how episodes of labelled touches ended; none of one episode alone."""
-    if len(episodes) < 2 or any(episode["object"] is None for episode in episodes):
+    """Return how episodes of labelled touches ended.
+
+    None of one episode of a learnt thing alone: its own lines say the same.
+    """
+    labels = [episode["object"] for episode in episodes]
+    if None in labels or (len(labels) == 1 and labels[0] in classes):
         return []
     outcomes: dict[str, Counter[str]] = {"learnt": Counter(), "never learnt": Counter()}
     for episode in episodes:

@@ -85,9 +85,13 @@ def _sentences(values: dict[str, Any]) -> list[str]:
         "training touches."
     )
     if values.get("trust", 1) < 1:
+        share_of, todo = "these touches tell", ""
+        if values["n_to_confirm"]:
+            share_of = "so few objects tell of the others"
+            todo = ": confirm touches of more objects"
         sentences.append(
-            f"Of what so few objects tell of the others {100 * values['trust']:.0f} % "
-            "is believed, as rehearsed sessions say: confirm touches of more objects."
+            f"Of what {share_of} {100 * values['trust']:.0f} % is believed, as "
+            f"rehearsed sessions say{todo}."
         )
     if values.get("weight", 1) < 1:
         sentences.append(
@@ -102,12 +106,11 @@ def _sentences(values: dict[str, Any]) -> list[str]:
 def _what_to_confirm(values: dict[str, Any]) -> list[str]:
     """Return which objects are left to confirm, and what that is expected to bring."""
     names, n_left = ", ".join(values["confirm"]), values["n_to_confirm"]
-    further = "To go further, confirm 1 to 5 touches of each object, in any order"
     if not n_left:
-        enough = values["labelled"] and values["n_touches"] >= 5 * values["n_objects"]
-        return [] if enough else [f"{further}, such as: {names}."]
+        return []
     n_more = n_left - len(values["confirm"])
     more = f" and {n_more} more" if n_more else ""
+    further = "To go further, confirm 1 to 5 touches of each object, in any order"
     sentences = [f"{further}; of these there is none yet: {names}{more}."]
     if "expected" in values:
         low, high = (100 * share for share in values["expected"])

@@ -284,12 +284,12 @@ def _frames(sensor: "LiveSensor", seconds: float, step: int) -> list["Frame"]:
 
 
 def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
-    from ..evaluation import html_table, report_page
+    from ..evaluation import html_table, report_page, worded
     from ..touches import as_shown, png_address
 
     findings = health["findings"] or ["Nothing is wrong."]
     lines = "".join(
-        f"<p style='font-size:1.15rem'>{escape(line)}</p>" for line in findings
+        f"<p style='font-size:1.15rem'>{worded(line)}</p>" for line in findings
     )
     pictures = ""
     for name, image in maps.items():

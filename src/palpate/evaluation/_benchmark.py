@@ -6,7 +6,6 @@ over folds, and CPU time; for people a table and sentences for each archive, one
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -22,7 +21,7 @@ from ..touches import Touches
 from ._comparisons import CONTROLS, SIMPLE, STANDARDISED, taxels, without_contact
 from ._episodes import run_episodes
 from ._evaluate import Progress, silent
-from ._report import as_text, check_report_path, html_table, report_page
+from ._report import as_text, check_report_path, html_table, report_page, worded
 from ._splits import PROTOCOLS, RowFold, column_of, protocol_folds
 from ._trial import spread
 
@@ -180,7 +179,7 @@ def verdicts(result: dict[str, Any]) -> Iterator[str]:
 def write_benchmark(path: str | Path, result: dict[str, Any]) -> Path:
     """Write tables and sentences as one self-contained `.html`."""
     target = check_report_path(path)
-    lines = "".join(f"<li>{escape(line)}</li>" for line in verdicts(result))
+    lines = "".join(f"<li>{worded(line)}</li>" for line in verdicts(result))
     tables = [html_table(*table) for table in benchmark_tables(result)]
     sections = [f"<h1>{TITLE}</h1>", *tables, f"<ul>{lines}</ul>"]
     write_text(target, report_page(TITLE, sections))

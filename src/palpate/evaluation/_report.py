@@ -30,7 +30,7 @@ EPISODES, WRONG = 6, 4
 STRANGERS_LISTED = 8
 MOVED, NEAREST = 3, 3
 SMALL_SIDE = 72
-_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
+_TYPED = re.compile(r"`([^`]+)`|(?<![\w-])--[a-z][a-z-]*")
 PAGE_STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;background:#fff;
 max-width:62rem;margin:2rem auto;padding:0 1rem}
@@ -115,7 +115,7 @@ def write_report(
         _head(figures),
         _accuracy(figures, trials),
         "".join(
-            f"<p><b>{escape(sentence)}</b></p>" for sentence in as_good_alone(figures)
+            f"<p><b>{worded(sentence)}</b></p>" for sentence in as_good_alone(figures)
         ),
         _recommended(figures.get("recommendations", ())),
         _ends(figures),
@@ -143,8 +143,12 @@ def _recommended(sentences: Sequence[str]) -> str:
 
 
 def worded(sentence: str) -> str:
-    """Return a sentence as HTML, in which options do not break after their dashes."""
-    return _OPTION.sub(r"<code>\g<0></code>", escape(sentence))
+    """Return a sentence as HTML, in which what is to be typed stands as such.
+
+    That is between backticks, or an option, which then does not break after its dashes.
+    """
+    text = escape(sentence)
+    return _TYPED.sub(lambda typed: f"<code>{typed[1] or typed[0]}</code>", text)
 
 
 def report_page(title: str, sections: Sequence[str]) -> str:
@@ -283,8 +287,13 @@ def bound_said(
 
 
 def other_day_said(figures: dict[str, Any]) -> str:
-    """Return what to expect on another day: as measured, where that was asked."""
+    """Return what to expect on another day: as measured, where that was asked.
+
+    "" where categories of objects never touched were asked: expected are learnt ones.
+    """
     accuracy = figures["accuracy"]
+    if figures["split"] == "unseen-objects":
+        return ""
     if not (figures["elsewhere"] and accuracy):
         return said_of_sessions(figures["sessions"])
     split, (k, *_) = figures["split"], accuracy
@@ -341,11 +350,12 @@ def explained_episodes(
 def _head(figures: dict[str, Any]) -> str:
     how = figures["split"] or "separate test touches"
     folds = f", {figures['n_folds']} folds" if figures["n_folds"] > 1 else ""
-    good = f"<p><b>{escape(figures['verdict'])}</b></p>"
+    good = f"<p><b>{worded(figures['verdict'])}</b></p>"
     chosen = figures["chosen"]
     findings = "".join(
-        f"<br>Found: {escape(finding)}." for finding in chosen.get("found", ())
+        f"<br>Found: {worded(finding)}." for finding in chosen.get("found", ())
     )
+    other_day = other_day_said(figures)
     return (
         f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
         f"{good}<p>Preset <b>{escape(figures['preset'])}</b>, "
@@ -354,7 +364,7 @@ def _head(figures: dict[str, Any]) -> str:
         f"{figures['orders']} random orders of each object's touches.<br>"
         f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
         f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
-        f"{findings}<br>{escape(other_day_said(figures))}</span></p>"
+        f"{findings}{'<br>' * bool(other_day)}{worded(other_day)}</span></p>"
     )
 
 
@@ -406,7 +416,7 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 
 def _lines(sentences: Iterable[str]) -> str:
     """Return sentences as a paragraph, a line each; nothing of none."""
-    text = "<br>".join(escape(sentence) for sentence in sentences if sentence)
+    text = "<br>".join(worded(sentence) for sentence in sentences if sentence)
     return f"<p>{text}</p>" if text else ""
 
 
@@ -451,8 +461,9 @@ def _confused_touches(trials: Sequence[Trial], pair: tuple[int, int]) -> str:
             if truth == pair[0]:
                 confused = rows[beliefs[:, 0].argmax(axis=1) == pair[1], 0]
                 name = str(trial.recogniser.classes_[truth])
-                left = PICTURES_PER_PAIR - len(images)
-                images += _images(trial, trial.fold.test[confused[:left]], name)
+                shown = confused[: PICTURES_PER_PAIR - len(images)]
+                if len(shown):
+                    images += _images(trial, trial.fold.test[shown], name)
     return "".join(images)
 
 
@@ -466,8 +477,6 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
 
 def _images(trial: Trial, touches: Touches, name: str) -> list[str]:
     """Return touches of a label, cleaned up, as images."""
-    if not len(touches):
-        return []
     cleaned = as_shown(trial.recogniser.encoder_.clean(touches), touches.channels)
     alt = escape(f"touch of {name}")
     return [f"<img src='{png_address(image, SIDE)}' alt='{alt}'>" for image in cleaned]

@@ -344,15 +344,24 @@ def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
     return result
 
 
+def few_objects(recogniser: ObjectRecogniser) -> str:
+    """Return what a name is worth where few objects were learnt, or ""."""
+    n_objects = len(np.unique(recogniser.memory_.labels))
+    if n_objects > _FEW_OBJECTS:
+        return ""
+    many = f"{n_objects} objects"
+    if recogniser.label == "category":
+        many = f"{n_objects} categories"
+    return (
+        f"It knows {many} and nothing else: a thing that is none of them is often "
+        "called by one of their names."
+    )
+
+
 def limits(recogniser: ObjectRecogniser) -> str:
     """Return what a name is worth where few objects, or touches, were learnt, or ""."""
     names, counts = np.unique(recogniser.memory_.labels.astype(str), return_counts=True)
-    sentences = []
-    if len(names) <= _FEW_OBJECTS:
-        sentences.append(
-            f"It knows {len(names)} objects and nothing else: a thing that is none of "
-            "them is often called by one of their names."
-        )
+    sentences = list(filter(None, [few_objects(recogniser)]))
     few = names[counts < _FEW_TOUCHES].tolist()
     if few:
         more = f" and {len(few) - 3} more" * (len(few) > 3)
