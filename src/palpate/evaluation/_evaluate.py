@@ -564,8 +564,7 @@ def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str
 
 def _confused(k: int, trials: Sequence[Trial]) -> tuple[str, str, float] | None:
     """Return the pair with a third of all mistakes after k touches, if there is one."""
-    names = trials[0].recogniser.classes_.tolist()
-    mistakes = confusion_of(trials, k)
+    names, mistakes = confusion_of(trials, k)
     np.fill_diagonal(mistakes, 0)
     total = float(mistakes.sum())
     if len(names) < 3 or total / len(names) < _GAIN / 2:

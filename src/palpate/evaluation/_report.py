@@ -397,13 +397,15 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
-    names = [str(name) for name in trials[0].recogniser.classes_]
-    confusion = confusion_of(trials, k)
+    names, confusion = confusion_of(trials, k)
     off = confusion.copy()
     np.fill_diagonal(off, 0)
     order = np.argsort(off, axis=None)[::-1][:PAIRS].tolist()
     pairs = [divmod(place, len(names)) for place in order if off.flat[place] > 0]
-    shown = "".join(_pair(trials, names, pair, off[pair]) for pair in pairs)
+    shown = "".join(
+        _pair(trials, names[true], names[taken_for], off[true, taken_for])
+        for true, taken_for in pairs
+    )
     none = "No learnt label was ever taken for another."
     return (
         f"<h2>What is taken for what, after {k} touch{'es' * (k > 1)}</h2>"
@@ -420,23 +422,21 @@ def _lines(sentences: Iterable[str]) -> str:
     return f"<p>{text}</p>" if text else ""
 
 
-def _pair(
-    trials: Sequence[Trial], names: list[str], pair: tuple[int, int], share: float
-) -> str:
+def _pair(trials: Sequence[Trial], true: str, taken_for: str, share: float) -> str:
     """Return a confused pair: the touches that alone were confused, and examples."""
-    true, taken_for = (escape(names[i]) for i in pair)
-    pictures, what = _confused_touches(trials, pair), f"touches of {true} taken for"
-    label = f"{what} {taken_for}, one at a time"
+    pictures = _confused_touches(trials, true, taken_for)
+    label = f"touches of {true} taken for {taken_for}, one at a time"
     if not pictures:  # together alone
-        pictures = _pictures(trials, names[pair[0]], PICTURES_PER_PAIR)
+        pictures = _pictures(trials, true, PICTURES_PER_PAIR)
         label = f"examples that taught {true}"
-    others = _pictures(trials, names[pair[1]], PICTURES_PER_PAIR)
+    others = _pictures(trials, taken_for, PICTURES_PER_PAIR)
     columns = (pictures, label), (others, f"examples that taught {taken_for}")
     cells = "".join(
-        f"<div><div class=touches>{images}</div><span class=note>{text}</span></div>"
+        f"<div><div class=touches>{images}</div>"
+        f"<span class=note>{escape(text)}</span></div>"
         for images, text in columns
     )
-    title = f"<b>{true}</b> taken for <b>{taken_for}</b>"
+    title = f"<b>{escape(true)}</b> taken for <b>{escape(taken_for)}</b>"
     return f"<p>{title}: {100 * share:.0f} %</p><div class=row>{cells}</div>"
 
 
@@ -450,26 +450,27 @@ def _examples(trials: Sequence[Trial]) -> str:
     return f"<h2>Touches of each label</h2>{lines}"
 
 
-def _confused_touches(trials: Sequence[Trial], pair: tuple[int, int]) -> str:
+def _confused_touches(trials: Sequence[Trial], true: str, taken_for: str) -> str:
     """Return test touches that by themselves are taken for the other, as images."""
     images: list[str] = []
     for trial in trials:
         singles = trial.episodes.singles or trial.episodes
+        names = [str(name) for name in trial.recogniser.classes_]
         for truth, rows, beliefs in zip(
             singles.truth, singles.rows, singles.beliefs, strict=True
         ):
-            if truth == pair[0]:
-                confused = rows[beliefs[:, 0].argmax(axis=1) == pair[1], 0]
-                name = str(trial.recogniser.classes_[truth])
+            if truth >= 0 and names[truth] == true and taken_for in names:
+                answers = beliefs[:, 0].argmax(axis=1)
+                confused = rows[answers == names.index(taken_for), 0]
                 shown = confused[: PICTURES_PER_PAIR - len(images)]
                 if len(shown):
-                    images += _images(trial, trial.fold.test[shown], name)
+                    images += _images(trial, trial.fold.test[shown], true)
     return "".join(images)
 
 
 def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     """Return evenly spaced training touches of a label, cleaned up, as images."""
-    trial = trials[0]
+    trial = next(t for t in trials if name in t.recogniser.classes_)
     rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
     rows_shown = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
     return "".join(_images(trial, trial.fold.train[rows_shown], name))

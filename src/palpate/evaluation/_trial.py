@@ -151,14 +151,20 @@ def scored(trials: Sequence[Trial], k: int) -> list[Scores]:
     return [scores for t in trials if (scores := t.episodes.scores(k)) is not None]
 
 
-def confusion_of(trials: Sequence[Trial], k: int) -> Floats:
-    """Return the share of each answer (columns) per true label (rows), k touches in.
+def confusion_of(trials: Sequence[Trial], k: int) -> tuple[list[str], Floats]:
+    """Return all labels, and the share of each answer per true label, k touches in.
 
-    Means over the folds that ask about the label; a row of zeros where none does.
+    Rows are true labels, columns answers: means over the folds that ask about the
+    label, zeros where none does. A fold may know fewer labels.
     """
-    shares = np.array([scores.confusion for scores in scored(trials, k)])
-    n_asked = (shares.sum(axis=2) > 0).sum(axis=0)
-    return np.asarray(shares.sum(axis=0) / np.maximum(n_asked, 1)[:, np.newaxis])
+    names = np.unique(np.concatenate([t.recogniser.classes_ for t in trials]))
+    shares, n_asked = np.zeros((len(names), len(names))), np.zeros((len(names), 1))
+    for trial in trials:
+        if (scores := trial.episodes.scores(k)) is not None:
+            columns = np.searchsorted(names, trial.recogniser.classes_)
+            shares[np.ix_(columns, columns)] += scores.confusion
+            n_asked[columns, 0] += scores.confusion.sum(axis=1) > 0
+    return [str(name) for name in names], shares / np.maximum(n_asked, 1)
 
 
 def figures_of(
