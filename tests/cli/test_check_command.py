@@ -235,6 +235,7 @@ def test_what_is_bad_is_left_out_and_named(palpate, odd, tmp_path):
     added = palpate("library", "add", tmp_path / "lab", odd, "--skip-bad", "--json")
     assert json.loads(added.stdout)["added"] == 12
     again = palpate("check", tmp_path / "lab", "--json")
+    assert json.loads(again.stdout)["read_as"] == "a library"
     assert again.returncode == 0
     assert json.loads(again.stdout)["n_touches"] == 12
 

@@ -503,3 +503,16 @@ def test_a_bad_picture_of_a_replay_names_the_command_that_lists_all(
         assert f"`palpate check {tmp_path / 'touches'}` lists all" in done.stderr
     absent = palpate("serve", "--sensor", f"replay:{tmp_path / 'nowhere'}")
     assert "palpate check" not in absent.stderr
+
+
+def test_a_replay_without_rest_does_not_call_its_pictures_wrong(palpate, tmp_path, rng):
+    for number, name in enumerate(["mug", "pen"] * 4):
+        path = tmp_path / "touches" / name / f"{number}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        picture = rng.integers(0, 255, (80, 90), np.uint8)
+        path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    words = ["record", "mug", "--library", tmp_path / "l"]
+    done = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
+    assert done.returncode == 1
+    assert "must show what touching nothing looks like" in done.stderr
+    assert "palpate check" not in done.stderr

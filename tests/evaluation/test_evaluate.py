@@ -16,6 +16,7 @@ from palpate.evaluation import (
     decision_table,
     evaluate,
     explained_episodes,
+    figure_lines,
     other_day_said,
     plots,
     strangers_answers,
@@ -255,6 +256,17 @@ def test_report_escapes_names(tmp_path):
     figures, trials = evaluate(drawn(0, names), drawn(1, names), plan=PLAN)
     page = write_report(tmp_path / "r.html", figures, trials).read_text()
     assert "<script>" not in page
+
+
+def test_controls_are_named_as_such(result):
+    figures, _ = result
+    after = dict.fromkeys(figures["accuracy"], 0.25)
+    controls = {"brightness": after, "no contact": after}
+    names = [name for name, *_ in figure_lines(figures | {"controls": controls})]
+    assert [name for name in names if "alone" in name or "without" in name] == [
+        "control: brightness alone, %",
+        "control: touches without contact alone, %",
+    ]
 
 
 def test_what_is_to_be_typed_is_code_in_a_report(result, tmp_path):

@@ -474,7 +474,14 @@ class Reading:
         }
 
     def read_as(self, path: Path, touches: "Labelled") -> str:
-        """Return how the folders above pictures were understood, if nobody said it."""
+        """Return how the folders above pictures were understood, if nobody said it.
+
+        Of a library that it is one.
+        """
+        from ..library import TouchLibrary
+
+        if TouchLibrary.is_library(path):
+            return "a library"
         named = self.levels is not None or self.name_pattern is not None
         if named or not path.is_dir() or (path / "labels.csv").is_file():
             return ""

@@ -104,6 +104,7 @@ class SensorOptions:
             SensorError,
             open_sensor,
         )
+        from ..touches import TouchesError
 
         settings = {**vars(self)}
         path = settings.pop("calibration")
@@ -113,7 +114,9 @@ class SensorOptions:
             raise typer.BadParameter(str(error)) from error
         except SensorError as error:
             folder = address.partition(":")[2].partition("?")[0].replace("%3F", "?")
-            if not (address.startswith("replay:") and Path(folder).is_dir()):
+            # Of a replay that can be read nothing is wrong with the pictures.
+            is_read = not isinstance(error.__cause__, TouchesError)
+            if is_read or not (address.startswith("replay:") and Path(folder).is_dir()):
                 raise
             raise SensorError(
                 f"{error} `palpate check {folder}` lists all that is wrong."

@@ -188,7 +188,7 @@ def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
     ]
     for name, curve in figures["controls"].items():
         bare = name == "no contact"
-        label = "touches without contact, %" if bare else f"{name} alone, %"
+        label = f"control: {'touches without contact' if bare else name} alone, %"
         rows.append((label, curve or dict.fromkeys(figures["accuracy"]), 100, 1))
     rows.append(("unknown, ROC area", figures.get("unknown_auroc", {}), 1, 3))
     for name, key in {"strangers": "unknown_refused", "known": "known_refused"}.items():
