@@ -131,6 +131,16 @@ def test_another_mounting_is_helped_by_remounting(best, remount, is_said):
     assert any("`remount=recentre:10`" in one for one in said) == is_said
 
 
+@pytest.mark.parametrize("split", ["last", "session"])
+def test_what_was_done_already_is_not_advised(split):
+    """Sessions that were left out are not to be left out once more."""
+    controls = {"brightness": {"1": 0.5, "3": 0.6}}
+    figures = figures_of(controls=controls, split=split)
+    (said,) = (s for s in recommendations(figures, [trial_of()]) if "no touch" in s)
+    assert ("split=session" in said) == (split == "last")
+    assert ("met in every session" in said) == (split == "session")
+
+
 @pytest.mark.parametrize(("after", "is_said"), [(0.54, False), (0.55, True)])
 def test_five_points_more_are_worth_more_touches(after, is_said):
     said = recommendations(figures_of((0.5, after)), [trial_of()])

@@ -443,10 +443,12 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             "counted: press until the picture changes, or record with a higher `begin`."
         )
     if best > 1.5 * figures["chance"] and as_good_alone(figures):
-        yield (
-            "What is no touch does as well as touch: record objects in turns, mount "
-            "the sensor anew in between, put each mounting into a folder of its own "
-            "(object/session), and evaluate with `split=session`."
+        turns = "What is no touch does as well as touch: record objects in turns, "
+        yield turns + (
+            "so that each is met in every session."
+            if figures["split"] == "session"
+            else "mount the sensor anew in between, put each mounting into a folder of "
+            "its own (object/session), and evaluate with `split=session`."
         )
     elsewhere = figures["split"] in VISITS or trials[0].fold.elsewhere
     yield from _of_unknown(figures, elsewhere)
