@@ -7,6 +7,7 @@ each verb imports what it needs when it runs, so that `palpate --help` answers a
 import errno
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -118,7 +119,7 @@ def main() -> None:
 
 def _no_number(error: Any) -> str:
     """Return what an option that must be a number got, and one; "" of other uses."""
-    if "valid number" not in error.message and "valid integer" not in error.message:
+    if not re.search("valid (number|float|integer)", error.message):  # float: of older
         return ""
     option = max(error.param.opts, key=len)
     words = [word.partition("=") for word in sys.argv[1:]]
