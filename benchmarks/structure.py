@@ -238,10 +238,16 @@ def public_names(package: Path) -> dict[str, list[str]]:
 
 
 def imports_private(path: Path) -> bool:
-    """Whether a test imports a module of palpate whose name starts with `_`."""
+    """Whether a test imports a module of palpate whose name starts with `_`.
+
+    Or names one in a text, which is how one replaces what is inside.
+    """
+    nodes = [*ast.walk(ast.parse(path.read_text()))]
+    texts = [n.value for n in nodes if isinstance(n, ast.Constant)]
+    names = [text for text in texts if isinstance(text, str) and " " not in text]
     return any(
         part.startswith("_") and not part.startswith("__")
-        for name in imported(ast.walk(ast.parse(path.read_text())))
+        for name in [*imported(nodes), *names]
         if name.split(".")[0] == "palpate"
         for part in name.split(".")
     )

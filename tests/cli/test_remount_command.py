@@ -60,12 +60,20 @@ def test_remount_says_what_it_found(palpate, files):
         *["remount", files / "m.palpate", files / "few.npz", "-o", files / "o.palpate"]
     )
     assert "show another mounting or light" in done.stdout
-    assert "confirm" not in done.stdout  # of each object two touches are
+    assert "confirm 1 to 5 touches of each" in done.stdout
     assert done.stdout.count(OTHER_SESSION) == 1
     assert done.stdout.rstrip().endswith("o.palpate")
 
 
-def test_where_each_object_is_confirmed_no_more_is_asked_for(palpate, files):
+def test_of_objects_with_five_confirmed_touches_no_more_are_asked_for(palpate, files):
+    done = palpate(
+        *["remount", files / "m.palpate", files / "tue.npz", "-o", files / "o.palpate"]
+    )
+    assert "confirm" not in done.stdout
+
+
+def test_where_each_object_is_confirmed_no_other_is_asked_for(palpate, files):
+    """More touches of each are worth more still: how many there are is said."""
     model, output = files / "m.palpate", files / "o.palpate"
     tuesday = Touches.load(files / "tue.npz")
     tuesday[[0, 6, 12, 18]].save(files / "four.npz")
@@ -76,10 +84,10 @@ def test_where_each_object_is_confirmed_no_more_is_asked_for(palpate, files):
     learnt = ObjectRecogniser.load(model)
     learnt.chosen_["rehearsal"] = {"share": 0.0, "trust": 0.25}
     learnt.save(model)
-    for touches in ("four.npz", "tue.npz"):
-        done = palpate("remount", model, files / touches, "-o", output)
-        assert "By their labels" in done.stdout
-        assert "confirm" not in done.stdout
+    done = palpate("remount", model, files / "four.npz", "-o", output)
+    assert "By their labels" in done.stdout
+    assert "of more objects" not in done.stdout
+    assert "so far there are 4 of 4 objects" in done.stdout
 
 
 def test_what_is_left_to_confirm_is_said(palpate, files):

@@ -46,7 +46,6 @@ def learn(
     """
     from .. import recognition
     from ..library import TouchLibrary
-    from ..web import few_objects
 
     recognition.check_model_path(output)
     kept = unless_made("nothing is learnt", output)
@@ -96,7 +95,7 @@ def learn(
         f"Learnt {counted(learnt['n_labels'], label, many)} from "
         f"{counted(learnt['n_train_touches'])}, saved as {written}{replaces}.",
         *few,
-        *filter(None, [few_objects(recogniser)]),
+        *recognition.few_objects_said(learnt["n_labels"], learnt["label"]),
         recognition.said_of_sessions(across),
         " ".join(f"{detail[0].upper()}{detail[1:]}." for detail in details),
     )

@@ -106,11 +106,13 @@ def _sentences(values: dict[str, Any]) -> list[str]:
 def _what_to_confirm(values: dict[str, Any]) -> list[str]:
     """Return which objects are left to confirm, and what that is expected to bring."""
     names, n_left = ", ".join(values["confirm"]), values["n_to_confirm"]
+    further = "To go further, confirm 1 to 5 touches of each object, in any order"
     if not n_left:
-        return []
+        n_touches, n_objects = values["n_touches"], values["n_objects"]
+        so_far = f"so far there are {n_touches} of {n_objects} objects"
+        return [] if n_touches >= 5 * n_objects else [f"{further}; {so_far}."]
     n_more = n_left - len(values["confirm"])
     more = f" and {n_more} more" if n_more else ""
-    further = "To go further, confirm 1 to 5 touches of each object, in any order"
     sentences = [f"{further}; of these there is none yet: {names}{more}."]
     if "expected" in values:
         low, high = (100 * share for share in values["expected"])

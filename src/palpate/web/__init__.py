@@ -6,7 +6,6 @@ FastAPI application (the extra `web`).
 
 from ._learning import LearningError as LearningError
 from ._learning import advice as advice
-from ._learning import few_objects as few_objects
 from ._learning import learn_job as learn_job
 from ._learning import object_quality as object_quality
 from ._learning import remember_library as remember_library

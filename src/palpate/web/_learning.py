@@ -25,7 +25,13 @@ import numpy as np
 from .._checks import size_said
 from .._types import Array
 from ..library import LibraryError, Selection, TouchLibrary
-from ..recognition import EmptyTouchError, Memory, ObjectRecogniser, with_floor
+from ..recognition import (
+    EmptyTouchError,
+    Memory,
+    ObjectRecogniser,
+    few_objects_said,
+    with_floor,
+)
 from ..sensors import SensorMemory
 
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
@@ -42,9 +48,8 @@ _NOT_FURTHER = (
 )
 # Touches of a draw, draws, shares that are enough of draws and touches, objects named.
 _SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
-# With so few objects 70 % of things never taught are named, and with so few touches of
-# an object names are least sure: docs/reference/live.md.
-_FEW_OBJECTS, _FEW_TOUCHES = 5, 10
+# With so few touches of an object names are least sure: docs/reference/live.md.
+_FEW_TOUCHES = 10
 
 
 class LearningError(ValueError):
@@ -344,24 +349,10 @@ def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
     return result
 
 
-def few_objects(recogniser: ObjectRecogniser) -> str:
-    """Return what a name is worth where few objects were learnt, or ""."""
-    n_objects = len(np.unique(recogniser.memory_.labels))
-    if n_objects > _FEW_OBJECTS:
-        return ""
-    many = f"{n_objects} objects"
-    if recogniser.label == "category":
-        many = f"{n_objects} categories"
-    return (
-        f"It knows {many} and nothing else: a thing that is none of them is often "
-        "called by one of their names."
-    )
-
-
 def limits(recogniser: ObjectRecogniser) -> str:
     """Return what a name is worth where few objects, or touches, were learnt, or ""."""
     names, counts = np.unique(recogniser.memory_.labels.astype(str), return_counts=True)
-    sentences = list(filter(None, [few_objects(recogniser)]))
+    sentences = few_objects_said(len(names), recogniser.label)
     few = names[counts < _FEW_TOUCHES].tolist()
     if few:
         more = f" and {len(few) - 3} more" * (len(few) > 3)
