@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from tables import split
+
 Rows = list[dict[str, Any]]
 _NONE = "Not measured yet."
 HERE = Path(__file__).parent
@@ -97,13 +99,14 @@ def _with_preset(part: dict[str, Any], make: Callable[[Rows], str]) -> str:
 def _table(heads: list[str], rows: list[list[str]]) -> str:
     if not rows:
         return _NONE
+    heads, rows = split(heads, rows)
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _several(values: list[float], spreads: list[float]) -> str:
     pairs = zip(values, spreads, strict=True)
-    return " / ".join(f"{100 * v:.0f} ({100 * s:.0f})" for v, s in pairs)
+    return " / ".join(f"{100 * v:.0f} ± {100 * s:.0f}" for v, s in pairs)
 
 
 def _device(rows: Rows) -> str:
@@ -115,7 +118,7 @@ def _device(rows: Rows) -> str:
         ]
         for row in rows
     ]
-    return _table(["touched with", "before", "after"], cells)
+    return _table(["touched with", "before: 1 / 5 / 15", "after: 1 / 5 / 15"], cells)
 
 
 def _real(rows: Rows) -> str:
@@ -132,7 +135,7 @@ def _real(rows: Rows) -> str:
 
 def _chosen(rows: Rows) -> str:
     heads = ["condition", "strategy", "seeds", "after 1 / 3 / 5 / 10"]
-    heads += ["95 % first reached (5-95 %)", "right for good after (sd)"]
+    heads += ["95 % first reached (5-95 %)", "right for good after"]
     cells = []
     for row in [row for row in rows if row["belief"] == "by place"]:
         at = [k - 1 for k in (1, 3, 5, 10)]
@@ -147,7 +150,7 @@ def _chosen(rows: Rows) -> str:
                 str(row["n_seeds"]),
                 _several(mean, spread),
                 f"{_count(row['touches_for_95'])} ({low}-{high})",
-                f"{until:.1f} ({sd:.1f})",
+                f"{until:.1f} ± {sd:.1f}",
             ]
         )
     return _table(heads, cells)

@@ -33,6 +33,7 @@ from palpate import Touches
 from palpate._durable import write_text
 from palpate.sensors import LiveSensor
 from palpate.web import LiveSession
+from tables import one_figure_a_cell
 
 N_THINGS, N_TAUGHT, N_MORE, N_ROUNDS, N_ASKED = 3, 12, 10, 3, 12
 AFTER = (1, 8)
@@ -211,10 +212,8 @@ def one_draw(touches: Touches, seed: int) -> dict[str, Any]:
 
 def table(draws: list[dict[str, Any]]) -> str:
     """Return what was said as a table of docs/reference/live.md, in per cent."""
-    head = (
-        "| taught | touches of each | first decision: right | wrong | unknown | none "
-    )
-    head += "| best after 1 touch right | after 8 | worst draw after 8 |"
+    head = "| taught | touches each | first decision: right | wrong | unknown | none "
+    head += "in 12 touches | right after 1 touch | right after 8 | worst draw after 8 |"
     lines = [head, "|---" * 9 + "|"]
     for way in (name for name in draws[0] if name != "things"):
         asked = [draw[way]["asked"] for draw in draws]
@@ -234,7 +233,8 @@ def table(draws: list[dict[str, Any]]) -> str:
         spread = [f"{np.mean(r):.0%} ± {np.std(r, ddof=1):.0%}" for r in right]
         cells = [way, f"{each:.0f}", *(f"{share:.0%}" for share in firsts), *spread]
         lines.append("| " + " | ".join([*cells, worst]) + " |")
-    return "\n".join(lines).replace("%", "")
+    text = "".join(f"{line}\n" for line in lines).replace("%", "")
+    return one_figure_a_cell(text)
 
 
 def main() -> None:

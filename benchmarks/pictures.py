@@ -13,7 +13,8 @@ picture of a study belongs to the tables of the same run. A picture whose files 
 changed is stale: make it anew, and look at it. `--study` runs a study with the recorded
 touches of PALPATE_DATA and writes its pictures (all, or those named); `--of` takes what
 `palpate study NAME --json` printed instead. Where all are written, the tables of its
-page are too: those whose heads are the study's; alike ones come in its order.
+page are too, with one figure a cell: those whose heads are the study's; alike ones come
+in its order.
 """
 
 import argparse
@@ -29,6 +30,8 @@ import tempfile
 import tokenize
 from pathlib import Path
 from typing import Any
+
+from tables import split
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -127,7 +130,8 @@ def draw_study(name: str, wanted: list[str], quick: bool, of: Path | None) -> No
 def with_tables(page: str, tables: list[tuple[str, list[str], list[list[str]]]]) -> str:
     """Return a page, its tables by those of a study; what has no place is printed."""
     parts: dict[str, str] = {}
-    for title, heads, rows in tables:
+    for title, *table in tables:
+        heads, rows = split(*table, brackets="paper")
         head, mark = row_of(heads), f"<!-- table {len(parts)} -->"
         found = re.search(
             rf"^{re.escape(head)}\n[|: -]+\n(\|.*\n)*", page, re.MULTILINE
@@ -145,9 +149,7 @@ def with_tables(page: str, tables: list[tuple[str, list[str], list[list[str]]]])
 
 def row_of(cells: list[str]) -> str:
     """Return a row of a table of Markdown."""
-    return f"| {' | '.join(cell.replace('±', ' ± ') for cell in cells)} |".replace(
-        "  ", " "
-    )
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import typer
 
 import pictures
 from palpate.cli import app
+from tables import one_figure_a_cell, split
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -59,6 +60,25 @@ def test_a_picture_is_stale_when_code_or_a_table_changes_and_not_for_words(
     assert pictures.stale(known) == ["x.png"]
     with pytest.raises(FileNotFoundError, match=r"names gone\.py, which is not there"):
         pictures.inputs_hash(["gone.py"])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_spread_has_a_column_of_its_own(page):
+    text = page.read_text("utf-8")
+    assert one_figure_a_cell(text) == text
+
+
+def test_figures_spreads_and_brackets_become_columns():
+    heads, rows = split(
+        ["method", "after 1 / 5", "right (sd)"],
+        [["default", "54 ± 16 / 69 ± 15", "3.5 (1.6)"], ["paper", "-", "4"]],
+    )
+    assert heads == ["method", "after 1", "±", "5", "±", "right", "sd"]
+    assert rows[0] == ["default", "54", "16", "69", "15", "3.5", "1.6"]
+    assert rows[1] == ["paper", "-", "-", "-", "-", "4", "-"]
+    assert split(["n"], [["2.0 (1.9)"]], "paper") == (["n", "paper"], [["2.0", "1.9"]])
+    kept = ["array"], [["4 (2)"], ["33 of 40"]]
+    assert split(*kept) == kept
 
 
 def test_the_install_line_names_the_repository_and_extras_that_exist():
