@@ -33,7 +33,7 @@ from joblib import Parallel, delayed
 
 from palpate import Touches
 from palpate._durable import write_text
-from palpate.evaluation import spread
+from palpate.evaluation._trial import spread
 from palpate.exploration import (
     QUICK_GUARD,
     InformativeTouch,

@@ -30,8 +30,8 @@ from palpate.evaluation import (
     split_by_count,
     split_touches,
 )
-from palpate.evaluation import draw_touches as drawn
 from palpate.evaluation._episodes import Episodes
+from palpate.evaluation._splits import draw_touches as drawn
 from palpate.evaluation._trial import Trial
 from palpate.recognition import stranger_log_shares
 

@@ -24,8 +24,8 @@ from exploration_pictures import draw
 from exploration_tables import fill
 from palpate import Touches
 from palpate._durable import write_text
-from palpate.evaluation import spread
 from palpate.evaluation._episodes import run_episodes
+from palpate.evaluation._trial import spread
 from palpate.recognition import ObjectRecogniser, adapt
 from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
 

@@ -23,7 +23,8 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from palpate import ObjectRecogniser, Touches
 from palpate._durable import write_text
 from palpate.encodings import OnnxEncoding, PrincipalShare
-from palpate.evaluation import draw_touches, split_touches
+from palpate.evaluation import split_touches
+from palpate.evaluation._splits import draw_touches
 from palpate.images import DomeCrop, grey
 from palpate.recognition import find_geometry
 

@@ -17,9 +17,8 @@ from palpate.evaluation import (
     PROTOCOLS,
     SIMPLE,
     benchmark,
-    benchmark_tables,
+    benchmark_summary,
     protocol_folds,
-    verdicts,
     write_benchmark,
 )
 
@@ -204,7 +203,7 @@ def test_an_error_becomes_a_row_and_a_bad_archive_a_reason(tmp_path):
     left = {(s["archive"], s["protocol"]): s["reason"] for s in result["skipped"]}
     assert "images" in left["bad.npz", None]
     assert "'subject'" in left["deep.npz", "subjects"]
-    said = " ".join(verdicts(result))
+    said = " ".join(p for p in benchmark_summary(result) if isinstance(p, str))
     assert all(reason in said for reason in [*reasons[:2], *left.values()])
 
 
@@ -326,7 +325,7 @@ def test_the_page_holds_every_table_and_loads_nothing(learnt, tmp_path):
     assert "<script" not in page
     assert not re.findall(r"(?:src|href)=", page)
     assert "set &lt;1&gt;" in page
-    ((title, columns, lines),) = benchmark_tables(learnt)
+    (title, columns, lines), *_ = benchmark_summary(learnt)
     assert title == "set <1>: 60 touches"
     assert {len(line) for line in lines} == {len(columns)}
     assert ["  default", "100.0", "0.0", "100.0"] in [line[:4] for line in lines]

@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.evaluation import (
-    as_good_alone,
     brightness,
     control_log_likelihood,
     disc_centres,
@@ -53,25 +52,6 @@ def test_rims_are_found_in_the_mean_over_channels(monkeypatch):
     monkeypatch.setattr(module, lambda touches: touches.geometry)
     found = disc_centres(colour)
     assert_allclose(found, disc_centres(grey))
-
-
-def test_controls_that_do_as_well_are_named_with_the_touches():
-    figures = {
-        "accuracy": {"1": 0.5, "5": 0.9},
-        "controls": {
-            "brightness": {"1": 0.5, "5": 0.8},
-            "disc centre": {"1": 0.6, "5": 0.95},
-            "sorted pixels": {"1": 0.1, "5": 0.2},
-            "no contact": {"1": 0.9, "5": 0.9},
-            "absent": None,
-        },
-    }
-    said = as_good_alone(figures)
-    assert [one.split(":")[0] for one in said] == [
-        "brightness alone does as well after 1 touch",
-        "disc centre alone does as well after 1, 5 touches",
-    ]
-    assert all("may have learnt the recording" in one for one in said)
 
 
 def test_sorted_pixels_are_shares_of_the_mean_level():

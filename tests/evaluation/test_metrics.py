@@ -8,7 +8,6 @@ from palpate.evaluation import (
     calibration_error,
     davies_bouldin,
     roc_area,
-    spread,
 )
 
 
@@ -48,12 +47,6 @@ def test_roc_area_agrees_with_scikit_learn(rng):
     truth = np.repeat([0, 1], [50, 40])
     expected = roc_auc_score(truth, np.r_[known, unknown])
     assert roc_area(known, unknown) == pytest.approx(expected)
-
-
-def test_spread_is_that_of_a_sample_and_nothing_for_one():
-    assert spread([1.0, 3.0]) == pytest.approx(np.sqrt(2))
-    assert spread([[1.0, 5.0], [3.0, 5.0], [5.0, 5.0]]).tolist() == [2.0, 0.0]
-    assert spread([7.0]) == 0
 
 
 def test_there_are_ten_bins_unless_another_number_is_asked_for():

@@ -7,7 +7,6 @@ from numpy.testing import assert_array_equal
 from palpate import Touches
 from palpate.evaluation import (
     PROTOCOLS,
-    draw_touches,
     protocol_folds,
     split_by_count,
     split_touches,
@@ -59,9 +58,10 @@ def test_a_category_of_one_object_only_trains(recordings):
 
 
 def test_drawn_touches(recordings):
-    few = draw_touches(recordings, 3, seed=1)
+    few, _ = split_by_count(recordings, 3, seed=1)
     assert np.unique(few.object, return_counts=True)[1].tolist() == [3] * 4
-    assert_array_equal(few.images, draw_touches(recordings, 3, seed=1).images)
+    again, _ = split_by_count(recordings, 3, seed=1)
+    assert_array_equal(few.images, again.images)
     train, test = split_by_count(recordings, 6, seed=0)
     together = np.r_[train.images[:, 0, 0], test.images[:, 0, 0]]
     assert sorted(together) == list(range(32))
@@ -100,9 +100,9 @@ def test_more_than_twenty_people_are_asked_several_at_a_time(n_people, n_folds):
 
 
 def test_two_touches_of_each_may_be_drawn_and_one_may_not(recordings):
-    assert len(draw_touches(recordings, 2, seed=0)) == 8
+    assert len(split_by_count(recordings, 2, seed=0)[0]) == 8
     with pytest.raises(ValueError, match="train_touches must be at least 2, got 1"):
-        draw_touches(recordings, 1, seed=0)
+        split_by_count(recordings, 1, seed=0)
     with pytest.raises(ValueError, match="must leave touches to test, got 8"):
         split_by_count(recordings, 8, seed=0)
 
@@ -251,6 +251,8 @@ def test_times_that_are_not_all_known_are_no_order():
 
 
 def test_what_was_drawn_depends_on_the_seed_and_keeps_its_order(recordings):
-    one, other = (draw_touches(recordings, 4, seed).images[:, 0, 0] for seed in (0, 1))
+    one, other = (
+        split_by_count(recordings, 4, seed)[0].images[:, 0, 0] for seed in (0, 1)
+    )
     assert (np.diff(one) > 0).all()
     assert one.tolist() != other.tolist()

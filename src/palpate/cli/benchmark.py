@@ -1,6 +1,5 @@
 """`palpate benchmark`: presets beside simple recognisers, on sets of touches."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -48,8 +47,7 @@ def benchmark(
     with stages() as stage, working.started():
         result = evaluation.benchmark(
             archives or [datasets.where()],
-            recognisers=_names(recognisers, evaluation.RECOGNISERS),
-            protocols=_names(protocols, evaluation.PROTOCOLS),
+            **_names(recognisers=recognisers, protocols=protocols),
             label=cast(Any, label),
             touches=_options.counts(touches),
             repeats=repeats,
@@ -61,13 +59,16 @@ def benchmark(
     if as_json:
         print_json(result)
         return
-    for archive_table in evaluation.benchmark_tables(result):
-        table(*archive_table, whole=["recogniser"])
-    for line in evaluation.verdicts(result):
-        say(line)
+    for part in evaluation.benchmark_summary(result):
+        say(part) if isinstance(part, str) else table(*part, whole=["recogniser"])
     if report is not None:
         say(report)
 
 
-def _names(text: str | None, usual: Iterable[str]) -> list[str]:
-    return list(usual) if text is None else [name.strip() for name in text.split(",")]
+def _names(**texts: str | None) -> dict[str, Any]:
+    """Return those that were typed, taken apart at the commas."""
+    return {
+        key: [name.strip() for name in text.split(",")]
+        for key, text in texts.items()
+        if text is not None
+    }

@@ -8,7 +8,6 @@ from . import _options
 from ._options import option
 from ._output import (
     as_typed,
-    percent,
     print_json,
     say,
     stages,
@@ -117,38 +116,7 @@ def in_options(figures: dict[str, Any]) -> dict[str, Any]:
 
 def print_figures(figures: dict[str, Any]) -> None:
     """Print the figures of an evaluation, and what they are worth, for people."""
-    from .. import evaluation
+    from ..evaluation import summary
 
-    title = (
-        f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "
-        f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
-        f"touches, chance {100 * figures['chance']:.3g} %"
-    )
-    if figures["remount"] != "none":
-        title += f", remount {figures['remount']}"
-    say(figures["verdict"])
-    table(
-        title, ["after touches", *figures["accuracy"]], evaluation.figure_lines(figures)
-    )
-    for sentence in figures["notes"]:
-        say(sentence)
-    for sentence in figures["chosen"].get("found", ()):
-        say(f"From the training touches: {sentence}.")
-    for flag, share in figures["flags"].items():
-        say(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
-    table(*evaluation.decision_table(figures))
-    for line in evaluation.strangers_answers(figures):
-        say(line)
-    ends = figures["decision"], figures.get("unknown_decision")
-    say(evaluation.bound_said(*ends))
-    for sentence in evaluation.as_good_alone(figures):
-        say(sentence)
-    if other_day := evaluation.other_day_said(figures):
-        say(other_day)
-    if gone := figures["left_out"]:
-        names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
-        say(f"Left out, met in no other {figures['split']}: {len(gone)} ({names}).")
-    if todo := figures["recommendations"]:
-        say("What to do now:")
-        for sentence in todo:
-            say(f"- {sentence}")
+    for part in summary(figures):
+        say(part) if isinstance(part, str) else table(*part)

@@ -1,13 +1,10 @@
 """How well it recognises: splits, figures, nuisance controls and reports."""
 
 from . import plots as plots
-from ._benchmark import RECOGNISERS as RECOGNISERS
 from ._benchmark import benchmark
-from ._benchmark import benchmark_tables as benchmark_tables
-from ._benchmark import verdicts as verdicts
+from ._benchmark import benchmark_summary as benchmark_summary
 from ._benchmark import write_benchmark as write_benchmark
 from ._comparisons import SIMPLE as SIMPLE
-from ._comparisons import as_good_alone as as_good_alone
 from ._comparisons import brightness as brightness
 from ._comparisons import control_log_likelihood as control_log_likelihood
 from ._comparisons import disc_centres as disc_centres
@@ -17,26 +14,20 @@ from ._comparisons import without_contact as without_contact
 from ._episodes import decide_episodes as decide_episodes
 from ._evaluate import evaluate
 from ._evaluate import few_touches as few_touches
-from ._report import bound_said as bound_said
 from ._report import check_report_path as check_report_path
-from ._report import decision_table as decision_table
 from ._report import explained_episodes as explained_episodes
-from ._report import figure_lines as figure_lines
 from ._report import html_table as html_table
-from ._report import other_day_said as other_day_said
 from ._report import report_page as report_page
-from ._report import strangers_answers as strangers_answers
+from ._report import summary as summary
 from ._report import worded as worded
 from ._report import write_report
 from ._splits import PROTOCOLS as PROTOCOLS
 from ._splits import SPLITS as SPLITS
 from ._splits import Fold as Fold
-from ._splits import draw_touches as draw_touches
 from ._splits import protocol_folds as protocol_folds
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches
 from ._trial import Plan, calibration_error, davies_bouldin, roc_area
-from ._trial import spread as spread
 
 __all__ = [
     "Plan",

@@ -21,7 +21,14 @@ from ..touches import Touches
 from ._comparisons import CONTROLS, SIMPLE, STANDARDISED, taxels, without_contact
 from ._episodes import run_episodes
 from ._evaluate import Progress, silent
-from ._report import as_text, check_report_path, html_table, report_page, worded
+from ._report import (
+    TextTable,
+    as_text,
+    check_report_path,
+    html_table,
+    report_page,
+    worded,
+)
 from ._splits import PROTOCOLS, RowFold, column_of, protocol_folds
 from ._trial import spread
 
@@ -137,9 +144,13 @@ def benchmark(
     return {"benchmark": entries, "skipped": skipped, **done}
 
 
-def benchmark_tables(
-    result: dict[str, Any],
-) -> Iterator[tuple[str, list[str], list[list[str]]]]:
+def benchmark_summary(result: dict[str, Any]) -> Iterator[str | TextTable]:
+    """Yield a table for each archive, then a sentence for each comparison."""
+    yield from _tables(result)
+    yield from _verdicts(result)
+
+
+def _tables(result: dict[str, Any]) -> Iterator[TextTable]:
     """Yield title, columns and lines of text of each archive."""
     entries = result["benchmark"]
     for name in dict.fromkeys(entry["archive"] for entry in entries):
@@ -153,7 +164,7 @@ def benchmark_tables(
         yield f"{name}: {group[0]['n_touches']} touches", columns, blank
 
 
-def verdicts(result: dict[str, Any]) -> Iterator[str]:
+def _verdicts(result: dict[str, Any]) -> Iterator[str]:
     """Yield a sentence for each comparison, and for all that was left out."""
     for entry in result["benchmark"]:
         where = f"{entry['archive']}, {entry['protocol']}"
@@ -179,8 +190,8 @@ def verdicts(result: dict[str, Any]) -> Iterator[str]:
 def write_benchmark(path: str | Path, result: dict[str, Any]) -> Path:
     """Write tables and sentences as one self-contained `.html`."""
     target = check_report_path(path)
-    lines = "".join(f"<li>{worded(line)}</li>" for line in verdicts(result))
-    tables = [html_table(*table) for table in benchmark_tables(result)]
+    lines = "".join(f"<li>{worded(line)}</li>" for line in _verdicts(result))
+    tables = [html_table(*table) for table in _tables(result)]
     sections = [f"<h1>{TITLE}</h1>", *tables, f"<ul>{lines}</ul>"]
     write_text(target, report_page(TITLE, sections))
     return target

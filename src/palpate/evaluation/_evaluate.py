@@ -308,14 +308,14 @@ def _controls(
     return result
 
 
-def _evenly(taught: Array, asked: Array, seed: int) -> Array:
+def _evenly(taught: Array, test_labels: Array, seed: int) -> Array:
     """Return training rows in which no count of touches gives the answer away.
 
     Where a fold asks about some labels alone, what is left of these in training may be
     less than of the others: to learn that is no nuisance of the sensor.
     """
     names, codes = np.unique(taught, return_inverse=True)
-    here = np.isin(names, asked)
+    here = np.isin(names, test_labels)
     if here.all() or not here.any():
         return np.arange(len(taught))
     most = np.bincount(codes)[here].min()

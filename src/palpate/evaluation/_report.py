@@ -58,6 +58,10 @@ table{font-size:.85rem}td,th{padding:.15rem .3rem}th:first-child{min-width:8rem}
 """
 
 
+# Title, columns and lines of text.
+TextTable = tuple[str, list[str], list[list[str]]]
+
+
 class Explained(NamedTuple):
     """One episode up to its end: the touches, and what was made of them."""
 
@@ -110,7 +114,6 @@ def write_report(
         `path` does not end in `.html`, or its folder is not there.
     """
     target = check_report_path(path)
-    ends = figures["decision"], figures.get("unknown_decision")
     sections = [
         _head(figures),
         _accuracy(figures, trials),
@@ -119,7 +122,7 @@ def write_report(
         ),
         _recommended(figures.get("recommendations", ())),
         _ends(figures),
-        f"<p class=note>{bound_said(*ends)}</p>",
+        f"<p class=note>{_bound(figures)}</p>",
         _confusion(figures, trials),
         _explanations(figures, trials),
         _examples(trials),
@@ -131,7 +134,7 @@ def write_report(
 
 def _ends(figures: dict[str, Any]) -> str:
     """Return how many episodes ended how, a line each: that fits a phone."""
-    title, columns, lines = decision_table(figures)
+    title, columns, lines = _decision_table(figures)
     columns[-1] = "touches on average"
     head, *rows = zip(columns, *lines, strict=True)
     return html_table(title, head, rows)
@@ -174,7 +177,41 @@ def html_table(
     return f"{above}<table><tr>{head}</tr>{body}</table>"
 
 
-def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
+def summary(figures: dict[str, Any]) -> Iterator[str | TextTable]:
+    """Yield what figures say to people: sentences, and tables to be drawn."""
+    title = (
+        f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "
+        f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
+        f"touches, chance {100 * figures['chance']:.3g} %"
+    )
+    if figures["remount"] != "none":
+        title += f", remount {figures['remount']}"
+    yield figures["verdict"]
+    yield title, _columns(figures), _figure_lines(figures)
+    yield from figures["notes"]
+    for sentence in figures["chosen"].get("found", ()):
+        yield f"From the training touches: {sentence}."
+    for flag, share in figures["flags"].items():
+        yield f"Flagged as {flag!r}: {as_text(share, 100)} % of the test touches."
+    yield _decision_table(figures)
+    yield from _strangers_answers(figures)
+    yield _bound(figures)
+    yield from as_good_alone(figures)
+    if other_day := _other_day(figures):
+        yield other_day
+    if gone := figures["left_out"]:
+        names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
+        yield f"Left out, met in no other {figures['split']}: {len(gone)} ({names})."
+    if todo := figures["recommendations"]:
+        yield "What to do now:"
+        yield from (f"- {sentence}" for sentence in todo)
+
+
+def _columns(figures: dict[str, Any]) -> list[str]:
+    return ["after touches", *figures["accuracy"]]
+
+
+def _figure_lines(figures: dict[str, Any]) -> list[list[str]]:
     """Return what each figure is, and its value after each number of touches."""
     over = "folds" if figures["n_folds"] > 1 else "objects"
     rows: list[tuple[str, dict[str, Any], float, int]] = [
@@ -201,9 +238,7 @@ def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
     ]
 
 
-def decision_table(
-    figures: dict[str, Any],
-) -> tuple[str, list[str], list[list[str]]]:
+def _decision_table(figures: dict[str, Any]) -> TextTable:
     """Return title, columns and lines of how many episodes ended how.
 
     One line is of known objects, another of strangers, where there are any.
@@ -229,7 +264,7 @@ def _ended(decision: dict[str, Any]) -> list[str]:
     return [*cells, as_text(decision["mean_touches"])]
 
 
-def strangers_answers(figures: dict[str, Any]) -> list[str]:
+def _strangers_answers(figures: dict[str, Any]) -> list[str]:
     """Return what strangers were called, a line each, those named oftenest first."""
     answers = figures.get("unknown_decision", {}).get("answers", {})
     not_named = {"unknown", "undecided"}
@@ -247,14 +282,12 @@ def strangers_answers(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
-def bound_said(
-    decision: dict[str, Any], strangers: dict[str, Any] | None = None
-) -> str:
+def _bound(figures: dict[str, Any]) -> str:
     """Return what the episodes that ended say of new objects, as a sentence.
 
-    `decision` is of known objects, `strangers` of things that were never learnt: every
-    name that one of these was given is wrong.
+    Every name that a thing never learnt was given is wrong.
     """
+    decision, strangers = figures["decision"], figures.get("unknown_decision")
     n_named, n_wrong = decision["right"] + decision["wrong"], decision["wrong"]
     n_strangers = strangers["wrong"] if strangers else 0
     if not n_named + n_strangers:
@@ -286,7 +319,7 @@ def bound_said(
     )
 
 
-def other_day_said(figures: dict[str, Any]) -> str:
+def _other_day(figures: dict[str, Any]) -> str:
     """Return what to expect on another day: as measured, where that was asked.
 
     "" where categories of objects never touched were asked: expected are learnt ones.
@@ -355,7 +388,7 @@ def _head(figures: dict[str, Any]) -> str:
     findings = "".join(
         f"<br>Found: {worded(finding)}." for finding in chosen.get("found", ())
     )
-    other_day = other_day_said(figures)
+    other_day = _other_day(figures)
     return (
         f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
         f"{good}<p>Preset <b>{escape(figures['preset'])}</b>, "
@@ -390,7 +423,9 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         "<p class=note>First: mean and one standard deviation over objects (over folds "
         "where there are several). Dashed: what nuisance values achieve by themselves."
         " Second: a belief of 0.9 should be right nine times in ten.</p>"
-        + html_table("", ["after touches", *figures["accuracy"]], figure_lines(figures))
+        + html_table(
+            "", ["after touches", *figures["accuracy"]], _figure_lines(figures)
+        )
         + _lines(figures["notes"])
     )
 
@@ -410,7 +445,7 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     return (
         f"<h2>What is taken for what, after {k} touch{'es' * (k > 1)}</h2>"
         + plots.confusion_plot(confusion, names)
-        + _lines(strangers_answers(figures))
+        + _lines(_strangers_answers(figures))
         + "<h2>Most confused pairs</h2>"
         + (shown or f"<p>{none}</p>")
     )

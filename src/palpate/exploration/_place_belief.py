@@ -306,7 +306,7 @@ class PlaceBelief(Belief):
         placed = log_softmax(by_encoding + by_place, axis=-1)
         super()._hear(self._log_objects, placed)
 
-    def is_stuck(self, *asked: Any, **more: Any) -> bool:
+    def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
         """Return False: touches at other places may always tell."""
         return False
 

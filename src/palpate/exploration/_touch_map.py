@@ -365,7 +365,7 @@ class PlacedBelief(Belief):
         """Log probability of each object, were it one of them (nats), (n_objects,)."""
         return np.asarray(logsumexp(self.log_joint, axis=1))
 
-    def is_stuck(self, *asked: Any, **more: Any) -> bool:
+    def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
         """Return False: touches at other places may always tell."""
         return False
 
