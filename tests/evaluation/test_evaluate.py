@@ -339,7 +339,8 @@ def test_how_often_an_object_was_taught_is_no_nuisance_of_the_sensor(
     rng = np.random.default_rng(5)
     names = np.repeat(["mug", "box", "pen"], 24)
     parts = np.char.add(names, np.tile(np.repeat(list("abc"), 8), 3))
-    noise = Touches(rng.random((72, 8, 8)), object=names, session=parts)
+    about = {"object": names, "session": parts, "geometry": "none"}
+    noise = Touches(rng.random((72, 1, 64)), **about)
     plan = Plan(touches=(1, 3), orders=2)
     figures, trials = evaluate(noise, split="session", plan=plan)
     assert len(trials) == 9
