@@ -160,6 +160,7 @@ def test_many_touches_are_told_in_pieces(monkeypatch):
         (501, 10**9, KernelRidgeClassifier),
     ],
 )
+@pytest.mark.slow
 def test_a_pool_takes_what_can_tell_so_many_labels(monkeypatch, n_labels, most, kind):
     monkeypatch.setattr("palpate.classifiers._kernel_ridge._MOST_TARGETS", most)
     X, labels, groups = drawn(n_labels, 6 if n_labels < 100 else 2)

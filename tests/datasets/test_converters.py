@@ -115,6 +115,7 @@ def test_a_zip_becomes_the_archive_at_hand(name, back, sources, data_folder):
         pytest.param("postures", postures_back, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_a_list_of_files_becomes_the_archive_at_hand(name, back, sources, data_folder):
     arrays = behind_the_figures(data_folder, name)
     files = {**back(arrays), "experiment-ii/S8/Air_Mat/Matrix_Air_B1.txt": b"no"}

@@ -170,6 +170,7 @@ def test_a_ready_model_is_made_once_and_recognises_its_sensor(
     assert "'sim-array'" in err
 
 
+@pytest.mark.slow
 def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     palpate, tmp_path, monkeypatch
 ):

@@ -194,6 +194,7 @@ def _run_until_killed(program, folder, after):
     raise AssertionError("the program itself has ended")
 
 
+@pytest.mark.slow
 def test_killed_again_and_again_no_recorded_touch_is_lost(tmp_path, world, program):
     folder, n_recorded, seen = tmp_path / "killed", 0, {}
     for after in (1, 15):

@@ -262,6 +262,7 @@ def test_a_plain_belief_is_helped_by_the_attempts(strategy, recogniser):
     )
 
 
+@pytest.mark.slow
 def test_chosen_touches_need_fewer_than_random_ones(touch_map, strategy):
     def n_needed(choose, seed):
         rng = np.random.default_rng(seed)

@@ -428,7 +428,7 @@ def test_an_object_without_a_map_is_named(taught):
 def test_without_places_it_is_said(recogniser, taught):
     kept = {"object": taught.object, "direction": taught.columns["direction"]}
     bare = Touches(taught.images, geometry="dome", **kept)
-    learnt = ObjectRecogniser().fit(bare)
+    learnt = ObjectRecogniser("corradi2015").fit(bare)
     with pytest.raises(ValueError, match="must have a column 'position_mm'"):
         SurfaceMap().fit(learnt, bare)
     with pytest.raises(ValueError, match="must be of learnt objects, got 'ball'"):

@@ -207,6 +207,7 @@ class BeliefMachine(RuleBasedStateMachine):
     def start(self, number):
         self.recogniser, self.images = recognisers()[number]
         self.belief, self.entered, self.senses = self.recogniser.start(), [], []
+        self.compared = 0
 
     @rule(places=st.lists(st.integers(0, 15), min_size=1, max_size=3))
     def touch(self, places):
@@ -219,7 +220,7 @@ class BeliefMachine(RuleBasedStateMachine):
         self.belief.update_from_log_likelihood([row])
         self.entered.append(np.array([row]))
 
-    @rule(n_times=st.sampled_from([10, 300, 3000]), place=st.integers(0, 15))
+    @rule(n_times=st.sampled_from([10, 100, 2000]), place=st.integers(0, 15))
     def touch_again_and_again(self, n_times, place):
         said = self.recogniser.evidence(self.images[[place]]).log_likelihood
         self.belief.update_from_log_likelihood(np.repeat(said, n_times, axis=0))
@@ -322,6 +323,9 @@ class BeliefMachine(RuleBasedStateMachine):
         assert belief.posterior[belief.best] == max(belief.posterior.values())
         assert abs(belief.doubt - (1 - belief.posterior[belief.best])) < 1e-9
         assert belief.touches_used == sum(map(len, self.entered)) == len(belief.flags)
+        if self.compared == len(self.entered) + len(self.senses):
+            return
+        self.compared = len(self.entered) + len(self.senses)
         once = self.recogniser.start()
         if self.entered:
             once.update_from_log_likelihood(np.concatenate(self.entered))

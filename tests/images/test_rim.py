@@ -346,6 +346,7 @@ def read(path):
 
 
 @pytest.mark.realdata
+@pytest.mark.slow
 def test_original_centres_keep_to_their_running_median(data_folder):
     touches = originals(data_folder)
     near = find_rim(read(data_folder / "bathtip/originals/baselineForCalibration.jpg"))

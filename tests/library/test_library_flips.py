@@ -133,6 +133,7 @@ def _campaign(sound, scratch, name, suffix, n_flips, seed):
 
 
 @pytest.mark.parametrize(("name", "suffix"), [("lab", ""), ("log", "-wal")])
+@pytest.mark.slow
 def test_thirty_flips_each_are_never_silently_wrong(sound, tmp_path, name, suffix):
     table = _campaign(sound, tmp_path, name, suffix, 30, seed=1)
     assert table["refused"] <= 3  # of a damaged header nothing can be read

@@ -164,6 +164,7 @@ def test_a_selection_reads_what_is_asked_for(library):
 
 
 @pytest.mark.realdata
+@pytest.mark.slow
 def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
     """Ten objects of the dome camera, a fifth of their touches."""
     touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")

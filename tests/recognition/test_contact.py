@@ -137,6 +137,7 @@ def test_model_file_keeps_what_contact_is(array, tmp_path):
 
 
 @pytest.mark.realdata
+@pytest.mark.slow
 def test_the_recorded_frame_moves_nothing(data_folder):
     touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
     some = np.unique(touches.object)[[0, 12, 24]]

@@ -55,6 +55,7 @@ def campaign(folder, seeds):
     return refused
 
 
+@pytest.mark.slow
 def test_a_hundred_mutated_models_are_bounded(tmp_path):
     assert campaign(tmp_path, range(100)) > 30
 

@@ -53,6 +53,7 @@ def machine_of(recogniser):
 
 
 @KINDS
+@pytest.mark.slow
 def test_a_file_of_very_many_answers_alike(tmp_path, n_objects, n_each):
     model = learnt(n_objects, n_each)
     is_nearby = isinstance(machine_of(model), NearbyTouches)
@@ -134,6 +135,7 @@ def test_what_tells_sessions_is_weighed_down_where_a_part_is_left_out(
     assert model.score(drawn(n_objects, 1, seed=7)) > 0.5
 
 
+@pytest.mark.slow
 def test_more_objects_than_memory_is_for_are_refused_and_a_way_is_named():
     """100 kB an object, 3 kB a touch, 0.5 GB in any case; the ways lead on."""
     names = np.repeat([f"part {k:06d}" for k in range(100_000)], 2)

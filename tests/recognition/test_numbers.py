@@ -54,6 +54,7 @@ ObjectRecogniser("liu2014").fit(touches).save(sys.argv[1])
 """
 
 
+@pytest.mark.slow
 def test_identical_runs_write_identical_model_files(tmp_path, monkeypatch):
     """One in a process of its own, one in that of the tests."""
     paths = [tmp_path / f"{run}.palpate" for run in range(2)]

@@ -71,6 +71,7 @@ def test_kernel_densities_of_others_do_not_change(dome_touches):
     assert_array_equal(after[:, 1:], before)
 
 
+@pytest.mark.slow
 def test_pose_of_presses_is_told_to_the_stated_accuracy(presses, tmp_path):
     learnt = ObjectRecogniser().fit(presses).fit_pose(presses)
     test = simulate_presses(PARTS, 10, random_state=1)

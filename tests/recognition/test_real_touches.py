@@ -31,6 +31,7 @@ def test_ten_objects_by_default(ten_objects, split, least):
     assert "rim" in figures["chosen"]["encoding"]
 
 
+@pytest.mark.slow
 def test_few_touches_of_three_objects_by_default(ten_objects):
     some = ten_objects[np.isin(ten_objects.object, np.unique(ten_objects.object)[:3])]
     plan = Plan(touches=(1, 5), orders=5)

@@ -80,6 +80,7 @@ def test_it_keeps_the_contract(terminal, framing, write):
     check_sensor(SerialArraySensor(terminal.port, (3, 4), framing=framing))
 
 
+@pytest.mark.slow
 def test_16_x_16_at_100_hz_arrive_without_loss(terminal):
     n_frames = 150
     images = np.arange(n_frames * 256, dtype=np.uint16).reshape(n_frames, 16, 16)

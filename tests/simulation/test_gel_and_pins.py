@@ -157,6 +157,7 @@ def test_where_nothing_is_touched_nothing_changes(ball):
     assert (noisy - gel.no_contact()).std() == pytest.approx(gel.dome.noise_sd, rel=0.1)
 
 
+@pytest.mark.slow
 def test_touches_have_channels_and_are_recognised():
     names = ["ball", "pen", "box"]
     gel = GelCamera(image_shape=(48, 64))

@@ -184,12 +184,14 @@ def test_figures_do_not_depend_on_the_workers(nested_result, tiny_plan):
     assert again["rows"] == nested_result["rows"]
 
 
+@pytest.mark.slow
 def test_the_seed_changes_the_figures(paper_result, least_plan):
     other = run_without_data(least_plan(protocol="paper", seed=1))
     figures = [row["ours"] for row in paper_result["rows"]]
     assert figures != [row["ours"] for row in other["rows"]]
 
 
+@pytest.mark.slow
 def test_a_row_does_not_depend_on_what_else_is_measured(result, nested_result):
     for name in TABLE_2:
         known = {"name": name, "features": "raw", "protocol": "nested"}
@@ -197,6 +199,7 @@ def test_a_row_does_not_depend_on_what_else_is_measured(result, nested_result):
         assert same["ours"] == row["ours"]
 
 
+@pytest.mark.slow
 def test_one_protocol_alone(nested_result, paper_result):
     assert {row["protocol"] for row in paper_result["rows"]} == {"paper"}
     assert {row["protocol"] for row in nested_result["rows"]} == {"nested"}
@@ -216,6 +219,7 @@ def test_tables_have_cells_for_every_column(result):
         assert {len(row) for row in rows} == {len(columns)}
 
 
+@pytest.mark.slow
 def test_the_report_is_one_page_that_loads_nothing(result, tmp_path):
     page = STUDY.write_report(tmp_path / "r.html", result).read_text("utf-8")
     assert page.startswith("<!doctype html>")
@@ -227,6 +231,7 @@ def test_the_report_is_one_page_that_loads_nothing(result, tmp_path):
     assert all(one.startswith(("#", "data:")) for one in loaded)
 
 
+@pytest.mark.slow
 def test_a_result_read_back_from_json_makes_the_same_pictures(result, tmp_path):
     again = json.loads(json.dumps(result))
     written = STUDY.write_pictures(tmp_path, again)

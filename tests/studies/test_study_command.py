@@ -155,6 +155,7 @@ def result(tmp_path_factory):
         return STUDIES["sessions"].run(data=folder, workers=1, progress=False, **TINY)
 
 
+@pytest.mark.slow
 def test_every_source_has_every_way_and_one_day_is_no_source(result):
     rows = result["rows"]
     sources = {row["data"] for row in rows}
@@ -175,6 +176,7 @@ def test_every_source_has_every_way_and_one_day_is_no_source(result):
     assert all(0 <= row["ours"] <= 100 for row in rows)
 
 
+@pytest.mark.slow
 def test_it_is_shown(result, tmp_path):
     titles = [title for title, _, _ in STUDIES["sessions"].tables(result)]
     assert titles == ["simulated dome", "simulated array", "jumped", "two_days"]

@@ -347,6 +347,7 @@ BATHTIP = (
 
 
 @pytest.mark.realdata
+@pytest.mark.slow
 def test_real_originals_load_with_their_labels(data_folder):
     bathtip = data_folder / "bathtip"
     originals = bathtip / "originals"

@@ -44,6 +44,7 @@ def stopped_reader(address, token):
     return raw
 
 
+@pytest.mark.slow
 def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
     make_session, serving
 ):

@@ -258,6 +258,7 @@ def taught(session, gel):
     assert session.trouble == ""
 
 
+@pytest.mark.slow
 def test_a_colour_camera_teaches_what_differs_in_hue_alone(
     tmp_path, gel, camera, connected
 ):
@@ -296,7 +297,11 @@ def test_a_colour_camera_teaches_what_differs_in_hue_alone(
         assert stored.no_contact.shape == stored.images.shape[1:] == (48, 64, 3)
 
 
-@pytest.mark.parametrize("colour", [False, True], ids=["grey", "colour"])
+@pytest.mark.parametrize(
+    "colour",
+    [pytest.param(False, marks=pytest.mark.slow), True],
+    ids=["grey", "colour"],
+)
 def test_a_model_of_the_other_kind_is_refused_with_the_fix(
     tmp_path, gel, camera, colour
 ):

@@ -66,6 +66,7 @@ def check_all_there(folder, acknowledged):
         assert len(library.touches()) == len(stored)
 
 
+@pytest.mark.slow
 def test_a_kill_loses_nothing_that_was_acknowledged(tmp_path):
     check_all_there(tmp_path, killed_while_teaching(tmp_path, 25, 0))
 

@@ -33,6 +33,7 @@ def api_schema(make_session, connected):
 
 
 @pytest.mark.parametrize("mode", ["positive", "negative"])
+@pytest.mark.slow
 def test_every_answer_is_one_that_was_promised(api_schema, mode):
     tried = set()
     for found in api_schema.get_all_operations():

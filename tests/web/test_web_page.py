@@ -481,6 +481,7 @@ def test_an_answer_that_is_late_does_not_take_newer_touches_away(
         assert len(asked) == 1
 
 
+@pytest.mark.slow
 def test_of_a_long_episode_the_last_dozen_pictures_are_loaded(
     page, taught, serving, drawn
 ):
@@ -540,6 +541,7 @@ def test_a_button_that_cannot_be_pressed_says_why(page, hand, serving, tmp_path)
             expect(page.locator("#why-not")).to_contain_text(reason)
 
 
+@pytest.mark.slow
 def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
     page, serving, drawn, tmp_path
 ):
@@ -597,6 +599,7 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
 LONG = "a_very_long_recording_of_things_that_were_touched_again_and_again_and_again"
 
 
+@pytest.mark.slow
 def test_long_names_and_many_pictures_fit_a_narrow_phone(
     page, serving, drawn, tmp_path
 ):

@@ -394,6 +394,7 @@ def test_an_interrupted_lesson_is_offered(page, make_session, serving, tmp_path)
         expect(page.locator("#lesson-strip li")).to_have_count(min(done, 12))
 
 
+@pytest.mark.slow
 def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path):
     """Letters differ where colours do not; the worst come first; names are whole."""
     rng = np.random.default_rng(0)
@@ -504,6 +505,7 @@ def test_the_answer_and_the_count_are_read_aloud(page, taught, serving, drawn):
         expect(page.locator("#answer")).to_contain_text(words)
 
 
+@pytest.mark.slow
 def test_the_report_of_an_evaluation_fits_a_phone(page, drawn, tmp_path):
     pytest.importorskip("matplotlib", reason='pip install "palpate[plot]"')
     plan = Plan(touches=(1, 3, 5, 10), orders=3, preset="liu2014")
