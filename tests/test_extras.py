@@ -127,6 +127,7 @@ def run_without(packages, arguments, folder, hidden):
     )
 
 
+@pytest.mark.slow
 def test_what_needs_no_extra_works_without_any(folder, tmp_path):
     packages = {package for package, _, _ in COMMANDS}
     done = run_without(packages, ["-c", NEED_NONE], folder, tmp_path)

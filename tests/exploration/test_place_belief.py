@@ -51,7 +51,7 @@ def taught():
 
 @pytest.fixture(scope="module")
 def recogniser(taught):
-    return ObjectRecogniser().fit(taught)
+    return ObjectRecogniser(rehearse=False).fit(taught)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,9 @@ def low_map():
     things = [find_object(name) for name in NAMES]
     how = {"n_sessions": 6, "faces": "all", "guarded": False, "known_height": False}
     taught = explore_to_learn(things, 36, CAMERA, **how)
-    return SurfaceMap(n_turns=12).fit(ObjectRecogniser().fit(taught), taught)
+    return SurfaceMap(n_turns=12).fit(
+        ObjectRecogniser(rehearse=False).fit(taught), taught
+    )
 
 
 @pytest.fixture(scope="module")

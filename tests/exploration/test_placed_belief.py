@@ -21,7 +21,7 @@ def taught():
 
 @pytest.fixture(scope="module")
 def touch_map(taught):
-    return TouchMap(n_turns=4).fit(ObjectRecogniser().fit(taught), taught)
+    return TouchMap(n_turns=4).fit(ObjectRecogniser(rehearse=False).fit(taught), taught)
 
 
 @pytest.fixture(scope="module")

@@ -111,6 +111,7 @@ def test_sums_that_do_not_fit_are_refused(tmp_path, monkeypatch):
 
 @KINDS
 @pytest.mark.parametrize("labelled", [True, False])
+@pytest.mark.slow
 def test_a_session_is_got_used_to_where_a_part_is_left_out(n_objects, n_each, labelled):
     model = learnt(n_objects, n_each)
     other = drawn(n_objects, 2, seed=3, shift=0.6, session="tuesday")

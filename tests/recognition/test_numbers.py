@@ -12,7 +12,7 @@ from palpate import ObjectRecogniser, Touches
 from palpate._numbers import exp
 
 LABELS = ["pen"] * 6 + ["mug"] * 6
-NOISE = np.random.default_rng(0).random((12, 20, 20))
+NOISE = np.random.default_rng(0).random((12, 12, 12))
 PRESETS = ("default", "corradi2015", "liu2014")
 GEOMETRIES = ("dome", "array", "none")
 
@@ -47,7 +47,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from palpate import ObjectRecogniser, Touches
-images = np.random.default_rng(0).random((12, 20, 20))
+images = np.random.default_rng(0).random((12, 12, 12))
 images[:6] += np.eye(20)
 touches = Touches(images, object=["pen"] * 6 + ["mug"] * 6)
 ObjectRecogniser("liu2014").fit(touches).save(sys.argv[1])

@@ -91,7 +91,7 @@ def test_poses_need_a_pitch(presses):
     # Six presses of each of two parts.
     some = np.r_[0:6, 12:18]
     bare = Touches(presses.images[some], object=presses.object[some])
-    learnt = ObjectRecogniser().fit(bare)
+    learnt = ObjectRecogniser(rehearse=False).fit(bare)
     with pytest.raises(ValueError, match="pitch_mm must be given"):
         learnt.fit_pose(bare)
     with pytest.raises(ValueError, match="learnt no poses"):

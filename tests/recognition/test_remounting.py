@@ -806,12 +806,18 @@ def test_the_evidence_of_touches_tells_as_much_of_the_mounting(taught):
         )
 
 
+@pytest.fixture(scope="module")
+def learnt_on_three_days():
+    return [ObjectRecogniser().fit(_session(0, 20, seed, "one")) for seed in range(3)]
+
+
 @pytest.mark.parametrize("n_objects", [1, 3, 6])
-def test_of_sessions_as_before_one_in_twenty_raises_the_alarm(n_objects):
+def test_of_sessions_as_before_one_in_twenty_raises_the_alarm(
+    learnt_on_three_days, n_objects
+):
     """Of few objects as well, which lie to one side of all by themselves."""
     rng, alarms = np.random.default_rng(0), 0
-    for seed in range(3):
-        learnt = ObjectRecogniser().fit(_session(0, 20, seed, "one"))
+    for learnt in learnt_on_three_days:
         for draw in range(30):
             some = rng.permutation([*"abcdef"])[:n_objects]
             there = _session(0, 12, 100 + draw, "two", some, labels=False)

@@ -155,6 +155,7 @@ def shapes_of(discs, codes, asked=None):
     return Shapes("drawn", images, asked, codes, place % 5, place // 10)
 
 
+@pytest.mark.slow
 def test_labels_of_the_second_half_do_not_choose(discs, rng):
     images, codes = discs
     plan = Corradi2014Plan.quick(choice_step=2)
@@ -171,6 +172,7 @@ def test_labels_of_the_second_half_do_not_choose(discs, rng):
     assert [r["ours"] for r in other.rows] != [r["ours"] for r in straight.rows]
 
 
+@pytest.mark.slow
 def test_turned_test_images_lower_pixels_and_not_moments(discs):
     images, codes = discs
     asked = variants(np.ascontiguousarray(images.transpose(0, 2, 1)))

@@ -360,6 +360,7 @@ def learning_processes():
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's /proc")
+@pytest.mark.slow
 def test_the_process_that_learns_stays_and_is_replaced_when_it_ends(
     make_session, drawn, learning_apart
 ):

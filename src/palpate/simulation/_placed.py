@@ -176,7 +176,7 @@ class PlacedObject(_Rebuilt):
             return turn
         return np.asarray(turn @ np.asarray(self.rotation, float))
 
-    @property
+    @cached_property
     def bounds_mm(self) -> Floats:
         """Lowest and highest x, y, z, (2, 3); zeros for "nothing"."""
         corners = self.vertices_mm if len(self.vertices_mm) else np.zeros((1, 3))
