@@ -10,6 +10,7 @@ recorded.
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from importlib import import_module
+from math import dist
 from unittest import mock
 
 import numpy as np
@@ -60,8 +61,10 @@ class FaultyArm:
 
     @property
     def force_n(self):
-        distance = float(np.linalg.norm(self.pose.position_mm - self.ball_mm))
-        return self.stiffness * max(self.radius_mm - distance, 0.0)
+        return self._force_at(dist(self.pose.position_mm, self.ball_mm))
+
+    def _force_at(self, distance_mm):
+        return self.stiffness * max(self.radius_mm - distance_mm, 0.0)
 
     @property
     def inside(self):
@@ -79,10 +82,10 @@ class FaultyArm:
         if self.stopped:
             raise RuntimeError("stopped")
         here, there = self.pose.position_mm, pose.position_mm
-        way = np.subtract(there, here)
-        for share in np.linspace(0, 1, 2 + int(np.linalg.norm(way))):
-            self.pose = SensorPose(here + share * way, pose.direction)
-            self.peak_n = max(self.peak_n, self.force_n)
+        shares = np.linspace(0, 1, 2 + int(dist(there, here)))[:, np.newaxis]
+        places = here + shares * np.subtract(there, here)
+        nearest_mm = np.linalg.norm(places - self.ball_mm, axis=1).min()
+        self.peak_n = max(self.peak_n, self._force_at(nearest_mm))
         self.pose = pose
 
     def clock(self):
