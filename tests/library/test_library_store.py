@@ -358,7 +358,8 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
 
 
 def test_a_database_that_another_keeps_to_itself_is_left_alone(folder, monkeypatch):
-    monkeypatch.setattr("palpate.library._store.PATIENCE_S", 0.05)
+    for patience in ("PATIENCE_S", "_PATIENCE_ALONE_S"):
+        monkeypatch.setattr(f"palpate.library._store.{patience}", 0.05)
     before = (folder / "library.sqlite").read_bytes()
     with TouchLibrary.open(folder) as library:
         with closing(sqlite3.connect(folder / "library.sqlite")) as other:
