@@ -58,20 +58,18 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def imported_anew():
-    """Let palpate be imported anew; afterwards the modules of before are back."""
-
-    def taken():
-        mine = [name for name in sys.modules if name.partition(".")[0] == "palpate"]
-        return {name: sys.modules.pop(name) for name in mine}
-
-    before = taken()
+def web_anew(monkeypatch):
+    """Let the page be imported anew: its files import an extra at their head."""
+    for name in [*sys.modules]:
+        if f"{name}.".startswith("palpate.web."):
+            monkeypatch.delitem(sys.modules, name)
     yield
-    taken()
-    sys.modules.update(before)
+    monkeypatch.undo()
+    if (web := sys.modules.get("palpate.web")) is not None:
+        importlib.import_module("palpate").web = web
 
 
-@pytest.mark.usefixtures("imported_anew")
+@pytest.mark.usefixtures("web_anew")
 @pytest.mark.parametrize(("package", "extra", "command"), COMMANDS)
 def test_the_refusal_names_package_and_extra(
     folder, package, extra, command, monkeypatch, capsys

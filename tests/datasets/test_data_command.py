@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from palpate.cli import main
-from palpate.datasets import card, names, where
+from palpate.datasets import card, fetch, names, where
 from palpate.simulation import simulate_presses
 from palpate.web import PageServer
 
@@ -140,21 +140,31 @@ def test_two_commands_make_the_demo(palpate, sources, tmp_path, monkeypatch):
     assert "bathtip50" in out
 
 
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory):
+    """The cache in which the ready model of an array was made, beside an older one."""
+    cache = tmp_path_factory.mktemp("cache")
+    older = cache / "models" / "sim-array-0.palpate"
+    older.parent.mkdir()
+    older.write_bytes(b"of other code")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PALPATE_DATA_HOME", str(cache))
+        fetch("sim-array")
+    return cache
+
+
 def test_a_ready_model_is_made_once_and_recognises_its_sensor(
-    palpate, tmp_path, monkeypatch
+    palpate, ready, tmp_path, monkeypatch
 ):
     """The noiseless presses of its own parts, drawn anew, after three of each."""
-    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
-    older = tmp_path / "cache" / "models" / "sim-array-0.palpate"
-    older.parent.mkdir(parents=True)
-    older.write_bytes(b"of other code")
     assert "sim-array       to make" in palpate("data", "list")[1]
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(ready))
+    [path] = (ready / "models").iterdir()  # what other code made was taken away
+    made = path.stat().st_mtime_ns
+    assert "sim-array       there" in palpate("data", "list")[1]
     code, out, err = palpate("data", "fetch", "sim-array")
     assert code == 0, err
-    path = Path(out.strip())
-    assert [*older.parent.iterdir()] == [path]  # what other code made is taken away
-    assert "sim-array       there" in palpate("data", "list")[1]
-    made = path.stat().st_mtime_ns
+    assert Path(out.strip()) == path
     new = tmp_path / "new.npz"
     simulate_presses(["bar10", "disc13"], 3, random_state=5).save(new)
     code, out, err = palpate("recognise", "sim-array", new, "--json")
@@ -172,11 +182,11 @@ def test_a_ready_model_is_made_once_and_recognises_its_sensor(
 
 @pytest.mark.slow
 def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
-    palpate, tmp_path, monkeypatch
+    palpate, ready, tmp_path, monkeypatch
 ):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
-    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
-    path = Path(palpate("data", "fetch", "sim-array")[1].strip())
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(ready))
+    [path] = (ready / "models").iterdir()
     used, desk = [], tmp_path / "desk"
 
     def run(server, app):

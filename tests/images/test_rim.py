@@ -324,7 +324,7 @@ def steady_share(rims, objects, scale):
 def test_archive_centres_keep_to_their_running_median(data_folder):
     with np.load(data_folder / "bathtip/bathtip50.npz") as archive:
         order = np.lexsort((archive["order"], archive["object"]))
-        names = np.unique(archive["object"])[::4]
+        names = np.unique(archive["object"])[::8]
         order = order[np.isin(archive["object"][order], names)]
         images, objects = archive["images"][order], archive["object"][order]
         rims = find_rims(images, no_contact=archive["no_contact"])
@@ -348,7 +348,9 @@ def read(path):
 @pytest.mark.realdata
 @pytest.mark.slow
 def test_original_centres_keep_to_their_running_median(data_folder):
-    touches = originals(data_folder)
+    touches = originals(data_folder)  # of every other object
+    names = sorted({name for name, _, _ in touches})[::2]
+    touches = [touch for touch in touches if touch[0] in names]
     near = find_rim(read(data_folder / "bathtip/originals/baselineForCalibration.jpg"))
     rims = Rims.of(find_rim(read(path), near=near) for _, _, path in touches)
     assert rims.visible.all()
@@ -372,7 +374,7 @@ def test_shifts_and_exposure_of_real_touches_are_recovered(data_folder, rng, kno
 @pytest.mark.parametrize("name", ["tactip4/tactip4.npz", "taxel10x10/taxel10x10.npz"])
 def test_sensors_without_a_rim_show_none(data_folder, name):
     with np.load(data_folder / name) as archive:
-        images = archive["images"][::8]
+        images = archive["images"][::16]
     assert not find_rims(images).visible.any()
 
 

@@ -166,9 +166,9 @@ def test_a_selection_reads_what_is_asked_for(library):
 @pytest.mark.realdata
 @pytest.mark.slow
 def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
-    """Ten objects of the dome camera, a fifth of their touches."""
+    """Five objects of the dome camera, a fifth of their touches."""
     touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
-    some = np.isin(touches.object, np.unique(touches.object)[:10])
+    some = np.isin(touches.object, np.unique(touches.object)[:5])
     touches = touches[np.flatnonzero(some)[::5]]
     with TouchLibrary.open(tmp_path, create=True) as library:
         library.add(touches)
