@@ -25,7 +25,7 @@ from palpate._durable import write_text
 from palpate.encodings import OnnxEncoding, PrincipalShare
 from palpate.evaluation import split_touches
 from palpate.evaluation._splits import draw_touches
-from palpate.images import DomeCrop, grey
+from palpate.images import ChannelMean, DomeCrop
 from palpate.recognition import find_geometry
 
 SIDE, EPOCHS, BATCH = 64, 40, 64
@@ -126,7 +126,7 @@ def figures(
 def small(images: np.ndarray) -> np.ndarray:
     """Return grey images in one size, float32; dead taxels are 0."""
     levels = np.nan_to_num(np.asarray(images, np.float32))
-    levels = grey(levels) if levels.ndim == 4 else levels
+    levels = ChannelMean().transform_checked(levels)
     return np.stack([cv2.resize(one, (SIDE, SIDE)) for one in levels])
 
 
@@ -136,7 +136,8 @@ def taught_network(touches: Touches, seed: int) -> np.ndarray:
     # As encodings get them: of a dome, the disc about the rim.
     clean = touches.images
     if find_geometry(touches) == "dome":
-        clean = DomeCrop().fit_transform(grey(clean), no_contact=touches.no_contact)
+        grey = ChannelMean().transform_checked(clean)
+        clean = DomeCrop().fit_transform(grey, no_contact=touches.no_contact)
     levels = small(clean)
     X = torch.tensor((levels - levels.mean()) / levels.std())[:, None]
     names, codes = np.unique(touches.object, return_inverse=True)

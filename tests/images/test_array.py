@@ -10,7 +10,6 @@ from palpate.images import (
     ArrayCleanUp,
     fill_dead_taxels,
     otsu_threshold,
-    stage_pictures,
 )
 
 
@@ -276,24 +275,6 @@ def test_clean_up_fills_or_refuses_dead_taxels(touches):
 def test_clean_up_refuses_bad_parameters_at_fit(params, message, touches):
     with pytest.raises(ValueError, match=message):
         ArrayCleanUp(**params).fit(touches)
-
-
-def test_stage_pictures_show_the_whole_chain(touches):
-    touch = touches[0].copy()
-    touch[0, 0] = np.nan
-    pictures = stage_pictures(touch, ArrayCleanUp(n_partitions=4))
-    assert list(pictures) == [
-        "raw",
-        "filled",
-        "resized",
-        "gamma",
-        "filtered",
-        *(f"binary {n} x {n}" for n in (1, 2, 3, 4)),
-    ]
-    assert pictures["raw"].shape == pictures["filled"].shape == (10, 10)
-    assert np.isnan(pictures["raw"][0, 0])
-    chain = ArrayCleanUp(n_partitions=4).fit_transform(touch[np.newaxis])
-    assert_array_equal(pictures["binary 4 x 4"], chain[0])
 
 
 def test_lists_of_unequal_lengths_are_refused():

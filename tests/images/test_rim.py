@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.images import Circle, Rims, find_rim, find_rims, typical_rim
+from palpate.images import Circle, Rims, find_rims, typical_rim
 
 
 def draw(shape, row, col, radius, *, inside=110.0, outside=250.0, lit=30.0):
@@ -31,6 +31,10 @@ def shift(image, down, right):
     rows = np.clip(np.arange(image.shape[0]) - down, 0, image.shape[0] - 1)
     cols = np.clip(np.arange(image.shape[1]) - right, 0, image.shape[1] - 1)
     return image[rows[:, np.newaxis], cols]
+
+
+def find_rim(image, near=None):
+    return find_rims(np.asarray(image)[np.newaxis], near=near)[0]
 
 
 def off_by(found, row, col):
@@ -223,7 +227,7 @@ def test_no_contact_frame_gives_the_radius(rng):
     images, _ = touches_of_one_device(rng)
     frame = draw((120, 160), 52.2, 50.8, 60.3)
     typical = typical_rim(images, no_contact=frame)
-    assert typical.radius == find_rim(frame).radius
+    assert typical.radius == typical_rim(frame[np.newaxis]).radius
     rims, wanted = find_rims(images, no_contact=frame), find_rims(images)
     # Both priors are the same circle to a few hundredths, wherever the search begins.
     np.testing.assert_allclose(rims.row, wanted.row, atol=0.05)
@@ -288,13 +292,12 @@ def test_nan_is_refused():
 @pytest.mark.parametrize(
     ("call", "kind", "message"),
     [
-        (lambda: find_rim(np.ones((2, 50, 50))), ValueError, "For many touches"),
         (lambda: find_rims(np.ones((50, 50))), ValueError, "X[np.newaxis]"),
         (lambda: find_rims(np.ones((50, 50), np.uint8)), ValueError, "X[np.newaxis]"),
         (lambda: find_rims(np.full((1, 9, 9), "a")), TypeError, "must be numbers"),
         (lambda: find_rims(np.ones((0, 50, 50), np.uint8)), ValueError, "at least one"),
         (
-            lambda: find_rim(np.ones((50, 50)), near=Circle(1, 1, 0)),
+            lambda: find_rims(np.ones((1, 50, 50)), near=Circle(1, 1, 0)),
             ValueError,
             "near.radius must be positive",
         ),

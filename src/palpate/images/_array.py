@@ -10,7 +10,6 @@ paper's (doi:10.1155/2014/497275). `ChannelMean` brings several channels to grey
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import islice
 from typing import Self
 
 import numpy as np
@@ -56,10 +55,6 @@ class ArrayCleanUp(ImageEstimator):
         What happens to dead taxels (NaN).
     output : {"binary", "filtered", "gamma", "resized"}, default="binary"
         The last step that is done.
-
-    See Also
-    --------
-    stage_pictures : every step of the chain as a picture.
 
     Examples
     --------
@@ -109,9 +104,7 @@ class ArrayCleanUp(ImageEstimator):
         return next(stage for step, stage in self._steps(images) if step == wanted)
 
     def _steps(self, images: Array) -> Iterator[tuple[str, Array]]:
-        filled = fill_dead_taxels(images, dead=self.dead)
-        yield "filled", filled
-        resized = resize(filled, self.shape)
+        resized = resize(fill_dead_taxels(images, dead=self.dead), self.shape)
         yield "resized", resized
         corrected = correct_gamma(resized, self.gamma)
         yield "gamma", corrected
@@ -199,23 +192,6 @@ def binarise(
             block = np.s_[:, rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
             binary[block] = _binarise_block(checked[block], whole, contrast * span)
     return binary
-
-
-def stage_pictures(
-    image: ArrayLike, clean_up: ArrayCleanUp | None = None
-) -> dict[str, Array]:
-    """Return every stage of the clean-up of one image, as the paper's Fig. 10.
-
-    In order "raw", "filled", "resized", "gamma", "filtered", "binary 1 x 1" to "3 x 3".
-    """
-    chain = ArrayCleanUp() if clean_up is None else clean_up
-    raw = check_images(np.asarray(image)[np.newaxis], allow_nan=True)
-    stages: dict[str, Array] = {"raw": raw, **dict(islice(chain._steps(raw), 4))}
-    for n in sorted({1, 2, 3, chain.n_partitions}):
-        stages[f"binary {n} x {n}"] = binarise(
-            stages["filtered"], n, min_contrast=chain.min_contrast
-        )
-    return {name: pictures[0] for name, pictures in stages.items()}
 
 
 def _resize_matrix(n_in: int, n_out: int) -> Floats:
@@ -365,16 +341,11 @@ class ChannelMean(ImageEstimator, by_channel=False):
 
     def transform_checked(self, images: Array) -> Array:
         """Return images of shape (n_touches, n_rows, n_cols)."""
-        return grey(images)
-
-
-def grey(images: Array) -> Array:
-    """Return the mean over channels (n_touches, n_rows, n_cols), of any images."""
-    if images.ndim == 3:
-        return images
-    # Channel by channel: `mean` over so short an axis takes several times as long.
-    mean: Floats = images[..., 0].astype(np.result_type(images.dtype, np.float32))
-    for channel in range(1, images.shape[3]):
-        mean += images[..., channel]
-    mean /= images.shape[3]
-    return mean
+        if images.ndim == 3:
+            return images
+        # Channel by channel: `mean` over so short an axis takes several times as long.
+        mean: Floats = images[..., 0].astype(np.result_type(images.dtype, np.float32))
+        for channel in range(1, images.shape[3]):
+            mean += images[..., channel]
+        mean /= images.shape[3]
+        return mean

@@ -83,7 +83,7 @@ def _shift(centre: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Orientations:
+class _Orientations:
     """Direction of the long axis, -180 to 180, and anisotropy of images, (n_touches,).
 
     The long tail points to `angle_deg`; the anisotropy (a - b) / (a + b) of the largest
@@ -108,7 +108,8 @@ class OrientationRegulariser(ImageEstimator):
     Notes
     -----
     Images are turned about the middle of the frame, linearly interpolated; only the
-    inscribed disc is looked at and kept. See `orientations` for the angle.
+    inscribed disc is looked at and kept. The angle is that of
+    the long axis, towards the longer tail.
 
     Examples
     --------
@@ -128,14 +129,14 @@ class OrientationRegulariser(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""
-        axes = orientations(images)
+        axes = _orientations(images)
         angle = np.where(axes.anisotropy >= self.min_anisotropy, axes.angle_deg, 0.0)
         turned = repose(images, -angle, edges="nearest")
         turned *= inscribed_mask(*images.shape[1:])
         return turned
 
 
-def orientations(images: ArrayLike) -> Orientations:
+def _orientations(images: ArrayLike) -> _Orientations:
     """Return direction and anisotropy of each image, from its central moments.
 
     Levels count from the least one in the inscribed disc. The third moment along the
@@ -158,7 +159,7 @@ def orientations(images: ArrayLike) -> Orientations:
     opposite = np.where(degrees > 0, degrees - 180, degrees + 180)
     degrees = np.where(backwards, opposite, degrees)
     share = np.where(flat, 0.0, size / np.where(both > 0, both, 1.0))
-    return Orientations(degrees, share)
+    return _Orientations(degrees, share)
 
 
 def repose(

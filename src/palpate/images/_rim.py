@@ -108,22 +108,6 @@ class Rims:
 _IN_ORDER = attrgetter(*(field.name for field in fields(Circle)))
 
 
-def find_rim(image: ArrayLike, *, near: Circle | None = None) -> Circle:
-    """Find the rim of one finite image (n_rows, n_cols) of any integer or float type.
-
-    The radius is held within about a per cent of `near`'s, the centre anywhere within
-    half a radius. Where no rim is visible: `near` or the inscribed disc, marked as
-    such.
-    """
-    grey = np.asarray(image)
-    if grey.ndim != 2:
-        raise ValueError(
-            "image must have shape (n_rows, n_cols), got an array of shape "
-            f"{grey.shape}. For many touches use find_rims."
-        )
-    return _find(as_images(grey[None])[0], _checked(near))
-
-
 def find_rims(
     images: ArrayLike,
     *,
@@ -137,7 +121,8 @@ def find_rims(
     images : array-like of shape (n_touches, n_rows, n_cols)
         Grey levels of any integer or float type, without NaN.
     near : Circle, optional
-        As in `find_rim`; with it, a touch's rim does not depend on the others.
+        Radii are held within about a per cent of its own, centres anywhere within
+        half a radius; a touch's rim does not depend on the others then.
     no_contact : array-like of shape (n_rows, n_cols), optional
         The no-contact frame, to learn `near` from. With neither, `near` is the
         `typical_rim` of the touches, so the radius comes from all of them.
@@ -145,6 +130,7 @@ def find_rims(
     Returns
     -------
     Rims
+        Where none is visible: `near` or the inscribed disc, marked as such.
 
     Raises
     ------
@@ -152,7 +138,9 @@ def find_rims(
         If `images` are no finite images.
     """
     checked = as_images(images)
-    near = _checked(near) or typical_rim(checked, no_contact=no_contact)
+    if near is not None:
+        check_positive("near.radius", near.radius)
+    near = near or typical_rim(checked, no_contact=no_contact)
     return rims_near(checked, near)
 
 
@@ -176,8 +164,10 @@ def typical_rim(
     checked = as_images(images)
     n = len(checked)
     which = np.unique(np.linspace(0, n - 1, min(n, N_TYPICAL)).round().astype(int))
-    alone = None if no_contact is None else find_rim(no_contact)
-    idle = alone if alone is not None and alone.visible else None
+    idle = None
+    if no_contact is not None:
+        alone = _find(as_images(np.asarray(no_contact)[np.newaxis])[0], None)
+        idle = alone if alone.visible else None
     rims = rims_near(checked[which], idle)
     seen = rims[rims.visible]
     if idle is not None:
@@ -201,12 +191,6 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
     if images.dtype == np.uint8:
         return images
     return check_levels(check_finite(images.astype(np.float64, copy=False)))
-
-
-def _checked(near: Circle | None) -> Circle | None:
-    if near is not None:
-        check_positive("near.radius", near.radius)
-    return near
 
 
 def _find(image: Array, near: Circle | None) -> Circle:

@@ -12,9 +12,17 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from .._types import Array, Bools, Floats
-from ..images import DomeCrop, grey, otsu_threshold
+from ..images import DomeCrop, otsu_threshold
 from ..touches import FORMER, Touches
-from ._encoder import BATCH, Encoder, TouchEncoder, find_geometry, in_batches, living
+from ._encoder import (
+    BATCH,
+    Encoder,
+    TouchEncoder,
+    find_geometry,
+    grey,
+    in_batches,
+    living,
+)
 
 NO_CONTACT = "no contact"
 TURNED = "turned or shifted"

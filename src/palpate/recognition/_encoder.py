@@ -15,7 +15,7 @@ from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
 from .._types import Array, Bools, Floats
 from ..encodings import EncodingUnion, PrincipalShare, RingPatterns
-from ..images import DomeCrop, fill_dead_taxels, grey, typical_rim
+from ..images import ChannelMean, DomeCrop, fill_dead_taxels, typical_rim
 from ..touches import Touches
 from ._plugs import UserEncoding
 from ._sessions import looks
@@ -31,6 +31,7 @@ STUCK_TOUCHES = 10
 # Learning and encoding at once, they do nothing twice.
 _ENCODE_AS_THEY_LEARN = EncodingUnion, RingPatterns, UserEncoding
 _TAKES_CHECKED = ImageEstimator, PrincipalShare
+grey = ChannelMean().transform_checked  # of images that were checked
 
 
 class Encoder(ABC):

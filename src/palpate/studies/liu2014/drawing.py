@@ -10,7 +10,7 @@ from ... import studies as shared
 from ..._types import Floats
 from ...encodings import outer_boundary
 from ...evaluation import plots
-from ...images import ArrayCleanUp, stage_pictures
+from ...images import ArrayCleanUp
 from ...simulation import find_parts
 from ...touches import Touches
 from .. import Row, labels
@@ -31,6 +31,10 @@ _OVERLAP = (
 )
 _FEATURES = {"Fig. 12": "descriptors", "Fig. 13": "geometry", "Fig. 14": "both"}
 _MARKS = "os^D"
+_STAGES: dict[str, dict[str, Any]] = {
+    **{stage: {"output": stage} for stage in ("resized", "gamma", "filtered")},
+    **{f"binary {n} x {n}": {"n_partitions": n} for n in (1, 2, 3)},
+}
 
 
 def load_and_cover(plan: Liu2014Plan) -> Any:
@@ -72,8 +76,10 @@ def stages(touches: Touches) -> Any:
     figure, axes = _images(8, len(spaced), 1.1)
     for line, at in zip(axes.T, spaced.astype(int), strict=True):
         row, name = firsts[at]
-        chain = stage_pictures(touches.images[row])
-        del chain["filled"]
+        press = touches.images[[row]]
+        chain = {"raw": press[0]}
+        for stage, how in _STAGES.items():
+            (chain[stage],) = ArrayCleanUp(**how).fit_transform(press)
         line[0].imshow(touches.images[row], alpha=0)
         line[0].autoscale(False)
         line[0].set_title(name, fontsize=9)
