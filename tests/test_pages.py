@@ -1,13 +1,15 @@
-"""What the pages show: pictures of today that name their commands, an install line."""
+"""What the pages show: pictures and their commands, an install line, licences."""
 
 import json
 import re
 import tomllib
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import typer
 
+import licences
 import pictures
 from palpate.cli import app
 from tables import one_figure_a_cell, split
@@ -115,3 +117,24 @@ def test_every_verb_stands_on_the_page_of_commands():
     for verb, inner in command.commands.items():
         for name in getattr(inner, "commands", {"": None}):
             assert f"`palpate {verb} {name}".rstrip() in page
+
+
+ROOT = Path(__file__).parents[1]
+LICENCES = (ROOT / "docs/reference/licences.md").read_text()
+
+
+@pytest.mark.skipif(
+    f"threadpoolctl=={version('threadpoolctl')}\n"
+    not in (ROOT / "constraints.txt").read_text(),
+    reason="these are not the packages of constraints.txt, whose licences are listed",
+)
+def test_the_page_says_what_the_packages_say():
+    wanted = set(licences.rows())
+    assert wanted <= set(LICENCES.splitlines()), "run python benchmarks/licences.py"
+
+
+def test_every_package_has_a_row():
+    named = {
+        line.split("|")[1].strip() for line in LICENCES.splitlines() if "|" in line
+    }
+    assert {name for name, _ in licences.requirements()} <= named

@@ -1,13 +1,16 @@
-"""Learning from a library: the same model, features once, images never all at once."""
+"""Learning from a library or Parquet: as from touches in memory, piece by piece."""
+
+import os
+import re
 
 import numpy as np
 import pytest
 from joblib import parallel_config
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate import Touches
-from palpate.library import LibraryError, Selection, TouchLibrary
-from palpate.recognition import ObjectRecogniser
+from palpate import ObjectRecogniser, Touches
+from palpate.library import TouchLibrary
+from palpate.touches import ParquetTouches, TouchesError
 
 NAMES = ("ball", "mug", "pen")
 
@@ -35,10 +38,11 @@ def library(tmp_path):
 
 
 @pytest.fixture
-def counted(monkeypatch):
+def counted(monkeypatch, library):
     """How many touches of a library were encoded, one entry per call."""
     calls = []
-    features = Selection.features
+    selection = type(library.select())
+    features = selection.features
 
     def counting(self, key, encode):
         def encode_counted(touches):
@@ -47,21 +51,22 @@ def counted(monkeypatch):
 
         return features(self, key, encode_counted)
 
-    monkeypatch.setattr(Selection, "features", counting)
+    monkeypatch.setattr(selection, "features", counting)
     return calls
 
 
 @pytest.fixture
-def shown(monkeypatch):
+def shown(monkeypatch, library):
     """Places of the touches whose images were read, one entry per call."""
     calls = []
-    touches = Selection.touches
+    selection = type(library.select())
+    touches = selection.touches
 
     def showing(self, rows):
         calls.append(np.asarray(rows))
         return touches(self, rows)
 
-    monkeypatch.setattr(Selection, "touches", showing)
+    monkeypatch.setattr(selection, "touches", showing)
     return calls
 
 
@@ -102,7 +107,7 @@ def test_an_object_is_added_from_its_new_episodes_alone(library, counted):
 def test_an_encoding_is_learnt_from_some_touches_of_each_label(tmp_path, shown):
     """Of 2,020 touches some 2,000 are shown, of each of three labels a third."""
     parts = [_touches(6, ("ball",), 1990), _touches(7, ("mug", "pen"), 15)]
-    with TouchLibrary.open(tmp_path, create=True) as library:
+    with TouchLibrary.open(tmp_path / "large", create=True) as library:
         library.add(Touches.concatenate(parts))
         read = ObjectRecogniser().fit(library.select())
     [rows] = shown
@@ -133,34 +138,11 @@ def _means(touches):
     return touches.images.mean(axis=2)
 
 
-def test_a_damaged_cache_is_computed_again(library):
-    chosen = library.select()
-    first = chosen.features("means", _means)
-    for path in (library.folder / "features").rglob("*.npz"):
-        path.write_bytes(path.read_bytes()[:-3])
-    assert_array_equal(chosen.features("means", _means), first)
-    with pytest.raises(ValueError, match="letters and digits"):
-        chosen.features("../x", _means)
-
-
 def test_a_selection_knows_the_ids_of_its_touches(library):
     """One id in 256 ends in a byte of zero, which is a part of it."""
     ids = library.add(_touches(9, ("cap",), 600))
     assert library.select("object = cap").touch_id.tolist() == ids
     assert any(key.endswith("00") for key in ids)
-
-
-def test_a_selection_reads_what_is_asked_for(library):
-    chosen = library.select("object = mug")
-    assert len(chosen) == 30
-    assert set(chosen.object) == {"mug"}
-    assert chosen.category is None
-    some = chosen.touches([2, 5])
-    assert_array_equal(some.images, library.touches("object = mug").images[[2, 5]])
-    with pytest.raises(LibraryError, match="that rise"):
-        chosen.touches([5, 2])
-    with pytest.raises(LibraryError, match="at least one touch"):
-        library.select("object = nobody")
 
 
 @pytest.mark.realdata
@@ -175,3 +157,188 @@ def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
         read = ObjectRecogniser("corradi2015").fit(library.select())
     held = ObjectRecogniser("corradi2015").fit(touches)
     assert_allclose(read.memory_.features, held.memory_.features, atol=1e-9)
+
+
+@pytest.fixture
+def pq():
+    return pytest.importorskip("pyarrow.parquet")
+
+
+def drawn(n_each=40, n_objects=5, shape=(3, 8), seed=0):
+    """Touches of objects about a mean image each."""
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(size=(n_objects, *shape))
+    objects = np.tile(np.arange(n_objects), n_each)
+    images = centres[objects] + 0.3 * rng.normal(size=(len(objects), *shape))
+    names = [f"part {k}" for k in objects]
+    return Touches(images, object=names, order=np.arange(len(names)), geometry="none")
+
+
+@pytest.fixture
+def written(tmp_path, pq):
+    """Return touches, and the folder of Parquet that a library of them exports."""
+    touches = drawn()
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(touches, session="monday")
+        library.export(tmp_path / "set.parquet", by="object")
+        inside = library.touches()
+    return inside, tmp_path / "set.parquet"
+
+
+def sums(touches):
+    return touches.images.sum(axis=(1, 2))[:, np.newaxis]
+
+
+def test_rows_are_those_of_reading_all_of_it(tmp_path, pq):
+    path = tmp_path / "set.parquet"
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(drawn(n_each=300, n_objects=3))
+        library.export(path, by="object")
+    for file in path.rglob("*.parquet"):  # several row groups each, large and small
+        pq.write_table(pq.read_table(file), file, row_group_size=130)
+    whole, source = Touches.load(path), ParquetTouches(path)
+    assert len(source) == len(whole) == 900
+    assert_array_equal(source.object, whole.object)
+    assert_array_equal(source.order, whole.order)
+    rows = np.array([0, 3, 129, 130, 299, 300, 301, 620, 899])
+    picked = source.touches(rows)
+    assert_array_equal(picked.images, whole.images[rows])
+    assert_array_equal(picked.object, whole.object[rows])
+    assert picked.geometry == "none"
+    assert_allclose(source.features("any", sums), sums(whole))
+    some = source[np.flatnonzero(source.object == "part 2")]
+    assert_allclose(some.features("any", sums), sums(whole[whole.object == "part 2"]))
+    with pytest.raises(TouchesError, match="rows must rise"):
+        source.touches([3, 2])
+
+
+@pytest.mark.parametrize("scheme", ["file", "memory"])
+def test_what_is_learnt_is_what_touches_in_memory_teach(written, scheme, tmp_path):
+    pytest.importorskip("fsspec")
+    touches, path = written
+    url = f"file://{path}"
+    if scheme == "memory":
+        url = "memory://learning/set.parquet"
+        with TouchLibrary.open(tmp_path / "library") as library:
+            library.export(url, by="object")
+    with parallel_config("threading", n_jobs=2):
+        source = ParquetTouches(url)
+        from_store = ObjectRecogniser().fit(source)
+    held = ObjectRecogniser().fit(Touches.load(path))
+    asked = drawn(n_each=4, seed=0)
+    # The same touches in the same order: rounding alone.
+    assert_allclose(
+        from_store.log_likelihood(asked), held.log_likelihood(asked), atol=1e-9
+    )
+    assert len(touches) == len(from_store.memory_)
+
+
+def test_pictures_are_decoded_where_they_are_asked_for(tmp_path, pq):
+    images = np.random.default_rng(0).integers(0, 255, (9, 60, 80), dtype=np.uint8)
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(Touches(images, object=["mug", "pen", "cap"] * 3))
+        library.export(tmp_path / "some.parquet")
+    source = ParquetTouches(tmp_path / "some.parquet")
+    assert_array_equal(source.touches([1, 5]).images, images[[1, 5]])
+
+
+def test_a_file_that_changes_while_it_is_read_is_refused(written, pq):
+    _, path = written
+    source = ParquetTouches(path)
+    first = next(iter(sorted(path.rglob("*.parquet"))))
+    table = pq.read_table(first)
+
+    def encode(touches):
+        pq.write_table(table.slice(0, 20), first)
+        os.utime(first, ns=(1, 1))
+        return sums(touches)
+
+    with pytest.raises(TouchesError, match="written meanwhile"):
+        source.features("any", encode)
+    with pytest.raises(TouchesError, match="written meanwhile"):
+        source.touches([0])
+    first.unlink()
+    with pytest.raises(TouchesError, match="got nothing there"):
+        source.touches([0])
+
+
+def test_a_file_that_comes_later_is_not_in_it(written, pq):
+    _, path = written
+    source = ParquetTouches(path)
+    first = next(iter(sorted(path.rglob("*.parquet"))))
+    pq.write_table(pq.read_table(first), first.with_name("later.parquet"))
+    assert len(source) == len(source.features("any", sums)) == 200
+    assert len(ParquetTouches(path)) == 240
+
+
+def test_blocks_of_different_sizes_or_types_are_refused_before_learning(written):
+    _, path = written
+    with TouchLibrary.open(path.parent / "other", create=True) as library:
+        library.add(drawn(shape=(4, 4)))
+        library.export(path / "other.parquet")
+    with pytest.raises(TouchesError, match="one size and type, got") as refused:
+        ParquetTouches(path)
+    assert re.search(r"4 x 4.*other\.parquet", str(refused.value))
+
+
+def test_pictures_of_different_sizes_are_refused_by_name(tmp_path, pq):
+    """What pictures measure is known when they are decoded."""
+    rng = np.random.default_rng(0)
+    (tmp_path / "set").mkdir()
+    for side in (60, 70):
+        images = rng.integers(0, 255, (6, side, side), dtype=np.uint8)
+        with TouchLibrary.open(tmp_path / str(side), create=True) as library:
+            library.add(Touches(images, object=["mug", "pen"] * 3))
+            library.export(tmp_path / "set" / f"{side}.parquet")
+    with pytest.raises(ValueError, match="60 x 60"):
+        ObjectRecogniser().fit(ParquetTouches(tmp_path / "set"))
+
+
+def test_other_files_are_refused(tmp_path, pq):
+    pa = pytest.importorskip("pyarrow")
+    pq.write_table(pa.table({"object": ["mug"]}), tmp_path / "a.parquet")
+    with pytest.raises(TouchesError, match="must have a column 'image'"):
+        ParquetTouches(tmp_path / "a.parquet")
+    (tmp_path / "b.parquet").write_bytes(b"PAR1")
+    with pytest.raises(TouchesError, match="whole Parquet file"):
+        ParquetTouches(tmp_path / "b.parquet")
+
+
+def test_a_library_that_changes_while_it_is_read_teaches_what_was_selected(tmp_path):
+    touches = drawn()
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(touches)
+        before = library.select()
+        alone = before.features("before", sums)
+
+        def encode(some):
+            with TouchLibrary.open(tmp_path / "library") as other:
+                other.add(drawn(n_each=1, seed=len(other)))
+                if "part 1" in {row.name for row in other.objects()}:
+                    other.rename_object("part 1", "renamed")
+                    other.retract(object="part 2", reason="test")
+            return sums(some)
+
+        chosen = library.select()
+        names = chosen.object
+        assert_array_equal(chosen.features("during", encode), alone)
+        assert_array_equal(chosen.object, names)
+        assert len(chosen.touches(range(200))) == 200
+        later = library.select()
+    assert len(later) != 200
+    assert "renamed" in later.object
+    assert "part 2" not in later.object
+
+
+def test_kept_features_of_another_encoding_are_made_anew(tmp_path):
+    """A file of another width under this encoding's key is no good."""
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(drawn())
+        chosen = library.select()
+        right = chosen.features("key", sums)
+        cache = tmp_path / "library" / "features" / "key"
+        (kept,) = cache.glob("*.npz")
+        with np.load(kept) as held:
+            ids = held["ids"]
+        np.savez(cache / "other.npz", ids=ids[:50], x=np.zeros((50, 3)))
+        assert_array_equal(chosen.features("key", sums), right)

@@ -25,12 +25,12 @@ from .._extras import install, needed
 from ._output import WrongUse, say
 
 if TYPE_CHECKING:
-    from ..library import Selection, TouchLibrary
+    from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser
-    from ..touches import ParquetTouches, Touches
+    from ..touches import Touches, TouchSource
 
     # Touches to learn from, held or read as they are needed.
-    Labelled = Touches | Selection | ParquetTouches
+    Labelled = Touches | TouchSource
 
 _NOT_OF_STREAMS = ("where", "name_pattern", "levels", "shape")
 MOST_SEED = 2**32 - 1

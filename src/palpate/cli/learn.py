@@ -67,7 +67,7 @@ def learn(
                 settings = vars(how) | {"random_state": how.seed}
                 del settings["seed"]
                 recogniser = recognition.ObjectRecogniser(**settings).fit(training)
-            if pitch_mm is not None or "set_pitch_mm" in training.whole:
+            if pitch_mm is not None or "set_pitch_mm" in getattr(training, "whole", ()):
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
         if TouchLibrary.is_library(touches) and calibration is None and extend is None:
@@ -148,8 +148,10 @@ def _extended(
 
 
 def _held(training: "_options.Labelled") -> "Touches":
+    import numpy as np
+
     from ..touches import Touches
 
     if isinstance(training, Touches):
         return training
-    return training.touches(range(len(training)))
+    return training.touches(np.arange(len(training)))

@@ -11,7 +11,6 @@ from ._changes import checked_name as checked_name
 from ._checking import check_library
 from ._library import TouchLibrary
 from ._migrating import migrate_library as migrate_library
-from ._reading import Selection as Selection
 from ._repairing import repair_library as repair_library
 from ._store import LibraryError
 from ._where import quoted

@@ -565,7 +565,7 @@ class Touches(Labelled):
 class TouchSource(Protocol):
     """Labelled touches whose images are read piece by piece.
 
-    `palpate.library.Selection` is one; the properties are as in `Touches`.
+    `TouchLibrary.select` returns one; the properties are as in `Touches`.
     """
 
     @property

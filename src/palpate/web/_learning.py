@@ -24,7 +24,7 @@ import numpy as np
 
 from .._checks import size_said
 from .._types import Array
-from ..library import LibraryError, Selection, TouchLibrary
+from ..library import LibraryError, TouchLibrary
 from ..recognition import (
     EmptyTouchError,
     Memory,
@@ -33,6 +33,7 @@ from ..recognition import (
     with_floor,
 )
 from ..sensors import SensorMemory
+from ..touches import TouchSource
 
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
 # So many touches, spread over all, show what a sensor answers, read so many at once.
@@ -220,7 +221,7 @@ def remember_library(
 
 
 def remember_sensor(
-    model: ObjectRecogniser, library: TouchLibrary, touches: Selection
+    model: ObjectRecogniser, library: TouchLibrary, touches: TouchSource
 ) -> None:
     """Keep what the sensor of these touches was like, where its baseline is known."""
     baseline = _latest_baseline(library, touches)
@@ -286,9 +287,9 @@ def _refuse_other_size(
         raise LearningError(sentence.format(old=old, new=new, names=names))
 
 
-def _latest_baseline(library: TouchLibrary, touches: Selection) -> Array | None:
+def _latest_baseline(library: TouchLibrary, touches: TouchSource) -> Array | None:
     """Return the newest no-contact image that has the size of these touches."""
-    shape = touches.touches([len(touches) - 1]).images.shape[1:]
+    shape = touches.touches(np.array([len(touches) - 1])).images.shape[1:]
     sessions: list[Any] = [None]
     if touches.session is not None:
         named = [s for s in touches.session.tolist()[::-1] if s not in ("", None)]
