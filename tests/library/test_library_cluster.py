@@ -20,7 +20,7 @@ from palpate._parallel import results_of
 from palpate.classifiers import _kernel_ridge, _landmarks
 from palpate.cli import main
 from palpate.library import TouchLibrary
-from palpate.touches import ParquetTouches, _parquet_source
+from palpate.touches import ParquetTouches
 
 distributed = pytest.importorskip("distributed")
 
@@ -219,7 +219,7 @@ def few_at_once(monkeypatch):
     """Landmarks from 5,000 targets on, tasks of 100 touches or a row group."""
     monkeypatch.setattr(_kernel_ridge, "_MOST_TARGETS", 5000)
     monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 100)
-    monkeypatch.setattr(_parquet_source, "_AT_ONCE", 1)
+    monkeypatch.setattr("palpate.touches._sources._AT_ONCE", 1)
 
 
 @pytest.mark.slow

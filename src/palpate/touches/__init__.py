@@ -20,13 +20,14 @@ from ._layout import levels_pattern as levels_pattern
 from ._parquet import is_parquet as is_parquet
 from ._parquet import url_of as url_of
 from ._parquet import write_parquet as write_parquet
-from ._parquet_source import ParquetTouches as ParquetTouches
 from ._pictures import FILMS as FILMS
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
+from ._sources import ParquetTouches as ParquetTouches
+from ._sources import TouchSource, read_folder, read_parquet
 from ._touches import Labelled as Labelled
-from ._touches import Touches, TouchSource, read_folder, read_parquet
+from ._touches import Touches
 
 __all__ = [
     "TouchSource",

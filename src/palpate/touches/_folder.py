@@ -413,7 +413,7 @@ def _like(path: Path, like: Header, max_pixels: int) -> Array:
             f"no_contact must be {like.n_cols} x {like.n_rows} {like.n_bits}-bit like "
             f"the touches, got {header} in {path}. Convert it, or give another."
         )
-    return decode_picture(path, header)
+    return decode_picture(path, header)[0]
 
 
 def _picture_names(root: Path, no_contact: Path | None) -> list[str]:

@@ -131,9 +131,13 @@ def parquet_parts(
 
     Raises TouchesError where it is no Parquet, or not one of touches.
     """
+    n_parts = 0
     for name in parquet_files(path):
-        with _reader(name) as (pa, reader):
-            yield from _parts(pa, name, reader, max_bytes, max_pixels)
+        for part in parquet_rows(name, max_bytes, max_pixels):
+            n_parts += 1
+            yield part
+    if not n_parts:
+        raise TouchesError(f"{path} must hold at least one touch, got none.")
 
 
 @contextmanager
@@ -248,23 +252,6 @@ def parquet_index(name: str) -> FileIndex:
     return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)
 
 
-def parquet_rows(
-    name: str,
-    groups: Sequence[int],
-    rows: Array | None,
-    max_bytes: int,
-    max_pixels: int,
-) -> Iterator[Arrays]:
-    """Yield what `Touches` is made of, of some row groups of a file.
-
-    Of all their touches, or of some rows, counted from the first of the groups.
-    """
-    with _reader(name) as (pa, reader):
-        chosen = list(groups), rows
-        for arrays, _ in _parts(pa, name, reader, max_bytes, max_pixels, chosen):
-            yield arrays
-
-
 def _named(name: str) -> dict[str, str]:
     """Return the columns that the folders of a file's path carry."""
     return {key: unquote(value) for key, value in _PART.findall(name)}
@@ -282,16 +269,37 @@ def _schema_of(name: str, reader: Any) -> tuple[Any, dict[str, Any]]:
     return schema, about
 
 
-def _parts(
-    pa: Any,
+def parquet_rows(
     name: str,
-    reader: Any,
     max_bytes: int,
     max_pixels: int,
-    chosen: tuple[list[int] | None, Array | None] = (None, None),
+    groups: Sequence[int] | None = None,
+    rows: Array | None = None,
 ) -> Iterator[tuple[Arrays, list[bytes] | None]]:
-    """Yield touches, of the `chosen` row groups and rows, one recording at a time."""
-    _, about = _schema_of(name, reader)
+    """Yield what `Touches` is made of, one recording at a time, and files of images.
+
+    Of all of a file, or of some row groups and of `rows`, counted from their first.
+    """
+    with _reader(name) as (pa, reader):
+        _, about = _schema_of(name, reader)
+        size = _batch_size(name, reader, max_bytes)
+        named = _named(name)
+        batches = reader.iter_batches(batch_size=size, row_groups=groups)
+        for batch in _picked(pa, batches, rows):
+            arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
+            for column, value in named.items():
+                arrays.setdefault(column, np.full(batch.num_rows, value))
+            numbers = arrays.pop(_RECORDING, np.zeros(batch.num_rows, int))
+            cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
+            for start, stop in pairwise(cuts):
+                part = {n: array[start:stop] for n, array in arrays.items()}
+                part["images"] = part.pop(_IMAGE)
+                kept = None if files is None else files[start:stop]
+                yield {**part, **_whole(name, about, int(numbers[start]))}, kept
+
+
+def _batch_size(name: str, reader: Any, max_bytes: int) -> int:
+    """Return how many rows memory holds at once; refuse row groups that are larger."""
     groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
     largest = max((group.total_byte_size for group in groups), default=0)
     if largest > max_bytes:
@@ -299,21 +307,8 @@ def _parts(
             f"{name} must have row groups of at most {max_bytes} bytes, got {largest}. "
             "Write it in smaller ones, or raise max_bytes."
         )
-    named = _named(name)
     n_bytes = largest // max(1, max((group.num_rows for group in groups), default=1))
-    size = max(1, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
-    batches = reader.iter_batches(batch_size=size, row_groups=chosen[0])
-    for batch in _picked(pa, batches, chosen[1]):
-        arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
-        for column, value in named.items():
-            arrays.setdefault(column, np.full(batch.num_rows, value))
-        numbers = arrays.pop(_RECORDING, np.zeros(batch.num_rows, int))
-        cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
-        for start, stop in pairwise(cuts):
-            part = {n: array[start:stop] for n, array in arrays.items()}
-            part["images"] = part.pop(_IMAGE)
-            kept = None if files is None else files[start:stop]
-            yield {**part, **_whole(name, about, int(numbers[start]))}, kept
+    return max(1, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
 
 
 def _picked(pa: Any, batches: Iterator[Any], rows: Array | None) -> Iterator[Any]:

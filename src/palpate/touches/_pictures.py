@@ -214,23 +214,15 @@ def checked_picture(
     return header, orientation, _levels(data, counted, orientation), data
 
 
-def decode_picture(path: Path, header: Header) -> Array:
-    """Return the levels of a picture that has this header."""
-    levels = np.empty(header.shape, header.dtype)
-    _decode_into(levels, path, header)
-    return levels
-
-
-def _decode_into(out: Array, path: Path, header: Header) -> bytes:
-    """Write the levels of a picture that has this header to `out`; return its bytes."""
+def decode_picture(path: Path, header: Header) -> tuple[Array, bytes]:
+    """Return the levels of a picture that has this header, and its bytes."""
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
             data = file.read()
         now, orientation = _read_header(BytesIO(data))
         if not (now := now.checked(header.colour)).is_like(header):
             raise PictureError(f"{now} after {header}: the file changed meanwhile")
-        _levels(data, now, orientation, out)
-        return data
+        return _levels(data, now, orientation), data
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
 
@@ -255,7 +247,7 @@ def decode_pictures(
     def fill(start: int) -> int:
         stop = min(start + _AT_ONCE, len(paths))
         for touch in range(start, stop):
-            files[touch] = _decode_into(images[touch], paths[touch], header)
+            images[touch], files[touch] = decode_picture(paths[touch], header)
         return stop - start
 
     pool = ThreadPoolExecutor(n_cores())
@@ -360,23 +352,18 @@ def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
     return PictureError(f"a damaged {kind} ({error})" if stream.read(1) else _CUT_SHORT)
 
 
-def _levels(
-    data: bytes, header: Header, orientation: int, out: Array | None = None
-) -> Array:
-    """Return the levels of a whole picture, upright as `header` says, or in `out`."""
+def _levels(data: bytes, header: Header, orientation: int) -> Array:
+    """Return the levels of a whole picture, upright as `header` says."""
     if orientation == _UPRIGHT:
-        return _stored_levels(data, header, out)
-    upright = _TURNS[orientation](_stored_levels(data, _turned(header, orientation)))
-    if out is None:
-        return np.ascontiguousarray(upright)
-    out[...] = upright
-    return out
+        return _stored_levels(data, header)
+    stored = _stored_levels(data, _turned(header, orientation))
+    return np.ascontiguousarray(_TURNS[orientation](stored))
 
 
-def _stored_levels(data: bytes, header: Header, out: Array | None = None) -> Array:
-    """Return the levels of a whole picture, as its `header` says; `out` gets them."""
+def _stored_levels(data: bytes, header: Header) -> Array:
+    """Return the levels of a whole picture, as its `header` says."""
     if header.format == "JPEG":
-        return _jpeg_levels(data, header, out)
+        return _jpeg_levels(data, header)
     from PIL.PngImagePlugin import ChunkStream
 
     # Every checksum, and that of the end itself, which Pillow leaves out.
@@ -393,26 +380,22 @@ def _stored_levels(data: bytes, header: Header, out: Array | None = None) -> Arr
     levels = _png_levels(data, header)
     if levels is None or levels.shape != header.shape or levels.dtype != header.dtype:
         raise PictureError("a picture that cannot be decoded")
-    if out is None:
-        return levels
-    out[...] = levels
-    return out
+    return levels
 
 
-def _jpeg_levels(data: bytes, header: Header, out: Array | None) -> Array:
+def _jpeg_levels(data: bytes, header: Header) -> Array:
     import simplejpeg
 
     if _has_many_scans(data, header.n_rows * header.n_cols):
         raise PictureError(f"a JPEG of more than {_MOST_SCANS} scans")
-    out = np.empty(header.shape, header.dtype) if out is None else out
     space = "RGB" if header.colour else "GRAY"
     try:
-        levels = simplejpeg.decode_jpeg(data, space, buffer=out)
+        levels: Array = simplejpeg.decode_jpeg(data, space)
     except ValueError as error:
         raise PictureError(f"a damaged or unusual JPEG ({error})") from error
-    if levels.shape[: out.ndim] != out.shape:
+    if levels.shape[:2] != header.shape[:2]:
         raise PictureError("a picture that cannot be decoded")
-    return out
+    return levels.reshape(header.shape)
 
 
 def _png_levels(data: bytes, header: Header) -> Array | None:

@@ -6,18 +6,18 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import nearest_path
 from .._extras import needed
-from .._types import Array, Floats
+from .._types import Array
 from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
@@ -219,7 +219,9 @@ class Touches(Labelled):
                     f"{path} must be read without options for folders and tables, got "
                     "some. A Parquet file says itself what it holds."
                 )
-            return cls._joined(read_parquet(path, max_bytes=max_bytes), max_bytes)
+            parts = parquet_parts(path, max_bytes, MAX_PIXELS)
+            held = (cls(**arrays)._with_files(files) for arrays, files in parts)
+            return cls._joined(held, max_bytes)
         place = Path(path)
         ending = place.suffix.lower()
         plain = name_pattern is None and not colour
@@ -561,46 +563,6 @@ class Touches(Labelled):
         ]
 
 
-@runtime_checkable
-class TouchSource(Protocol):
-    """Labelled touches whose images are read piece by piece.
-
-    `TouchLibrary.select` returns one; the properties are as in `Touches`.
-    """
-
-    @property
-    def object(self) -> NDArray[np.str_] | None: ...
-
-    @property
-    def category(self) -> NDArray[np.str_] | None: ...
-
-    @property
-    def order(self) -> Array | None: ...
-
-    @property
-    def session(self) -> Array | None: ...
-
-    @property
-    def subject(self) -> Array | None: ...
-
-    @property
-    def touch_id(self) -> NDArray[np.str_] | None: ...
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, rows: NDArray[np.intp]) -> TouchSource:
-        """Pick touches by their rows, which rise; no image is read."""
-        ...
-
-    def touches(self, rows: NDArray[np.intp]) -> Touches:
-        """Read the touches in these rows, which rise."""
-        ...
-
-    def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
-        """Return features of all touches, made by `encode` or kept under `key`."""
-        ...
-
-
 def _left_out(place: Path, where: str, why: str, **options: Any) -> None:
     """Refuse options that say nothing to a kind of file."""
     for name, value in options.items():
@@ -622,115 +584,3 @@ def _no_touches(place: Path) -> TouchesError:
         f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
         "without options for others, got another kind of file. Convert it."
     )
-
-
-def read_parquet(
-    path: str | PathLike[str],
-    *,
-    max_bytes: int = MAX_BYTES,
-    max_pixels: int = MAX_PIXELS,
-) -> Iterator[Touches]:
-    """Read touches from Parquet some at a time, in their order.
-
-    Parameters
-    ----------
-    path : path
-        A file, a folder of them (`object=mug/part-0.parquet`), or an address of a
-        store that fsspec knows, such as `s3://bucket/touches`.
-    max_bytes : int, default=4 GiB
-        Most bytes of one row group.
-    max_pixels : int, default=50_000_000
-        Largest picture to decode, in pixels.
-
-    Yields
-    ------
-    Touches
-        Up to 512 touches of one recording, with its no-contact image, pads and so on.
-
-    Raises
-    ------
-    TouchesError
-        It is no Parquet, or its columns are not those of touches.
-    ImportError
-        pyarrow or fsspec is missing; the message names the extra.
-    """
-    n_read = 0
-    for arrays, files in parquet_parts(path, max_bytes, max_pixels):
-        n_read += len(arrays["images"])
-        yield Touches(**arrays)._with_files(files)
-    if not n_read:
-        raise TouchesError(f"{path} must hold at least one touch, got none.")
-
-
-def read_folder(
-    path: str | PathLike[str],
-    *,
-    name_pattern: str | None = None,
-    no_contact: str | PathLike[str] | None = None,
-    levels: str | None = None,
-    colour: bool = False,
-    skip_bad: bool = False,
-    max_pixels: int = MAX_PIXELS,
-    max_bytes: int = MAX_BYTES,
-    progress: bool | None = None,
-) -> Touches:
-    r"""Read all JPEG and PNG pictures in a folder and the folders in it.
-
-    Pictures come in natural order of their paths (`img_2` before `img_10`), upright as
-    their Exif orientation says: colour becomes grey unless `colour` is set, 16 bits
-    stay 16 bits. Hidden files and files of other kinds are skipped.
-
-    Parameters
-    ----------
-    path : path
-        The folder.
-    name_pattern : str, optional
-        Regular expression, searched in each file name, else in its path within the
-        folder. Named groups become columns: `object`, `category` and `session`
-        (text), `n` or `order` (`order`, integers), `x`, `y`, `z` (`position_raw`),
-        `x_mm`, `y_mm`, `z_mm` (`position_mm`), any other name (numbers where all are
-        numbers, else text). Where it has no group `object`, folders give labels
-        as they do without a pattern: one level of folders is the object; of more,
-        the first is the category and the whole path the object; pictures that lie
-        in no folder have no labels. A level of sessions (`mug/dataset_0`) is the
-        session, and a last level that is the same everywhere (`frames`) is left out.
-    levels : str, optional
-        What each level of folders is, such as "object/session"; "-" skips a level,
-        "=gel" reads its folder `gel` alone.
-    no_contact : path, optional
-        Picture of the sensor touching nothing, as large and deep as the others.
-    colour : bool, default=False
-        Read pictures in colour, as channels "r", "g" and "b"; one in grey is refused.
-    skip_bad : bool, default=False
-        Leave out pictures that cannot be read, differ from most or get no label, with
-        a warning that names them.
-    max_pixels : int, default=50_000_000
-        Largest picture to decode, in pixels.
-    max_bytes : int, default=4 GiB
-        Most memory that all images may take.
-    progress : bool, optional
-        Show a bar on standard error when decoding takes over two seconds; by
-        default where standard error is a terminal.
-
-    Raises
-    ------
-    TouchesError
-        A picture is damaged, unlike the others or of a kind that is not read; a
-        name does not match; folders label some pictures only, or hold the parts of a
-        set (`train`, `test`) or the pictures of several cameras. Nothing is returned
-        in part.
-
-    Notes
-    -----
-    The path of each picture within the folder is kept as `source_path`. A JPEG has
-    no checksum: one that is cut short is refused, flipped bits inside it may not be.
-
-    Examples
-    --------
-    >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
-    >>> touches = read_folder("originals", name_pattern=pattern)  # doctest: +SKIP
-    """
-    how = (name_pattern, levels, no_contact, colour, skip_bad)
-    limits = (max_pixels, max_bytes, progress)
-    arrays, files = folder_arrays(Path(path), *how, *limits)
-    return Touches(**arrays)._with_files(files)

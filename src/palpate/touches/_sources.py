@@ -1,8 +1,9 @@
-"""Touches of Parquet that are learnt from without being held, read where workers are.
+"""Touches of folders and of Parquet: all at once, some at a time, or none held.
 
-Labels and other short columns are read at once, images block by block: a block is one
-row group of one file. Workers get no image but the place of some blocks, which they
-read themselves; so every machine must reach them by the same path or address.
+Of Parquet that is learnt from without being held, labels and other short columns are
+read at once, images block by block: a block is one row group of one file. Workers get
+no image but the place of some blocks, which they read themselves; so every machine must
+reach them by the same path or address.
 """
 
 from __future__ import annotations
@@ -12,20 +13,176 @@ from copy import copy
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._parallel import results_of
 from .._types import Array, Floats, Indices
 from ._columns import Arrays, TouchesError
-from ._parquet import file_stamp, parquet_files, parquet_index, parquet_rows, url_of
+from ._folder import folder_arrays
+from ._parquet import (
+    file_stamp,
+    parquet_files,
+    parquet_index,
+    parquet_parts,
+    parquet_rows,
+    url_of,
+)
 from ._touches import MAX_BYTES, MAX_PIXELS, Labelled, Touches
 
 # Touches of one task, where row groups are smaller: encoding so few takes as long for
 # each as more would, and two workers share them evenly.
 _AT_ONCE = 128
+
+
+@runtime_checkable
+class TouchSource(Protocol):
+    """Labelled touches whose images are read piece by piece.
+
+    `TouchLibrary.select` returns one; the properties are as in `Touches`.
+    """
+
+    @property
+    def object(self) -> NDArray[np.str_] | None: ...
+
+    @property
+    def category(self) -> NDArray[np.str_] | None: ...
+
+    @property
+    def order(self) -> Array | None: ...
+
+    @property
+    def session(self) -> Array | None: ...
+
+    @property
+    def subject(self) -> Array | None: ...
+
+    @property
+    def touch_id(self) -> NDArray[np.str_] | None: ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, rows: NDArray[np.intp]) -> TouchSource:
+        """Pick touches by their rows, which rise; no image is read."""
+        ...
+
+    def touches(self, rows: NDArray[np.intp]) -> Touches:
+        """Read the touches in these rows, which rise."""
+        ...
+
+    def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
+        """Return features of all touches, made by `encode` or kept under `key`."""
+        ...
+
+
+def read_folder(
+    path: str | PathLike[str],
+    *,
+    name_pattern: str | None = None,
+    no_contact: str | PathLike[str] | None = None,
+    levels: str | None = None,
+    colour: bool = False,
+    skip_bad: bool = False,
+    max_pixels: int = MAX_PIXELS,
+    max_bytes: int = MAX_BYTES,
+    progress: bool | None = None,
+) -> Touches:
+    r"""Read all JPEG and PNG pictures in a folder and the folders in it.
+
+    Pictures come in natural order of their paths (`img_2` before `img_10`), upright as
+    their Exif orientation says: colour becomes grey unless `colour` is set, 16 bits
+    stay 16 bits. Hidden files and files of other kinds are skipped.
+
+    Parameters
+    ----------
+    path : path
+        The folder.
+    name_pattern : str, optional
+        Regular expression, searched in each file name, else in its path within the
+        folder. Named groups become columns: `object`, `category` and `session`
+        (text), `n` or `order` (`order`, integers), `x`, `y`, `z` (`position_raw`),
+        `x_mm`, `y_mm`, `z_mm` (`position_mm`), any other name (numbers where all are
+        numbers, else text). Where it has no group `object`, folders give labels
+        as they do without a pattern: one level of folders is the object; of more,
+        the first is the category and the whole path the object; pictures that lie
+        in no folder have no labels. A level of sessions (`mug/dataset_0`) is the
+        session, and a last level that is the same everywhere (`frames`) is left out.
+    levels : str, optional
+        What each level of folders is, such as "object/session"; "-" skips a level,
+        "=gel" reads its folder `gel` alone.
+    no_contact : path, optional
+        Picture of the sensor touching nothing, as large and deep as the others.
+    colour : bool, default=False
+        Read pictures in colour, as channels "r", "g" and "b"; one in grey is refused.
+    skip_bad : bool, default=False
+        Leave out pictures that cannot be read, differ from most or get no label, with
+        a warning that names them.
+    max_pixels : int, default=50_000_000
+        Largest picture to decode, in pixels.
+    max_bytes : int, default=4 GiB
+        Most memory that all images may take.
+    progress : bool, optional
+        Show a bar on standard error when decoding takes over two seconds; by
+        default where standard error is a terminal.
+
+    Raises
+    ------
+    TouchesError
+        A picture is damaged, unlike the others or of a kind that is not read; a
+        name does not match; folders label some pictures only, or hold the parts of a
+        set (`train`, `test`) or the pictures of several cameras. Nothing is returned
+        in part.
+
+    Notes
+    -----
+    The path of each picture within the folder is kept as `source_path`. A JPEG has
+    no checksum: one that is cut short is refused, flipped bits inside it may not be.
+
+    Examples
+    --------
+    >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
+    >>> touches = read_folder("originals", name_pattern=pattern)  # doctest: +SKIP
+    """
+    how = (name_pattern, levels, no_contact, colour, skip_bad)
+    limits = (max_pixels, max_bytes, progress)
+    arrays, files = folder_arrays(Path(path), *how, *limits)
+    return Touches(**arrays)._with_files(files)
+
+
+def read_parquet(
+    path: str | PathLike[str],
+    *,
+    max_bytes: int = MAX_BYTES,
+    max_pixels: int = MAX_PIXELS,
+) -> Iterator[Touches]:
+    """Read touches from Parquet some at a time, in their order.
+
+    Parameters
+    ----------
+    path : path
+        A file, a folder of them (`object=mug/part-0.parquet`), or an address of a
+        store that fsspec knows, such as `s3://bucket/touches`.
+    max_bytes : int, default=4 GiB
+        Most bytes of one row group.
+    max_pixels : int, default=50_000_000
+        Largest picture to decode, in pixels.
+
+    Yields
+    ------
+    Touches
+        Up to 512 touches of one recording, with its no-contact image, pads and so on.
+
+    Raises
+    ------
+    TouchesError
+        It is no Parquet, or its columns are not those of touches.
+    ImportError
+        pyarrow or fsspec is missing; the message names the extra.
+    """
+    for arrays, files in parquet_parts(path, max_bytes, max_pixels):
+        yield Touches(**arrays)._with_files(files)
 
 
 class _Blocks(NamedTuple):
@@ -188,7 +345,7 @@ def _read(
     limits: tuple[int, int], blocks: _Blocks, rows: Array | None
 ) -> Iterator[Touches]:
     _refuse_changed(blocks)
-    for arrays in parquet_rows(blocks.name, blocks.groups, rows, *limits):
+    for arrays, _ in parquet_rows(blocks.name, *limits, blocks.groups, rows):
         yield Touches(**arrays)
     _refuse_changed(blocks)
 
