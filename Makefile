@@ -18,9 +18,9 @@ NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell python3.$(minor) -
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-# Neighbouring tests in one process, so that what a file learns is learnt once; one more
+# Neighbouring tests in one process, so that what a file learns is learnt once; two more
 # than two cores have, since browsers and disks let a process wait.
-IN_THREE := -n 3 --dist worksteal
+IN_PARALLEL := -n 4 --dist worksteal
 # Checks accessibility in the tests of the page; fetched, never shipped.
 AXE_CORE := 4.14.1
 # Compiled tests are kept, whatever the shell says: half of the time of finding them.
@@ -35,22 +35,22 @@ demo: $(VENV)/.demo-installed
 	@echo "To go on, type once in this shell, so that it finds palpate: . $(BIN)/activate"
 
 test: check
-	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_THREE) -m "not slow"
+	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"
 
 test-all: check
-	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_THREE) --cov --cov-report=term
+	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_PARALLEL) --cov --cov-report=term
 	$(MAKE) check-lerobot check-look
 
 # The oldest versions that pyproject.toml promises; old packages beside new ones warn
 # about each other.
 test-oldest: $(OLDEST_VENV)/.installed
-	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest $(IN_THREE) -m "not slow" \
+	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest $(IN_PARALLEL) -m "not slow" \
 		-W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 
 # The newest Python of this machine: types and tests.
 test-newest: $(NEWEST_VENV)/.installed
 	$(NEWEST_VENV)/bin/mypy
-	$(ONE_THREAD) $(NEWEST_VENV)/bin/python -m pytest $(IN_THREE) -m "not slow"
+	$(ONE_THREAD) $(NEWEST_VENV)/bin/python -m pytest $(IN_PARALLEL) -m "not slow"
 
 # All of these before a release; the file says with what and when it last passed.
 test-everywhere: test test-oldest test-newest test-bare
@@ -62,7 +62,7 @@ test-everywhere: test test-oldest test-newest test-bare
 
 # No extra at all: what needs one is skipped by its name, and everything else works.
 test-bare: $(BARE_VENV)/.installed
-	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest $(IN_THREE) \
+	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest $(IN_PARALLEL) \
 		-m "not slow" --doctest-ignore-import-errors
 
 # Inputs changed by chance, for so long; goes on where the last run stopped.
