@@ -246,16 +246,12 @@ def test_two_spellings_are_one_object(tmp_path):
 
 
 @pytest.mark.parametrize("name", BAD.values(), ids=BAD)
-def test_a_name_that_no_terminal_should_print_is_refused(name, tmp_path):
+def test_a_name_that_no_terminal_should_print_is_refused(name):
     for column in ("object", "category"):
         with pytest.raises(
             TouchesError, match="must be of letters that can be printed"
         ):
             Touches(IMAGES, **{column: ["pen", name]})
-    with TouchLibrary.open(tmp_path, create=True) as library:
-        library.add(Touches(IMAGES, object=["pen", "cup"]))
-        with pytest.raises(LibraryError, match="letters that can be printed"):
-            library.rename_object("pen", name)
 
 
 @pytest.mark.parametrize("given", [["pen", "mug\0"], ("pen", "mug\0")])
@@ -354,7 +350,7 @@ def test_odd_cells_are_only_text(library, cell):
 
 @pytest.mark.parametrize(
     "name",
-    ["x\ny", "x\0", "\ud800", "\x7f", " ", "", 5, None, "tab\t", "...", "\u200b"],
+    [*BAD.values(), "\ud800", "\x7f", " ", "", 5, None, "tab\t", "...", "\u200b"],
 )
 def test_names_that_cannot_be_shown_are_refused(library, name):
     library.add(_touches())

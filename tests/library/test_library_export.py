@@ -1,22 +1,23 @@
-"""Exports are read back by other people's readers; bags are written by rosbags."""
+"""Archives, Parquet and datasets of a library: read back to the bit, by others too."""
 
 import json
-import re
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from typer.testing import CliRunner
+from PIL import Image
 
 from palpate import Touches
-from palpate.cli import app
-from palpate.library import LibraryError, TouchLibrary, read_bag
+from palpate.library import LibraryError, SensorDescription, TouchLibrary
+from palpate.touches import TouchesError, read_parquet
 
+pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
 
 
 @pytest.fixture
-def library(tmp_path, rng):
+def filled(library, rng):
+    """The library with seven touches of two objects in two sessions."""
     touches = Touches(
         rng.normal(size=(7, 3, 4)).astype(np.float32),
         object=["cup"] * 3 + ["pen"] * 4,
@@ -26,34 +27,33 @@ def library(tmp_path, rng):
         position_mm=rng.normal(size=(7, 3)),
         no_contact=np.zeros((3, 4), np.float32),
     )
-    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        opened.add(touches)
-        yield opened
+    library.add(touches)
+    return library
 
 
-def test_an_archive_holds_the_same_touches(library, tmp_path):
-    assert library.export(tmp_path / "t.npz", "object = pen") == 4
+def test_an_archive_holds_the_same_touches(filled, tmp_path):
+    assert filled.export(tmp_path / "t.npz", "object = pen") == 4
     again = Touches.load(tmp_path / "t.npz")
-    chosen = library.touches("object = pen")
+    chosen = filled.touches("object = pen")
     assert_array_equal(again.images, chosen.images)
     assert set(again.columns) == set(chosen.columns)
     other = TouchLibrary.open(tmp_path / "other", create=True)
     with other:
         other.add(again)
-        kept = {row.id for row in library.list("object = pen")}
+        kept = {row.id for row in filled.list("object = pen")}
         assert {row.id for row in other.list()} == kept
 
 
-def test_a_parquet_file_holds_the_same_touches(library, tmp_path, rng):
+def test_a_parquet_file_holds_the_same_touches(filled, tmp_path, rng):
     """Of many touches, 128 at a time are a row group."""
-    seven = library.touches()
+    seven = filled.touches()
     more = seven[np.arange(1200) % 7].with_columns(time_s=np.arange(200.0, 1400))
-    library.add(more)
-    assert library.export(tmp_path / "t.parquet") == 1207
+    filled.add(more)
+    assert filled.export(tmp_path / "t.parquet") == 1207
     file = pq.ParquetFile(tmp_path / "t.parquet")
     assert file.num_row_groups == 10  # of 1207 touches
     table = file.read()
-    expected = library.touches()
+    expected = filled.touches()
     images = table["image"].combine_chunks().to_numpy_ndarray()
     assert_array_equal(images, expected.images)
     assert table["object"].to_pylist() == expected.object.tolist()
@@ -64,66 +64,21 @@ def test_a_parquet_file_holds_the_same_touches(library, tmp_path, rng):
     assert not list(tmp_path.glob(".*partial"))
 
 
-def test_a_lerobot_dataset_has_the_layout_of_v3(library, tmp_path):
-    folder = tmp_path / "robot"
-    assert library.export(folder) == 7
-    info = json.loads((folder / "meta/info.json").read_text())
-    assert info["codebase_version"] == "v3.0"
-    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (
-        4,
-        7,
-        2,
-    )
-    path = info["data_path"].format(chunk_index=0, file_index=0)
-    frames = pq.read_table(folder / path).to_pydict()
-    assert set(frames) == set(info["features"])
-    assert frames["index"] == list(range(7))
-    assert frames["frame_index"] == [0, 1, 0, 0, 1, 2, 0]
-    assert frames["episode_index"] == [0, 0, 1, 2, 2, 2, 3]
-    assert frames["timestamp"] == [0, 0.5, 0, 0, 0.5, 1.0, 0]
-    assert np.shape(frames["observation.tactile"]) == (7, 3, 4)
-    assert info["features"]["observation.tactile"]["shape"] == [3, 4]
-    tasks = pq.read_table(folder / "meta/tasks.parquet").to_pydict()
-    assert tasks == {"task_index": [0, 1], "task": ["touch cup", "touch pen"]}
-    rows = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet")
-    for row in rows.to_pylist():
-        inside = frames["episode_index"][
-            row["dataset_from_index"] : row["dataset_to_index"]
-        ]
-        assert inside == [row["episode_index"]] * row["length"]
-    stats = json.loads((folder / "meta/stats.json").read_text())
-    images = np.array(frames["observation.tactile"])
-    spread = stats["observation.tactile"]
-    # float32 values summed in float64: equal but for the order of the sums.
-    assert_allclose(spread["mean"], images.mean(axis=0), atol=1e-12)
-    assert_allclose(spread["std"], images.std(axis=0), atol=1e-7)
-    assert_allclose(spread["max"], images.max(axis=0))
+def test_a_dataset_goes_to_a_new_folder(filled, tmp_path):
+    assert filled.export(tmp_path / "robot") == 7
     with pytest.raises(LibraryError, match="new or empty folder"):
-        library.export(folder)
-
-
-def test_frames_without_times_count_touches(tmp_path, rng):
-    names = ["cup"] * 2 + ["pen"] * 3
-    with TouchLibrary.open(tmp_path / "bare", create=True) as library:
-        library.add(Touches(rng.normal(size=(5, 2, 2)), object=names))
-        library.export(tmp_path / "robot")
-    table = pq.read_table(tmp_path / "robot/data/chunk-000/file-000.parquet")
-    frames = table.to_pydict()
-    assert frames["timestamp"] == [0, 1, 0, 1, 2]
-    assert frames["index"] == [0, 1, 2, 3, 4]
-    assert frames["task_index"] == [0, 0, 1, 1, 1]
-    assert "observation.force_n" not in frames
+        filled.export(tmp_path / "robot")
 
 
 @pytest.mark.parametrize("name", ["t.npz", "t.parquet", "robot"])
-def test_exports_agree_on_touches_without_a_label(library, tmp_path, rng, name):
+def test_exports_agree_on_touches_without_a_label(filled, tmp_path, rng, name):
     """All or none: with none there is no column, with some it is refused."""
-    bare = library.touches().without("object").with_columns(session=["c"] * 7)
-    library.add(bare)
+    bare = filled.touches().without("object").with_columns(session=["c"] * 7)
+    filled.add(bare)
     with pytest.raises(LibraryError, match="all touches must have an object or none"):
-        library.export(tmp_path / name)
+        filled.export(tmp_path / name)
     assert not (tmp_path / name).exists()
-    assert library.export(tmp_path / name, "object is null") == 7
+    assert filled.export(tmp_path / name, "object is null") == 7
     if name == "t.npz":
         columns = set(Touches.load(tmp_path / name).columns)
     else:
@@ -135,266 +90,263 @@ def test_exports_agree_on_touches_without_a_label(library, tmp_path, rng, name):
     assert "session" in columns
 
 
-def test_columns_of_some_touches_are_columns_of_all(library, tmp_path):
+def test_columns_of_some_touches_are_columns_of_all(filled, tmp_path):
     """An episode without forces stands beside those with them; nothing is NaN."""
-    some = library.touches("object = cup")
-    library.add(some.without("force_n", "time_s").with_columns(session=["d"] * 3))
-    assert library.export(tmp_path / "robot") == 10
+    some = filled.touches("object = cup")
+    filled.add(some.without("force_n", "time_s").with_columns(session=["d"] * 3))
+    assert filled.export(tmp_path / "robot") == 10
     frames = pq.read_table(tmp_path / "robot/data").to_pydict()
     assert np.isnan(frames["observation.force_n"]).sum() == 3
     unknown = np.isnan(frames["time_s"])
     assert np.array(frames["timestamp"])[unknown].tolist() == [0, 1, 2]
-    assert library.export(tmp_path / "t.parquet") == 10
+    assert filled.export(tmp_path / "t.parquet") == 10
     forces = pq.read_table(tmp_path / "t.parquet")["force_n"].to_pylist()
     assert np.isnan(forces).sum() == 3
 
 
-def test_what_reads_a_dataset_is_named(library, tmp_path, monkeypatch):
-    library.export(tmp_path / "robot")
-    monkeypatch.setattr("palpate.library._bags.entry_points", lambda group: [])
-    with pytest.raises(LibraryError, match="install what reads it, plugs/lerobot"):
-        read_bag(tmp_path / "robot")
-
-
-def test_other_endings_are_refused(library, tmp_path):
+def test_other_endings_are_refused(filled, tmp_path):
     with pytest.raises(LibraryError, match=r"got 't\.csv'"):
-        library.export(tmp_path / "t.csv")
+        filled.export(tmp_path / "t.csv")
 
 
-def test_a_failed_export_leaves_nothing_and_can_be_tried_again(
-    library, tmp_path, alter
-):
+def test_a_failed_export_leaves_nothing_and_can_be_tried_again(filled, tmp_path, alter):
     move = "UPDATE images SET number = {} WHERE number = {}"
-    alter(library.folder, *(move.format(*n) for n in ((0, 7), (7, 6), (6, 0))))
+    alter(filled.folder, *(move.format(*n) for n in ((0, 7), (7, 6), (6, 0))))
     (tmp_path / "empty").mkdir()
     before = sorted(tmp_path.rglob("*"))
     for name in ("robot", "empty", "t.parquet", "t.npz"):
         for _ in range(2):
             with pytest.raises(LibraryError, match="altered"):
-                library.export(tmp_path / name)
+                filled.export(tmp_path / name)
     assert sorted(tmp_path.rglob("*")) == before
-    alter(library.folder, *(move.format(*n) for n in ((0, 7), (7, 6), (6, 0))))
-    assert library.export(tmp_path / "robot") == library.export(tmp_path / "empty") == 7
+    alter(filled.folder, *(move.format(*n) for n in ((0, 7), (7, 6), (6, 0))))
+    assert filled.export(tmp_path / "robot") == filled.export(tmp_path / "empty") == 7
     assert (tmp_path / "empty/meta/info.json").is_file()
     assert not any(p.stat().st_size for p in tmp_path.rglob(".partial*"))
 
 
 @pytest.mark.parametrize("name", ["t.npz", "t.parquet", "robot"])
-def test_places_that_take_no_export_are_refused(library, tmp_path, name):
+def test_places_that_take_no_export_are_refused(filled, tmp_path, name):
     with pytest.raises(
         LibraryError, match=f"got '.*nodir/{name}'. Make .*nodir' first"
     ):
-        library.export(tmp_path / "nodir" / name)
+        filled.export(tmp_path / "nodir" / name)
     there = tmp_path / name
     there.mkdir() if "." in name else there.write_bytes(b"mine")
     (there / "mine" if "." in name else tmp_path / "x").write_bytes(b"mine")
     match = "must be a place with room" if "." in name else "empty folder, got a file"
     with pytest.raises(LibraryError, match=match):
-        library.export(there)
+        filled.export(there)
     assert not any(p.stat().st_size for p in tmp_path.rglob(".partial*"))
     assert (there / "mine" if "." in name else there).read_bytes() == b"mine"
 
 
-rosbag2 = pytest.importorskip("rosbags.rosbag2")
-typesys = pytest.importorskip("rosbags.typesys")
-STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-
-
-def _image(values, encoding, step=None, stamp=0, big=0):
-    types = STORE.types
-    rows = values.reshape(len(values), -1).view(np.uint8)
-    if step is not None:
-        rows = np.pad(rows, ((0, 0), (0, step - rows.shape[1])))
-    return types["sensor_msgs/msg/Image"](
-        types["std_msgs/msg/Header"](
-            types["builtin_interfaces/msg/Time"](stamp, 250_000_000), "pad"
-        ),
-        values.shape[0],
-        values.shape[1],
-        encoding,
-        big,
-        rows.shape[1],
-        np.ascontiguousarray(rows).reshape(-1),
+def _presses(seed, n_touches=6, dtype=np.uint8, **more):
+    rng = np.random.default_rng(seed)
+    return Touches(
+        rng.integers(0, 255, (n_touches, 5, 6)).astype(dtype),
+        object=rng.choice(["mug", "a/b=c", "pen"], n_touches),
+        force_n=np.where(rng.random(n_touches) < 0.3, np.nan, 1.5),
+        order=np.arange(n_touches),
+        position_mm=rng.normal(size=(n_touches, 3)),
+        **more,
     )
 
 
-def _array(values, sizes):
-    types = STORE.types
-    dims = [
-        types["std_msgs/msg/MultiArrayDimension"](f"d{i}", n, n)
-        for i, n in enumerate(sizes)
+def _again(tmp_path, path):
+    """Return a library of what a path holds, and the parts that were read."""
+    parts = list(read_parquet(path))
+    library = TouchLibrary.open(tmp_path / "again", create=True)
+    for part in parts:
+        library.add(part)
+    return library, parts
+
+
+def _ids(library):
+    return {row.id for row in library.list(limit=None)}
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<i2", ">f4", "<f8", "<u8"])
+@pytest.mark.parametrize("by", [None, "object", "session"])
+def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
+    pad = SensorDescription("pad", "array", "kPa", 4.0, "array")
+    for day in ("monday", "007"):  # no number, whatever it looks like
+        baseline = np.full((5, 6), len(day)).astype(dtype)
+        touches = _presses(len(day), dtype=dtype, no_contact=baseline)
+        library.add(touches, session=day, sensor=pad)
+    path = tmp_path / "some.parquet"
+    assert library.export(path, by=by) == 12
+    again, parts = _again(tmp_path, path)
+    with again:
+        assert _ids(again) == _ids(library)
+        assert again.check().ok
+        for day in ("monday", "007"):  # each its own, though they differ
+            assert_array_equal(again.no_contact(day), np.full((5, 6), len(day)))
+    assert sum(map(len, parts)) == 12
+    assert all(part.geometry == "array" for part in parts)
+
+
+def test_one_set_is_read_with_what_describes_all_of_it(library, tmp_path):
+    frames = np.random.default_rng(1).normal(size=(6, 4, 5, 6))
+    touches = _presses(1, no_contact=np.ones((5, 6), np.uint8), press_frames=frames)
+    library.add(touches)
+    library.export(tmp_path / "some.parquet")
+    again = Touches.load(tmp_path / "some.parquet")
+    assert_array_equal(again.images, touches.images)
+    for name, column in touches.columns.items():
+        assert_array_equal(again.columns[name], column, err_msg=name)
+    assert_array_equal(again.no_contact, touches.no_contact)
+
+
+def test_pictures_travel_as_their_own_files(library, tmp_path):
+    folder = tmp_path / "in" / "cup"
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for number in range(3):
+        levels = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
+        Image.fromarray(levels).save(folder / f"{number}.jpg", quality=80)
+    library.add(Touches.load(tmp_path / "in", colour=True))
+    library.export(tmp_path / "some.parquet")
+    kept = [
+        row["bytes"]
+        for row in pq.read_table(tmp_path / "some.parquet")["image"].to_pylist()
     ]
-    layout = types["std_msgs/msg/MultiArrayLayout"](dims, 0)
-    return types["std_msgs/msg/Float32MultiArray"](layout, values.astype(np.float32))
+    assert kept == [path.read_bytes() for path in sorted(folder.iterdir())]
+    again, _ = _again(tmp_path, tmp_path / "some.parquet")
+    with again:
+        assert _ids(again) == _ids(library)
+        forms = again._store.rows("SELECT DISTINCT form FROM images")
+    assert forms == [("picture",)]
 
 
-@pytest.fixture(params=["SQLITE3", "MCAP"])
-def bag(request, tmp_path):
-    """Write messages to a new bag; return its path."""
-
-    def write(*messages, topic="/pad"):
-        path = tmp_path / f"bag{len(list(tmp_path.iterdir()))}"
-        plugin = rosbag2.StoragePlugin[request.param]
-        with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
-            kind = messages[0].__msgtype__
-            connection = writer.add_connection(topic, kind, typestore=STORE)
-            for number, message in enumerate(messages):
-                raw = STORE.serialize_cdr(message, kind)
-                writer.write(connection, number * 10**9, raw)
-        return path
-
-    return write
+def test_camera_images_are_shown_by_others_as_pictures(library, tmp_path):
+    """`datasets` of Hugging Face takes the feature Image from this metadata."""
+    images = np.random.default_rng(0).integers(0, 255, (2, 60, 80), dtype=np.uint8)
+    library.add(Touches(images, object=["mug", "pen"], order=[1, 2]))
+    library.export(tmp_path / "some.parquet")
+    schema = pq.read_schema(tmp_path / "some.parquet")
+    features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
+    assert features["image"] == {"_type": "Image"}
+    assert features["object"] == {"dtype": "string", "_type": "Value"}
+    assert set(features) == set(schema.names)
+    again = Touches.load(tmp_path / "some.parquet")  # PNG loses nothing
+    assert_array_equal(again.images, images)
 
 
-def test_images_of_a_bag_are_touches(bag, rng):
-    images = rng.integers(0, 2**16, (3, 4, 5), dtype=np.uint16)
-    path = bag(
-        *[_image(i, "mono16", step=12, stamp=7 + n) for n, i in enumerate(images)]
+@pytest.mark.parametrize("by", [None, "object"])
+def test_a_store_that_fsspec_knows_serves(library, tmp_path, by):
+    pytest.importorskip("fsspec")
+    library.add(_presses(1))
+    url = f"memory://bucket/{by}/some.parquet"
+    assert library.export(url, by=by) == 6
+    again, _ = _again(tmp_path, url)
+    with again:
+        assert _ids(again) == _ids(library)
+    assert len(Touches.load(url)) == 6
+    with pytest.raises(TouchesError, match="fsspec can open"):
+        list(read_parquet("nosuchscheme://bucket/some.parquet"))
+    with pytest.raises(LibraryError, match=r"must be Parquet \(\.parquet\)"):
+        library.export("memory://bucket/some.npz")
+
+
+def test_many_touches_are_read_some_at_a_time(library, tmp_path):
+    library.add(_presses(3, 2000))
+    library.export(tmp_path / "some.parquet")
+    parts = list(read_parquet(tmp_path / "some.parquet"))
+    assert max(map(len, parts)) <= 512
+    assert sum(map(len, parts)) == 2000
+    with pytest.raises(TouchesError, match="Keep them in a library"):
+        Touches.load(tmp_path / "some.parquet", max_bytes=50_000)
+
+
+def test_what_another_program_wrote_is_read(tmp_path):
+    """Plain nested lists without a word of palpate in it, in folders by object."""
+    images = np.arange(24.0).reshape(2, 3, 4)
+    table = pa.table({"image": images.tolist(), "force_n": [0.5, None]})
+    for name in ("mug", "pen"):
+        place = tmp_path / "set.parquet" / f"object={name}"
+        place.mkdir(parents=True)
+        pq.write_table(table, place / "0.parquet")
+    touches = Touches.load(tmp_path / "set.parquet")
+    assert touches.object.tolist() == ["mug", "mug", "pen", "pen"]
+    assert_array_equal(touches.images, np.concatenate([images, images]))
+    assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
+
+
+def test_files_of_before_are_read(tmp_path):
+    """Format 1: one flat list a touch, the sides in the metadata."""
+    images = np.arange(24, dtype=np.int16).reshape(2, 3, 4)
+    flat = pa.FixedSizeListArray.from_arrays(pa.array(images.ravel()), 12)
+    about = {"format": 1, "n_rows": 3, "n_cols": 4, "dtype": "<i2", "whole": {}}
+    table = pa.table({"image": flat}).replace_schema_metadata(
+        {"palpate": json.dumps(about)}
     )
-    touches = read_bag(path, "/pad", object="cup")
-    assert_array_equal(touches.images, images)
-    assert touches.images.dtype == np.uint16
-    assert touches.object.tolist() == ["cup"] * 3
-    assert touches.columns["time_s"].tolist() == [7.25, 8.25, 9.25]
+    pq.write_table(table, tmp_path / "old.parquet")
+    assert_array_equal(Touches.load(tmp_path / "old.parquet").images, images)
 
 
-def test_a_digest_of_all_messages_is_kept(bag, tmp_path):
-    """Bags in SQLite have no checksum: the library keeps one of what was read."""
-    images = np.zeros((2, 2, 3), np.uint8)
-    messages = [_image(image, "mono8", stamp=n) for n, image in enumerate(images)]
-    touches = read_bag(bag(*messages), "/pad")
-    digest = touches.whole["set_bag_sha256"].item()
-    assert re.fullmatch("[0-9a-f]{64}", digest)
-    assert read_bag(bag(*messages), "/pad").whole["set_bag_sha256"] == digest
-    for row, stamp in ((1, 1), (0, 2)):
-        images[1, 0, 0] = row
-        altered = bag(messages[0], _image(images[1], "mono8", stamp=stamp))
-        assert read_bag(altered, "/pad").whole["set_bag_sha256"] != digest
-    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
-        library.add(touches)
-        assert library.touches().whole["set_bag_sha256"] == digest
+def _written(path, table, **about):
+    if about:
+        table = table.replace_schema_metadata({"palpate": json.dumps(about)})
+    pq.write_table(table, path)
 
 
-def test_a_misspelt_topic_is_told_with_the_one_meant(bag, tmp_path):
-    path = bag(_image(np.zeros((2, 2), np.uint8), "mono8"), topic="/finger/image")
-    words = ["library", "add", str(tmp_path / "lab"), str(path)]
-    kind = r"\(/finger/image of sensor_msgs/msg/Image\), got "
-    done = CliRunner().invoke(app, [*words, "--topic", "/finger/imag"])
-    assert re.search(kind + "'/finger/imag'.*mean", str(done.exception))
-    assert not (tmp_path / "lab").exists()
-
-
-def test_a_fourth_channel_of_a_bag_is_left_out(bag):
-    """Its value must not matter; blue comes first in bgra8: 0.114 * 255 = 29.07."""
-    bgra = np.array([[[255, 0, 0, 0], [255, 0, 0, 255]]], dtype=np.uint8)
-    found = read_bag(bag(_image(bgra, "bgra8")), "/pad").images.tolist()
-    assert found == [[[29, 29]]]
-    found = read_bag(bag(_image(bgra, "rgba8")), "/pad").images.tolist()
-    assert found == [[[76, 76]]]
-
-
-def test_byte_order_and_colour_are_understood(bag):
-    wide = np.array([[1, 258], [3, 4]], dtype=">u2")
-    big = read_bag(bag(_image(wide, "16UC1", big=1)), "/pad")
-    assert_array_equal(big.images[0], wide)
-    # Pure red and white: luma 0.299 * 255 = 76.2 and 255.
-    bgr = np.array([[[0, 0, 255], [255, 255, 255]]], dtype=np.uint8)
-    assert read_bag(bag(_image(bgr, "bgr8")), "/pad").images.tolist() == [[[76, 255]]]
+TENSOR = {"image": np.zeros((2, 3, 4)).tolist()}
 
 
 @pytest.mark.parametrize(
-    ("sizes", "shape"), [((3, 4), (3, 4)), ((1, 3, 4), (3, 4)), ((), (1, 12))]
+    ("columns", "about", "match"),
+    [
+        ({"picture": [1, 2]}, {}, "must have a column 'image'"),
+        ({"image": [1.0, 2.0]}, {}, "images of rows and columns of numbers"),
+        ({"image": ["a", "b"]}, {}, "images of rows and columns of numbers"),
+        ({"image": [[[1.0]], [[1.0, 2.0]]]}, {}, "lists of unequal length"),
+        ({"image": [b"no picture", b""]}, {}, "must be a JPEG or PNG"),
+        ({"image": [b"no picture", None]}, {}, "hold every picture itself"),
+        (
+            {**TENSOR, "odd": [{"a": 1}, {"a": 2}]},
+            {},
+            "numbers or text in column 'odd'",
+        ),
+        ({**TENSOR, "force_n": ["x", "y"]}, {}, "force_n must"),
+        (TENSOR, {"format": 9}, "Parquet format 2 or older"),
+        (TENSOR, {"format": 2, "recordings": [{}]}, "recording 0 among its metadata"),
+        (
+            {**TENSOR, "recording": [0, 7]},
+            {"format": 2, "recordings": [{"whole": {}}]},
+            "recording 7",
+        ),
+    ],
 )
-def test_arrays_of_a_bag_are_touches(bag, sizes, shape):
-    values = np.arange(12.0)
-    touches = read_bag(bag(_array(values, sizes), _array(values, sizes)), "/pad")
-    assert touches.images.shape == (2, *shape)
-    assert_array_equal(touches.images[1].ravel(), values)
-    assert touches.columns["time_s"].tolist() == [0, 1]
+def test_what_is_not_touches_is_refused_in_one_sentence(
+    tmp_path, columns, about, match
+):
+    _written(tmp_path / "odd.parquet", pa.table(columns), **about)
+    with pytest.raises(TouchesError, match=match):
+        Touches.load(tmp_path / "odd.parquet")
 
 
-def _cloud(values, names=("x", "y", "z", "force"), row_pad=0):
-    """Points whose last field is a float32 reading after those of their place."""
-    types = STORE.types
-    n_rows, n_cols = values.shape
-    fields = [
-        types["sensor_msgs/msg/PointField"](name, 4 * i, 7, 1)
-        for i, name in enumerate(names)
-    ]
-    step = 4 * len(names)
-    points = np.zeros((n_rows, n_cols, len(names)), "<f4")
-    points[..., -1] = values
-    rows = np.pad(points.reshape(n_rows, -1).view(np.uint8), ((0, 0), (0, row_pad)))
-    size = (False, step, n_cols * step + row_pad)
-    header = _image(np.zeros((1, 1), np.uint8), "mono8").header
-    kind = types["sensor_msgs/msg/PointCloud2"]
-    return kind(header, n_rows, n_cols, fields, *size, rows.ravel(), True)
+def test_damaged_and_empty_files_are_refused(library, tmp_path):
+    library.add(_presses(1))
+    path = tmp_path / "some.parquet"
+    library.export(path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-50])
+    with pytest.raises(TouchesError, match="must be a whole Parquet file"):
+        Touches.load(path)
+    _written(path, pa.table({"image": pa.array([], pa.list_(pa.float32()))}))
+    with pytest.raises(TouchesError, match="at least one touch"):
+        Touches.load(path)
 
 
-@pytest.mark.parametrize("row_pad", [0, 6])
-def test_points_of_a_cloud_are_taxels(bag, rng, row_pad):
-    values = rng.normal(size=(3, 4)).astype(np.float32)
-    touches = read_bag(bag(_cloud(values, row_pad=row_pad)))
-    assert_array_equal(touches.images, values[None])
-    named = _cloud(values, ("x", "y", "z", "ring", "intensity"))
-    assert_array_equal(read_bag(bag(named)).images, values[None])
-    with pytest.raises(LibraryError, match=r"one reading a point .* fields ring, time"):
-        read_bag(bag(_cloud(values, ("x", "y", "z", "ring", "time"))))
-    short = _cloud(values)
-    short.width = 1000
-    with pytest.raises(
-        LibraryError, match="3 rows of 1000 points of 16 bytes, got 192"
-    ):
-        read_bag(bag(short))
-
-
-def test_compressed_pictures_are_touches(bag, rng):
-    import cv2
-
-    image = rng.integers(0, 256, (5, 4), dtype=np.uint8)
-    kind = STORE.types["sensor_msgs/msg/CompressedImage"]
-    header = _image(image, "mono8").header
-    data = cv2.imencode(".png", image)[1].ravel()
-    assert_array_equal(read_bag(bag(kind(header, "png", data))).images, image[None])
-    with pytest.raises(
-        LibraryError, match="message 0 of /pad: A picture must be a JPEG"
-    ):
-        read_bag(bag(kind(header, "png", data[:-20])))
-
-
-def test_topics_are_listed_where_none_is_named(tmp_path):
-    image = _image(np.zeros((2, 2), np.uint8), "mono8")
-    array = _array(np.zeros(4), (2, 2))
-    word = STORE.types["std_msgs/msg/String"]("hello")
-    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
-        for topic, message in (("/gel", image), ("/pad", array), ("/say", word)):
-            kind = message.__msgtype__
-            connection = writer.add_connection(topic, kind, typestore=STORE)
-            writer.write(connection, 0, STORE.serialize_cdr(message, kind))
-    listed = r"/gel of sensor_msgs/msg/Image, /pad of .*, /say of std_msgs/msg/String"
-    with pytest.raises(LibraryError, match=rf"\({listed}\), got None"):
-        read_bag(tmp_path / "bag")
-    assert len(read_bag(tmp_path / "bag", "/gel")) == 1
-    with pytest.raises(LibraryError, match=r"must be .*, got std_msgs/msg/String"):
-        read_bag(tmp_path / "bag", "/say")
-
-
-def test_what_is_no_touch_is_refused(bag, tmp_path):
-    good = _image(np.zeros((2, 2), np.uint8), "mono8")
-    with pytest.raises(LibraryError, match=r"bag \(/pad of .*Image\), got '/other'"):
-        read_bag(bag(good), "/other")
-    with pytest.raises(LibraryError, match="encoded as mono8"):
-        read_bag(bag(_image(np.zeros((2, 2), np.uint8), "bayer_rggb8")), "/pad")
-    short = _image(np.zeros((2, 2), np.uint8), "mono8")
-    short.height = 1000
-    with pytest.raises(LibraryError, match="1000 rows of 2 bytes, got 4"):
-        read_bag(bag(short), "/pad")
-    with pytest.raises(LibraryError, match="one size and type"):
-        read_bag(bag(good, _image(np.zeros((3, 2), np.uint8), "mono8")), "/pad")
-    with pytest.raises(LibraryError, match="at most 5 bytes"):
-        read_bag(bag(good, good), "/pad", max_bytes=5)
-    with pytest.raises(LibraryError, match="one array of rows and columns"):
-        read_bag(bag(_array(np.zeros(5), (2, 3))), "/pad")
-    (tmp_path / "no.mcap").write_bytes(b"nothing")
-    with pytest.raises(LibraryError, match="must be a bag of ROS"):
-        read_bag(tmp_path / "no.mcap", "/pad")
+def test_a_failed_export_leaves_nothing(library, tmp_path):
+    library.add(_presses(1).with_columns(wave=np.full(6, 1j)))
+    with pytest.raises(LibraryError, match="a folder that exists"):
+        library.export(tmp_path / "out" / "x.parquet")
+    (tmp_path / "out").mkdir()
+    for by in (None, "object"):
+        with pytest.raises(TouchesError, match="a type that Parquet holds"):
+            library.export(tmp_path / "out" / "x.parquet", by=by)
+    assert not [*(tmp_path / "out").iterdir()]
+    with pytest.raises(LibraryError, match="by must be one of"):
+        library.export(tmp_path / "x.npz", by="object")
