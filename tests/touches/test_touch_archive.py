@@ -182,13 +182,6 @@ def test_a_kill_in_mid_write_leaves_the_old_archive(tmp_path):
     assert_same(Touches.load(tmp_path / "t.npz"), old)
 
 
-def test_writing_through_a_link_keeps_the_link(tmp_path):
-    (tmp_path / "link.npz").symlink_to(tmp_path / "real.npz")
-    Touches(np.zeros((1, 2, 2))).save(tmp_path / "link.npz")
-    assert (tmp_path / "link.npz").is_symlink()
-    assert len(Touches.load(tmp_path / "real.npz")) == 1
-
-
 def test_archives_take_no_pattern(tmp_path):
     path = tmp_path / "t.npz"
     Touches(np.zeros((1, 2, 2))).save(path)
@@ -210,10 +203,3 @@ def test_real_archives_load(data_folder, name, shape, n_objects, columns):
     assert touches.images.shape == shape
     assert len(touches.episodes()) == n_objects
     assert columns <= set(touches.columns)
-
-
-@pytest.mark.realdata
-def test_a_real_archive_survives_to_the_bit(data_folder, tmp_path):
-    touches = Touches.load(data_folder / "taxel10x10" / "taxel10x10.npz")
-    touches.save(tmp_path / "again.npz")
-    assert_same(Touches.load(tmp_path / "again.npz"), touches)

@@ -151,7 +151,7 @@ def test_a_large_picture_is_refused_without_its_pixels(grey, kind):
     if kind == "JPEG":
         scan = data.index(b"\xff\xda") + 2
         start = scan + int.from_bytes(data[scan : scan + 2], "big")
-    with pytest.raises(TouchesError, match="at most 767 pixels, got 32 x 24"):
+    with pytest.raises(TouchesError, match=r"most 767 pixels, got 32 x 24 .*raise max"):
         decode_bytes(data[:start], max_pixels=767)
 
 
@@ -171,11 +171,15 @@ def refused_kinds():
         (coded(image, "BMP"), "neither JPEG nor PNG"),
         (coded(image, "GIF"), "neither JPEG nor PNG"),
         (coded(Image.new("CMYK", (9, 9)), "JPEG"), r"4 channels \(CMYK\)"),
-        (patched(jpeg, frame + 4, 12), "JPEG .*12-bit"),
+        (patched(jpeg, frame + 4, 12), "a 12-bit JPEG"),
         (patched(jpeg, frame + 1, 0xC3), "lossless or arithmetic"),
         (patched(jpeg, frame + 1, 0xC9), "lossless or arithmetic"),
-        (jpeg[:frame] + jpeg[jpeg.index(b"\xff\xda") :], "a damaged JPEG"),
-        (patched(patched(jpeg, frame + 5, 0), frame + 6, 0), r"JPEG of \d+ x 0 pixels"),
+        (
+            jpeg[:frame] + jpeg[jpeg.index(b"\xff\xda") :],
+            "its pixels come before its size",
+        ),
+        (patched(jpeg, frame + 6, 0), "a JPEG of 16 x 0 pixels"),
+        (patched(jpeg, frame + 8, 0), "a JPEG of 0 x 8 pixels"),
         (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", r"a damaged or .*two SOF"),
         (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "cut short"),
         (
@@ -190,7 +194,7 @@ def refused_kinds():
         (coded(clear.convert("LA")), "transparent parts"),
         (coded(image, transparency=3), "a transparent colour"),
         (coded(image.convert("P"), transparency=3), "a transparent colour"),
-        (png[:8] + png[33:], "a damaged PNG"),
+        (png[:8] + png[33:], "it must begin with its size"),
         (png.replace(b"\0\0\0\x10", bytes(4), 1), "a damaged PNG .*checksum"),
         (png[:8] + ihdr(0, 5) + png[33:], "PNG of 0 x 5 pixels"),
         (png[:8] + ihdr(17, 9) + png[33:], "cannot be decoded"),
@@ -312,19 +316,6 @@ def test_no_warning_of_pillow_comes_through(grey):
         decode_bytes(png[:33] + chunk + png[33:])
 
 
-def test_a_picture_in_memory_is_as_in_a_file():
-    import cv2
-
-    image = np.arange(60, dtype=np.uint8).reshape(6, 10)
-    data = cv2.imencode(".png", image)[1].tobytes()
-    np.testing.assert_array_equal(decode_bytes(data), image)
-    with pytest.raises(TouchesError, match="at most 50 pixels"):
-        decode_bytes(data, max_pixels=50)
-    for broken in (data[:-9], b"", b"GIF89a"):
-        with pytest.raises(TouchesError, match="JPEG or PNG"):
-            decode_bytes(broken)
-
-
 @pytest.mark.parametrize("n_bits", [1, 2, 4, 8])
 def test_a_colour_that_the_palette_lacks_is_refused(grey, n_bits):
     indices = (np.arange(grey.size) % 2**n_bits).astype(np.uint8).reshape(grey.shape)
@@ -340,15 +331,6 @@ def test_a_colour_that_the_palette_lacks_is_refused(grey, n_bits):
     lacking = whole[:start] + chunk + whole[start + 12 + length :]
     with pytest.raises(TouchesError, match=f"of a palette of {2**n_bits - 1}"):
         decode_bytes(lacking)
-
-
-def test_as_many_bytes_as_allowed_are_read(grey, tmp_path):
-    (tmp_path / "mug").mkdir()
-    for number in range(2):
-        (tmp_path / "mug" / f"{number}.png").write_bytes(coded(Image.fromarray(grey)))
-    assert len(read_folder(tmp_path, max_bytes=2 * grey.size)) == 2
-    with pytest.raises(TouchesError, match="must take at most"):
-        read_folder(tmp_path, max_bytes=2 * grey.size - 1)
 
 
 @pytest.mark.parametrize("levels", [np.uint8, np.uint16])
