@@ -264,34 +264,35 @@ def _lost(
 
 
 class _Seen(NamedTuple):
-    header: Header | None
-    coloured: bool
-    orientation: int
-    flat: bool
-    digest: bytes
     problem: str
+    header: Header | None = None
+    coloured: bool = False
+    orientation: int = 1
+    flat: bool = False
+    digest: bytes = b""
+
+
+def _look(path: Path, max_pixels: int, colour: bool) -> _Seen:
+    """Decode one picture."""
+    try:
+        header, orientation, levels, data = checked_picture(
+            path, max_pixels=max_pixels, colour=colour
+        )
+    except (OSError, PictureError) as error:
+        return _Seen(getattr(error, "strerror", None) or str(error))
+    digest = hashlib.blake2b(data, digest_size=16).digest()
+    flat = bool(np.ptp(levels) == 0)
+    counted = header.checked(colour)
+    return _Seen("", counted, header.colour, orientation, flat, digest)
 
 
 def _check_pictures(
     root: Path, names: Sequence[str], *, max_pixels: int, colour: bool
 ) -> PictureCheck:
     """Decode every picture and say which cannot be used, and what else is odd."""
-
-    def look(name: str) -> _Seen:
-        try:
-            header, orientation, levels, data = checked_picture(
-                root / name, max_pixels=max_pixels, colour=colour
-            )
-        except (OSError, PictureError) as error:
-            strerror = getattr(error, "strerror", None)
-            return _Seen(None, False, 1, False, b"", strerror or str(error))
-        digest = hashlib.blake2b(data, digest_size=16).digest()
-        flat = bool(np.ptp(levels) == 0)
-        counted = header.checked(colour)
-        return _Seen(counted, header.colour, orientation, flat, digest, "")
-
     with ThreadPoolExecutor(n_cores()) as pool:
-        seen = dict(zip(names, pool.map(look, names), strict=True))
+        looks = pool.map(lambda name: _look(root / name, max_pixels, colour), names)
+        seen = dict(zip(names, looks, strict=True))
     headers = [picture.header for picture in seen.values() if picture.header]
     usual = most_common_header(headers) if headers else None
     check = PictureCheck(usual=str(usual or ""))
@@ -300,14 +301,7 @@ def _check_pictures(
         if picture.header is None:
             check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
         elif usual is not None and not picture.header.is_like(usual):
-            problem = f"{picture.header}, not {usual}"
-            fix = fix_of_another(picture.header, usual)
-            if _is_on_its_side(picture.header, usual):
-                problem, fix = (
-                    f"{problem}: on its side",
-                    f"turn it by 90 degrees; {fix}",
-                )
-            check.bad.append(BadPicture(name, problem, fix))
+            check.bad.append(_another(name, picture.header, usual))
         else:
             check.turned += [name] * (picture.orientation > 1)
             check.flat += [name] * picture.flat
@@ -323,10 +317,13 @@ def _check_pictures(
     return check
 
 
-def _is_on_its_side(header: Header, usual: Header) -> bool:
-    """Whether a picture is as large as most, with its sides changed over."""
+def _another(name: str, header: Header, usual: Header) -> BadPicture:
+    """Say what is wrong with a picture of another size or depth than most."""
+    problem, fix = f"{header}, not {usual}", fix_of_another(header, usual)
     turned = header._replace(n_rows=header.n_cols, n_cols=header.n_rows)
-    return not header.is_like(usual) and turned.is_like(usual)
+    if turned.is_like(usual):
+        problem, fix = f"{problem}: on its side", f"turn it by 90 degrees; {fix}"
+    return BadPicture(name, problem, fix)
 
 
 def shows_colour(path: Path) -> bool:

@@ -311,22 +311,8 @@ def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
 
     The file name is searched first, then the path relative to the folder.
     """
-    matches = matched(pattern, names)
     texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
-    odd = [n for n, match in zip(names, matches, strict=True) if match is None]
-    if odd:
-        fix = (
-            "correct the pattern, move the file out of the folder, or give it as "
-            "`no_contact` if that is what it shows"
-        )
-        if "/" in pattern.pattern:
-            _, fix, _ = odd_folders(names, odd).get(odd[0], ("", fix, ""))
-        raise TouchesError(
-            f"{odd[0]} must match name_pattern {pattern.pattern!r}, and does not. "
-            f"{fix[0].upper()}{fix[1:]}."
-        )
-    for name, match in zip(names, matches, strict=True):
-        assert match is not None
+    for name, match in zip(names, _all_matched(names, pattern), strict=True):
         for group, values in texts.items():
             if group in _NEEDED and not match[group]:
                 raise TouchesError(
@@ -347,6 +333,24 @@ def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
         else:
             columns[group] = _numbers_or_text(values)
     return columns
+
+
+def _all_matched(names: Sequence[str], pattern: re.Pattern[str]) -> list[Groups]:
+    """Return the groups of each name; one that does not match is refused."""
+    matches = matched(pattern, names)
+    odd = [n for n, match in zip(names, matches, strict=True) if match is None]
+    if odd:
+        fix = (
+            "correct the pattern, move the file out of the folder, or give it as "
+            "`no_contact` if that is what it shows"
+        )
+        if "/" in pattern.pattern:
+            _, fix, _ = odd_folders(names, odd).get(odd[0], ("", fix, ""))
+        raise TouchesError(
+            f"{odd[0]} must match name_pattern {pattern.pattern!r}, and does not. "
+            f"{fix[0].upper()}{fix[1:]}."
+        )
+    return [match for match in matches if match is not None]
 
 
 def _from_table(root: Path, names: Sequence[str], max_bytes: int) -> Arrays:
