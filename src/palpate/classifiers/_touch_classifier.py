@@ -6,7 +6,7 @@ Beside that, the checks that the classifiers of feature vectors share.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, TypeGuard, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -291,6 +291,8 @@ def labelled_touches(
     Not `reset`, the touches must be like those of `fit`.
     """
     check_label_kinds(y)
+    if not reset and _is_as_in_fit(estimator, X) and _is_plain_labels(y, len(X)):
+        return np.asarray(X), np.asarray(y)
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
     check_targets(labels)
     return touches, labels
@@ -298,9 +300,19 @@ def labelled_touches(
 
 def as_labels(y: ArrayLike) -> Array:
     """Return labels (n_touches,), or raise as scikit-learn does."""
-    if type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in _CLASSES:
+    if _is_plain_labels(y):
         return np.asarray(y)
     return np.asarray(column_or_1d(y, warn=True))
+
+
+def _is_plain_labels(y: object, n_touches: int | None = None) -> TypeGuard[Array]:
+    """Whether labels are classes in one plain array, of so many touches."""
+    return (
+        type(y) is np.ndarray
+        and y.ndim == 1
+        and y.dtype.kind in _CLASSES
+        and n_touches in (None, len(y))
+    )
 
 
 def check_targets(labels: Array) -> None:
@@ -311,11 +323,16 @@ def check_targets(labels: Array) -> None:
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
     """Return `X` (n_touches, n_features) as in `fit`, or raise as `validate_data`."""
-    n_features = getattr(estimator, "n_features_in_", -1)
-    named = hasattr(estimator, "feature_names_in_")
-    if not named and are_plain_vectors(X, n_features):
+    if _is_as_in_fit(estimator, X):
         return np.asarray(X)
     return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
+
+
+def _is_as_in_fit(estimator: BaseEstimator, X: object) -> TypeGuard[Floats]:
+    """Whether `X` is plain, of as many features as were learnt, which had no names."""
+    n_features = getattr(estimator, "n_features_in_", -1)
+    named = hasattr(estimator, "feature_names_in_")
+    return not named and are_plain_vectors(X, n_features)
 
 
 def rows_left_out(codes: Array, groups: Indices) -> Indices:
