@@ -291,7 +291,8 @@ def labelled_touches(
     Not `reset`, the touches must be like those of `fit`.
     """
     check_label_kinds(y)
-    if not reset and _is_as_in_fit(estimator, X) and _is_plain_labels(y, len(X)):
+    plain = not reset and _is_as_in_fit(estimator, X) and _is_plain_labels(y)
+    if plain and np.shape(X)[0] == np.shape(y)[0]:
         return np.asarray(X), np.asarray(y)
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
     check_targets(labels)
@@ -305,14 +306,9 @@ def as_labels(y: ArrayLike) -> Array:
     return np.asarray(column_or_1d(y, warn=True))
 
 
-def _is_plain_labels(y: object, n_touches: int | None = None) -> TypeGuard[Array]:
-    """Whether labels are classes in one plain array, of so many touches."""
-    return (
-        type(y) is np.ndarray
-        and y.ndim == 1
-        and y.dtype.kind in _CLASSES
-        and n_touches in (None, len(y))
-    )
+def _is_plain_labels(y: object) -> TypeGuard[Array]:
+    """Whether labels are classes in one plain array."""
+    return type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in _CLASSES
 
 
 def check_targets(labels: Array) -> None:
