@@ -113,6 +113,7 @@ def mkl_rows():
     return run_bench("mkl", seconds=0.02, large=False)
 
 
+@pytest.mark.slow
 def test_every_peer_has_a_row_or_a_reason(mkl_rows):
     assert {"22 SVC fits", "MKLpy EasyMKL"} <= {row["peer"] for row in mkl_rows}
     for row in mkl_rows:
@@ -123,12 +124,14 @@ def test_every_peer_has_a_row_or_a_reason(mkl_rows):
             assert row["ratio"] == pytest.approx(row["peer_ms"] / row["ours_ms"])
 
 
+@pytest.mark.slow
 def test_the_true_problem_is_solved(mkl_rows):
     beside_svc = [row for row in mkl_rows if row["peer"] == "22 SVC fits"]
     assert beside_svc
     assert all(row["gap"] <= 1e-6 for row in beside_svc)
 
 
+@pytest.mark.slow
 def test_stages_andencodings_have_rows(monkeypatch):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     rows = run_bench("encodings", seconds=1e-3, names=["hu", "scaled-pixels"])
@@ -190,6 +193,7 @@ def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):
         run_bench("likelihood")
 
 
+@pytest.mark.slow
 def test_rows_tell_time_and_memory(monkeypatch):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     rows = run_bench("decode", repeats=1, n_pictures=24)

@@ -278,6 +278,7 @@ def test_the_surface_can_be_drawn_from_above(surface_map):
     pyplot.close("all")
 
 
+@pytest.mark.slow
 def test_a_mesh_stands_in_for_touches(recogniser, taught):
     thing = find_object("box")
     learnt = SurfaceMap(n_turns=12, use_pictures=False)

@@ -10,12 +10,12 @@ import fuzz
 from palpate.library import LibraryError, read_bag
 
 SEEDS = {
-    "model": 5,
-    "archive": 60,
-    "picture": 80,
-    "bag": 20,
-    "message": 80,
-    "learning": 3,
+    "model": 2,
+    "archive": 30,
+    "picture": 40,
+    "bag": 10,
+    "message": 40,
+    "learning": 2,
     "library": 1,
     "belief": 1,
     "session": 1,

@@ -324,6 +324,7 @@ def steady_share(rims, objects, scale):
 
 
 @pytest.mark.realdata
+@pytest.mark.slow
 def test_archive_centres_keep_to_their_running_median(data_folder):
     with np.load(data_folder / "bathtip/bathtip50.npz") as archive:
         order = np.lexsort((archive["order"], archive["object"]))

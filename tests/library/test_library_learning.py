@@ -104,6 +104,7 @@ def test_an_object_is_added_from_its_new_episodes_alone(library, counted):
     assert belief.best == "cap"
 
 
+@pytest.mark.slow
 def test_an_encoding_is_learnt_from_some_touches_of_each_label(tmp_path, shown):
     """Of 2,020 touches some 2,000 are shown, of each of three labels a third."""
     parts = [_touches(6, ("ball",), 1990), _touches(7, ("mug", "pen"), 15)]

@@ -132,7 +132,9 @@ def test_sessions_are_remembered():
     assert set(ObjectRecogniser().fit(drawn(0)).memory_.sessions) == {""}
 
 
-@pytest.mark.parametrize("preset", ["default", "liu2014"])
+@pytest.mark.parametrize(
+    "preset", ["default", pytest.param("liu2014", marks=pytest.mark.slow)]
+)
 def test_models_of_format_4_are_read_and_answer_the_same(preset, tmp_path):
     model = ObjectRecogniser.load(DATA / f"format4_{preset}.palpate")
     expected = json.loads((DATA / "format4_expected.json").read_text())[preset]

@@ -283,6 +283,7 @@ def test_what_tells_strangers_follows_added_objects(rng):
 
 
 @pytest.mark.parametrize("marks", [2000, 20], ids=["all", "some"])
+@pytest.mark.slow
 def test_what_is_known_of_distances_is_used_for_added_touches(
     rng, tmp_path, monkeypatch, marks
 ):

@@ -220,7 +220,7 @@ def page(window):
     assert opened.errors == []
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def taught_library(tmp_path_factory, drawn):
     """The library of a session that has learnt the disc and the bar."""
     folder = tmp_path_factory.mktemp("taught") / "library"
