@@ -95,11 +95,12 @@ def postures_back(arrays):
 @pytest.mark.parametrize(
     ("name", "back"),
     [
-        pytest.param("taxel10x10", films_back, marks=pytest.mark.slow),
-        pytest.param("tactip4", pins_back, marks=pytest.mark.slow),
-        pytest.param("digit_survey", digit_back, marks=pytest.mark.slow),
+        ("taxel10x10", films_back),
+        ("tactip4", pins_back),
+        ("digit_survey", digit_back),
     ],
 )
+@pytest.mark.slow
 def test_a_zip_becomes_the_archive_at_hand(name, back, sources, data_folder):
     arrays = behind_the_figures(data_folder, name)
     sources.put(name, back(arrays))
@@ -110,10 +111,7 @@ def test_a_zip_becomes_the_archive_at_hand(name, back, sources, data_folder):
 
 @pytest.mark.parametrize(
     ("name", "back"),
-    [
-        ("mattress", mattress_back),
-        pytest.param("postures", postures_back, marks=pytest.mark.slow),
-    ],
+    [("mattress", mattress_back), ("postures", postures_back)],
 )
 @pytest.mark.slow
 def test_a_list_of_files_becomes_the_archive_at_hand(name, back, sources, data_folder):

@@ -119,42 +119,40 @@ class ArrayCleanUp(ImageEstimator):
         return tags
 
 
-def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> Floats:
+def resize(images: Floats, shape: tuple[int, int]) -> Floats:
     """Resize images linearly between taxel centres, (n_touches, *shape).
 
     A side that shrinks is averaged over a triangle two new pixels wide.
     """
-    checked = check_images(images)
     sides = list(shape) if isinstance(shape, Iterable) else []
     if len(sides) != 2:
         raise ValueError(f"shape must be two integers (n_rows, n_cols), got {shape!r}.")
-    down = _resize_matrix(checked.shape[1], check_count("shape[0]", sides[0]))
-    across = _resize_matrix(checked.shape[2], check_count("shape[1]", sides[1]))
-    return down @ checked @ across.T
+    down = _resize_matrix(images.shape[1], check_count("shape[0]", sides[0]))
+    across = _resize_matrix(images.shape[2], check_count("shape[1]", sides[1]))
+    return down @ images @ across.T
 
 
-def correct_gamma(images: ArrayLike, gamma: float = 0.5) -> Floats:
+def correct_gamma(images: Floats, gamma: float) -> Floats:
     """Return white x (image / white) ** gamma, `white` the largest level of each image.
 
     Negative levels become 0.
     """
-    checked = np.maximum(check_images(images), 0)
     exponent = check_positive("gamma", gamma)
-    top = checked.max(axis=(1, 2), keepdims=True)
+    levels = np.maximum(images, 0)
+    top = levels.max(axis=(1, 2), keepdims=True)
     top = np.where(top > 0, top, 1.0)
-    return np.asarray(top * (checked / top) ** exponent)
+    return np.asarray(top * (levels / top) ** exponent)
 
 
-def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:
+def filter_noise(images: Floats, n_sd: float) -> Floats:
     """Return images with levels below mean - n_sd x standard deviation set to 0.
 
     Often there are none, as most of a tactile image is empty; the paper has this step.
     """
-    checked = check_images(images)
     width = check_positive("n_sd", n_sd)
-    mean = checked.mean(axis=(1, 2), keepdims=True)
-    spread = checked.std(axis=(1, 2), keepdims=True)
-    return np.where(checked < mean - width * spread, 0.0, checked)
+    mean = images.mean(axis=(1, 2), keepdims=True)
+    spread = images.std(axis=(1, 2), keepdims=True)
+    return np.where(images < mean - width * spread, 0.0, images)
 
 
 def otsu_threshold(images: ArrayLike) -> Floats:
@@ -167,30 +165,27 @@ def otsu_threshold(images: ArrayLike) -> Floats:
     return _threshold_rows(checked.reshape(len(checked), -1))
 
 
-def binarise(
-    images: ArrayLike, n_partitions: int = 2, *, min_contrast: float = 0.0
-) -> Bools:
+def binarise(images: Floats, n_partitions: int, *, min_contrast: float = 0.0) -> Bools:
     """Threshold each of n x n partitions of each image by its own Otsu threshold.
 
     Partitions that span at most the share `min_contrast` of the image's span are
     constant: background, or where their level is above the whole image's threshold,
     foreground.
     """
-    checked = check_images(images)
     n_parts = check_count("n_partitions", n_partitions)
     contrast = _checks.check_number("min_contrast", min_contrast, low=0, high=1)
-    if n_parts > min(checked.shape[1:]):
+    if n_parts > min(images.shape[1:]):
         raise ValueError(
-            f"n_partitions must be at most {min(checked.shape[1:])}, the shorter side "
+            f"n_partitions must be at most {min(images.shape[1:])}, the shorter side "
             f"of the images, got {n_parts}. Upsample the images first."
         )
-    whole = otsu_threshold(checked)
-    span = np.ptp(checked, axis=(1, 2))
-    binary = np.empty(checked.shape, dtype=bool)
-    for rows in np.array_split(np.arange(checked.shape[1]), n_parts):
-        for cols in np.array_split(np.arange(checked.shape[2]), n_parts):
+    whole = otsu_threshold(images)
+    span = np.ptp(images, axis=(1, 2))
+    binary = np.empty(images.shape, dtype=bool)
+    for rows in np.array_split(np.arange(images.shape[1]), n_parts):
+        for cols in np.array_split(np.arange(images.shape[2]), n_parts):
             block = np.s_[:, rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-            binary[block] = _binarise_block(checked[block], whole, contrast * span)
+            binary[block] = _binarise_block(images[block], whole, contrast * span)
     return binary
 
 

@@ -91,9 +91,6 @@ class Rims:
     def __len__(self) -> int:
         return len(self.row)
 
-    def __iter__(self) -> Iterator[Circle]:
-        return (self[i] for i in range(len(self)))
-
     @overload
     def __getitem__(self, key: int | np.integer) -> Circle: ...
     @overload
