@@ -18,9 +18,9 @@ NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell python3.$(minor) -
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-# Neighbouring tests in one process, so that what a file learns is learnt once; two more
+# Neighbouring tests in one process, so that what a file learns is learnt once; one more
 # than two cores have, since browsers and disks let a process wait.
-IN_PARALLEL := -n 4 --dist worksteal
+IN_PARALLEL := -n 3 --dist worksteal
 # Checks accessibility in the tests of the page; fetched, never shipped.
 AXE_CORE := 4.14.1
 # Compiled tests are kept, whatever the shell says: half of the time of finding them.

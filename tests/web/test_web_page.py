@@ -174,8 +174,8 @@ def _forget(page, name):
 
 def test_the_whole_way_with_drawn_touches(page, make_session, serving):
     session = make_session()
-    session.watch.sensor.rate_hz = 60.0
-    walk(page, serving, session, ("disc", "bar", "both"), 8)
+    session.watch.sensor.rate_hz = 100.0
+    walk(page, serving, session, ("disc", "bar", "both"), 6)
 
 
 @pytest.mark.slow
