@@ -90,12 +90,31 @@ def learning_apart():
     """Learn in a process of its own, as servers do."""
 
 
+@pytest.fixture
+def learn_by(monkeypatch):
+    """Return what lets sessions learn by another function than a process's."""
+
+    def learn(function):
+        monkeypatch.setattr("palpate.web._session.learn_apart", function)
+
+    return learn
+
+
+@pytest.fixture
+def learning_starts(monkeypatch):
+    """What is told each time the process that learns is to be started early."""
+    starts = []
+    name = "palpate.web._session.start_learning"
+    monkeypatch.setattr(name, lambda: starts.append("learning"))
+    return starts
+
+
 @pytest.fixture(autouse=True)
-def learning_here(request, monkeypatch):
+def learning_here(request):
     """Learn in this process elsewhere: starting another one takes seconds."""
     if "learning_apart" not in request.fixturenames:
-        monkeypatch.setattr("palpate.web._session.learn_apart", learn_job)
-        monkeypatch.setattr("palpate.web._session.start_learning", lambda: None)
+        request.getfixturevalue("learn_by")(learn_job)
+        request.getfixturevalue("learning_starts")
 
 
 class Still(LiveSensor):

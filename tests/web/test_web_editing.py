@@ -187,14 +187,14 @@ def test_what_is_forgotten_comes_back_by_undo_and_is_learnt_again(folder):
         assert session.recogniser.classes_.tolist() == ["bar", "disc"]
 
 
-def test_what_changed_stays_so_where_learning_fails(folder, monkeypatch):
+def test_what_changed_stays_so_where_learning_fails(folder, learn_by):
     def fail(*job):
         raise LearningError("no memory")
 
     with LiveSession(library=folder) as session:
         session.learn(wait=True)
         session.remove_touches([session.teacher.newest("bar", 1)[0].id])
-        monkeypatch.setattr("palpate.web._session.learn_apart", fail)
+        learn_by(fail)
         session.learn(wait=True)
         assert session.to_dict()["library"]["changed"] == ["bar"]
         assert session.unlearnt

@@ -305,14 +305,10 @@ def test_too_little_is_no_model(drawn, tmp_path, learn_job):
     assert not (tmp_path / "o.palpate").exists()
 
 
-def test_no_process_is_started_where_nothing_can_be_taught(monkeypatch):
-    started = []
-    monkeypatch.setattr(
-        "palpate.web._session.start_learning", lambda: started.append("learning")
-    )
+def test_no_process_is_started_where_nothing_can_be_taught(learning_starts):
     with pytest.raises(ValueError, match="without a library"):
         LiveSession().teach("cup", 3)
-    assert started == []
+    assert learning_starts == []
 
 
 def test_one_learns_at_a_time(make_session):
