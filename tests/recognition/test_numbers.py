@@ -48,7 +48,7 @@ from pathlib import Path
 import numpy as np
 from palpate import ObjectRecogniser, Touches
 images = np.random.default_rng(0).random((12, 12, 12))
-images[:6] += np.eye(20)
+images[:6] += np.eye(12)
 touches = Touches(images, object=["pen"] * 6 + ["mug"] * 6)
 ObjectRecogniser("liu2014").fit(touches).save(sys.argv[1])
 """
