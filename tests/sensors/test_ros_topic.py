@@ -67,6 +67,15 @@ def test_frames_are_those_that_were_sent_with_their_stamps(what):
     assert [int(frame.image[0, 0]) for frame in frames] == [n % 250 for n in numbers]
 
 
+def test_no_frame_is_lost_that_comes_together_with_the_first():
+    with peer("/t_burst", "burst"):
+        sensor = open_sensor(address("/t_burst"))
+        for _ in range(4):
+            with sensor:
+                times = [sensor.read_next().device_time_s for _ in range(7)]
+            assert np.array_equal(np.diff(times), np.ones(6))
+
+
 def test_the_contract_is_kept():
     with peer("/t_contract"):
         check_sensor(RosSensor("/t_contract", (12, 12), domain=DOMAIN))

@@ -107,7 +107,7 @@ class RosSensor(LiveSensor):
         try:
             kind = self._kind(node, end_s)
             self._reader = node.subscribe(self.topic, kind, reliable=self._reliable)
-            self._learn(self._first_frame(self._reader, end_s))
+            self._learn(self._first_frames(self._reader, end_s))
         except BaseException:
             self._close()
             raise
@@ -135,13 +135,14 @@ class RosSensor(LiveSensor):
             if self._stop.wait(0.05):
                 raise SensorError(f"{self.name} was disconnected.")
 
-    def _first_frame(self, reader: RosReader, end_s: float) -> Reading:
+    def _first_frames(self, reader: RosReader, end_s: float) -> list[Reading]:
+        """Return the frames that came together first, at least one."""
         self.lost = ""
         while True:
-            for raw in reader.take(_TICK_S):
-                frame = self._frame(raw)
-                if frame is not None:
-                    return frame
+            frames = [self._frame(raw) for raw in reader.take(_TICK_S)]
+            read = [frame for frame in frames if frame is not None]
+            if read:
+                return read
             if time.monotonic() > end_s or self._stop.is_set():
                 raise SensorError(self.lost or self._silence(reader))
             waited_s = time.monotonic() - end_s + self._wait_s
@@ -159,9 +160,9 @@ class RosSensor(LiveSensor):
             return f"nobody publishes {self.topic} now. Start its publisher again."
         return f"{self.topic} has a publisher that sends nothing."
 
-    def _learn(self, first: Reading) -> None:
+    def _learn(self, first: list[Reading]) -> None:
         """Take size and type of the first frame, or explain that they are others."""
-        expected, frame = self._asked_shape, first.image
+        expected, frame = self._asked_shape, first[0].image
         if expected is not None and frame.shape != tuple(expected):
             raise SensorError(
                 f"{self.topic} gives frames of {frame.shape[0]} x {frame.shape[1]}, "
@@ -169,7 +170,7 @@ class RosSensor(LiveSensor):
             )
         self._asked_shape = self.image_shape = frame.shape
         self.dtype = frame.dtype
-        self._first = [first]
+        self._first = [reading for reading in first if self._is_alike(reading.image)]
 
     def _grab(self) -> Sequence[Reading]:
         if self._first:
