@@ -1,8 +1,8 @@
-"""Make one small fault at a time in a room and see whether its tests find it.
+"""Make one small fault at a time in a subpackage and see whether its tests find it.
 
-`python benchmarks/mutants.py [-n 24] [--seed 0] [ROOM or MODULE ...]`, by the names of
-`CORE`. A mutant lives in a copy of the sources that only its tests import. Asked are
-the tests of its module alone; what others would find does not count.
+`python benchmarks/mutants.py [-n 24] [--seed 0] [SUBPACKAGE or MODULE ...]`, by the
+names of `CORE`. A mutant lives in a copy of the sources that only its tests import.
+Asked are the tests of its module alone; what others would find does not count.
 """
 
 import argparse
@@ -175,8 +175,8 @@ def _try_tests(source, name):
     os.environ["PYTHONPATH"] = str(source)
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # they take 3 s to import
     sys.path.insert(0, str(source))
-    room = name.split("/")[0]
-    tests = [f"tests/{room}/test_{test}.py" for test in CORE[name].split()]
+    subpackage = name.split("/")[0]
+    tests = [f"tests/{subpackage}/test_{test}.py" for test in CORE[name].split()]
     options = ["-q", "-x", "-m", "not slow and not realdata", "-p", "no:cacheprovider"]
     try:
         code = sys.modules["pytest"].main([*options, *tests])
@@ -185,12 +185,12 @@ def _try_tests(source, name):
     os._exit(int(code))
 
 
-def tried(room, n_mutants, chance):
-    """Return how many faults of one room were tried and found; print the others."""
+def tried(subpackage, n_mutants, chance):
+    """Return how many faults of a subpackage were tried and found; print the others."""
     listed = [
         (name, number, kind)
         for name in CORE
-        if name.startswith(room)
+        if name.startswith(subpackage)
         for number, kind in faults(ast.parse(_text(name)))
     ]
     chosen = chance.sample(listed, min(n_mutants, len(listed)))
@@ -209,7 +209,7 @@ def tried(room, n_mutants, chance):
             found[is_there] += 1
             if not is_there:
                 print(f"  not found: {name}:{where}", flush=True)
-    print(f"{room}: {found[True]} of {len(chosen)}", flush=True)
+    print(f"{subpackage}: {found[True]} of {len(chosen)}", flush=True)
     return len(chosen), found[True]
 
 
@@ -222,18 +222,20 @@ def _text(name):
 
 
 def main():
-    """Try faults in the rooms or modules that were named, or in all rooms."""
+    """Try faults in the subpackages or modules that were named, or in all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    rooms = list(dict.fromkeys(name.split("/")[0] for name in CORE))
-    parser.add_argument("rooms", nargs="*", default=rooms, metavar="ROOM")
-    parser.add_argument("-n", type=int, default=24, help="faults in each room")
+    subpackages = list(dict.fromkeys(name.split("/")[0] for name in CORE))
+    parser.add_argument(
+        "subpackages", nargs="*", default=subpackages, metavar="SUBPACKAGE"
+    )
+    parser.add_argument("-n", type=int, default=24, help="faults in each subpackage")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     for name in HEAVY:
         importlib.import_module(name)
     results = [
-        tried(room, given.n, random.Random(f"{given.seed} {room}"))
-        for room in given.rooms
+        tried(subpackage, given.n, random.Random(f"{given.seed} {subpackage}"))
+        for subpackage in given.subpackages
     ]
     n_tried, n_found = map(sum, zip(*results, strict=True))
     print(f"found {n_found} of {n_tried} ({n_found / n_tried:.0%})")

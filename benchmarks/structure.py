@@ -81,7 +81,7 @@ def counted(root: Path) -> dict[str, float]:
 def named(root: Path) -> dict[str, list[str]]:
     """Return which files are behind the counts that should fall."""
     tests = sorted((root / "tests").rglob("*.py"))
-    rooms = public_names(root / "src" / "palpate")
+    subpackages = public_names(root / "src" / "palpate")
     return {
         "private imports in": [
             str(path.relative_to(root)) for path in tests if imports_private(path)
@@ -90,10 +90,12 @@ def named(root: Path) -> dict[str, list[str]]:
             " <-> ".join(circle)
             for circle in import_circles(root / "src", deferred=True)
         ],
-        "public names of": [f"{room}: {len(names)}" for room, names in rooms.items()],
+        "public names of": [
+            f"{subpackage}: {len(names)}" for subpackage, names in subpackages.items()
+        ],
         "re-exported without __all__ by": [
-            f"{room}: {', '.join(names)}"
-            for room, names in reexported(root / "src" / "palpate").items()
+            f"{subpackage}: {', '.join(names)}"
+            for subpackage, names in reexported(root / "src" / "palpate").items()
         ],
         **words_named(root / "src" / "palpate"),
     }
@@ -114,17 +116,19 @@ def words_counted(package: Path) -> dict[str, float]:
 
 
 def words_named(package: Path) -> dict[str, list[str]]:
-    """Return where vague names are bound, by room and file, and the messages."""
-    rooms: Counter[str] = Counter()
+    """Return where vague names are bound, by subpackage and file, and the messages."""
+    subpackages: Counter[str] = Counter()
     files = []
     for path in sorted(package.rglob("*.py")):
         vague = [f"{n} {line}" for n, line in bound_names(path) if is_vague(n)]
         parts = path.relative_to(package).parts
-        rooms[parts[0] if len(parts) > 1 else "root"] += len(vague)
+        subpackages[parts[0] if len(parts) > 1 else "root"] += len(vague)
         if vague:
             files.append(f"{'/'.join(parts)}: {len(vague)}: {', '.join(vague)}")
     return {
-        "vague names of": [f"{room}: {n}" for room, n in rooms.most_common()],
+        "vague names of": [
+            f"{subpackage}: {n}" for subpackage, n in subpackages.most_common()
+        ],
         "vague names, with their lines, in": files,
         "messages that name options or verbs in": [
             f"{path.relative_to(package)}:{line}: {' '.join(text.split())[:150]}"
@@ -135,7 +139,7 @@ def words_named(package: Path) -> dict[str, list[str]]:
 
 
 def outside_cli(package: Path) -> list[Path]:
-    """Return the files of every room but `cli`, in order."""
+    """Return the files of every subpackage but `cli`, in order."""
     return [
         path
         for path in sorted(package.rglob("*.py"))
@@ -195,9 +199,9 @@ def text_of(node: ast.JoinedStr) -> Iterator[ast.Constant]:
 
 
 def reexported(package: Path) -> dict[str, list[str]]:
-    """Return what each room re-exports from its files beside `__all__`."""
+    """Return what each subpackage re-exports from its files beside `__all__`."""
     public = public_names(package)
-    rooms = {}
+    subpackages = {}
     for path in sorted(package.glob("*/__init__.py*")):
         if path.suffix not in (".py", ".pyi"):
             continue
@@ -208,11 +212,13 @@ def reexported(package: Path) -> dict[str, list[str]]:
             for alias in node.names
             if not (alias.asname or alias.name).startswith("_")
         ]
-        room = path.parent.name
-        hidden = sorted({*names, *rooms.get(room, [])} - {*public.get(room, [])})
+        subpackage = path.parent.name
+        hidden = sorted(
+            {*names, *subpackages.get(subpackage, [])} - {*public.get(subpackage, [])}
+        )
         if hidden:
-            rooms[room] = hidden
-    return rooms
+            subpackages[subpackage] = hidden
+    return subpackages
 
 
 def docstring_lines(path: Path) -> int:
@@ -226,15 +232,15 @@ def docstring_lines(path: Path) -> int:
 
 
 def public_names(package: Path) -> dict[str, list[str]]:
-    """Return `__all__` of every room, as it is written; the root is no room."""
-    rooms = {}
+    """Return `__all__` of every subpackage, as it is written, without the root."""
+    subpackages = {}
     for path in sorted(package.glob("*/__init__.py")):
-        room = ".".join(path.parent.relative_to(package).parts)
+        subpackage = ".".join(path.parent.relative_to(package).parts)
         for node in ast.parse(path.read_text()).body:
             targets = node.targets if isinstance(node, ast.Assign) else []
-            if room and any(getattr(t, "id", None) == "__all__" for t in targets):
-                rooms[room] = list(ast.literal_eval(node.value))
-    return rooms
+            if subpackage and any(getattr(t, "id", None) == "__all__" for t in targets):
+                subpackages[subpackage] = list(ast.literal_eval(node.value))
+    return subpackages
 
 
 def imports_private(path: Path) -> bool:

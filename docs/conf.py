@@ -34,9 +34,11 @@ nitpicky = False
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "deflist"]
 
-# Named, since a room that is new would be overlooked beside pages built before.
+# Named, since a subpackage that is new would be overlooked beside pages built before.
 MADE = runpy.run_path(str(HERE / "reference.py"))
-autosummary_generate = [f"reference/generated/{room}.rst" for room in MADE["ROOMS"]]
+autosummary_generate = [
+    f"reference/generated/{subpackage}.rst" for subpackage in MADE["SUBPACKAGES"]
+]
 del MADE
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # numpydoc says the types in words

@@ -2,7 +2,7 @@
 
 `python docs/reference.py` writes docs/reference/names.md: every public name, with the
 first line of its docstring. Sphinx (`make docs`) calls `write_generated`, which makes a
-page for every room, command and address of the API; these are not kept.
+page for every subpackage, command and address of the API; these are not kept.
 """
 
 import inspect
@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-ROOMS = (
+SUBPACKAGES = (
     "touches",
     "datasets",
     "images",
@@ -39,17 +39,17 @@ def reference() -> str:
     parts = [
         "# Public names\n",
         INTRODUCTION,
-        *(section(room) for room in ROOMS),
+        *(section(subpackage) for subpackage in SUBPACKAGES),
     ]
     return "\n".join(parts)
 
 
-def section(room: str) -> str:
-    """Return the names of one room."""
-    module = import_module(f"palpate.{room}")
+def section(subpackage: str) -> str:
+    """Return the names of one subpackage."""
+    module = import_module(f"palpate.{subpackage}")
     summary = inspect.getdoc(module).splitlines()[0]
     rows = [f"| `{name}` | {line(getattr(module, name))} |" for name in module.__all__]
-    head = f"## palpate.{room}\n\n{summary}\n\n| name | what it is |\n|---|---|\n"
+    head = f"## palpate.{subpackage}\n\n{summary}\n\n| name | what it is |\n|---|---|\n"
     return head + "\n".join(rows) + "\n"
 
 
@@ -63,7 +63,9 @@ def line(item: object) -> str:
 def write_generated(folder: Path) -> None:
     """Write what Sphinx reads besides the pages that people wrote."""
     folder.mkdir(parents=True, exist_ok=True)
-    made = {f"{room}.rst": room_page(room) for room in ROOMS}
+    made = {
+        f"{subpackage}.rst": subpackage_page(subpackage) for subpackage in SUBPACKAGES
+    }
     made |= {"command-line.md": command_page(), "http.md": http_page()}
     for name, text in made.items():
         path = folder / name
@@ -71,11 +73,11 @@ def write_generated(folder: Path) -> None:
             path.write_text(text, encoding="utf-8")
 
 
-def room_page(room: str) -> str:
-    """Return the page of a room: what it is about, and a page for each name."""
-    module = import_module(f"palpate.{room}")
-    title = f"palpate.{room}"
-    names = "\n".join(f"   ~palpate.{room}.{name}" for name in module.__all__)
+def subpackage_page(subpackage: str) -> str:
+    """Return the page of a subpackage: what it is about, and a page for each name."""
+    module = import_module(f"palpate.{subpackage}")
+    title = f"palpate.{subpackage}"
+    names = "\n".join(f"   ~palpate.{subpackage}.{name}" for name in module.__all__)
     about = inspect.getdoc(module) or ""
     return (
         f"{title}\n{'=' * len(title)}\n\n{about.replace('`', '``')}\n\n"

@@ -1,6 +1,6 @@
 """The public promise, who imports whom, and what importing loads.
 
-What a room's `__all__` names is there and says what it is; rooms import downwards only,
+What a subpackage's `__all__` names is there and says what it is; imports go downwards,
 as docs/explanation/architecture.md says; `import palpate` loads no heavy library.
 """
 
@@ -19,26 +19,26 @@ import palpate
 from structure import import_circles, public_names, update_passed
 
 SOURCE = Path(__file__).parents[1] / "src"
-ROOMS = public_names(SOURCE / "palpate")
+SUBPACKAGES = public_names(SOURCE / "palpate")
 
 
-def room_named(name):
-    """Import a room; one that needs an extra is skipped where it is not installed."""
+def subpackage_named(name):
+    """Import a subpackage by its name."""
     return import_module(f"palpate.{name}")
 
 
-@pytest.mark.parametrize("name", ROOMS)
+@pytest.mark.parametrize("name", SUBPACKAGES)
 def test_every_name_is_there_once_and_in_order(name):
-    room = room_named(name)
-    assert [n for n in room.__all__ if not hasattr(room, n)] == []
-    assert len(set(room.__all__)) == len(room.__all__)
-    assert set(room.__all__) <= set(dir(room))
+    subpackage = subpackage_named(name)
+    assert [n for n in subpackage.__all__ if not hasattr(subpackage, n)] == []
+    assert len(set(subpackage.__all__)) == len(subpackage.__all__)
+    assert set(subpackage.__all__) <= set(dir(subpackage))
 
 
-@pytest.mark.parametrize("name", ROOMS)
+@pytest.mark.parametrize("name", SUBPACKAGES)
 def test_every_public_class_and_function_has_a_docstring(name):
-    room = room_named(name)
-    public = {f"{name}.{n}": getattr(room, n) for n in room.__all__}
+    subpackage = subpackage_named(name)
+    public = {f"{name}.{n}": getattr(subpackage, n) for n in subpackage.__all__}
     silent = [
         full
         for full, thing in public.items()
@@ -55,14 +55,14 @@ def own_doc(thing):
     return None if generated else documented
 
 
-@pytest.mark.parametrize("name", ROOMS)
+@pytest.mark.parametrize("name", SUBPACKAGES)
 def test_every_public_method_has_a_docstring(name):
     """Methods that are inherited say it where they are defined."""
-    room = room_named(name)
+    subpackage = subpackage_named(name)
     silent = [
         f"{name}.{n}.{method}"
-        for n in room.__all__
-        if inspect.isclass(thing := getattr(room, n))
+        for n in subpackage.__all__
+        if inspect.isclass(thing := getattr(subpackage, n))
         and thing.__module__.startswith("palpate")
         for method, function in vars(thing).items()
         if not method.startswith("_")
@@ -79,7 +79,7 @@ def test_the_root_offers_what_it_names():
 
 
 def test_a_stranger_can_keep_the_public_names_in_mind():
-    assert sum(map(len, ROOMS.values())) <= 130
+    assert sum(map(len, SUBPACKAGES.values())) <= 130
 
 
 def test_no_modules_import_each_other():
@@ -87,13 +87,13 @@ def test_no_modules_import_each_other():
     assert import_circles(SOURCE, deferred=True) == []
 
 
-@pytest.mark.parametrize("name", ROOMS)
+@pytest.mark.parametrize("name", SUBPACKAGES)
 def test_signatures_in_help_are_short(name):
     """No default that is a whole table, no annotation that is spelt out."""
-    room = room_named(name)
+    subpackage = subpackage_named(name)
     long = {}
-    for public in room.__all__:
-        thing = getattr(room, public)
+    for public in subpackage.__all__:
+        thing = getattr(subpackage, public)
         methods = vars(thing).items() if inspect.isclass(thing) else ()
         functions = {f"{public}.{n}": f for n, f in methods if inspect.isfunction(f)}
         for full, function in {**functions, public: thing}.items():
@@ -143,11 +143,11 @@ def test_names_are_loaded_when_they_are_used():
 
 def test_names_of_recognition_are_loaded_when_they_are_used():
     code = (
-        "import sys, palpate.recognition as room\n"
+        "import sys, palpate.recognition as package\n"
         "heavy = {'numpy', 'sklearn', 'cv2', 'scipy'}\n"
         "assert not heavy & {*sys.modules}, heavy & {*sys.modules}\n"
-        "assert {*room.__all__} <= {*dir(room)}\n"
-        "for name in dir(room): assert getattr(room, name) is not None, name\n"
+        "assert {*package.__all__} <= {*dir(package)}\n"
+        "for name in dir(package): assert getattr(package, name) is not None, name\n"
         "assert 'sklearn' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -159,18 +159,20 @@ EVERYTHING = {"everything above", "everything"}
 
 
 def table():
-    """Read the rooms and what each may import from the architecture page, in order."""
+    """Read subpackages and what each may import from the architecture page."""
     page = (ROOT / "docs/explanation/architecture.md").read_text()
     rows = re.findall(r"^\| `(\w+)/` \|.*\| ([^|]+) \|$", page, re.MULTILINE)
     allowed: dict[str, set[str]] = {}
-    for room, cell in rows:
+    for subpackage, cell in rows:
         cell = cell.strip()
         if cell.startswith("all above but"):
-            allowed[room] = set(allowed) - {cell.split("but ")[1]}
+            allowed[subpackage] = set(allowed) - {cell.split("but ")[1]}
         elif cell in EVERYTHING:
-            allowed[room] = {name for name, _ in rows} if room == "cli" else {*allowed}
+            allowed[subpackage] = (
+                {name for name, _ in rows} if subpackage == "cli" else {*allowed}
+            )
         else:
-            allowed[room] = set() if cell == "-" else set(re.split(r",\s*", cell))
+            allowed[subpackage] = set() if cell == "-" else set(re.split(r",\s*", cell))
     return allowed
 
 
@@ -178,32 +180,33 @@ ALLOWED = table()
 
 
 def imports_of(path):
-    """Yield (room, name) of everything a file takes from another room of palpate."""
+    """Yield (subpackage, name) of everything that a file takes from another one."""
     here = path.relative_to(PACKAGE).parts[0]
     depth = len(path.relative_to(PACKAGE).parts)
     for node in ast.walk(ast.parse(path.read_text())):
         if not isinstance(node, ast.ImportFrom) or node.level != depth:
             continue
         parts = (node.module or "").split(".")
-        rooms = [parts[0]] if parts[0] else [alias.name for alias in node.names]
-        for room in rooms:
-            if room in ALLOWED and room != here:
+        subpackages = [parts[0]] if parts[0] else [alias.name for alias in node.names]
+        for subpackage in subpackages:
+            if subpackage in ALLOWED and subpackage != here:
                 names = [alias.name for alias in node.names] if parts[0] else []
-                yield room, [*parts[1:], *(n for n in names if n.startswith("_"))]
+                yield subpackage, [*parts[1:], *(n for n in names if n.startswith("_"))]
 
 
 def test_every_room_is_on_the_page():
-    rooms = {p.name for p in PACKAGE.iterdir() if (p / "__init__.py").exists()}
-    assert rooms == set(ALLOWED)
+    subpackages = {p.name for p in PACKAGE.iterdir() if (p / "__init__.py").exists()}
+    assert subpackages == set(ALLOWED)
 
 
-@pytest.mark.parametrize("room", sorted(ALLOWED))
-def test_no_arrow_upwards_and_no_private_name(room):
+@pytest.mark.parametrize("subpackage", sorted(ALLOWED))
+def test_no_arrow_upwards_and_no_private_name(subpackage):
     wrong = [
         f"{path.relative_to(PACKAGE)}: {other}{'.' if inner else ''}{'.'.join(inner)}"
-        for path in sorted((PACKAGE / room).rglob("*.py"))
+        for path in sorted((PACKAGE / subpackage).rglob("*.py"))
         for other, inner in imports_of(path)
-        if other not in ALLOWED[room] or any(part.startswith("_") for part in inner)
+        if other not in ALLOWED[subpackage]
+        or any(part.startswith("_") for part in inner)
     ]
     assert wrong == []
 

@@ -1,4 +1,4 @@
-"""What every room shares: files that are whole, extras by name, tasks in parallel."""
+"""What all subpackages share: files that are whole, extras by name, tasks, bars."""
 
 import errno
 import os

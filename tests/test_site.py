@@ -23,7 +23,9 @@ DOCS = ROOT / "docs"
 CHROMIUM = Path("/usr/bin/chromium")
 EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
 # The command line has a page of another kind.
-ROOMS = {k: v for k, v in public_names(ROOT / "src" / "palpate").items() if k != "cli"}
+SUBPACKAGES = {
+    k: v for k, v in public_names(ROOT / "src" / "palpate").items() if k != "cli"
+}
 SAYS_ERRORS = re.compile(r"Raise|refus|Error")
 # Made for the caller, never by it: the docstring says by what.
 MADE_BY = re.compile(r"Made by `\w+")
@@ -36,16 +38,16 @@ def pages():
 
 def test_every_public_name_gets_a_page(pages):
     listed = (DOCS / "reference" / "index.md").read_text("utf-8")
-    for room, names in ROOMS.items():
-        assert f"generated/{room}\n" in listed
-        page = pages["room_page"](room)
-        assert [n for n in names if f"palpate.{room}.{n}\n" not in page] == []
+    for subpackage, names in SUBPACKAGES.items():
+        assert f"generated/{subpackage}\n" in listed
+        page = pages["subpackage_page"](subpackage)
+        assert [n for n in names if f"palpate.{subpackage}.{n}\n" not in page] == []
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_docstrings_name_every_parameter_and_the_errors(room):
+@pytest.mark.parametrize("subpackage", SUBPACKAGES)
+def test_docstrings_name_every_parameter_and_the_errors(subpackage):
     """In a section of parameters or attributes, or in words between backticks."""
-    module = import_module(f"palpate.{room}")
+    module = import_module(f"palpate.{subpackage}")
     silent = []
     for name in module.__all__:
         thing = getattr(module, name)
@@ -205,9 +207,9 @@ def site(tmp_path_factory):
 @pytest.mark.slow
 def test_the_site_is_built_and_asks_nobody_outside(site):
     names = site / "reference" / "generated" / "names"
-    for room, public in ROOMS.items():
+    for subpackage, public in SUBPACKAGES.items():
         for name in public:
-            assert (names / f"palpate.{room}.{name}.html").is_file()
+            assert (names / f"palpate.{subpackage}.{name}.html").is_file()
     page = (names / "palpate.recognition.ObjectRecogniser.html").read_text("utf-8")
     assert 'rubric">Methods' in page  # a table of them before the rest
     titles = re.compile(r"<h1>(.*?)<a")

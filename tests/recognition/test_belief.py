@@ -57,15 +57,15 @@ def start(model):
         strangers=0.0,
         **parts,
     ):
-        judge = replace(
-            model.judge(),
+        belief_model = replace(
+            model.belief_model(),
             strangers=replace(stranger_model(model), **parts),
             floor=floor,
             sequence_calibration=SequenceCalibration(*calibration),
             **({"categories": np.array(KINDS)} | (judged or {})),
         )
         logs = None if prior is None else np.log(prior)
-        return Belief(judge, model.evidence, logs, strangers)
+        return Belief(belief_model, model.evidence, logs, strangers)
 
     return begin
 

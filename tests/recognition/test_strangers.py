@@ -404,7 +404,7 @@ def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
     )
     mug = touches[touches.object == "mug 2"]
     again.add_object("mug 3", Touches(mug.images + 5, category=["mug"] * 10))
-    assert again.judge().categories.tolist()[-1] == "mug"
+    assert again.belief_model().categories.tolist()[-1] == "mug"
 
 
 def test_what_encodings_say_of_no_contact_is_not_heeded(kinds):

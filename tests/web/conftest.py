@@ -1,4 +1,4 @@
-"""Sessions, servers and drawn things to touch, for the whole room."""
+"""Sessions, servers and drawn things to touch, for all tests of the page."""
 
 import shutil
 import time

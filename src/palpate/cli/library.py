@@ -251,7 +251,7 @@ def backup(
 
 @library.command()
 def migrate(
-    old: Annotated[Path, argument("OLD", "A library of palpate 0.2 or older.")],
+    old: Annotated[Path, argument("OLD", "A library of format 1 or 2.")],
     new: Annotated[Path, argument("NEW", "A new folder for the library of today.")],
     as_json: AsJson = False,
 ) -> None:

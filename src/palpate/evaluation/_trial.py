@@ -255,7 +255,7 @@ def _categories_right(trials: Sequence[Trial], plan: Plan) -> dict[str, float]:
     for k in plan.touches:
         shares = []
         for trial in trials:
-            categories = trial.recogniser.judge().categories
+            categories = trial.recogniser.belief_model().categories
             for truth, log_posterior in zip(*trial.episodes.after(k), strict=True):
                 if truth >= 0 and categories[truth]:
                     best = categories[log_posterior.argmax(axis=1)]

@@ -95,7 +95,9 @@ class PlaceBelief(Belief):
         strangers: float,
     ) -> None:
         recogniser = surface_map.recogniser
-        super().__init__(recogniser.judge(), recogniser.evidence, log_prior, strangers)
+        super().__init__(
+            recogniser.belief_model(), recogniser.evidence, log_prior, strangers
+        )
         self.map = surface_map
         self.centre_mm = np.asarray(centre_mm, dtype=np.float64)
         self.filter = surface_map.filter_before()
@@ -285,12 +287,12 @@ class PlaceBelief(Belief):
     @property
     def best_without_places(self) -> str:
         """The object that is most probable by the pictures alone."""
-        return str(self._judge.classes[self._touch_log_posterior.argmax()])
+        return str(self._model.classes[self._touch_log_posterior.argmax()])
 
     @property
     def _states_of_objects(self) -> list[Array]:
         of_state = self.map.object_of_state_
-        return [np.flatnonzero(of_state == k) for k in range(len(self._judge.classes))]
+        return [np.flatnonzero(of_state == k) for k in range(len(self._model.classes))]
 
     def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
         prior = log_softmax(self._prior_and_senses())[self.map.object_of_state_]
@@ -316,7 +318,7 @@ class PlaceBelief(Belief):
         On the most probable face that was learnt; `probability` is of that.
         """
         shares = np.exp(self.log_joint).reshape(self._pictures.shape)
-        names = self._judge.classes.tolist()
+        names = self._model.classes.tolist()
         rows = self._states_of_objects[names.index(self.best if name is None else name)]
         rows = rows[[self.map.states_[row][1] >= 0 for row in rows]]
         state = int(rows[shares[rows].sum(axis=1).argmax()])

@@ -57,7 +57,7 @@ State = tuple[str, int]
 
 
 class SurfaceMap:
-    """Where every known object has its surface, and what is felt there.
+    """Where every known object has its surface, and what touches there are like.
 
     Parameters
     ----------

@@ -324,7 +324,9 @@ class PlacedBelief(Belief):
         self, touch_map: TouchMap, log_prior: Floats | None, strangers: float
     ) -> None:
         recogniser = touch_map.recogniser
-        super().__init__(recogniser.judge(), recogniser.evidence, log_prior, strangers)
+        super().__init__(
+            recogniser.belief_model(), recogniser.evidence, log_prior, strangers
+        )
         self._map = touch_map
         self._placed = np.zeros((touch_map.n_objects, touch_map.n_turns))
         self._weigh()
@@ -372,7 +374,7 @@ class PlacedBelief(Belief):
     @property
     def best_without_places(self) -> str:
         """The object that is most probable by the touches alone."""
-        return str(self._judge.classes[self._touch_log_posterior.argmax()])
+        return str(self._model.classes[self._touch_log_posterior.argmax()])
 
     def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
         prior = log_softmax(self._prior_and_senses()) - np.log(self._map.n_turns)

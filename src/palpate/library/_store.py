@@ -451,8 +451,8 @@ class Store:
             )
         if application == _APPLICATION and version in OLD_VERSIONS:
             raise OtherVersion(
-                f"{self.folder} is a library of format {version}, of palpate 0.2 or "
-                f"older. `migrate_library({self.folder}, NEW)` makes one of "
+                f"{self.folder} is a library of format {version}, and {VERSION} is "
+                f"today's. `migrate_library({self.folder}, NEW)` makes one of "
                 "today of it; the old one stays as it is."
             )
         if version != VERSION or application != _APPLICATION:

@@ -52,8 +52,8 @@ class Named(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Judge:
-    """What a belief is made by: all that a recogniser has learnt beside its encoding.
+class BeliefModel:
+    """What a belief needs of a recogniser: all that was learnt beside the encoding.
 
     The `classes` (n_objects,) by name, their `log_prior` (n_objects,) before the first
     touch (nats), the `floor` that one touch leaves to all of them together, how the
@@ -92,14 +92,14 @@ class Belief:
 
     def __init__(
         self,
-        judge: Judge,
+        model: BeliefModel,
         evidence_of: Callable[[Touches | Array], Evidence],
         log_prior: Floats | None = None,
         strangers: float = STRANGERS,
     ) -> None:
-        self._judge = judge
+        self._model = model
         self._evidence_of = evidence_of
-        self._log_prior = judge.log_prior if log_prior is None else log_prior
+        self._log_prior = model.log_prior if log_prior is None else log_prior
         self.strangers = check_strangers(strangers)
         self.flags: list[str] = []
         self._floored: list[Floats] = []
@@ -108,15 +108,15 @@ class Belief:
         # Sums over the touches that said anything: of log-likelihoods, of those of each
         # encoding alone, of log distances.
         self._n_informative = 0
-        self._total = np.zeros(len(judge.classes))
-        self._each = np.zeros((len(judge.strangers.weights), len(judge.classes)))
-        self._distance = np.zeros(len(judge.classes))
+        self._total = np.zeros(len(model.classes))
+        self._each = np.zeros((len(model.strangers.weights), len(model.classes)))
+        self._distance = np.zeros(len(model.classes))
         self._touch_log_posterior = self._log_prior
         # What speaks for a stranger: what each encoding alone believes, how far the
         # touches are, and the lowest level at which each object was best so far.
         self._alone = np.zeros_like(self._each)
         self._farther = self._score = np.zeros(())
-        self._lowest = np.full(len(judge.classes), np.inf)
+        self._lowest = np.full(len(model.classes), np.inf)
         self._log_shares: tuple[float, float] | None = None
 
     def __copy__(self) -> Self:
@@ -168,8 +168,8 @@ class Belief:
         all encodings are taken to say the same. What does not fit raises ValueError and
         changes nothing.
         """
-        judge = self._judge
-        rows = _evidence.checked_rows(log_likelihood, len(judge.classes))
+        model = self._model
+        rows = _evidence.checked_rows(log_likelihood, len(model.classes))
         n_touches = len(rows)
         flags = [""] * n_touches if flags is None else flags
         if len(flags) != n_touches:
@@ -178,14 +178,14 @@ class Belief:
             )
         shape = n_touches, *self._each.shape
         kept, distances, each = _evidence.checked_parts(
-            features=(features, (n_touches, judge.memory.features.shape[1])),
+            features=(features, (n_touches, model.memory.features.shape[1])),
             log_distances=(log_distances, rows.shape),
             by_encoding=(by_encoding, shape),
         )
         if by_encoding is None:
             each = np.broadcast_to(rows[:, np.newaxis], shape)
         together = np.concatenate([rows[:, np.newaxis], each], axis=1)
-        together = _evidence.with_floor(together, judge.floor)
+        together = _evidence.with_floor(together, model.floor)
         floored, each = together[:, 0], together[:, 1:]
         self.flags += flags
         self._features += list(kept)
@@ -208,7 +208,7 @@ class Belief:
         X : array-like of shape (n_features,) or (n_examples, n_features)
             One example or several.
         """
-        senses = self._judge.senses
+        senses = self._model.senses
         if not senses:
             raise ValueError(
                 f"name must be a sense that was learnt, got {name!r} and none is. Call "
@@ -216,14 +216,14 @@ class Belief:
             )
         check_option("name", name, senses)
         examples = np.atleast_2d(np.asarray(X))
-        rows = senses[name].log_likelihood(examples, self._judge.classes)
+        rows = senses[name].log_likelihood(examples, self._model.classes)
         self._senses.setdefault(name, []).extend(rows)
         self._weigh()
         return self
 
     def _weigh(self) -> None:
         """Believe what all touches and senses so far come to."""
-        weight = self._judge.sequence_calibration.weight(self._n_informative)
+        weight = self._model.sequence_calibration.weight(self._n_informative)
         total = np.concatenate([self._total[np.newaxis], self._each]) * weight
         logs = log_softmax(total + self._prior_and_senses())
         self._touch_log_posterior = logs[0]
@@ -238,7 +238,7 @@ class Belief:
         self._log_shares = None
         if not self._n_informative:
             return
-        model, count = self._judge.strangers, np.asarray(self._n_informative)
+        model, count = self._model.strangers, np.asarray(self._n_informative)
         self._alone = by_encoding
         self._farther = model.farther(by_encoding, self._distance / count)
         self._score = model.score(by_encoding, self._farther, count)
@@ -251,7 +251,7 @@ class Belief:
     def _prior_and_senses(self) -> Floats:
         total = self._log_prior
         for name, rows in self._senses.items():
-            calibration = self._judge.senses[name].sequence_calibration_
+            calibration = self._model.senses[name].sequence_calibration_
             total = total + np.sum(rows, axis=0) * calibration.weight(len(rows))
         return total
 
@@ -271,19 +271,19 @@ class Belief:
     @property
     def posterior(self) -> dict[str, float]:
         """Probability of each learnt object; they and `unknown` sum to 1."""
-        names = self._judge.classes.tolist()
+        names = self._model.classes.tolist()
         logs = self.log_posterior + self._log_known_and_unknown()[0]
         return dict(zip(names, self._shares(logs), strict=True))
 
     def _shares(self, logs: Floats) -> list[float]:
         """Return probabilities by their logarithms; never 0 unless the floor is."""
-        least = _strangers.LEAST_LOG if self._judge.floor else -np.inf
+        least = _strangers.LEAST_LOG if self._model.floor else -np.inf
         return list(np.exp(np.maximum(logs, least)).tolist())
 
     @property
     def best(self) -> str:
         """The most probable learnt object; ties go to the first in sorted order."""
-        return str(self._judge.classes[self.log_posterior.argmax()])
+        return str(self._model.classes[self.log_posterior.argmax()])
 
     @property
     def doubt(self) -> float:
@@ -313,7 +313,7 @@ class Belief:
             return 0.0
         count = np.asarray(self._n_informative)
         best = np.asarray(self.log_posterior.argmax())
-        model, lowest = self._judge.strangers, self._lowest[best]
+        model, lowest = self._model.strangers, self._lowest[best]
         return float(model.evidence(lowest, self._score, best, count))
 
     def _log_known_and_unknown(self) -> tuple[float, float]:
@@ -331,18 +331,18 @@ class Belief:
         Objects without a category count as one each. What is missing to 1 is the
         probability of none of these categories.
         """
-        codes = _strangers.category_codes(self._judge.categories)
+        codes = _strangers.category_codes(self._model.categories)
         if codes is None:
             return {}
         names = np.where(
-            self._judge.categories == "", self._judge.classes, self._judge.categories
+            self._model.categories == "", self._model.classes, self._model.categories
         )
         present, first = np.unique(codes, return_index=True)
         logs = _strangers.summed_by_category(self.log_posterior, codes, present)
         evidence = np.zeros(())
         if self._n_informative:
             alone = _strangers.summed_by_category(self._alone, codes, present)
-            model, count = self._judge.strangers, np.asarray(self._n_informative)
+            model, count = self._model.strangers, np.asarray(self._n_informative)
             score = model.score(alone, self._farther, count)
             evidence = model.category_evidence(score, _evidence.doubts(logs))
         log_known, _ = _strangers.stranger_log_shares(evidence, self.strangers)
@@ -351,8 +351,8 @@ class Belief:
 
     def promise(self, error: float = 0.01) -> Promise:
         """Return what so many objects can show about an accepted error."""
-        promise = self._judge.strangers.promise(_check_share("error", error))
-        return promise._replace(other_session=self._judge.other_session)
+        promise = self._model.strangers.promise(_check_share("error", error))
+        return promise._replace(other_session=self._model.other_session)
 
     @overload
     def decide(
@@ -446,7 +446,7 @@ class Belief:
             return self.best if self.doubt <= error else None
         expected = self._expected_costs(costs)
         affordable = expected.min() <= error
-        return str(self._judge.classes[expected.argmin()]) if affordable else None
+        return str(self._model.classes[expected.argmin()]) if affordable else None
 
     def _category(self, error: float) -> str | None:
         """Return the category that may be named at an error, or None."""
@@ -461,7 +461,7 @@ class Belief:
         return np.asarray(of_learnt + np.exp(log_unknown))
 
     def _cost_table(self, costs: Costs) -> Floats:
-        names = self._judge.classes.tolist()
+        names = self._model.classes.tolist()
         table = 1.0 - np.eye(len(names))
         if not isinstance(costs, Mapping):
             raise TypeError(
@@ -526,7 +526,7 @@ class Belief:
         was learnt from, it is also False where more of them may double what they told
         and tell the learnt objects apart: what is in doubt is then only a stranger.
         """
-        per_object = len(self._judge.memory) / len(self._judge.classes)
+        per_object = len(self._model.memory) / len(self._model.classes)
         n_touches = self._n_informative
         if n_touches < min(_ENOUGH, per_object):
             return False
@@ -538,7 +538,7 @@ class Belief:
         later._weigh()
         if later.named(error, costs, refusal=refusal, level=level) is not None:
             return False
-        weight = self._judge.sequence_calibration.weight
+        weight = self._model.sequence_calibration.weight
         growth = _MANY_TIMES * weight(later._n_informative) / weight(n_touches)
         doubt = _evidence.doubts(later.log_posterior)
         return bool(n_touches >= _ENOUGH or growth <= 2 or doubt > error)
@@ -576,7 +576,7 @@ class Belief:
 
     def _two_best(self) -> tuple[str, str]:
         order = np.argsort(-self.log_posterior, kind="stable")[:2]
-        best, rival = self._judge.classes[order]
+        best, rival = self._model.classes[order]
         return str(best), str(rival)
 
     def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:
@@ -600,12 +600,12 @@ class Belief:
             return []
         order = np.argsort(-self._touch_log_posterior, kind="stable")
         best, rival = map(int, order[:2])
-        floored, names = np.stack(self._floored), self._judge.classes
-        weight = float(self._judge.sequence_calibration.weight(self._n_informative))
+        floored, names = np.stack(self._floored), self._model.classes
+        weight = float(self._model.sequence_calibration.weight(self._n_informative))
         nats = weight * (floored[:, best] - floored[:, rival])
         moved = np.argsort(-np.abs(nats), kind="stable")[:n_touches]
         features = np.stack(self._features)[moved]
-        nearest = nearest_touches(self._judge.memory, features, n_nearest)
+        nearest = nearest_touches(self._model.memory, features, n_nearest)
         return [
             {
                 "touch": int(k) + 1,
@@ -642,7 +642,7 @@ class Belief:
     def _repr_html_(self) -> str:
         """Return bars of the ten most probable objects and of none, for notebooks."""
         shares = self._most_probable()
-        n_more = len(self._judge.classes) - len(shares)
+        n_more = len(self._model.classes) - len(shares)
         return belief_in_html(shares, self.unknown, n_more, self.reason())
 
 

@@ -165,7 +165,7 @@ class LeftOut:
     Log-likelihoods (n_touches, n_objects) and those of `each` encoding (n_touches,
     n_encodings, n_objects), without floor; `log_distances` (n_touches, n_objects) as of
     `Nearest`; `codes` (n_touches,), the column of each touch's own object; and as in
-    `Judge` the `log_prior`, `floor`, `calibration` and `categories`.
+    `BeliefModel` the `log_prior`, `floor`, `calibration` and `categories`.
     """
 
     log_likelihood: Floats

@@ -16,7 +16,7 @@ import numpy as np
 from .._checks import check_count, check_number
 from .._types import Array, Floats
 from ..images import PressPose
-from ._belief import Belief, Judge
+from ._belief import Belief, BeliefModel
 from ._encoder import TouchEncoder
 from ._evidence import Evidence, SequenceCalibration
 from ._learnt import AnyEncoder, RemountedEncoder
@@ -95,12 +95,12 @@ class Budget:
             raise ValueError("pairs_ are of more classes than there are")
 
 
-def check_parts(judge: Judge, encoder: AnyEncoder, pose: object) -> None:
+def check_parts(model: BeliefModel, encoder: AnyEncoder, pose: object) -> None:
     """Refuse a model whose parts are of the wrong kind, or do not fit together."""
     image_shape = encoder.image_shape_
     if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MAX_PIXELS:
         raise ValueError(f"images of {' x '.join(map(str, image_shape))} are none")
-    memory: object = judge.memory
+    memory: object = model.memory
     if not isinstance(memory, Memory):
         raise TypeError(f"memory_ is a {type(memory).__name__}")
     columns = [getattr(memory, f.name) for f in fields(memory) if f.name != "sensor"]
@@ -110,15 +110,15 @@ def check_parts(judge: Judge, encoder: AnyEncoder, pose: object) -> None:
         raise ValueError(f"its looks have {memory.looks.shape[1:]} values")
     if not np.isfinite(memory.features).all():
         raise ValueError("its features hold NaN or infinity")
-    _check_encoder(encoder, judge.memory.features.shape[1])
-    if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
+    _check_encoder(encoder, model.memory.features.shape[1])
+    if not np.array_equal(model.classes, model.memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")
-    _check_calibration(judge.sequence_calibration)
-    _check_strangers(judge.strangers, len(judge.classes))
-    check_number("floor_", judge.floor, low=0, high=0.5)
+    _check_calibration(model.sequence_calibration)
+    _check_strangers(model.strangers, len(model.classes))
+    check_number("floor_", model.floor, low=0, high=0.5)
     if not isinstance(pose, PressPose | None):
         raise TypeError(f"pose_ is a {type(pose).__name__}")
-    for name, sense in judge.senses.items():
+    for name, sense in model.senses.items():
         if not isinstance(sense, Modality):
             raise TypeError(f"{name} is a {type(sense).__name__}")
         _check_calibration(sense.sequence_calibration_)

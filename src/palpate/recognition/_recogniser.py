@@ -20,7 +20,7 @@ from ..images import Poses
 from ..touches import Touches
 from . import _evidence, _memory
 from ._alarm import MountingCheck, check_mounting, rim_moved
-from ._belief import STRANGERS, Belief, Judge, Level
+from ._belief import STRANGERS, Belief, BeliefModel, Level
 from ._contact import NO_CONTACT, encoded_and_flagged
 from ._encoder import BATCH
 from ._episode import Episode
@@ -246,11 +246,11 @@ class ObjectRecogniser(ClassifierMixin, Learner):
             below 1. 0 is a closed world, such as the parts of one line or the tools of
             a drawer: it is always one of the learnt objects.
         """
-        judge = self.judge()
+        model = self.belief_model()
         log_prior = (
-            None if prior is None else _evidence.given_prior(prior, judge.classes)
+            None if prior is None else _evidence.given_prior(prior, model.classes)
         )
-        return Belief(judge, self.evidence, log_prior, strangers)
+        return Belief(model, self.evidence, log_prior, strangers)
 
     def episode(
         self,
@@ -273,13 +273,13 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         belief = self.start(prior, strangers)
         return Episode(belief, error=error, refusal=refusal, level=level)
 
-    def judge(self) -> Judge:
-        """Return what beliefs are made by."""
+    def belief_model(self) -> BeliefModel:
+        """Return what a belief needs of this recogniser."""
         self._check_fitted()
         check = self._mounting
         remount = self.chosen_.get("remount", {})
         unconfirmed = not remount.get("labelled", True) or bool(remount.get("confirm"))
-        return Judge(
+        return BeliefModel(
             classes=self.classes_.astype(str),
             log_prior=self.log_prior(),
             floor=self.floor_,
@@ -375,7 +375,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
             model._check_parameters()
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
                 model.strangers_ = model._learnt_strangers()
-            check_parts(model.judge(), model.encoder_, model.pose_)
+            check_parts(model.belief_model(), model.encoder_, model.pose_)
             if isinstance(model.classifier_, EncodingPool | KernelRidgeClassifier):
                 model.classifier_.resume(model.memory_.features, model.memory_.labels)
             if prod(model.encoder_.image_shape_) <= MOST_TRIED:
