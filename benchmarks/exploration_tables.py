@@ -1,4 +1,4 @@
-"""Tables of docs/explanation/exploration.md, made from what was measured.
+"""Tables of docs/explanation/exploration-measured.md, made from what was measured.
 
 Each stands between `<!-- begin NAME -->` and `<!-- end NAME -->` and is written anew;
 one that was not measured says so.

@@ -6,7 +6,7 @@
 
 Each part replaces its rows in benchmarks/explore.json. How many touches choosing
 saves is measured by benchmarks/choose_touches.py. Protocols are in
-docs/explanation/exploration.md.
+docs/explanation/exploration-measured.md.
 """
 
 import argparse

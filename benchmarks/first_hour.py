@@ -2,7 +2,7 @@
 
 `python benchmarks/first_hour.py FOLDER OUT.json [--draws 90] [--first 0] [--table]`,
 with the folder of recorded touches (`bathtip/bathtip50.npz`); half an hour on one core,
-and docs/reference/live.md has the table that `--table` prints of OUT.json. Each draw
+and docs/explanation/page.md has the table that `--table` prints of OUT.json. Each draw
 takes three of the 50 things. A simulated hand presses recorded touches on a live
 sensor, and a `LiveSession` takes the baseline, teaches, learns and recognises, as
 behind the page. Touches of the first three quarters of each recording are taught. Asked
@@ -211,7 +211,7 @@ def one_draw(touches: Touches, seed: int) -> dict[str, Any]:
 
 
 def table(draws: list[dict[str, Any]]) -> str:
-    """Return what was said as a table of docs/reference/live.md, in per cent."""
+    """Return what was said as a table of docs/explanation/page.md, in per cent."""
     head = "| taught | touches each | first decision: right | wrong | unknown | none "
     head += "in 12 touches | right after 1 touch | right after 8 | worst draw after 8 |"
     lines = [head, "|---" * 9 + "|"]

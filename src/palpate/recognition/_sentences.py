@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CONFIDENCE = 0.95
 NOTHING = "nothing I know"
-# With so few objects 70 % of things never taught are named: docs/reference/live.md.
+# With so few objects 70 % of things never taught are named: docs/explanation/page.md.
 _FEW_OBJECTS = 5
 # Calibration is by touches left out of the training sessions.
 OTHER_SESSION = (

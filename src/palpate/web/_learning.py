@@ -49,7 +49,7 @@ _NOT_FURTHER = (
 )
 # Touches of a draw, draws, shares that are enough of draws and touches, objects named.
 _SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
-# With so few touches of an object names are least sure: docs/reference/live.md.
+# With so few touches of an object names are least sure: docs/explanation/page.md.
 _FEW_TOUCHES = 10
 
 
