@@ -186,7 +186,7 @@ def test_real_touches_are_taught_and_a_held_out_one_recognised(
     """640 x 480 pictures of a dome, ten touches a second, as its camera wrote them.
 
     Whether a third thing is called unknown is a matter of luck with two objects
-    learnt (docs/explanation/page.md has the figures): the page must say what was decided.
+    learnt (docs/explanation/page.md says how often): the page says what was decided.
     """
     root = data_folder / "bathtip" / "originals"
     rest = root / "baselineForCalibration.jpg"
