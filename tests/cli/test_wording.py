@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from palpate.cli import _options
 from palpate.library import LibraryError, TouchLibrary
+from palpate.recognition import STRANGERS
 from palpate.touches import Touches
 
 
@@ -72,3 +74,7 @@ def test_units_are_left_out_and_variables_of_the_environment_are_options(
     model.write_bytes(bytes(4000))
     done = palpate("recognise", model, "x.npz", "--max-model-mb", "0.001")
     assert "Set --max-model-mb higher." in done.stderr
+
+
+def test_as_many_strangers_are_expected_as_in_python():
+    assert _options.STRANGERS == STRANGERS

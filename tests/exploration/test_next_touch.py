@@ -344,6 +344,9 @@ def test_objects_that_feel_alike_promise_next_to_nothing():
 
 def test_it_says_what_it_is(strategy):
     assert repr(strategy).startswith("InformativeTouch(hemisphere=Hemisphere(")
+    slower = InformativeTouch(strategy.touch_map, strategy.hemisphere, speed_mm_s=50.0)
+    faster = InformativeTouch(strategy.touch_map, strategy.hemisphere, speed_mm_s=99.0)
+    assert repr(slower) != repr(faster)
 
 
 # Recorded touches: heights and radii, nothing turns.

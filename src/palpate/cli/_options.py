@@ -176,6 +176,7 @@ Label = Annotated[
     ),
 ]
 ErrorRate = Annotated[float, option("--error", "Accepted share of wrong names.")]
+STRANGERS = 0.05  # as where Python is asked, which is loaded later
 Strangers = Annotated[
     float,
     option(

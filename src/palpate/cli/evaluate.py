@@ -53,7 +53,7 @@ def evaluate(
     unknown_where: Annotated[str | None, option("As --where, of --unknown.")] = None,
     error: _options.ErrorRate = 0.01,
     refusal: _options.Refusal = None,
-    strangers: _options.Strangers = 0.05,
+    strangers: _options.Strangers = _options.STRANGERS,
     report: _options.Report = None,
     how: _options.Learning,
     reading: _options.Reading,

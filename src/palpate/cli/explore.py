@@ -113,7 +113,7 @@ def recognise(
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
     error: _options.ErrorRate = 0.01,
     refusal: _options.Refusal = None,
-    strangers: _options.Strangers = 0.05,
+    strangers: _options.Strangers = _options.STRANGERS,
     folder: Folder = None,
     yaw: Annotated[float | None, option("Turn, degrees. Default: drawn.")] = None,
     face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,

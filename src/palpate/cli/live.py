@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import (
+    STRANGERS,
     AsJson,
     ErrorRate,
     MaxModelMb,
@@ -50,7 +51,7 @@ def live(
     timeout: Patience = 120.0,
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
-    strangers: Strangers = 0.05,
+    strangers: Strangers = STRANGERS,
     summary: Summary = "peak",
     log: LogFile = None,
     publish: Publish = None,

@@ -26,7 +26,7 @@ def recognise(
     *,
     error: _options.ErrorRate = 0.01,
     refusal: _options.Refusal = None,
-    strangers: _options.Strangers = 0.05,
+    strangers: _options.Strangers = _options.STRANGERS,
     level: Annotated[
         str, _options.option("What may be named: object, category or any.")
     ] = "object",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ._options import (
+    STRANGERS,
     AsJson,
     ErrorRate,
     MaxModelMb,
@@ -70,7 +71,7 @@ def serve(
     ] = None,
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
-    strangers: Strangers = 0.05,
+    strangers: Strangers = STRANGERS,
     summary: Summary = "peak",
     log: LogFile = None,
     publish: Publish = None,

@@ -333,7 +333,8 @@ class InformativeTouch:
     def __repr__(self) -> str:
         return (
             f"InformativeTouch(hemisphere={self.hemisphere!r}, n_rings={self.n_rings}, "
-            f"n_turns={self.touch_map.n_turns})"
+            f"n_turns={self.touch_map.n_turns}, nats_per_second="
+            f"{self.nats_per_second}, speed_mm_s={self.speed_mm_s})"
         )
 
 

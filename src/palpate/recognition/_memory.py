@@ -65,7 +65,8 @@ class Memory:
     weights : ndarray of shape (n_touches,)
         What each counts when they are learnt; 1 unless another session confirmed it.
     sensor : mapping or None
-        What the sensor was like, as plain values; the first one that was told stays.
+        What the sensor was like, and its picture of no contact where one was given; the
+        first one that was told stays.
     """
 
     features: Floats
