@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from palpate.cli import _options
 from palpate.library import LibraryError, TouchLibrary
 from palpate.recognition import STRANGERS
 from palpate.touches import Touches
@@ -76,5 +75,7 @@ def test_units_are_left_out_and_variables_of_the_environment_are_options(
     assert "Set --max-model-mb higher." in done.stderr
 
 
-def test_as_many_strangers_are_expected_as_in_python():
-    assert _options.STRANGERS == STRANGERS
+@pytest.mark.parametrize("verb", ["recognise", "evaluate", "live", "serve"])
+def test_as_many_strangers_are_expected_as_in_python(palpate, verb):
+    shown = palpate(verb, "-h").stdout.partition("--strangers")[2]
+    assert f"[default: {STRANGERS}]" in shown[: shown.index("--", 400)]
