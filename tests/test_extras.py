@@ -136,6 +136,7 @@ def test_what_needs_no_extra_works_without_any(folder, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_workers_refuse_as_well(folder, tmp_path):
     words = ["-m", "palpate", "simulate", "dome", "mug", "-o", "d.npz", "--workers=2"]
     done = run_without({"trimesh"}, words, folder, tmp_path)

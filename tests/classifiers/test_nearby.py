@@ -14,6 +14,7 @@ from palpate.classifiers import (
 )
 
 
+@pytest.mark.slow
 @parametrize_with_checks([NearbyTouches()])
 def test_common_checks(estimator, check):
     check(estimator)

@@ -59,6 +59,7 @@ def test_learning_writes_a_model_and_its_touches_and_goes_on(palpate, tmp_path):
     assert np.array_equal(Touches.load(tmp_path / "again.npz").images, made.images)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["informative", "random", "raster"])
 def test_every_strategy_comes_to_an_end(palpate, model, strategy):
     done = palpate(

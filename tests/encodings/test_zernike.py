@@ -180,6 +180,7 @@ def test_every_order_agrees_with_a_direct_sum(order, rng):
         assert abs(value - direct) < 1e-10, (n, m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "cells",
     [

@@ -328,6 +328,7 @@ def test_ticks_are_whole_round_and_few():
     assert all(len(plots.whole_ticks(n)) <= 8 for n in range(2, 400))
 
 
+@pytest.mark.slow
 def test_how_often_an_object_was_taught_is_no_nuisance_of_the_sensor(
     monkeypatch, tmp_path
 ):

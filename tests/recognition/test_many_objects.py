@@ -72,6 +72,7 @@ def test_a_file_of_very_many_answers_alike(tmp_path, n_objects, n_each):
     assert beliefs[1].unknown == pytest.approx(beliefs[0].unknown, abs=1e-3)
 
 
+@pytest.mark.slow
 @KINDS
 def test_an_object_added_after_loading_is_told_as_before_it(
     tmp_path, n_objects, n_each

@@ -137,6 +137,7 @@ def test_what_no_encoding_is_blind_to_is_said(presentation, rng):
     assert learnt.chosen_["found"][0] == expected
 
 
+@pytest.mark.slow
 def test_objects_in_turn_are_all_looked_at(rng, monkeypatch):
     monkeypatch.setattr("palpate.recognition._learning.AT_MOST", 150)
     # Every second touch is of the same object: an even stride would see that alone.

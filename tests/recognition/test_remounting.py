@@ -811,6 +811,7 @@ def learnt_on_three_days():
     return [ObjectRecogniser().fit(_session(0, 20, seed, "one")) for seed in range(3)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_objects", [1, 3, 6])
 def test_of_sessions_as_before_one_in_twenty_raises_the_alarm(
     learnt_on_three_days, n_objects

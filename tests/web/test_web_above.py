@@ -308,6 +308,7 @@ def test_a_model_without_places_says_so(make_session, connected, drawn_model, dr
         assert "taught without places" in seen(client)["sentence"]
 
 
+@pytest.mark.slow
 def test_the_page_shows_it_where_a_touch_has_a_place(
     page, serving, make_session, placed_model, drawn
 ):

@@ -86,6 +86,7 @@ def posted(client, path, body):
     return client.post(path, content=content, headers={"Content-Type": kind})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coded", [as_png, as_npy])
 def test_colour_comes_through_the_api(tmp_path, make_session, connected, rng, coded):
     library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"

@@ -369,6 +369,7 @@ def test_a_touch_of_the_episode_is_looked_at_alone(page, taught, serving, drawn)
         expect(page.locator("#belief")).to_be_focused()
 
 
+@pytest.mark.slow
 def test_an_interrupted_lesson_is_offered(page, make_session, serving, tmp_path):
     folder = tmp_path / "library"
     session = make_session(library=folder)
@@ -459,6 +460,7 @@ def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
         expect(page.locator("#mixed")).to_be_hidden()
 
 
+@pytest.mark.slow
 def test_all_sensors_are_not_taught_different_things_unasked(
     page, serving, drawn, tmp_path
 ):
@@ -493,6 +495,7 @@ def test_all_sensors_are_not_taught_different_things_unasked(
         assert [lesson.name for lesson in lessons] == ["pen", "pen"]
 
 
+@pytest.mark.slow
 def test_the_answer_and_the_count_are_read_aloud(page, taught, serving, drawn):
     with serving(taught) as (address, token):
         opened(page, address, token)

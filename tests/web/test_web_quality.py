@@ -160,6 +160,7 @@ def test_advice_follows_from_the_figures(qualities, said):
     assert advice(qualities) == said
 
 
+@pytest.mark.slow
 def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
     make_session, hand, tmp_path, drawn
 ):
