@@ -214,7 +214,7 @@ def main() -> None:
     asked = parser.parse_args()
     kept = json.loads(asked.out.read_text()) if asked.out.exists() else {}
     if asked.write is not None:
-        fill(asked.write / "explanation" / "exploration.md", kept)
+        fill(asked.write / "explanation" / "exploration-measured.md", kept)
         draw(asked.write / "images")
         return
     folder = os.environ.get("PALPATE_DATA")

@@ -1,4 +1,4 @@
-"""Figures on recorded touches for docs/explanation/recognition.md.
+"""Figures on recorded touches for docs/explanation/results.md.
 
 Run as `python benchmarks/recorded.py FOLDER OUT.json [SECTION ...]`, with the folder
 of recorded touches (`bathtip/bathtip50.npz`, `visual_words50.npz`). Ten objects are

@@ -58,7 +58,7 @@ LogFile = Annotated[
     option(
         "--log",
         "Write frames, touches, beliefs to a file (.rrd, .mcap), or show them to a "
-        "running Foxglove: ws://127.0.0.1:8765 (plugs/look).",
+        "running Foxglove: ws://127.0.0.1:8766 (plugs/look).",
     ),
 ]
 Publish = Annotated[
