@@ -38,7 +38,11 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
     for name, table in tables.items():
         block = f"<!-- begin {name} -->\n{table}\n<!-- end {name} -->"
         pattern = f"<!-- begin {name} -->.*?<!-- end {name} -->"
-        text = re.sub(pattern, lambda _, block=block: block, text, flags=re.DOTALL)
+        text, n_found = re.subn(
+            pattern, lambda _, block=block: block, text, flags=re.DOTALL
+        )
+        if not n_found:
+            raise ValueError(f"{document} must have the marks of the table {name!r}.")
     document.write_text(text)
 
 

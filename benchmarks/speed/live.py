@@ -252,14 +252,14 @@ def _added(touches: Touches) -> list[Row]:
 
 def _lesson(touches: Touches) -> Row:
     """Learn what the page's library holds after one more lesson."""
-    from palpate.web._learning import learn_apart
+    from palpate.web._learning import learn_in_process
 
     with tempfile.TemporaryDirectory() as folder:
         place, model = Path(folder) / "library", Path(folder) / "m.palpate"
         with TouchLibrary.open(place, create=True) as library:
             library.add(touches[:-1])
-            first = wall_ms(lambda: learn_apart(place, model, None))
+            first = wall_ms(lambda: learn_in_process(place, model, None))
             library.add(touches[-1:])
-            again = wall_ms(lambda: learn_apart(place, model, model))
+            again = wall_ms(lambda: learn_in_process(place, model, model))
     name = f"page learning again {len(touches)} touches wall"
     return row(name, again, "the first, whose process starts", first)

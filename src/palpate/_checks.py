@@ -122,7 +122,7 @@ def are_plain_vectors(X: object, n_features: int) -> TypeGuard[Floats]:
     return is_plain(X, n_axes=2) and X.shape[1] == n_features
 
 
-def size_said(shape: Sequence[int]) -> str:
+def size_text(shape: Sequence[int]) -> str:
     """Return how large an image is, for people: "480 x 640 pixels"."""
     cells = "pixels" if max(shape[:2]) > ARRAY_SIDE else "taxels"
     return f"{' x '.join(map(str, shape))} {cells}"
@@ -201,7 +201,7 @@ def check_image_shape(
         raise ValueError(f"Expected at least one touch, got shape {images.shape}.")
     if shape is not None and images.shape[1:] != shape:
         raise ValueError(
-            f"Images have {size_said(images.shape[1:])}, but the encoder was fitted on "
+            f"Images have {size_text(images.shape[1:])}, but the encoder was fitted on "
             f"{' x '.join(map(str, shape))}; resize them or fit again."
         )
     return images

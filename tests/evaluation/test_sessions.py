@@ -5,7 +5,7 @@ import pytest
 
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate, split_touches, summary
-from palpate.recognition import said_of_sessions
+from palpate.recognition import sessions_message
 
 CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
 MOVES = {"mon": np.zeros(8), "tue": np.array([6.0, -5, 4, 0, 7, -3, 5, 4])}
@@ -144,4 +144,4 @@ def test_where_sessions_were_asked_what_was_measured_is_expected(week):
         "another session."
     ) in summary(elsewhere)
     here, _ = evaluate(train, split="last", plan=Plan(touches=(1,), orders=4))
-    assert said_of_sessions(here["sessions"]) in summary(here)
+    assert sessions_message(here["sessions"]) in summary(here)

@@ -388,7 +388,9 @@ class SessionMachine(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
         self.folder = Path(tempfile.mkdtemp()) / "library"
-        self.learning_here = mock.patch("palpate.web._session.learn_apart", learn_job)
+        self.learning_here = mock.patch(
+            "palpate.web._session.learn_in_process", learn_job
+        )
         self.learning_here.start()
         self.truth, self.number = Names(), 0
         self.learnt, self.undoable = None, []

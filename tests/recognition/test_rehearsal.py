@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.classifiers import Drawn, EncodingPool, RehearsedMachine
-from palpate.recognition import ObjectRecogniser, across_sessions, said_of_sessions
+from palpate.recognition import ObjectRecogniser, across_sessions, sessions_message
 from palpate.recognition._rehearsal import (
     RANGES,
     Ranges,
@@ -176,11 +176,11 @@ def test_what_to_expect_of_another_day_is_said(both):
     across = across_sessions(rehearsed)
     low, high = across["rehearsed"]
     assert 0 <= low <= high <= 1
-    sentence = said_of_sessions(across)
+    sentence = sessions_message(across)
     assert f"expect about {100 * low:.0f} to {100 * high:.0f} % right" in sentence
     # Nothing was rehearsed: nothing is promised.
     assert "rehearsed" not in across_sessions(plain)
-    assert "can show how much less" in said_of_sessions(across_sessions(plain))
+    assert "can show how much less" in sessions_message(across_sessions(plain))
 
 
 def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):
@@ -206,7 +206,7 @@ def test_what_confirming_is_expected_to_bring_is_said(both):
     rehearsal = both[1].chosen_["rehearsal"]
     low, high = rehearsal["confirmed"]
     assert 0 <= low <= high <= 1
-    words = said_of_sessions(across_sessions(both[1]))
+    words = sessions_message(across_sessions(both[1]))
     ends = dict.fromkeys((f"{100 * low:.0f}", f"{100 * high:.0f}"))  # "100", if alike
     assert f"({' to '.join(ends)} % with one confirmed touch of each)" in words
     there = copy(both[1]).remount(_presses(1, 4)[:3])

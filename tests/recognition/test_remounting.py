@@ -13,7 +13,7 @@ from palpate.recognition import (
     ObjectRecogniser,
     across_sessions,
     adapt,
-    said_of_sessions,
+    sessions_message,
 )
 from palpate.simulation import DomeCamera, simulate_touches
 
@@ -685,13 +685,13 @@ def test_a_session_that_is_asked_chose_nothing_but_the_encoding(monkeypatch):
 
 
 def test_what_training_says_of_another_day_in_words():
-    assert said_of_sessions({"least": 1, "median": 1.0, "asked": 0}) == (
+    assert sessions_message({"least": 1, "median": 1.0, "asked": 0}) == (
         "Taught in 1 session an object, and none in two: on another day, or mounted "
         "anew, expect less than today. Only touches of another session can show how "
         "much less."
     )
     told = {"least": 3, "median": 3.0, "asked": 40, "expected": 0.756}
-    assert said_of_sessions(told) == (
+    assert sessions_message(told) == (
         "Taught in 3 sessions an object: expect about 76 % right after one touch in "
         "another one (40 touches of sessions left out whole)."
     )

@@ -95,7 +95,7 @@ def learn_by(monkeypatch):
     """Return what lets sessions learn by another function than a process's."""
 
     def learn(function):
-        monkeypatch.setattr("palpate.web._session.learn_apart", function)
+        monkeypatch.setattr("palpate.web._session.learn_in_process", function)
 
     return learn
 

@@ -325,7 +325,7 @@ def test_what_is_said_is_of_now(make_session, tmp_path, drawn, drawn_model):
         assert said == "Touch 1 of 1 of both is stored. Next: Learn, or another object."
         session.message = said
         said_while = []
-        session._learn_apart = lambda changes: said_while.append(session.message)
+        session._learn_in_process = lambda changes: said_while.append(session.message)
         session.learn(wait=True)
         assert said_while == ["Learning."]
 

@@ -327,7 +327,7 @@ def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
     with session:
         session._learn_lock.acquire()  # as if it were learning
         session.forget("disc")
-        session._learn_apart = orders.append
+        session._learn_in_process = orders.append
         session._learn([])  # ends what goes on, and begins what waits
         assert waited(lambda: len(orders) == 2 and not session.learning)
     assert orders == [[], [("disc", "")]]

@@ -249,9 +249,9 @@ def _answers_of_drawn(
     for learnt, left_out in halves(y, groups, drawn.rows):
         rows = np.isin(np.arange(n_drawn), left_out)
         is_asked |= rows
-        asked_features = drawn.features[:, rows].reshape(-1, n_features)
+        test_features = drawn.features[:, rows].reshape(-1, n_features)
         for kind, (machines, matrix) in enumerate(((pool, None), (weighed, weighing))):
-            touches, others = X[learnt], asked_features
+            touches, others = X[learnt], test_features
             if matrix is not None:
                 touches, others = touches @ matrix, others @ matrix
             again = copy(machines).refit(touches, y[learnt], groups=groups[learnt])

@@ -169,7 +169,7 @@ class Stopped(Exception):
 
 
 @contextmanager
-def told_if_stopped(kept: str) -> Iterator[None]:
+def message_if_stopped(kept: str) -> Iterator[None]:
     """Turn Ctrl-C into a sentence that says what was `kept` and what was not."""
     try:
         yield

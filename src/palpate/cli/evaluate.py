@@ -8,11 +8,11 @@ from . import _options
 from ._options import option
 from ._output import (
     as_typed,
+    message_if_stopped,
     print_json,
     say,
     stages,
     table,
-    told_if_stopped,
     unless_made,
 )
 
@@ -88,7 +88,7 @@ def evaluate(
         return replace(reading, where=where).touches(path)
 
     kept = unless_made("there are no figures", report)
-    with told_if_stopped(kept), stages() as stage, working.started():
+    with message_if_stopped(kept), stages() as stage, working.started():
         training, testing = read(train, reading.where), read(test, test_where)
         others = read(unknown, unknown_where)
         figures, trials = run(

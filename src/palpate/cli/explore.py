@@ -321,13 +321,13 @@ def _touch_map(
 
 
 def _camera(recogniser: "ObjectRecogniser") -> Any:
-    from .._checks import size_said
+    from .._checks import size_text
     from ..simulation import DomeCamera
 
     shape = recogniser.encoder_.image_shape_
     if len(shape) != 2 or min(shape) < _LEAST_SIDE:
         raise ValueError(
-            f"MODEL must be of a dome camera, got one of {size_said(shape)}. Make one "
+            f"MODEL must be of a dome camera, got one of {size_text(shape)}. Make one "
             "with: palpate explore learn."
         )
     return DomeCamera(image_shape=(shape[0], shape[1]))

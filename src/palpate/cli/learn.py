@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from . import _options
-from ._output import answer, counted, stages, told_if_stopped, unless_made
+from ._output import answer, counted, message_if_stopped, stages, unless_made
 
 _CATEGORY = "category", "categories"
 
@@ -50,7 +50,7 @@ def learn(
     recognition.check_model_path(output)
     kept = unless_made("nothing is learnt", output)
     replaces = ", in place of the model there" if output.exists() else ""
-    with told_if_stopped(kept), stages() as stage, working.started():
+    with message_if_stopped(kept), stages() as stage, working.started():
         stage(f"reading {touches}")
         before = None
         if extend is not None:
@@ -95,8 +95,8 @@ def learn(
         f"Learnt {counted(learnt['n_labels'], label, many)} from "
         f"{counted(learnt['n_train_touches'])}, saved as {written}{replaces}.",
         *few,
-        *recognition.few_objects_said(learnt["n_labels"], learnt["label"]),
-        recognition.said_of_sessions(across),
+        *recognition.few_objects_warning(learnt["n_labels"], learnt["label"]),
+        recognition.sessions_message(across),
         " ".join(f"{detail[0].upper()}{detail[1:]}." for detail in details),
     )
 

@@ -18,7 +18,7 @@ from ._options import (
     model_file,
     option,
 )
-from ._output import print_json, say, told_if_stopped
+from ._output import message_if_stopped, print_json, say
 from .sensor import (
     ADDRESS,
     LogFile,
@@ -92,7 +92,7 @@ def serve(
     token = None if token is None else web.page_token(chosen=token)
     kept = "" if library is None else f" What was taught is kept in {library}."
     with (
-        told_if_stopped(f"nothing is served any more.{kept}"),
+        message_if_stopped(f"nothing is served any more.{kept}"),
         closing(web.PageServer(host, port, library)) as server,
         ExitStack() as stack,
     ):

@@ -324,7 +324,7 @@ def _evenly(taught: Array, test_labels: Array, seed: int) -> Array:
     return np.sort(np.concatenate(by_label))
 
 
-def strangers_said(figures: dict[str, Any]) -> str:
+def strangers_message(figures: dict[str, Any]) -> str:
     """Return how many strangers were given a name, as a sentence; "" without any."""
     if (ends := figures.get("unknown_decision")) is None:
         return ""
@@ -336,7 +336,7 @@ def strangers_said(figures: dict[str, Any]) -> str:
     )
 
 
-def _strangers_aside_said(figures: dict[str, Any]) -> str:
+def _strangers_aside_message(figures: dict[str, Any]) -> str:
     """Return what becomes of known objects where strangers may come, as a sentence.
 
     "" where nearly as many are named right then as the most probable one is.
@@ -360,7 +360,7 @@ def _strangers_aside_said(figures: dict[str, Any]) -> str:
 
 def verdict(figures: dict[str, Any]) -> str:
     """Return whether this is good, and why; what else was asked of strangers."""
-    aside, strangers = _strangers_aside_said(figures), strangers_said(figures)
+    aside, strangers = _strangers_aside_message(figures), strangers_message(figures)
     return " ".join(filter(None, (_verdict(figures), aside, strangers)))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from .._durable import write_text
 from .._types import Bools, Indices
-from ..recognition import about, said_of_sessions
+from ..recognition import about, sessions_message
 from ..touches import Touches, as_shown, png_address
 from . import plots
 from ._comparisons import as_good_alone
@@ -328,7 +328,7 @@ def _other_day(figures: dict[str, Any]) -> str:
     if figures["split"] == "unseen-objects":
         return ""
     if not (figures["elsewhere"] and accuracy):
-        return said_of_sessions(figures["sessions"])
+        return sessions_message(figures["sessions"])
     split, (k, *_) = figures["split"], accuracy
     how = "Nothing was learnt from the sessions of the test touches"
     if split:

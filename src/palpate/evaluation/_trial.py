@@ -190,7 +190,7 @@ def figures_of(
     figures.update({name: {} for name in names})
     for k in plan.touches:
         _figures_after(k, trials, figures)
-    figures["notes"] = _too_long_said(trials, plan)
+    figures["notes"] = _too_long_message(trials, plan)
     if right := _categories_right(trials, plan):
         figures["category_accuracy"] = right
     if trials[0].unknown_episodes is not None:
@@ -212,7 +212,7 @@ def figures_of(
     return figures
 
 
-def _too_long_said(trials: Sequence[Trial], plan: Plan) -> list[str]:
+def _too_long_message(trials: Sequence[Trial], plan: Plan) -> list[str]:
     """Return a sentence on the numbers of touches that no object has, or none."""
     longest = max(b.shape[1] for t in trials for b in t.episodes.beliefs)
     left_out = ", ".join(str(k) for k in plan.touches if k > longest)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import check_count, size_said
+from .._checks import check_count, size_text
 from ..sensors import TouchSensor
 from ._guarded import Clock, Guard
 from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches
@@ -259,7 +259,7 @@ def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:
         image_shape = np.asarray(record.image).shape
         if record.touched and image_shape != shape:
             raise EpisodeError(
-                f"{log.folder} must hold touches of {size_said(shape)}, "
+                f"{log.folder} must hold touches of {size_text(shape)}, "
                 f"as the sensor makes, got {image_shape} in attempt {number}. "
                 "Use that sensor, or another folder."
             )

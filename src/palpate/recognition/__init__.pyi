@@ -35,10 +35,10 @@ from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt
 from ._remounting import Recentring as Recentring
 from ._remounting import across_sessions as across_sessions
-from ._remounting import said_of_sessions as said_of_sessions
+from ._remounting import sessions_message as sessions_message
 from ._sentences import OTHER_SESSION as OTHER_SESSION
 from ._sentences import about as about
-from ._sentences import few_objects_said as few_objects_said
+from ._sentences import few_objects_warning as few_objects_warning
 from ._sentences import figure_of as figure_of
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note

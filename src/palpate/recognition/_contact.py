@@ -96,8 +96,8 @@ class ContactCheck(BaseEstimator):
             self.kind_ = "array" if geometry == "array" else "plane"
             if frame is not None:
                 self.idle_ = living(np.asarray(frame)[np.newaxis], self.pads_)[0]
-            told_by = self._change if self.kind_ == "array" else self._unlikeness
-            self.typical_ = float(np.median(told_by(touches))) or 1.0
+            measure = self._change if self.kind_ == "array" else self._unlikeness
+            self.typical_ = float(np.median(measure(touches))) or 1.0
         low = high = np.nan  # of floats nobody knows them
         if touches.images.dtype.kind in "iu":
             info = np.iinfo(touches.images.dtype)

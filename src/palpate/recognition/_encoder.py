@@ -11,7 +11,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.preprocessing import StandardScaler
 
-from .._checks import ARRAY_SIDE, check_levels, size_said
+from .._checks import ARRAY_SIDE, check_levels, size_text
 from .._image_estimator import ImageEstimator
 from .._types import Array, Bools, Floats
 from ..encodings import EncodingUnion, PrincipalShare, RingPatterns
@@ -209,8 +209,8 @@ class TouchEncoder(Encoder, BaseEstimator):
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
             raise ValueError(
-                f"touches must have {size_said(taught)} like the training touches, got "
-                f"{size_said(got)}. Use the same sensor and resolution, or learn again."
+                f"touches must have {size_text(taught)} like the training touches, got "
+                f"{size_text(got)}. Use the same sensor and resolution, or learn again."
             )
 
     def check_channels(self, images: Array) -> None:

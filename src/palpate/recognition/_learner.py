@@ -51,7 +51,7 @@ from ._presets import (
     find_preset,
     opened,
 )
-from ._rehearsal import rehearse, said_of_rehearsal
+from ._rehearsal import rehearsal_message, rehearse
 from ._remounting import remounted, without_nuisance
 from ._strangers import StrangerModel
 
@@ -136,7 +136,7 @@ class Learner(BaseEstimator):
                     self.random_state,
                 )
                 chosen["rehearsal"] = weighed
-                chosen["found"] = [*chosen.get("found", ()), said_of_rehearsal(weighed)]
+                chosen["found"] = [*chosen.get("found", ()), rehearsal_message(weighed)]
             if len(self.classifier_.part_weights) > 1:
                 chosen["weights"] = dict(self.classifier_.part_weights)
             self._calibrate(memory)

@@ -247,11 +247,13 @@ class Nearest:
         earlier = (
             before._answered if before is not None and self._goes_on(before) else None
         )
-        n_told = 0 if earlier is None else len(earlier)
-        distances = self.log_distances(memory.features[n_told:], memory.blocks[n_told:])
+        n_known = 0 if earlier is None else len(earlier)
+        distances = self.log_distances(
+            memory.features[n_known:], memory.blocks[n_known:]
+        )
         if before is not None and earlier is not None:
-            again = memory.features[:n_told], memory.blocks[:n_told]
-            nearer = self.log_distances(*again, since=n_told)
+            again = memory.features[:n_known], memory.blocks[:n_known]
+            nearer = self.log_distances(*again, since=n_known)
             columns = np.searchsorted(memory.classes, before._memory.classes)
             nearer[:, columns] = np.fmin(nearer[:, columns], earlier)
             distances = np.concatenate([nearer, distances])

@@ -98,7 +98,7 @@ def rehearse(
     right, confirmed = np.split(rehearsal.right, [N_SESSIONS + 1])
     report = {
         "share": rehearsal.share,
-        "told_by": _told_by(memory) if sessions_known else "rehearsed sessions",
+        "told_by": _left_out_by(memory) if sessions_known else "rehearsed sessions",
         "right": [float(share) for share in right],
         "drawn": [name for name, size in vars(ranges).items() if size],
     }
@@ -121,7 +121,7 @@ def _seen_by(encoder: TouchEncoder, ranges: Ranges | None) -> Ranges | None:
     return replace(ranges, **{CHANGES[name]: 0.0 for name in CHANGES.keys() & of_all})
 
 
-def _told_by(memory: Memory) -> str:
+def _left_out_by(memory: Memory) -> str:
     """Return what is left out whole: persons, where blocks are theirs, or sessions."""
     pairs = np.unique(np.stack([memory.blocks.astype(str), memory.subjects]), axis=1)
     n_blocks, n_persons = (len(np.unique(names)) for names in pairs)
@@ -227,7 +227,7 @@ def _expected(
     return [today * float(left.min()), today * float(left.max())]
 
 
-def said_of_rehearsal(rehearsal: dict[str, Any]) -> str:
+def rehearsal_message(rehearsal: dict[str, Any]) -> str:
     """Return what `rehearse` found as a sentence for people."""
     if "why" in rehearsal:
         return f"no sessions were rehearsed: {rehearsal['why']}"

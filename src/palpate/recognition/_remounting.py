@@ -271,7 +271,7 @@ def _right_elsewhere(learnt: Learnt, met_elsewhere: Bools) -> Bools:
     return np.concatenate(right)
 
 
-def said_of_sessions(across: Mapping[str, Any]) -> str:
+def sessions_message(across: Mapping[str, Any]) -> str:
     """Return what `across_sessions` found as a sentence for people."""
     least, expected = across["least"], across.get("expected")
     taught = f"Taught in {least} session{'s' if least > 1 else ''} an object"
@@ -376,8 +376,8 @@ def _loss_weighed(learnt: Learnt, centred: Floats, met_elsewhere: Array) -> Floa
         weighing = np.eye(centred.shape[1])
         if len(pairs):
             weighing = _sessions.weighed_down(pairs, centred, learnt.parts)
-        asked_half = met_elsewhere & ~weighing_half
-        loss[asked_half] = _loss(learnt, centred @ weighing, asked_half)
+        test_half = met_elsewhere & ~weighing_half
+        loss[test_half] = _loss(learnt, centred @ weighing, test_half)
     return loss[met_elsewhere]
 
 

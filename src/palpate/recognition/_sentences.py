@@ -108,7 +108,7 @@ def _teach_again(names: Sequence[str]) -> str:
     return f"more touches will not tell; teach {', or '.join(ways)}"
 
 
-def few_objects_said(n_labels: int, label: str) -> list[str]:
+def few_objects_warning(n_labels: int, label: str) -> list[str]:
     """Return what a name is worth where few objects, or categories, were learnt."""
     if n_labels > _FEW_OBJECTS:
         return []

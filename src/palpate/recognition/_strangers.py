@@ -211,7 +211,7 @@ class Heard(NamedTuple):
     log_posterior: Floats
     by_encoding: Floats
     farther: Floats
-    n_told: Indices
+    n_informative: Indices
 
 
 def heard(
@@ -247,21 +247,21 @@ class Track(NamedTuple):
     score: Floats
     best: Indices
     right: Bools
-    n_told: Indices
+    n_informative: Indices
 
 
 def track_of(model: StrangerModel, state: Heard, names: Indices, truth: int) -> Track:
     """Return the track of episodes of `truth` among `names` (n_objects,)."""
-    score = model.score(state.by_encoding, state.farther, state.n_told)
+    score = model.score(state.by_encoding, state.farther, state.n_informative)
     best = names[state.log_posterior.argmax(axis=-1)]
     level = log_level(score, besides_the_best(exp(state.log_posterior)))
-    level = np.where(state.n_told > 0, level, np.inf)
-    return Track(level, score, best, best == truth, state.n_told)
+    level = np.where(state.n_informative > 0, level, np.inf)
+    return Track(level, score, best, best == truth, state.n_informative)
 
 
 def evidence_of(model: StrangerModel, track: Track, n_names: int) -> Floats:
     lowest = lowest_so_far(track.level, track.best, n_names)
-    return model.evidence(lowest, track.score, track.best, track.n_told)
+    return model.evidence(lowest, track.score, track.best, track.n_informative)
 
 
 def episode_evidence(

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from .._checks import size_said
+from .._checks import size_text
 from .._types import Array, Floats
 from ._contract import Frame, SensorError
 from ._detector import ContactError, TouchDetector
@@ -86,7 +86,7 @@ class SensorMemory:
 def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
     """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
     if memory.no_contact.shape != no_contact.shape:
-        learnt, present = map(size_said, (memory.no_contact.shape, no_contact.shape))
+        learnt, present = map(size_text, (memory.no_contact.shape, no_contact.shape))
         what = f"The model learnt from a sensor of {learnt}, this one has {present}."
         return f"{what} Learn again with this sensor."
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))

@@ -94,7 +94,7 @@ class RosSensor(LiveSensor):
         self._reader: RosReader | None = None
         self._headers: OrderedDict[float, Header] = OrderedDict()
         self._first: list[Reading] = []
-        self._asked_shape = image_shape
+        self._given_shape = image_shape
         shape = (1, 1) if image_shape is None else image_shape
         super().__init__(f"topic {self.topic}", "as published", shape, np.uint8)
         if image_shape is None:
@@ -162,13 +162,13 @@ class RosSensor(LiveSensor):
 
     def _learn(self, first: list[Reading]) -> None:
         """Take size and type of the first frame, or explain that they are others."""
-        expected, frame = self._asked_shape, first[0].image
+        expected, frame = self._given_shape, first[0].image
         if expected is not None and frame.shape != tuple(expected):
             raise SensorError(
                 f"{self.topic} gives frames of {frame.shape[0]} x {frame.shape[1]}, "
                 f"shape asks for {expected[0]} x {expected[1]}. Leave shape out."
             )
-        self._asked_shape = self.image_shape = frame.shape
+        self._given_shape = self.image_shape = frame.shape
         self.dtype = frame.dtype
         self._first = [reading for reading in first if self._is_alike(reading.image)]
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import check_option, one_spelling, size_said, unmasked
+from .._checks import check_option, one_spelling, size_text, unmasked
 from .._types import Array, Floats
 
 Arrays = dict[str, Array]
@@ -179,7 +179,7 @@ def picked_rows(index: Any, n_touches: int) -> slice | Array:
 def joined_images(parts: Sequence[Array]) -> Array:
     for number, part in enumerate(parts):
         if part.shape[1:] != parts[0].shape[1:]:
-            first, other = (size_said(a.shape[1:]) for a in (parts[0], part))
+            first, other = (size_text(a.shape[1:]) for a in (parts[0], part))
             raise TouchesError(
                 f"images must all be {first} like set 0, got {other} in set {number}. "
                 "Resize or crop them first."
@@ -312,7 +312,7 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     if 0 in frames.shape or frames.shape[2:] != images.shape[1:]:
         raise TouchesError(
             "press_frames must hold for each touch at least one frame of "
-            f"{size_said(images.shape[1:])} like the images, got shape {frames.shape}. "
+            f"{size_text(images.shape[1:])} like the images, got shape {frames.shape}. "
             "Crop them, call them something else, or leave them out."
         )
     _refuse_odd_levels("press_frames", frames)
@@ -349,7 +349,7 @@ def _checked_pads(array: Array, images: Array) -> Array:
         if min(n_rows, n_cols) < 1:
             what = "that has no taxel"
         elif min(row, col) < 0 or not fits:
-            what = f"that leaves the picture of {size_said(taken.shape)}"
+            what = f"that leaves the picture of {size_text(taken.shape)}"
         elif taken[box].any():
             what = "that overlaps another one"
         if what:
@@ -372,7 +372,7 @@ def _checked_whole(name: str, array: Array, images: Array) -> Array:
     if name == "no_contact":
         if array.shape != images.shape[1:]:
             raise TouchesError(
-                f"no_contact must be one image of {size_said(images.shape[1:])} like "
+                f"no_contact must be one image of {size_text(images.shape[1:])} like "
                 f"the touches, got shape {array.shape}. Crop, resize or leave it out."
             )
         _refuse_odd_levels("no_contact", array[np.newaxis])

@@ -25,7 +25,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from .._checks import ARRAY_SIDE, size_said
+from .._checks import ARRAY_SIDE, size_text
 from .._extras import needed
 from .._types import Array
 from ._columns import Arrays, TouchesError
@@ -246,7 +246,7 @@ def parquet_index(name: str) -> FileIndex:
     kind = schema.field(_IMAGE).type
     is_tensor = isinstance(kind, pa.FixedShapeTensorType)
     shown = (
-        f"{size_said(tuple(kind.shape))} of {kind.value_type}" if is_tensor else None
+        f"{size_text(tuple(kind.shape))} of {kind.value_type}" if is_tensor else None
     )
     numbers = range(len(about.get("recordings", [])))
     return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import ARRAY_SIDE, size_said
+from .._checks import ARRAY_SIDE, size_text
 from .._types import Array
 from ..touches import RGB, TouchesError, as_shown, decode_bytes
 
@@ -215,7 +215,7 @@ def check_image(image: Array, kind: ImageKind) -> Array:
     """Return an image of the right size as the right type, or explain."""
     shape, dtype, channels = kind
     if image.shape != tuple(shape):
-        want, got = size_said(shape[:2]), " x ".join(map(str, image.shape[:2]))
+        want, got = size_text(shape[:2]), " x ".join(map(str, image.shape[:2]))
         if channels is not None or image.ndim == 3:
             want += f" with channels {', '.join(channels)}" if channels else " in grey"
             got += f" with {image.shape[2]} channels" if image.ndim == 3 else " in grey"

@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import size_said
+from .._checks import size_text
 from .._types import Array
 from ..library import LibraryError, TouchLibrary
 from ..recognition import (
     EmptyTouchError,
     Memory,
     ObjectRecogniser,
-    few_objects_said,
+    few_objects_warning,
     with_floor,
 )
 from ..sensors import SensorMemory
@@ -57,7 +57,7 @@ class LearningError(ValueError):
     """Nothing could be learnt; the message says what is missing."""
 
 
-def learn_apart(*job: Any) -> dict[str, Any]:
+def learn_in_process(*job: Any) -> dict[str, Any]:
     """Do what `learn_job` does, in another process."""
     answer = _LEARNER.ask(job)
     if "refused" in answer:
@@ -282,7 +282,7 @@ def _refuse_other_size(
     base: ObjectRecogniser, image_shape: Sequence[int], sentence: str, names: str = ""
 ) -> None:
     """Refuse to learn further a model of images of another size than these."""
-    old, new = map(size_said, (base.encoder_.image_shape_, image_shape))
+    old, new = map(size_text, (base.encoder_.image_shape_, image_shape))
     if old != new:
         raise LearningError(sentence.format(old=old, new=new, names=names))
 
@@ -353,7 +353,7 @@ def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
 def limits(recogniser: ObjectRecogniser) -> str:
     """Return what a name is worth where few objects, or touches, were learnt, or ""."""
     names, counts = np.unique(recogniser.memory_.labels.astype(str), return_counts=True)
-    sentences = few_objects_said(len(names), recogniser.label)
+    sentences = few_objects_warning(len(names), recogniser.label)
     few = names[counts < _FEW_TOUCHES].tolist()
     if few:
         more = f" and {len(few) - 3} more" * (len(few) > 3)

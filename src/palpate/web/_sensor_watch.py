@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from .. import sensors
-from .._checks import size_said
+from .._checks import size_text
 from .._types import Array, Floats
 from ..recognition import ObjectRecogniser
 from ..sensors import DetectedTouch, Frame, LiveSensor, SensorError, SensorMemory
@@ -358,7 +358,7 @@ class SensorWatch:
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:
     """Say how large images are, and whether in colour where others differ in that."""
     colour = " in colour" if len(image_shape) == 3 else " in grey"
-    return size_said(image_shape[:2]) + colour * (len(image_shape) != len(other))
+    return size_text(image_shape[:2]) + colour * (len(image_shape) != len(other))
 
 
 def _median(values: deque[float]) -> float | None:

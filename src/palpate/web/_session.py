@@ -39,7 +39,7 @@ from ._images import ImageKind, Names, check_image
 from ._learning import (
     LearningError,
     advice,
-    learn_apart,
+    learn_in_process,
     object_quality,
     start_learning,
 )
@@ -690,7 +690,7 @@ class LiveSession:
     def _learn(self, changes: Sequence[tuple[str, str]]) -> None:
         journal = self._teacher().journal
         try:
-            self._learn_apart(changes)
+            self._learn_in_process(changes)
             with self._lock:
                 journal.learnt()
                 del self._changes[: len(changes)]
@@ -716,14 +716,14 @@ class LiveSession:
         inside = path.resolve().is_relative_to(folder)
         return None if inside else folder / f"given-{path.name}"
 
-    def _learn_apart(self, changes: Sequence[tuple[str, str]]) -> None:
+    def _learn_in_process(self, changes: Sequence[tuple[str, str]]) -> None:
         assert self.teacher is not None
         assert self.model_path is not None
         path, shape = self.model_path, self.teacher.image_shape()
         base, original = path if path.is_file() else None, self.given_model
         if original is not None and not original.exists():
             shutil.copyfile(path, original)
-        answer = learn_apart(self.teacher.folder, path, base, changes, shape)
+        answer = learn_in_process(self.teacher.folder, path, base, changes, shape)
         if names := answer["objects"]:
             self._use(ObjectRecogniser.load(path))
             more = " What to teach next stands under Teach." * bool(self.advice)

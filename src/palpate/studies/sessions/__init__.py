@@ -185,9 +185,13 @@ def _pairs_known(protocol: Asked, data: str, touches: Touches) -> list[Row]:
 def _moved(protocol: Asked, data: str, touches: Touches) -> list[Row]:
     """Ask about objects on the other side of the jump, among all the others."""
     rows = []
-    asked_of: list[tuple[Label, str]]
-    asked_of = [("object", "none"), ("object", "recentre"), ("category", "none")]
-    for label, way in asked_of:
+    label_and_remount: list[tuple[Label, str]]
+    label_and_remount = [
+        ("object", "none"),
+        ("object", "recentre"),
+        ("category", "none"),
+    ]
+    for label, way in label_and_remount:
         results = moved(touches, replace(protocol, remount=way, label=label))
         for k in map(str, protocol.touches):
             shares = [result["accuracy"][k] for result in results.values()]
