@@ -202,7 +202,13 @@ def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     assert copy.read_bytes() == path.read_bytes()
     code, _, err = served("sim-array", "--library", desk)
     assert code == 1
-    assert re.search(r"--model must be left out where .*desk has", err)
+    assert re.search(r"must be learnt on in a library that is not there.*desk", err)
+    # Nor does `live`, which may be told to teach and learn, write over the ready one.
+    code, _, err = palpate(
+        "live", "sim-array", "--sensor", "sim:bar10", "--library", desk
+    )
+    assert code == 1
+    assert re.search(r"must be learnt on in a library that is not there.*desk", err)
     assert served("sim-array")[0] == served(path, "--library", tmp_path / "new")[0] == 0
     assert used == [copy, path, path]
 

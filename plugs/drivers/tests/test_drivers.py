@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import sensors
-from palpate.sensors import SensorError, check_sensor, open_sensor
+from palpate.sensors import SensorError, check_sensor, is_address, open_sensor
 
 cv2 = pytest.importorskip("cv2")
 cameras = pytest.importorskip("palpate_drivers.cameras")
@@ -224,7 +224,12 @@ def plugged(monkeypatch):
 
 
 def test_a_driver_is_found_by_its_entry_point(plugged):
+    assert not is_address("flexitac:/dev/ttyUSB0?shape=16x16")
     plugged(flexitac="palpate_drivers.serials:FlexiTac")
+    assert is_address("flexitac:/dev/ttyUSB0?shape=16x16")
+    assert is_address("sim:mug")
+    assert not is_address("touches.npz")
+    assert not is_address("C:/touches.npz")
     sensor = open_sensor("flexitac:/dev/ttyUSB0?shape=16x16&baud=9600")
     assert isinstance(sensor, serials.FlexiTac)
     assert sensor.image_shape == (16, 16)

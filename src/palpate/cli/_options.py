@@ -7,6 +7,7 @@ the help under the dataclass's `PANEL`.
 
 import os
 import re
+import shutil
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
@@ -223,8 +224,11 @@ Calibration = Annotated[
 ]
 
 
-def model_file(model: Path) -> Path:
-    """Return the file of a model; a ready one's name, where no file has it, is made."""
+def model_file(model: Path, library: Path | None = None) -> Path:
+    """Return the file of a model; a ready one's name, where no file has it, is made.
+
+    With a `library` in which more may be learnt, of a ready one a copy in that folder.
+    """
     from .. import datasets
     from .._checks import did_you_mean, nearest_path
 
@@ -235,7 +239,19 @@ def model_file(model: Path) -> Path:
         if not nearest_path(model) and (near := did_you_mean(model, ready)):
             raise ValueError(f"There is no model file {model}.{near}")
         return model
-    return datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
+    if library is not None and any(
+        (library / name).exists() for name in ("model.palpate", "library.sqlite")
+    ):
+        raise ValueError(
+            f"{model} must be learnt on in a library that is not there yet, got "
+            f"{library} with touches or a model of its own. Name another --library, "
+            f"or the model {library / 'model.palpate'}."
+        )
+    made = datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
+    if library is None:
+        return made
+    library.mkdir(parents=True, exist_ok=True)
+    return Path(shutil.copyfile(made, library / "model.palpate"))
 
 
 @dataclass(frozen=True)

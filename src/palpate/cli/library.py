@@ -28,7 +28,6 @@ library = typer.Typer(
 
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
 Object = Annotated[str, argument("An object.")]
-_SENSORS = ("ros:", "camera:", "serial:", "sim:", "replay:")
 Filter = Annotated[str | None, argument("FILTER", "A filter, as --where.")]
 
 
@@ -67,10 +66,11 @@ def add(
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
     from ..library import SensorDescription
+    from ..sensors import is_address
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    if str(touches).startswith(_SENSORS) and not touches.exists():
+    if is_address(str(touches)) and not touches.exists():
         from .record import record_some
 
         if object_name is None:

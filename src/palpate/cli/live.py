@@ -71,7 +71,9 @@ def live(
     chosen = options.open(sensor)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
-    session = LiveSession(chosen, model=model_file(model), library=library, **how)
+    session = LiveSession(
+        chosen, model=model_file(model, library), library=library, **how
+    )
     events: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def listen(event: Any) -> None:

@@ -1,7 +1,6 @@
 """`palpate serve`: a sensor on the desk, taught and asked in the browser."""
 
 import re
-import shutil
 import sys
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -104,7 +103,7 @@ def serve(
                 "first.",
                 file=sys.stderr,
             )
-        model = model and _copied(model_file(model), model, library)
+        model = model and model_file(model, library)
         chosen: list[Any] = [options.open(address) for address in addresses] or [None]
         folders = [library]
         if len(addresses) > 1:
@@ -138,21 +137,6 @@ def _of(address: str | None, number: int, n_sensors: int) -> str | None:
         return address
     place, mark, options = address.partition("?")
     return f"{place}/{number}{mark}{options}"
-
-
-def _copied(path: Path, named: Path, library: Path | None) -> Path:
-    """Return the model file to start from: of a ready one a copy, to be learnt on."""
-    if path == named or library is None:
-        return path
-    copy = library / "model.palpate"
-    if copy.exists() or (library / "library.sqlite").exists():
-        raise ValueError(
-            f"--model must be left out where {library} has touches or a model of its "
-            f"own, got {named}. Name a --library that is not there yet."
-        )
-    library.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(path, copy)
-    return copy
 
 
 def _folders(

@@ -10,6 +10,7 @@ ROS 2 that a node writes and reads.
 from ._address import AddressError as AddressError
 from ._address import CalibratedSensor as CalibratedSensor
 from ._address import desk_of as desk_of
+from ._address import is_address as is_address
 from ._address import open_sensor
 from ._address import ros_place as ros_place
 from ._bench import SimulatedBench, SimulatedSensor

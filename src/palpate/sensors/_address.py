@@ -204,6 +204,13 @@ def ros_place(address: str) -> RosPlace:
     return RosPlace(f"/{place.strip('/')}", **_written(address, "publishing", written))
 
 
+def is_address(text: str) -> bool:
+    """Return whether a text begins as an address: with a kind of sensor and a colon."""
+    kind, colon, _ = text.partition(":")
+    plugged = {driver.name for driver in entry_points(group=_GROUP)}
+    return bool(colon) and kind in plugged | _OPTIONS.keys()
+
+
 def _written(address: str, kind: str, written: str) -> dict[str, Any]:
     """Return the options in an address, by the arguments they are for."""
     arguments: dict[str, Any] = {}
