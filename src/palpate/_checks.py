@@ -122,6 +122,12 @@ def are_plain_vectors(X: object, n_features: int) -> TypeGuard[Floats]:
     return is_plain(X, n_axes=2) and X.shape[1] == n_features
 
 
+def listed(names: Sequence[str], most: int) -> str:
+    """Return the first names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def size_text(shape: Sequence[int]) -> str:
     """Return how large an image is, for people: "480 x 640 pixels"."""
     cells = "pixels" if max(shape[:2]) > ARRAY_SIDE else "taxels"

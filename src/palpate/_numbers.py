@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ._types import Array, Floats
+from ._types import Array, Floats, Indices
 
 # OpenCV counts the elements of a row in 32 bits.
 _MOST = 2**31 - 1
@@ -15,12 +15,7 @@ def exp(values: Array, out: Array | None = None) -> Array:
     `np.exp` within two units in the last place. OpenCV's takes a fifth of the time
     where numpy has no vector code for it (processors without AVX-512).
     """
-    if not (
-        0 < values.size <= _MOST
-        and values.flags.c_contiguous
-        and values.dtype in (np.float64, np.float32)
-        and (out is None or out is values)
-    ):
+    if not _takes_opencv(values, out):
         return np.asarray(np.exp(values, out=out))
     flat = values.reshape(1, -1)
     quick = cv2.exp(flat, dst=None if out is None else flat)
@@ -29,17 +24,26 @@ def exp(values: Array, out: Array | None = None) -> Array:
 
 def log(values: Array, out: Array | None = None) -> Array:
     """Return natural logarithms, of 0 minus infinity; as `exp`, a third of the time."""
-    if not (
-        0 < values.size <= _MOST
-        and values.flags.c_contiguous
-        and values.dtype in (np.float64, np.float32)
-        and (out is None or out is values)
-    ):
+    if not _takes_opencv(values, out):
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(values, out=out))
     flat = values.reshape(1, -1)
     quick = cv2.log(flat, dst=None if out is None else flat)
     return np.asarray(quick).reshape(values.shape)
+
+
+def _takes_opencv(values: Array, out: Array | None) -> bool:
+    return (
+        0 < values.size <= _MOST
+        and values.flags.c_contiguous
+        and values.dtype in (np.float64, np.float32)
+        and (out is None or out is values)
+    )
+
+
+def evenly_spaced(n: int, count: int) -> Indices:
+    """Return at most `count` of `n` indices, evenly spaced from first to last."""
+    return np.unique(np.linspace(0, n - 1, count).astype(np.intp))
 
 
 def log_softmax(values: Array, axis: int = -1) -> Floats:

@@ -100,7 +100,7 @@ class TouchDataset:
         n_touches = len(self)
         wanted = np.array(rows, dtype=np.intp)
         if ((wanted < -n_touches) | (wanted >= n_touches)).any():
-            raise IndexError(f"Rows must be below {n_touches}, got {wanted.tolist()}.")
+            raise IndexError(f"rows must be below {n_touches}, got {wanted.tolist()}.")
         rising, places = np.unique(wanted % n_touches, return_inverse=True)
         images = self._tensors(self._images(rising))
         return [

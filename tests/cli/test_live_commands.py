@@ -175,8 +175,14 @@ def test_a_model_of_colours_is_refused_with_a_grey_sensor(
         (["--sensor", "serial:/dev/nowhere"], "--shape 16x16"),
         (["--sensor", "serial:/dev/nowhere", "--shape", "4x4"], "cannot be opened"),
         (["--sensor", "camera:/dev/nowhere"], "no camera at"),
-        (["--sensor", "sim:mug", "--baud", "9600"], "says nothing to a sim sensor"),
-        (["--sensor", "sim:mug", "--colour"], "--colour says nothing to a sim sensor"),
+        (
+            ["--sensor", "sim:mug", "--baud", "9600"],
+            "must be left out: a sim sensor has none",
+        ),
+        (
+            ["--sensor", "sim:mug", "--colour"],
+            "--colour must be left out: a sim sensor",
+        ),
         (["--sensor", "camera:0?colour=0", "--colour"], "colour=no in 'camera:0?col"),
         (["--sensor", "sim:mug", "--shape", "big"], "rows x columns"),
         (["--sensor", "sim:mug?speed=3"], "'speed' is no option"),
@@ -224,7 +230,7 @@ def test_serve_prints_an_address_that_opens_and_ends_when_told():
         (["--sensor", "sim:mug", "--port", "99999"], "0 to 65535, got 99999"),
         (["--sensor", "sim:mug", "--port", "-1"], "0 to 65535, got -1"),
         (["--sensor", "sim:bar10", "--shape", "4x4"], "10 x 10, got 4 x 4"),
-        (["--sensor", "serial:/dev/x", "--rate", "9"], "--rate says nothing"),
+        (["--sensor", "serial:/dev/x", "--rate", "9"], "--rate must be left out"),
     ],
 )
 def test_serve_says_what_is_wrong_before_it_gives_an_address(

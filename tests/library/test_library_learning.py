@@ -209,7 +209,7 @@ def test_rows_are_those_of_reading_all_of_it(tmp_path, pq):
     assert_allclose(source.features("any", sums), sums(whole))
     some = source[np.flatnonzero(source.object == "part 2")]
     assert_allclose(some.features("any", sums), sums(whole[whole.object == "part 2"]))
-    with pytest.raises(TouchesError, match="rows must rise"):
+    with pytest.raises(TouchesError, match="rows must be increasing"):
         source.touches([3, 2])
 
 

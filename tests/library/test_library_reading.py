@@ -92,7 +92,7 @@ def test_touches_of_several_batches_come_in_the_order_added(library, pick):
 def test_places_in_a_selection_rise(library, rows):
     library.add(Touches(images(), object=["a"] * 6))
     some = library.select()
-    with pytest.raises(LibraryError, match="rows must be places in the selection that"):
+    with pytest.raises(LibraryError, match="rows must be increasing indices"):
         some.touches(rows)
     assert len(some[[5]]) == 1
     assert len(some[[0, 5]]) == 2

@@ -150,7 +150,7 @@ def test_costs_choose_the_cheaper_mistake(recogniser):
         belief.decide(costs={"mug": {"ball": -1.0}})
     with pytest.raises(ValueError, match="costs"):
         belief.decide(costs={"cup": {"ball": 1.0}})
-    with pytest.raises(TypeError, match="costs must map truths"):
+    with pytest.raises(TypeError, match="costs must be a mapping"):
         belief.decide(costs=5)
     with pytest.raises(TypeError, match="costs of 'mug'"):
         belief.decide(costs={"mug": 5})

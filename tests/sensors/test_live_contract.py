@@ -352,7 +352,7 @@ def test_an_address_that_is_none_is_refused_in_one_sentence(address, message):
 )
 def test_an_option_of_another_kind_of_sensor_is_refused(address, options):
     kind = address.partition(":")[0]
-    with pytest.raises(ValueError, match=f"says nothing to a {kind} sensor"):
+    with pytest.raises(ValueError, match=f"must be left out: a {kind} sensor has none"):
         open_sensor(address, **options)
 
 

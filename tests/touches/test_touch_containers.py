@@ -294,7 +294,7 @@ def test_of_a_folder_each_file_is_a_touch(tmp_path, ending, rng):
         ("1,2\n3,x\n", "taxel 1, number 2 must be a number as others are, got 'x'"),
         ("a,b\n1,2\n3,oops\n", "b, number 3 must be a number as others are"),
         ("1,2\n3,inf\n", "must be a number .*got 'inf'"),
-        ("a,a\n1,2\n", "must be there and differ, got a, a"),
+        ("a,a\n1,2\n", "first line of names that differ, got a, a"),
         ("object,session\ncup,a\n", "must have columns of taxels, got object"),
         ('"1,2\n3,4\n', "must be a CSV file of numbers in UTF-8"),
     ],

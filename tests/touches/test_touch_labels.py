@@ -96,9 +96,9 @@ def test_groups_that_match_sometimes_leave_gaps(put):
     [
         ("(?P<object>", r"regular expression, got '\(\?P<object>': .*An example"),
         (r"cup_\d", "must have named groups"),
-        (r"(?P<images>\d)", "the group images"),
-        (r"(?P<set_x>\d)", "the group set_x"),
-        (r"(?P<position_mm>\d)", "the group position_mm"),
+        (r"(?P<images>\d)", "in use, got images"),
+        (r"(?P<set_x>\d)", "in use, got set_x"),
+        (r"(?P<position_mm>\d)", "in use, got position_mm"),
         (r"(?P<n>\d)(?P<order>\d?)", "both n and order"),
         (r"(?P<object>ball)_", r"in: cup_1.png must match name_pattern .*ball"),
         (r"(?P<object>x?)", "cup_1.png: the group object .* got nothing"),

@@ -215,7 +215,7 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
         assert session.watch.sensor.placed == "bar"
         # The touch under way, and what waits to be handed on, is of the disc.
         image, n_stored = drawn.images[0], session.teacher.library.count()
-        session._taken(DetectedTouch(image, began_s, began_s, 9.0, 3), 0.0)
+        session._on_touch(DetectedTouch(image, began_s, began_s, 9.0, 3), 0.0)
         assert session.teacher.library.count() == n_stored
         session.stop_teaching()
     with make_session(library=folder) as session:
@@ -260,7 +260,7 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
     with make_session(library=folder) as session:
         session.teach("shoe", 8)
         for image in drawn.images[:3]:
-            session._taken(_detected(image), 0.0)
+            session._on_touch(_detected(image), 0.0)
         session.undo()
     # The server was killed: nobody ended the lesson.
     with make_session(library=folder) as session:
@@ -270,7 +270,7 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
         lesson = session.to_dict()["lesson"]
         assert (lesson["name"], lesson["done"], lesson["wanted"]) == ("shoe", 2, 8)
         assert session.to_dict()["library"]["interrupted"] is None
-        session._taken(_detected(drawn.images[3]), 0.0)
+        session._on_touch(_detected(drawn.images[3]), 0.0)
         assert session.to_dict()["lesson"]["done"] == 3
     with make_session(library=folder) as session:
         assert session.to_dict()["library"]["interrupted"]["done"] == 3
@@ -299,7 +299,7 @@ def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(
             os.utime(folder / "page.jsonl", (then, then))
         with make_session(library=folder) as session:
             session.teach("shoe", 2)
-            session._taken(_detected(drawn.images[n_started]), 0.0)
+            session._on_touch(_detected(drawn.images[n_started]), 0.0)
             # After more than an hour it is another sitting.
             assert sessions(n_started, session) == (2 if rest_s > 3600 else 1)
     with make_session(library=folder) as session:
@@ -308,7 +308,7 @@ def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(
         session.take_baseline()
         session.teach("shoe", 2)
         image = drawn.images[9]
-        session._taken(DetectedTouch(image, time.monotonic(), 0.0, 9.0, 3), 0.0)
+        session._on_touch(DetectedTouch(image, time.monotonic(), 0.0, 9.0, 3), 0.0)
         assert sessions(4, session) == 3
 
 
@@ -333,7 +333,7 @@ def test_what_is_said_is_of_now(make_session, tmp_path, drawn, drawn_model):
 def test_a_lesson_that_was_finished_is_not_offered(make_session, folder, drawn):
     with make_session(library=folder) as session:
         session.teach("shoe", 1)
-        session._taken(_detected(drawn.images[0]), 0.0)
+        session._on_touch(_detected(drawn.images[0]), 0.0)
         assert session.teacher.lesson is None
     lines = (folder / "page.jsonl").read_text("utf-8").splitlines()
     assert json.loads(lines[-1]) == {"lesson": None}

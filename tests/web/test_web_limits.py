@@ -8,9 +8,9 @@ from starlette.requests import HTTPConnection, Request
 
 from palpate.web import _request_guard
 from palpate.web._request_guard import (
+    OncePerMinute,
     PatientProtocol,
     RequestGuard,
-    SaidOnce,
     cookie_name,
     most_waiting,
 )
@@ -212,7 +212,7 @@ def test_images_may_be_large_and_words_may_not(path, most):
 
 
 def test_what_was_said_is_said_again_after_a_minute_and_a_thousand_are_kept(clock):
-    once = SaidOnce()
+    once = OncePerMinute()
 
     def said(words):
         return once.filter(SimpleNamespace(getMessage=lambda: words))

@@ -60,7 +60,7 @@ def test_each_sensor_has_an_episode_of_its_own(fingers, connected, drawn):
         assert fingers[1].episode.touches == []
         refused = client.get("/api/state", params={"sensor": 3})
         assert refused.status_code == 404
-        assert refused.json()["detail"] == "There are 2 sensors, got 3."
+        assert refused.json()["detail"] == "sensor must be at most 2, got 3."
 
 
 def test_frames_and_states_of_all_go_through_one_websocket(fingers, serving):

@@ -182,7 +182,7 @@ class KernelRidgeClassifier(BayesRule):
         TypeError
             For labels that are partly text, partly something else.
         """
-        touches, codes, group = self._taken(X, y, groups)
+        touches, codes, group = self._validated_input(X, y, groups)
         if len(self.classes_) < 2:
             raise ValueError(
                 f"y must hold at least two labels, got 1 class: {self.classes_[0]}."
@@ -192,7 +192,7 @@ class KernelRidgeClassifier(BayesRule):
         self._learn(touches, codes, group, np.ones(len(touches)))
         return self
 
-    def _taken(
+    def _validated_input(
         self, X: ArrayLike, y: ArrayLike, groups: Groups, reset: bool = True
     ) -> tuple[Floats, Array, Array]:
         touches, labels = labelled_touches(self, X, y, reset=reset)
@@ -480,7 +480,7 @@ class KernelRidgeClassifier(BayesRule):
         temperature, bend and lean of the posterior stay too: quicker, for a few more.
         """
         check_is_fitted(self)
-        touches, codes, group = self._taken(X, y, groups, reset=False)
+        touches, codes, group = self._validated_input(X, y, groups, reset=False)
         each = np.ones(len(touches)) if weights is None else weights
         self._learn(touches, codes, group, each, keep_shape)
         return self

@@ -15,7 +15,7 @@ from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
 
 from .._checks import are_plain_vectors, check_label_kinds
-from .._numbers import log_softmax
+from .._numbers import evenly_spaced, log_softmax
 from .._types import Array, Floats, Indices
 
 # What each training touch is left out with: (n_touches,), by default itself alone.
@@ -343,7 +343,7 @@ def rows_left_out(codes: Array, groups: Indices) -> Indices:
         return np.arange(n_touches)
     most = max(MOST_ANSWERS // n_labels, 2)
     n_chosen = min(n_labels, max(LEAST_LABELS, most * n_labels // n_touches))
-    chosen = np.unique(np.linspace(0, n_labels - 1, n_chosen).astype(np.intp))
+    chosen = evenly_spaced(n_labels, n_chosen)
     order = np.lexsort((groups, codes))
     starts = np.searchsorted(codes[order], chosen)
     ends = np.searchsorted(codes[order], chosen, side="right")

@@ -267,6 +267,8 @@ def _bad(pictures: "PictureCheck") -> list[dict[str, Any]]:
 
 def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
     """Return a row for each bad picture, one for many that are wrong in one way."""
+    from .._checks import listed
+
     rows: list[list[str]] = []
     alike: dict[tuple[str, str], list[str]] = {}
     folders: dict[tuple[str, str], dict[str, int]] = {}
@@ -283,10 +285,9 @@ def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
         else:
             rows += [[name, *why] for name in names]
     for why, counts in folders.items():
-        named = ", ".join(f"{folder}/" for folder in list(counts)[:_NAMED])
-        more = f" and {len(counts) - _NAMED} more" * (len(counts) > _NAMED)
+        named = listed([f"{folder}/" for folder in counts], _NAMED)
         many = counted(sum(counts.values()), "picture")
-        rows.append([f"{named}{more} ({many})", *why])
+        rows.append([f"{named} ({many})", *why])
     return rows
 
 
@@ -363,6 +364,7 @@ def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
     """
     import numpy as np
 
+    from .._numbers import evenly_spaced
     from ..touches import as_shown, png_address
 
     objects, odd = checked["objects"], _odd_words(checked["odd"])
@@ -375,7 +377,7 @@ def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
         parts.append("<p class=note>Pictures that cannot be used are not shown.</p>")
     for entry in objects[:SHEET_OBJECTS]:
         rows = np.flatnonzero(touches.object == entry["object"])
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHEET_TOUCHES).astype(int))]
+        rows = rows[evenly_spaced(len(rows), SHEET_TOUCHES)]
         pictures = "".join(
             _sheet_picture(png_address(image, SHEET_SIDE), int(row), name, odd)
             for row, name, image in zip(

@@ -71,14 +71,14 @@ def add(
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
     if is_address(str(touches)) and not touches.exists():
-        from .record import record_some
+        from .record import record_touches
 
         if object_name is None:
             raise ValueError(
                 f"--object NAME must be given with a running sensor, got {touches} "
                 "without. Say what is touched."
             )
-        n_taken = record_some(str(touches), folder, object_name, n_touches, session)
+        n_taken = record_touches(str(touches), folder, object_name, n_touches, session)
         answer(
             as_json,
             {"library": str(folder), "given": n_taken, "added": n_taken},

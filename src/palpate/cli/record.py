@@ -85,7 +85,7 @@ def record(
         raise typer.Exit(1)
 
 
-def record_some(
+def record_touches(
     address: str,
     library: Path,
     name: str,

@@ -32,7 +32,7 @@ MAX_OPERATORS, MAX_SIDE, MAX_WIDTH = 20_000, 2048, 16_384
 OPSETS = range(7, 27)
 _STANDARD = ("", "ai.onnx")
 # Each image another answer: what a touch is taken for must not be drawn by lot.
-_BY_LOT = ("Bernoulli", "Multinomial", "Random")
+_RANDOM = ("Bernoulli", "Multinomial", "Random")
 # Images that pass through a network at once, and how long the first may take.
 AT_ONCE, MOST_SECONDS = 32, 20.0
 # Rounding differs between one image and several; more than this is no rounding.
@@ -101,7 +101,7 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
         self.std_ = _levels("std", self.std, spread, n_channels)
         if not (self.std_ > 0).all():
             raise ValueError(f"std must be positive, got {self.std!r}.")
-        self.width_ = self._tried(images)
+        self.width_ = self._checked_width(images)
 
     def transform_checked(self, images: Array) -> Floats:
         """Return what the network makes of images, shape (n_touches, width_)."""
@@ -118,7 +118,7 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
             )
         return vectors
 
-    def _tried(self, images: Array) -> int:
+    def _checked_width(self, images: Array) -> int:
         """Return the length of the vectors, if the network encodes each image alone."""
         pair = images[:2] if len(images) > 1 else np.concatenate([images, images])
         together = self._vectors(pair, most_seconds=MOST_SECONDS)
@@ -131,8 +131,8 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
         difference = np.abs(together - alone).max()
         if difference > _ROUNDING * max(1.0, float(np.abs(together).max())):
             raise OnnxError(
-                "The network must encode each image alone and always alike, got other "
-                "numbers for an image among others. Export it in evaluation mode "
+                "network must give an image the same features whatever else is in the "
+                "batch, got different ones. Export it in evaluation mode "
                 "(torch: network.eval())."
             )
         return int(together.shape[1])
@@ -283,9 +283,9 @@ def _check_operators(model: Any, onnx: Any) -> None:
                 "it by tracing, without If, Loop and Scan."
             )
     for node in model.graph.node:
-        if node.op_type.startswith(_BY_LOT):
+        if node.op_type.startswith(_RANDOM):
             raise OnnxError(
-                f"network must not draw numbers by lot, got {node.op_type!r}. Export "
+                f"network must not use random operators, got {node.op_type!r}. Export "
                 "it in evaluation mode (torch: network.eval())."
             )
 

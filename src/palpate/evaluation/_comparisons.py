@@ -30,7 +30,7 @@ from ..recognition import correlation, find_geometry
 from ..touches import Touches
 from ._splits import split_touches
 
-_EVERY = 5
+_EVERY_NTH = 5
 _HOG_SIDE, _HOG_CELL = 32, 8
 _CNN_SIDE, _CNN_FILTERS, _CNN_EPOCHS, _CNN_BATCH = 64, (16, 32, 64), 30, 32
 NO_CONTACT_CORRELATION = 0.98
@@ -182,7 +182,7 @@ def _pictures(images: Array) -> Floats:
     more, every fifth pixel is kept.
     """
     if images.ndim == 4:
-        step = _EVERY if min(images.shape[1:3]) >= _EVERY * _HOG_CELL else 1
+        step = _EVERY_NTH if min(images.shape[1:3]) >= _EVERY_NTH * _HOG_CELL else 1
         thinned = images[:, ::step, ::step]
         images = np.concatenate(np.moveaxis(thinned, -1, 0), axis=2)
     return np.nan_to_num(images.astype(np.float64))

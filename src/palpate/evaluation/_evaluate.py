@@ -8,10 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
+from .._checks import listed
 from .._parallel import in_parallel
 from .._types import Array, Floats
 from ..recognition import (
@@ -417,17 +419,14 @@ def few_touches(numbers: dict[str, int]) -> str:
     few = [f"{name} ({n})" for name, n in numbers.items() if n < A_START]
     if not few:
         return ""
-    more = f" and {len(few) - _NAMED} more" * (len(few) > _NAMED)
-    names = ", ".join(few[:_NAMED])
-    return f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
+    return (
+        f"few touches of {listed(few, _NAMED)}: {A_START} are a start, {GOOD} are good"
+    )
 
 
 def recommendations(figures: dict[str, Any], trials: Sequence[Trial]) -> list[str]:
     """Return at most three sentences that say what to do, what harms most first."""
-    return [
-        sentence
-        for sentence, _ in zip(_all(figures, trials), range(_MOST), strict=False)
-    ]
+    return list(islice(_all(figures, trials), _MOST))
 
 
 def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
@@ -550,11 +549,10 @@ def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str
         return ""
     remount = getattr(trial.recogniser, "chosen_", {}).get("remount", {})
     left = remount.get("confirm") or trial.recogniser.classes_.tolist()
-    more = f" and {len(left) - _MOST} more" if len(left) > _MOST else ""
     low, high, low_after, high_after = (f"{100 * x:.0f}" for x in (*before, *after))
     confirm = (
         f" In another session confirm a touch of each {figures['label']} "
-        f"({', '.join(left[:_MOST])}{more})"
+        f"({listed(left, _MOST)})"
     )
     if measured:
         return f"{confirm}."

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._durable import write_text
+from .._numbers import evenly_spaced
 from .._types import Bools, Indices
 from ..recognition import about, sessions_message
 from ..touches import Touches, as_shown, png_address
@@ -366,7 +367,7 @@ def explained_episodes(
     n_wrong = max(WRONG, EPISODES - len(right))
     n_wrong = min(n_wrong, len(named) + len(wrong), EPISODES)
     n_right = min(EPISODES - n_wrong, len(right))
-    places = np.unique(np.linspace(0, len(right) - 1, n_right).astype(int))
+    places = evenly_spaced(len(right), n_right)
     return [
         *(_stranger(trials[f], strange[f], number) for f, number in named[:n_wrong]),
         *(
@@ -507,7 +508,7 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     """Return evenly spaced training touches of a label, cleaned up, as images."""
     trial = next(t for t in trials if name in t.recogniser.classes_)
     rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
-    rows_shown = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
+    rows_shown = rows[evenly_spaced(len(rows), count)]
     return "".join(_images(trial, trial.fold.train[rows_shown], name))
 
 

@@ -25,7 +25,7 @@ RECORDING = ("object", "session", "part")
 PRESS = ("press", "episode", "squeeze", "idle_of")
 
 Rows = Indices
-Asked = Iterator[tuple[str, Bools]]
+TestMasks = Iterator[tuple[str, Bools]]
 
 
 @dataclass(frozen=True)
@@ -142,9 +142,9 @@ def protocol_folds(
             folds.append(RowFold(name, train, test))
     if not folds:
         raise ValueError(
-            f"protocol {protocol!r} must find two {label} labels that it can teach and "
-            "ask apart, got fewer. Record them again, in another session or by another "
-            "person, or choose another protocol."
+            f"protocol {protocol!r} must find two {label} labels with touches both to "
+            "learn and to test, got fewer. Record them again, in another session or by "
+            "another person, or choose another protocol."
         )
     met = np.concatenate([fold.test for fold in folds])
     left_out = np.setdiff1d(objects, objects[met])
@@ -192,7 +192,7 @@ def _drawn_rows(touches: Touches, n_touches: int, seed: int) -> Indices:
     return np.sort(np.concatenate(drawn))
 
 
-def _column(touches: Touches, name: str) -> Asked:
+def _column(touches: Touches, name: str) -> TestMasks:
     values, codes = np.unique(column_of(touches, name), return_inverse=True)
     if len(values) < 2:
         raise ValueError(
@@ -203,18 +203,18 @@ def _column(touches: Touches, name: str) -> Asked:
         yield ", ".join(map(str, values[k::MOST_FOLDS])), codes % MOST_FOLDS == k
 
 
-def _blocks(touches: Touches, repeats: int, seed: int) -> Asked:
+def _blocks(touches: Touches, repeats: int, seed: int) -> TestMasks:
     place, count, _ = _places(touches)
     for k in range(N_RUNS):
         yield f"run {k + 1} of {N_RUNS}", place * N_RUNS // count == k
 
 
-def _halves(touches: Touches, repeats: int, seed: int) -> Asked:
+def _halves(touches: Touches, repeats: int, seed: int) -> TestMasks:
     place, count, _ = _places(touches)
     yield "second half", 2 * place >= count
 
 
-def _random(touches: Touches, repeats: int, seed: int) -> Asked:
+def _random(touches: Touches, repeats: int, seed: int) -> TestMasks:
     place, count, recording = _places(touches)
     rng = np.random.default_rng(seed)
     for k in range(repeats):
@@ -227,7 +227,7 @@ def _random(touches: Touches, repeats: int, seed: int) -> Asked:
         yield f"draw {k + 1} of {repeats}", is_test
 
 
-def _categories(touches: Touches, repeats: int, seed: int) -> Asked:
+def _categories(touches: Touches, repeats: int, seed: int) -> TestMasks:
     """Leave one object of every category out, in as many folds as the most have."""
     objects, categories = (column_of(touches, n) for n in ("object", "category"))
     members = [np.unique(objects[categories == k]) for k in np.unique(categories)]
@@ -242,7 +242,7 @@ def _categories(touches: Touches, repeats: int, seed: int) -> Asked:
         yield f"fold {k + 1} of {n_folds}", np.isin(objects, left_out)
 
 
-PROTOCOLS: dict[str, Callable[[Touches, int, int], Asked]] = {
+PROTOCOLS: dict[str, Callable[[Touches, int, int], TestMasks]] = {
     "subjects": lambda touches, repeats, seed: _column(touches, "subject"),
     "sessions": lambda touches, repeats, seed: _column(touches, "session"),
     "blocks": _blocks,

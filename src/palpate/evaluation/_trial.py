@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import rankdata
+from scipy.stats import mannwhitneyu
 from sklearn.utils import check_X_y
 
 from .._checks import check_count, check_number, check_option
@@ -351,11 +351,11 @@ def calibration_error(confidence: ArrayLike, hit: ArrayLike, n_bins: int = 10) -
     return float(np.abs(means - shares) @ counts / counts.sum())
 
 
-def roc_area(known: ArrayLike, unknown: ArrayLike) -> float:
+def roc_area(known_scores: ArrayLike, unknown_scores: ArrayLike) -> float:
     """Return the area under the ROC curve of a score that is higher for unknown.
 
     The chance that an unknown episode scores higher than a known one, ties half.
-    `known` (n_known,) and `unknown` (n_unknown,) are the scores of both kinds.
+    `known_scores` (n_known,) and `unknown_scores` (n_unknown,).
 
     Examples
     --------
@@ -363,10 +363,9 @@ def roc_area(known: ArrayLike, unknown: ArrayLike) -> float:
     >>> roc_area([0.1, 0.2], [0.2, 0.9])
     0.875
     """
-    below, above = np.asarray(known, float), np.asarray(unknown, float)
-    ranks = rankdata(np.concatenate([below, above]))[len(below) :]
-    pairs = len(below) * len(above)
-    return float((ranks.sum() - len(above) * (len(above) + 1) / 2) / pairs)
+    below, above = np.asarray(known_scores, float), np.asarray(unknown_scores, float)
+    n_won = mannwhitneyu(above, below, method="asymptotic").statistic
+    return float(n_won / (len(below) * len(above)))
 
 
 def spread(values: ArrayLike) -> Floats:

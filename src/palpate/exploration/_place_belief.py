@@ -294,7 +294,7 @@ class PlaceBelief(Belief):
         of_state = self.map.object_of_state_
         return [np.flatnonzero(of_state == k) for k in range(len(self._model.classes))]
 
-    def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
+    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
         prior = log_softmax(self._prior_and_senses())[self.map.object_of_state_]
         prior = prior + self.map.log_share_of_state
         calibration = self.map.pictures_.sequence_calibration
@@ -306,7 +306,7 @@ class PlaceBelief(Belief):
         np.logaddexp.at(self._log_objects, self.map.object_of_state_, by_state)
         by_place = self._log_objects - log_posterior
         placed = log_softmax(by_encoding + by_place, axis=-1)
-        super()._hear(self._log_objects, placed)
+        super()._track_strangers(self._log_objects, placed)
 
     def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
         """Return False: touches at other places may always tell."""

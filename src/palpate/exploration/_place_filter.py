@@ -54,6 +54,12 @@ N_DRAWN = 96
 _FAR_MM = 200.0
 _LEAST_DENSITY = -12.0
 _STEEP, _FLAT = np.deg2rad(70), np.deg2rad(20)
+# Steps that spread hypotheses evenly: of depths the golden ratio, of pictures one that
+# does not go with it.
+_GOLDEN, _OTHER_STEP = 0.618034, 7.3
+# For words alone: shares of the height and the width from where on a touch is high, and
+# near the rim; of the height about the middle; how much longer an oblong thing is.
+_HIGH, _WIDE, _LEVEL, _OBLONG = 0.6, 0.5, 0.3, 1.3
 
 
 @dataclass(frozen=True)
@@ -289,7 +295,7 @@ class PlaceGain:
         radius, variance = self._met(belief, drawn)
         # What h predicts, (n_candidates, n_drawn), spread over nine tenths.
         count = len(drawn)
-        quantile = np.asarray((np.arange(count) * 0.618034 + 0.309017) % 1, float)
+        quantile = np.asarray((np.arange(count) * _GOLDEN + _GOLDEN / 2) % 1, float)
         depth = radius + np.sqrt(variance) * ndtri(0.05 + 0.9 * quantile)
         off = (depth[:, :, None] - radius[:, None]).astype(np.float32)
         inverse = (-0.5 / variance).astype(np.float32)[:, None]
@@ -349,7 +355,7 @@ class PlaceGain:
             of_state = np.flatnonzero(states == state)
             near = self._closeness[ring, turn[:, of_state]][..., rows]
             total = np.cumsum(near, axis=-1)
-            share = ((quantile[of_state] * 7.3) % 1)[None, :, None]
+            share = ((quantile[of_state] * _OTHER_STEP) % 1)[None, :, None]
             place = (total < share * total[..., -1:]).sum(axis=-1)
             example[:, of_state] = rows[np.minimum(place, len(rows) - 1)]
         count = pictures.sequence_calibration.weight(belief.touches_used + 1)
@@ -403,11 +409,11 @@ def _part(belief: PlaceBelief, out: np.ndarray) -> str:
     met = out * max(float(radius[0]) - belief.map.tip_radius_mm, 0.0)
     high = met[2] / max(float(points[:, 2].max()), 1e-6)
     wide = np.hypot(*met[:2]) / max(float(np.hypot(*points[:, :2].T).max()), 1e-6)
-    if high > 0.6:
-        return "rim" if wide > 0.5 else "top"
-    level = points[np.abs(points[:, 2]) < 0.3 * max(float(points[:, 2].max()), 1e-6)]
+    if high > _HIGH:
+        return "rim" if wide > _WIDE else "top"
+    level = points[np.abs(points[:, 2]) < _LEVEL * max(float(points[:, 2].max()), 1e-6)]
     reach = np.hypot(*level[:, :2].T) if len(level) else np.ones(1)
-    if reach.max() > 1.3 * reach.min():
+    if reach.max() > _OBLONG * reach.min():
         longer = np.hypot(*met[:2]) > (reach.max() + reach.min()) / 2
         return "far end" if longer else "long side"
     return "side"

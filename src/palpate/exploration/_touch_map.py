@@ -376,14 +376,14 @@ class PlacedBelief(Belief):
         """The object that is most probable by the touches alone."""
         return str(self._model.classes[self._touch_log_posterior.argmax()])
 
-    def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
+    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
         prior = log_softmax(self._prior_and_senses()) - np.log(self._map.n_turns)
         weight = self._map.sequence_calibration.weight(self._n_informative)
         joint = self._placed * weight + prior[:, np.newaxis]
         self.log_joint: Floats = joint - logsumexp(joint)
         placed = self.log_posterior
         by_place = placed - log_posterior
-        super()._hear(placed, log_softmax(by_encoding + by_place, axis=-1))
+        super()._track_strangers(placed, log_softmax(by_encoding + by_place, axis=-1))
 
 
 def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:

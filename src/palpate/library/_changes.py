@@ -15,7 +15,7 @@ from ._store import LibraryError, Store, chained, from_json, is_unicode
 
 # Persian and some emoji are written with them.
 _JOINERS = dict.fromkeys(map(ord, "\u200c\u200d"))
-_FOUND = (
+_FIND_OBJECT = (
     "SELECT o.id, o.name FROM objects given "
     "JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
     "WHERE given.name = ?"
@@ -96,7 +96,7 @@ def is_sound(values: Sequence[Any], digest: object) -> bool:
 
 def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
     """Return key and present name of an object, of the one it was merged into."""
-    row = store.first_row(_FOUND, [name])
+    row = store.first_row(_FIND_OBJECT, [name])
     return None if row is None else (int(row[0]), str(row[1]))
 
 

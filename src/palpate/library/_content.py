@@ -34,7 +34,7 @@ else:
 
 _LEVEL = 1  # of Zstandard: the fastest
 _ID_BYTES = 16  # of SHA-256: two touches of 10^12 share one in 10^14
-_MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
+MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
 _MAX_ARRAY = 2**30  # bytes of an array in the database
 _PLAIN_KINDS = "biufcSUMm"
 PICTURE = "picture"  # a form of images: the file it came in
@@ -283,7 +283,7 @@ def unpacked_array(data: bytes) -> Array:
     stream = io.BytesIO(_unpacked(data, None))
     try:
         array: Array = npy.read_array(
-            stream, allow_pickle=False, max_header_size=_MAX_HEADER
+            stream, allow_pickle=False, max_header_size=MAX_HEADER
         )
     except Exception as error:  # the header is a literal: it fails in many ways
         raise LibraryError(f"An array must be whole, got: {error}.") from error

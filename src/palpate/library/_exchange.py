@@ -35,7 +35,7 @@ from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
 from .._types import Array, Floats, Indices
 from ..touches import RGB, Touches, png_bytes, url_of, write_parquet
-from ._reading import Picked, read_array
+from ._reading import StoredTouches, read_array
 from ._rows import FROM, Numbers, Tables, n_at_once
 from ._store import LibraryError, refuse_used, room_for
 
@@ -55,7 +55,7 @@ def export_touches(
     tables: Tables, numbers: Numbers, path: str | Path, by: str | None = None
 ) -> int:
     """Write touches to `path`, whose ending says how; return how many."""
-    picked = Picked(tables, numbers)
+    picked = StoredTouches(tables, numbers)
     if (url := url_of(path)) is not None:
         return _to_store(picked, url, by)
     path = Path(path)
@@ -63,13 +63,13 @@ def export_touches(
     kind = path.suffix.lower()
     if kind not in _WRITERS:
         raise LibraryError(
-            "What is exported must be an archive (.npz), a Parquet file (.parquet) or "
-            f"a folder for a LeRobotDataset, got {path.name!r}."
+            "path must end in .npz or .parquet, or name a folder for a LeRobotDataset, "
+            f"got {path.name!r}."
         )
     _refuse_by(by, kind)
     if not path.parent.is_dir():
         raise LibraryError(
-            f"What is exported must go to a folder that exists, got {str(path)!r}. "
+            f"path must be in a folder that exists, got {str(path)!r}. "
             f"Make {str(path.parent)!r} first."
         )
     if not kind or by is not None:
@@ -101,13 +101,14 @@ def _refuse_by(by: str | None, kind: str) -> None:
         )
 
 
-def _to_store(picked: Picked, url: str, by: str | None) -> int:
+def _to_store(picked: StoredTouches, url: str, by: str | None) -> int:
     """Write Parquet to a store that fsspec knows."""
     fsspec = needed("fsspec.core", "parquet", "Writing to a store")
     kind = Path(url).suffix.lower()
     if kind != ".parquet":
         raise LibraryError(
-            f"What goes to a store must be Parquet (.parquet), got {url!r}."
+            "path must end in .parquet where it is the address of a store, got "
+            f"{url!r}."
         )
     _refuse_by(by, kind)
     try:
@@ -136,7 +137,7 @@ def _opened(name: str) -> Any:
 
 
 def _write_parts(
-    picked: Picked, by: str, folder: str | Path, opened: Callable[[str], Any]
+    picked: StoredTouches, by: str, folder: str | Path, opened: Callable[[str], Any]
 ) -> None:
     """Write one file for each value of a column, in folders named `by=value`."""
     values = picked.columns().get(by)
@@ -150,7 +151,9 @@ def _write_parts(
             _write_parquet(file, picked[np.flatnonzero(values == value)], without=by)
 
 
-def _write_parquet(file: Any, picked: Picked, without: str | None = None) -> None:
+def _write_parquet(
+    file: Any, picked: StoredTouches, without: str | None = None
+) -> None:
     """Write a row group for every `_ROW_GROUP` touches, fewer of large images."""
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
@@ -161,7 +164,7 @@ def _write_parquet(file: Any, picked: Picked, without: str | None = None) -> Non
 
 
 def _row_groups(
-    picked: Picked, numbers: Indices, without: str | None
+    picked: StoredTouches, numbers: Indices, without: str | None
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
     """Yield images, columns, files of images and numbers of recordings, in parts."""
     shape, dtype = picked.kind
@@ -187,7 +190,7 @@ def _described(tables: Tables, key: int) -> dict[str, Any]:
     return {"whole": present, **{name: getattr(recording, name) for name in names}}
 
 
-def _write_lerobot(path: Path, picked: Picked) -> None:
+def _write_lerobot(path: Path, picked: StoredTouches) -> None:
     """Write a new folder; episodes are read one by one."""
     pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
     data = path / "data" / _FILE.format(0, 0)
@@ -205,7 +208,7 @@ def _write_lerobot(path: Path, picked: Picked) -> None:
     _write_meta(pa, path / "meta", dataset)
 
 
-def _parts(picked: Picked, places: Iterable[Indices]) -> Iterator[Touches]:
+def _parts(picked: StoredTouches, places: Iterable[Indices]) -> Iterator[Touches]:
     """Read some touches at a time, with the columns that all of an export have.
 
     Read by themselves some would lack what none of them has.
@@ -412,7 +415,7 @@ _TASKS_PANDAS = {
 }
 
 
-_WRITERS: dict[str, Callable[[Path, Picked], None]] = {
+_WRITERS: dict[str, Callable[[Path, StoredTouches], None]] = {
     ".npz": lambda path, picked: picked.touches().save(path),
     ".parquet": _write_parquet,
     "": _write_lerobot,

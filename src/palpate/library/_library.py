@@ -23,7 +23,7 @@ from ._changes import (
 )
 from ._checking import CheckReport, check_store
 from ._exchange import export_touches
-from ._reading import IN_MEMORY, Picked, Selection, read_array, sound_numbers
+from ._reading import IN_MEMORY, Selection, StoredTouches, read_array, sound_numbers
 from ._repairing import RepairReport, backup_library, repair_library
 from ._rows import (
     FROM,
@@ -337,7 +337,7 @@ class TouchLibrary:
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """
-        picked = Picked(self._tables, self._numbers(where, damaged))
+        picked = StoredTouches(self._tables, self._numbers(where, damaged))
         return picked.touches(max_bytes, in_memory)
 
     def select(self, where: str | None = None, *, damaged: str = "raise") -> Selection:
@@ -346,7 +346,7 @@ class TouchLibrary:
         `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`; `damaged`
         is as for `touches`.
         """
-        return Selection(Picked(self._tables, self._numbers(where, damaged)))
+        return Selection(StoredTouches(self._tables, self._numbers(where, damaged)))
 
     def _numbers(self, where: str | None, damaged: str = "raise") -> Numbers:
         """Return the numbers of the touches that meet a filter, in the order added."""

@@ -27,6 +27,7 @@ from .._types import Array
 from ._changes import Change
 from ._content import (
     CELLS,
+    MAX_HEADER,
     Batch,
     Column,
     identity,
@@ -48,7 +49,6 @@ from ._store import (
 
 _BEGUN = ".migrating.sqlite"
 _AT_ONCE = 256  # touches in one transaction
-_MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
 _ROWS = (
     "SELECT t.number, t.id, given.name, "
     + ", ".join(f't."{name}"' for name in CELLS[1:])
@@ -107,7 +107,7 @@ def migrate_library(
         refuse_used(new)
     with (
         tempfile.TemporaryDirectory() as scratch,
-        closing(_Old(old, scratch)) as source,
+        closing(_OldLibrary(old, scratch)) as source,
     ):
         make_folder(new)
         with closing(Store(new, create=True, name=_BEGUN)) as store:
@@ -126,7 +126,7 @@ def migrate_library(
         return MigrationReport(*counts, source.lost, n_unknown, arrays)
 
 
-class _Old:
+class _OldLibrary:
     """An old library: a copy of its database, and its files."""
 
     def __init__(self, folder: Path, scratch: str) -> None:
@@ -387,7 +387,7 @@ class _Old:
             raise ValueError("altered content")
         stream, arrays = io.BytesIO(content), []
         while stream.tell() < len(content):
-            arrays.append(npy.read_array(stream, max_header_size=_MAX_HEADER))
+            arrays.append(npy.read_array(stream, max_header_size=MAX_HEADER))
         self._last = name, arrays
         return arrays
 

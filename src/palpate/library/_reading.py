@@ -31,7 +31,7 @@ from ._content import PICTURE, Column, column_array, image_digest, unpacked_arra
 from ._rows import (
     LOST,
     Numbers,
-    Packed,
+    StoredImages,
     StoredTouch,
     Tables,
     distinct,
@@ -78,7 +78,7 @@ def common_kind(
     return recordings[0].image_shape, recordings[0].dtype
 
 
-class Picked:
+class StoredTouches:
     """Touches chosen by their rising numbers; rows are compared when they are read."""
 
     def __init__(self, tables: Tables, numbers: Numbers) -> None:
@@ -91,8 +91,8 @@ class Picked:
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def __getitem__(self, places: Indices) -> Picked:
-        return Picked(self.tables, self.numbers[places])
+    def __getitem__(self, places: Indices) -> StoredTouches:
+        return StoredTouches(self.tables, self.numbers[places])
 
     def ids(self) -> list[bytes]:
         """Return the id of each touch."""
@@ -123,7 +123,7 @@ class Picked:
         ]
         return files if len(files) == len(self) else None
 
-    def packed(self) -> Iterator[Packed]:
+    def packed(self) -> Iterator[StoredImages]:
         """Return the images as they are stored, some at a time."""
         for rows in rows_at(self.tables, self.numbers):
             yield from packed_images(self.tables, rows)
@@ -303,7 +303,7 @@ class Selection(Labelled):
         Columns of short values, one row per touch.
     """
 
-    def __init__(self, picked: Picked) -> None:
+    def __init__(self, picked: StoredTouches) -> None:
         self._picked = picked
         self._columns = picked.columns()
 
@@ -370,7 +370,7 @@ class Selection(Labelled):
         new = self._picked[rows]
         step = n_at_once(*new.kind)
 
-        def stored(number: int) -> list[Packed]:
+        def stored(number: int) -> list[StoredImages]:
             stop = min((number + 1) * step, len(new))
             return list(new[np.arange(number * step, stop)].packed())
 
@@ -400,7 +400,7 @@ def _rising(rows: ArrayLike, n_touches: int) -> Indices:
     places = np.asarray(np.arange(n_touches)[places])
     if places.ndim != 1 or (len(places) > 1 and (np.diff(places) <= 0).any()):
         raise LibraryError(
-            "rows must be places in the selection that rise, got others. "
+            "rows must be increasing indices of the selection, got others. "
             "Sort them and drop those that come twice."
         )
     return places
@@ -430,7 +430,7 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
     return joined_ids[order], joined[order]
 
 
-def _encoded(encode: Encode, layout: dict[str, Array], packed: Packed) -> Floats:
+def _encoded(encode: Encode, layout: dict[str, Array], packed: StoredImages) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
     touches = Touches(packed.unpacked(), **layout)
     return np.asarray(encode(touches), dtype=np.float64)

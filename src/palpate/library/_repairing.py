@@ -164,7 +164,7 @@ def _rebuild(folder: Path, old: Store, progress: bool | None) -> RepairReport:
 
 
 def _exchange(path: Path, rebuilt: Path, away: Path) -> None:
-    """Put the database `made` in the place of another, which is kept in `away`.
+    """Put the database `rebuilt` in the place of another, which is kept in `away`.
 
     At every moment there is one of both in the place. A log is taken from there first:
     of another database it would be taken for its own.

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import check_option
+from .._checks import check_option, listed
 from .._types import Array
 from ._changes import Names
 from ._content import (
@@ -40,7 +40,7 @@ from ._store import (
     Store,
     chained,
     from_json,
-    holders,
+    placeholders,
 )
 
 Numbers = NDArray[np.int64]
@@ -62,7 +62,7 @@ _NAMED = (
 _INSERT = (
     "INSERT INTO touches (number, id, label, object, layout, recording, added_s, "
     'image, content, digest, extra, category, session, episode, sensor, "order", '
-    f"time_s, force_n, press, frame, source_path) VALUES {holders(21)}"
+    f"time_s, force_n, press, frame, source_path) VALUES {placeholders(21)}"
 )
 
 
@@ -179,7 +179,7 @@ def rows_at(
     bad: list[str] = []
     for start in range(0, len(numbers), AT_ONCE):
         piece = [int(number) for number in numbers[start : start + AT_ONCE]]
-        where = f"WHERE t.number IN {holders(len(piece))} ORDER BY t.number"
+        where = f"WHERE t.number IN {placeholders(len(piece))} ORDER BY t.number"
         rows = stored_touches(tables.store, where, piece)
         names = tables.names()
         sound = [row for row in rows if tables.is_sound(row, names)]
@@ -188,14 +188,14 @@ def rows_at(
         if bad and damaged == "raise":
             raise LibraryError(
                 f"Rows of touches must be as they were written, got others: "
-                f"{_listed(bad)}. `repair_library` keeps the rest; "
+                f"{listed(bad, _SHOWN)}. `repair_library` keeps the rest; "
                 'damaged="skip" leaves them out.'
             )
         yield sound
     if bad:
         warnings.warn(
             f"{len(bad)} touches are left out, since their rows in {tables.store.path} "
-            f"are damaged: {_listed(bad)}.",
+            f"are damaged: {listed(bad, _SHOWN)}.",
             stacklevel=4,
         )
 
@@ -223,11 +223,6 @@ def _key_of(rows: Sequence[StoredTouch], number: int) -> str:
     return keys[0].hex() if keys and isinstance(keys[0], bytes) else f"number {number}"
 
 
-def _listed(keys: Sequence[str]) -> str:
-    more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
-    return f"{', '.join(keys[:_SHOWN])}{more}"
-
-
 def touch_row(tables: Tables, key: str) -> StoredTouch:
     """Return the row of the touch with this id."""
     number = tables.store.first_row(
@@ -242,7 +237,7 @@ def touch_row(tables: Tables, key: str) -> StoredTouch:
     return row
 
 
-class Packed(NamedTuple):
+class StoredImages(NamedTuple):
     """Some touches of one recording, as the database keeps their images.
 
     `digests` are those of the image and of its content, as their rows have them.
@@ -287,7 +282,9 @@ def n_at_once(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     return max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
 
 
-def packed_images(tables: Tables, rows: Sequence[StoredTouch]) -> Iterator[Packed]:
+def packed_images(
+    tables: Tables, rows: Sequence[StoredTouch]
+) -> Iterator[StoredImages]:
     """Return stored images of touches with one size and type, some at a time."""
     if not rows:
         return
@@ -298,7 +295,7 @@ def packed_images(tables: Tables, rows: Sequence[StoredTouch]) -> Iterator[Packe
         sql = "SELECT number, form, image, more FROM images WHERE number IN (?)"
         numbers = [row.number for row in part]
         kept = {n: _image(*rest) for n, *rest in tables.store.among(sql, numbers)}
-        yield Packed(
+        yield StoredImages(
             [row.key.hex() for row in part],
             [(row.image, row.content) for row in part],
             [kept.get(row.number) for row in part],
@@ -346,9 +343,9 @@ def write_rows(
     for digest, array in batch.arrays.items():
         enter_array(store, digest, array)
     layout_text = json.dumps([list(column) for column in batch.layout])
-    layout = store.lasting_key("layouts", {"columns": layout_text}, "columns")
+    layout = store.get_or_insert("layouts", {"columns": layout_text}, "columns")
     described = _recording_row(batch.recording)
-    recording = store.lasting_key("recordings", described, "digest")
+    recording = store.get_or_insert("recordings", described, "digest")
     cells, extras = plain_cells(batch)
     labels = {name for name in cells[0] if name is not None}
     objects = {n: _object_key(store, n) for n in sorted(labels)}

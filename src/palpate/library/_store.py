@@ -154,7 +154,7 @@ class Store:
         self._explained = _Explained(self.path)
         self._count: int | None = None
         self._is_alone = alone  # locks out even a second connection of this program
-        self._lasting: dict[tuple[str, Any], int] = {}  # keys of rows that stay
+        self._row_keys: dict[tuple[str, Any], int] = {}  # keys of rows that stay
         if create and name == FILE_NAME and self._is_gone():
             raise LibraryError(
                 f"{folder} must have its {FILE_NAME}, which held touches and is gone. "
@@ -203,7 +203,9 @@ class Store:
         rows = []
         for start in range(0, len(keys), AT_ONCE):
             piece = keys[start : start + AT_ONCE]
-            rows += self.rows(sql.replace("IN (?)", f"IN {holders(len(piece))}"), piece)
+            rows += self.rows(
+                sql.replace("IN (?)", f"IN {placeholders(len(piece))}"), piece
+            )
         return rows
 
     def tally(self) -> Tally:
@@ -248,19 +250,20 @@ class Store:
         with self._explained:
             return self._connection.executemany(sql, values).rowcount
 
-    def lasting_key(self, table: str, values: dict[str, Any], unique: str) -> int:
+    def get_or_insert(self, table: str, values: dict[str, Any], unique: str) -> int:
         """Return the key of a row that never changes; it is entered where it lacks."""
         row_name = table, values[unique]
-        if row_name not in self._lasting:
+        if row_name not in self._row_keys:
             sql = f"SELECT rowid FROM {table} WHERE {unique} = ?"
             row = self.first_row(sql, [values[unique]])
             key = self.insert(table, values) if row is None else row[0]
-            self._lasting[row_name] = key
-        return self._lasting[row_name]
+            self._row_keys[row_name] = key
+        return self._row_keys[row_name]
 
     def insert(self, table: str, values: dict[str, Any]) -> int:
         """Insert one row within a job and return its key."""
-        sql = f"INSERT INTO {table} ({', '.join(values)}) VALUES {holders(len(values))}"
+        cells = f"({', '.join(values)}) VALUES {placeholders(len(values))}"
+        sql = f"INSERT INTO {table} {cells}"
         with self._explained:
             return int(self._connection.execute(sql, [*values.values()]).lastrowid or 0)
 
@@ -369,7 +372,7 @@ class Store:
         except Exception as error:
             if not self._connection.in_transaction:  # a full disk ends all of it
                 raise
-            self._lasting.clear()
+            self._row_keys.clear()
             self.run("ROLLBACK TO job")
             outcome.set_exception(error)
         self.run("RELEASE job")
@@ -383,7 +386,7 @@ class Store:
                 yield
                 self._connection.execute("COMMIT")
             except BaseException:
-                self._lasting.clear()  # it may know rows that are taken back
+                self._row_keys.clear()  # it may know rows that are taken back
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise
@@ -482,7 +485,7 @@ def chained(chain: bytes, digests: Sequence[bytes]) -> bytes:
     return chain
 
 
-def holders(n_values: int) -> str:
+def placeholders(n_values: int) -> str:
     return f"({', '.join('?' * n_values)})"
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from unicodedata import normalize
 
 from ._content import CELLS
-from ._store import LibraryError, holders, is_unicode
+from ._store import LibraryError, is_unicode, placeholders
 
 _SIZES = ("n_rows", "n_cols", "n_channels")
 _RECORDED = ("kind", "unit", "pitch_mm", "geometry", *_SIZES)
@@ -224,7 +224,7 @@ def _within(column: str, bound: list[Any], tokens: list[_Token]) -> Condition:
     """Compare with the texts and with the numbers that literals may mean."""
     values = [v for t in tokens for v in (t.text, _value(t))]
     different = list(dict.fromkeys((type(v), v) for v in values))
-    sql = f"({column} IN {holders(len(different))})"
+    sql = f"({column} IN {placeholders(len(different))})"
     return Condition(sql, [*bound, *(v for _, v in different)])
 
 

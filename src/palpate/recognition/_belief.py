@@ -227,9 +227,9 @@ class Belief:
         total = np.concatenate([self._total[np.newaxis], self._each]) * weight
         logs = log_softmax(total + self._prior_and_senses())
         self._touch_log_posterior = logs[0]
-        self._hear(logs[0], logs[1:])
+        self._track_strangers(logs[0], logs[1:])
 
-    def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
+    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
         """Keep what speaks for a stranger, or against one, after this touch.
 
         By log posteriors (n_objects,), and those of each encoding (n_encodings,
@@ -465,8 +465,8 @@ class Belief:
         table = 1.0 - np.eye(len(names))
         if not isinstance(costs, Mapping):
             raise TypeError(
-                "costs must map truths to what naming others costs, got "
-                f"{type(costs).__name__}. Write {{truth: {{named: cost}}}}."
+                "costs must be a mapping {object: {named: cost}}, got "
+                f"{type(costs).__name__}."
             )
         for truth, row in costs.items():
             check_option("costs", truth, names)

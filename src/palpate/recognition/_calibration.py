@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from sklearn.isotonic import isotonic_regression
 
-from .._numbers import log_loss, log_softmax
+from .._numbers import evenly_spaced, log_loss, log_softmax
 from .._types import Array, Floats, Indices
 from ..classifiers import TouchClassifier
 from ._evidence import SequenceCalibration, is_informative, with_floor
@@ -27,12 +27,12 @@ from ._strangers import (
     FLAT,
     LEAST_SCORE,
     Curve,
-    Heard,
+    EpisodeState,
     StrangerModel,
     Track,
     category_codes,
+    episode_state,
     evidence_of,
-    heard,
     log_nats,
     summed_by_category,
     track_of,
@@ -86,7 +86,7 @@ def draw_episodes(
     """
     rng, each = np.random.default_rng(seed), rows_of_each(objects)
     in_all = min(IN_ALL, ANSWERS // n_known)
-    spread = np.unique(np.linspace(0, len(each) - 1, in_all).astype(int))
+    spread = evenly_spaced(len(each), in_all)
     each = [each[k] for k in spread]
     longest = min(LONGEST, max(map(len, each)))
     drawn = []
@@ -349,7 +349,7 @@ def _tracks(
         columns = np.arange(len(left_out.log_prior))
         if never:
             columns = np.delete(columns, truth)
-        state = _heard_of(left_out, model, rows, columns)
+        state = _state_of_episodes(left_out, model, rows, columns)
         objects.append(track_of(model, state, columns, truth))
         if groups is not None:
             present, codes = np.unique(groups[columns]), groups[columns]
@@ -363,9 +363,9 @@ def _tracks(
     return _joined(objects), _joined(categories) if categories else None
 
 
-def _heard_of(
+def _state_of_episodes(
     left_out: LeftOut, model: StrangerModel, rows: Indices, columns: Indices
-) -> Heard:
+) -> EpisodeState:
     """Return what episodes come to by some of the objects."""
     touches, local = np.unique(rows, return_inverse=True)
     # `take` keeps objects next to each other, as sums over them want it.
@@ -377,7 +377,7 @@ def _heard_of(
     prior = log_softmax(left_out.log_prior[columns])
     present = replace(model, usual=model.usual[columns])
     parts = pooled[local], each[local], distances[local]
-    return heard(used, *parts, prior, left_out.calibration, present)
+    return episode_state(used, *parts, prior, left_out.calibration, present)
 
 
 def _joined(tracks: list[Track]) -> Track:

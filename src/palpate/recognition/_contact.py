@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from sklearn.base import BaseEstimator
 
+from .._numbers import evenly_spaced
 from .._types import Array, Bools, Floats
 from ..images import DomeCrop, otsu_threshold
 from ..touches import FORMER, Touches
@@ -107,7 +108,7 @@ class ContactCheck(BaseEstimator):
         self.at_limit_ = float(np.quantile(self._share_at_limit(touches), 0.99))
         self.tells_double_ = False
         if self.kind_ == "array" and min(self.idle_.shape[:2]) >= LEAST_SIDE:
-            spread = np.unique(np.linspace(0, len(touches) - 1, LOOKED_AT).astype(int))
+            spread = evenly_spaced(len(touches), LOOKED_AT)
             self.tells_double_ = bool(self._double(touches[spread]).mean() < RARE)
         return self
 

@@ -13,6 +13,7 @@ from sklearn.preprocessing import StandardScaler
 
 from .._checks import ARRAY_SIDE, check_levels, size_text
 from .._image_estimator import ImageEstimator
+from .._numbers import evenly_spaced
 from .._types import Array, Bools, Floats
 from ..encodings import EncodingUnion, PrincipalShare, RingPatterns
 from ..images import ChannelMean, DomeCrop, fill_dead_taxels, typical_rim
@@ -353,7 +354,7 @@ def find_geometry(touches: Touches) -> str:
         return "none"
     if touches.geometry is not None:
         return touches.geometry
-    spread = np.unique(np.linspace(0, len(touches) - 1, LOOK_AT).astype(int))
+    spread = evenly_spaced(len(touches), LOOK_AT)
     pictures = np.nan_to_num(grey(touches.images[spread]))
     if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(pictures) is not None:
         return "dome"

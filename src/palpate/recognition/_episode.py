@@ -93,7 +93,7 @@ class Episode:
         level: Level = "object",
     ) -> None:
         self.belief, self.error, self.refusal = belief, error, refusal
-        self.asked_level: Level = level
+        self.decision_level: Level = level
         self.touches: list[EpisodeTouch] = []
         self.withdrawn: list[str] = []
         self.decided_at: int | None = None
@@ -156,7 +156,7 @@ class Episode:
     def _answer(self) -> Named | None:
         """Return what the belief decides now, with its level."""
         return self.belief.named(
-            self.error, refusal=self.refusal, level=self.asked_level
+            self.error, refusal=self.refusal, level=self.decision_level
         )
 
     def _is_over(self, named: Named) -> bool:
@@ -205,7 +205,7 @@ class Episode:
             return "no contact yet: touch again"
         if named is None:
             is_stuck = belief.is_stuck(
-                self.error, refusal=self.refusal, level=self.asked_level
+                self.error, refusal=self.refusal, level=self.decision_level
             )
             shares = belief.posterior, belief.unknown
             return sentence_of(*shares, n_touches, None, is_stuck=is_stuck)

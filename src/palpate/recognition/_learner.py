@@ -49,7 +49,7 @@ from ._presets import (
     Preset,
     PresetName,
     find_preset,
-    opened,
+    resolved_preset,
 )
 from ._rehearsal import rehearsal_message, rehearse
 from ._remounting import remounted, without_nuisance
@@ -105,7 +105,7 @@ class Learner(BaseEstimator):
             fewer than two touches; or it would take too much memory.
         """
         preset = self._check_parameters()
-        X, y = self._seen(X, y)
+        X, y = self._validated_input(X, y)
         touches = _memory.labelled(X, y, self.label)
         labels, objects = _memory.training_labels(touches, self.label)
         if y is not None and self.label == "object":
@@ -426,7 +426,7 @@ class Learner(BaseEstimator):
         blocks = _memory.without_copies(encoding.features, labels, blocks)
         return memory_of(checked, encoding, labels, objects, blocks)
 
-    def _seen(self, X: Any, y: Any) -> tuple[Any, Any]:
+    def _validated_input(self, X: Any, y: Any) -> tuple[Any, Any]:
         """Return what `fit` is given; feature vectors as touches without geometry."""
         for name in {"n_features_in_", "feature_names_in_"} & vars(self).keys():
             delattr(self, name)
@@ -508,7 +508,9 @@ class Learner(BaseEstimator):
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""
         log_likelihood = left_out_log_likelihood(self.classifier_)
-        return self._used(log_likelihood, self.memory_.nothing[self.left_out_rows])
+        return self._contact_only(
+            log_likelihood, self.memory_.nothing[self.left_out_rows]
+        )
 
     def _learnt_strangers(self, before: Nearest | None = None) -> StrangerModel:
         memory = self.memory_
@@ -518,7 +520,7 @@ class Learner(BaseEstimator):
         each = np.swapaxes(log_softmax(parts, axis=-1), 0, 1)
         weights = np.array([*self.classifier_.part_weights.values()])
         rows = self.left_out_rows
-        log_likelihood = self._used(weights @ each, memory.nothing[rows])
+        log_likelihood = self._contact_only(weights @ each, memory.nothing[rows])
         left_out = LeftOut(
             log_likelihood=log_likelihood,
             each=each,
@@ -538,7 +540,7 @@ class Learner(BaseEstimator):
             return np.full(len(memory.classes), "")
         return memory.category_of
 
-    def _used(self, log_likelihood: Floats, nothing: Bools) -> Floats:
+    def _contact_only(self, log_likelihood: Floats, nothing: Bools) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""
         if self.uses_no_contact_:
             return log_likelihood
@@ -559,7 +561,7 @@ class Learner(BaseEstimator):
         check_option("presentation", self.presentation, PRESENTATIONS)
         if self.floor is not None:
             check_number("floor", self.floor, low=0, high=0.5)
-        return opened(self.preset, self.encodings, self.classifier)
+        return resolved_preset(self.preset, self.encodings, self.classifier)
 
     def _check_fitted(self) -> None:
         if not hasattr(self, "memory_"):

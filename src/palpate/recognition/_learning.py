@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
+from .._checks import listed
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, learns_by_landmarks
 from ..images import NoLivingTaxelError
@@ -22,7 +23,7 @@ from ._model_file import state_digest
 from ._presets import PRESENTATIONS, Preset
 from ._sessions import N_LOOKS
 
-_SAID = 3
+_N_IDS_SHOWN = 3
 # An encoding is learnt from this many touches of a source, the same number of each
 # label where there are enough.
 SHOWN = 2000
@@ -205,7 +206,7 @@ def choose_encoder(
     few = shown_rows(labels, AT_MOST)
     fold = np.unique(group[few], return_inverse=True)[1] % N_FOLDS
     results = {
-        name: _tried(encoder, preset, touches[few], labels[few], fold)
+        name: _left_out_scores(encoder, preset, touches[few], labels[few], fold)
         for name, encoder in recipes.items()
     }
     best = min(results, key=lambda name: results[name]["log_loss"])
@@ -225,8 +226,8 @@ def choose_encodings(
 
     Each is learnt from about `AT_MOST` of the touches, evenly spread over each label,
     and asked about them as they are, each left out with its group; those that weigh
-    little in the pool of least log loss (nats) are dropped. What all the touches are
-    `made` into is kept there, by the encoding's name.
+    little in the pool of least log loss (nats) are dropped. What the steps make
+    of all the touches is kept in `learnt_steps`, by the encoding's name.
     """
     few = shown_rows(labels, AT_MOST)
     of_all = learnt_steps if len(few) == len(cleaned) else None
@@ -274,8 +275,8 @@ def what_matters(
     """Say whether "turns" or "shifts" of a touch tell objects apart.
 
     Compares the best encoding that is blind to them with the best that is not, by log
-    loss; `own` are the log posteriors of the touches' own labels (n_touches,). None
-    where all encodings or none are blind to them.
+    loss; `own_posteriors` (n_touches,) are the log posteriors of the touches' own
+    labels. None where all encodings or none are blind to them.
     """
     best = {}
     for blind in (False, True):
@@ -296,7 +297,7 @@ def what_matters(
     return f"{verdict}: as they come {seeing}, blind to {change} {unseeing}"
 
 
-def _tried(
+def _left_out_scores(
     encoder: TouchEncoder, preset: Preset, touches: Touches, labels: Array, fold: Array
 ) -> dict[str, float]:
     """Return log loss (nats) and accuracy of a recipe on the folds left out."""
@@ -324,10 +325,9 @@ class EmptyTouchError(ValueError):
 
     def __init__(self, touch_ids: list[str]) -> None:
         self.touch_ids = touch_ids
-        more = " and more" * (len(touch_ids) > _SAID)
         super().__init__(
             "Touches must have at least one living taxel, got only NaN in touch "
-            f"{', '.join(touch_ids[:_SAID])}{more}. Leave it out: retract it, or "
+            f"{listed(touch_ids, _N_IDS_SHOWN)}. Leave it out: retract it, or "
             f"choose others (id != {touch_ids[0]!r})."
         )
 

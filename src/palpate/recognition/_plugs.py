@@ -260,8 +260,6 @@ class Modality(BaseEstimator):
             return np.zeros((len(examples), len(classes)))
         mean = np.log(np.exp(floored[:, is_asked]).mean(axis=1, keepdims=True))
         result = np.repeat(mean, len(classes), axis=1)
-        place = {str(name): k for k, name in enumerate(self.classes_)}
-        for column, name in enumerate(classes):
-            if str(name) in place:
-                result[:, column] = floored[:, place[str(name)]]
+        known = np.isin(classes, self.classes_)
+        result[:, known] = floored[:, np.searchsorted(self.classes_, classes[known])]
         return result

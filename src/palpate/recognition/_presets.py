@@ -54,7 +54,7 @@ PRESENTATIONS = {
 
 @dataclass(frozen=True)
 class Preset:
-    """A recipe for a recogniser, with a `summary` for people.
+    """A recipe for a recogniser.
 
     `encoders` gives unfitted encoders by name for touches and a presentation, of which
     the best is chosen on touches left out; `classifier` an unfitted classifier of what
@@ -63,7 +63,6 @@ class Preset:
     that look like the no-contact frame.
     """
 
-    summary: str
     encoders: Callable[[Touches, str], dict[str, TouchEncoder]]
     classifier: Callable[[TouchEncoder], classifiers.TouchClassifier]
     floor: float
@@ -82,7 +81,7 @@ def find_preset(name: str | None) -> Preset:
     return PRESETS[name]
 
 
-def opened(
+def resolved_preset(
     name: str | None, encodings: Mapping[str, Encoding] | None, classifier: Any
 ) -> Preset:
     """Return a preset with encodings of the user's own beside its, or alone.
@@ -238,8 +237,8 @@ def _moments(touches: Touches) -> list[Any]:
 
 PRESETS: dict[str, Preset] = {
     "default": Preset(
-        summary="Our best: encodings weighed for the sensor, a kernel ridge posterior "
-        "of each, calibrated sequences of touches.",
+        # Our best: encodings weighed for the sensor, a kernel ridge posterior of each,
+        # calibrated sequences of touches.
         encoders=_default_encoders,
         classifier=lambda encoder: classifiers.EncodingPool(encoder.parts_),
         floor=0.01,
@@ -247,8 +246,8 @@ PRESETS: dict[str, Preset] = {
         skips_no_contact=True,
     ),
     "corradi2015": Preset(
-        summary="Corradi et al. 2015 as written: Zernike-PCA, kernel density per "
-        "object, naive Bayes over touches.",
+        # Corradi et al. 2015 as written: Zernike-PCA, kernel density per object, naive
+        # Bayes over touches.
         encoders=_corradi2015_encoders,
         classifier=lambda encoder: classifiers.KernelDensityBayes(),
         floor=0.0,
@@ -256,8 +255,8 @@ PRESETS: dict[str, Preset] = {
         skips_no_contact=False,
     ),
     "liu2014": Preset(
-        summary="Liu et al. 2014: one press on an array, cleaned up; area, edges and "
-        "Fourier descriptors fused by kernel PCA; multiple kernel learning SVM.",
+        # Liu et al. 2014: one press on an array, cleaned up; area, edges and Fourier
+        # descriptors fused by kernel PCA; multiple kernel learning SVM.
         encoders=_liu2014_encoders,
         classifier=lambda encoder: classifiers.FromProbabilities(classifiers.MKLSVC()),
         floor=0.01,

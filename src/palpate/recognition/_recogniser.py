@@ -422,7 +422,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         """Return what features tell, (n_touches, n_features), with flags and looks."""
         parts = self.classifier_.log_likelihood_by_part(features)
         pooled, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
-        used = self._used(pooled, np.array(flags) == NO_CONTACT)
+        used = self._contact_only(pooled, np.array(flags) == NO_CONTACT)
         distances = self.memory_.nearest.log_distances(features)
         return Evidence(features, used, flags, each, distances, looks)
 

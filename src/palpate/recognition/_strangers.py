@@ -200,12 +200,12 @@ def lowest_so_far(levels: Floats, best: Indices, n_names: int) -> Floats:
     return lowest
 
 
-class Heard(NamedTuple):
-    """What touches come to: beliefs, how far they are, and how many told something.
+class EpisodeState(NamedTuple):
+    """State of an episode after each touch: beliefs, distances, informative touches.
 
     Log posteriors (..., n_touches, n_objects) and those of each encoding (...,
     n_touches, n_encodings, n_objects); how much farther than usual the touches are, and
-    the number of those that said something (..., n_touches).
+    the number of those that were informative (..., n_touches).
     """
 
     log_posterior: Floats
@@ -214,7 +214,7 @@ class Heard(NamedTuple):
     n_informative: Indices
 
 
-def heard(
+def episode_state(
     used: Bools,
     floored: Floats,
     each: Floats,
@@ -222,7 +222,7 @@ def heard(
     log_prior: Floats,
     calibration: SequenceCalibration,
     model: StrangerModel,
-) -> Heard:
+) -> EpisodeState:
     """Return what touches come to, those that are `used` (..., n_touches).
 
     The others as of `episode_evidence`.
@@ -232,7 +232,9 @@ def heard(
     wide = used[..., np.newaxis]
     total = summed_up(np.where(wide, log_distances, 0.0), used.ndim - 1)
     mean = total / np.maximum(count, 1)[..., np.newaxis]
-    return Heard(log_posterior, by_encoding, model.farther(by_encoding, mean), count)
+    return EpisodeState(
+        log_posterior, by_encoding, model.farther(by_encoding, mean), count
+    )
 
 
 class Track(NamedTuple):
@@ -250,7 +252,9 @@ class Track(NamedTuple):
     n_informative: Indices
 
 
-def track_of(model: StrangerModel, state: Heard, names: Indices, truth: int) -> Track:
+def track_of(
+    model: StrangerModel, state: EpisodeState, names: Indices, truth: int
+) -> Track:
     """Return the track of episodes of `truth` among `names` (n_objects,)."""
     score = model.score(state.by_encoding, state.farther, state.n_informative)
     best = names[state.log_posterior.argmax(axis=-1)]
@@ -281,7 +285,7 @@ def episode_evidence(
     """
     tables = floored, each, log_distances
     used = is_informative(floored)
-    state = heard(used, *tables, log_prior, calibration, model)
+    state = episode_state(used, *tables, log_prior, calibration, model)
     track = track_of(model, state, np.arange(len(log_prior)), truth=-1)
     return state.log_posterior, evidence_of(model, track, len(log_prior))
 

@@ -34,7 +34,7 @@ _TICK_S = 0.3  # between looks at whether to stop
 
 
 class AddressError(ValueError):
-    """An address that is none, or an option that says nothing to the sensor."""
+    """An address that names no sensor, or an option that the sensor does not have."""
 
 
 class _Option(NamedTuple):
@@ -200,7 +200,9 @@ def ros_place(address: str) -> RosPlace:
     base, _, written = address.partition("?")
     kind, _, place = base.partition(":")
     if kind != "ros" or not re.fullmatch(r"/?\w+(/\w+)*", place):
-        raise AddressError(f"It must be like ros:/palpate?domain=0, got {address!r}.")
+        raise AddressError(
+            f"address must be like ros:/palpate?domain=0, got {address!r}."
+        )
     return RosPlace(f"/{place.strip('/')}", **_written(address, "publishing", written))
 
 
@@ -270,7 +272,7 @@ def _agreed(
     if name is None:  # not for addresses; the sensor itself knows or refuses it
         return value
     if name not in _options(kind):
-        raise AddressError(f"`{name}` says nothing to a {kind} sensor.")
+        raise AddressError(f"`{name}` must be left out: a {kind} sensor has none.")
     if isinstance(value, str):
         value = _read(address, kind, name, value)
     if keyword == "image_shape" and value != "auto":

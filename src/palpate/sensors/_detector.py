@@ -36,6 +36,7 @@ _STEADY_NOISES = 3.0
 _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 8.0, 8.0, 4
 _LEAST_NOISES, _N_LIMITS = 3.0, 60
 _MAX_PIXELS = 50_000_000  # of a film
+_REST_FRAMES = 10  # of a film, taken for touching nothing
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
 
@@ -212,7 +213,6 @@ class TouchDetector:
         source: Touches | str | PathLike[str],
         *,
         colour: bool = False,
-        n_rest: int = 10,
     ) -> Touches:
         """Return the touches in a film, or in frames that were read as touches.
 
@@ -222,8 +222,8 @@ class TouchDetector:
             A film that OpenCV decodes, or all frames of a stream, `time_s` if known.
         colour : bool, default=False
             Read a film in red, green and blue.
-        n_rest : int, default=10
-            Frames of touching nothing at the start, the baseline if there is none yet.
+
+        If there is no baseline yet, the first ten frames are taken for one.
 
         Returns
         -------
@@ -234,7 +234,7 @@ class TouchDetector:
         Raises
         ------
         ContactError
-            Something touches, or moves, in the first `n_rest` frames.
+            Something touches, or moves, in the frames of the baseline.
         SensorError
             The film cannot be read to its end, or holds no touch.
         """
@@ -244,7 +244,7 @@ class TouchDetector:
         if self.baseline is None and recorded is not None:
             self._set_baseline(recorded.no_contact)
         if self.baseline is None:
-            self.take_baseline([frame.image for frame in islice(frames, n_rest)])
+            self.take_baseline([frame.image for frame in islice(frames, _REST_FRAMES)])
         ended: list[DetectedTouch | None] = []
         changes: list[float] = []
         last: Frame | None = None

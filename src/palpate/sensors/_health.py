@@ -16,7 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from .._checks import size_text
+from .._checks import listed, size_text
 from .._types import Array, Floats
 from ._contract import Frame, SensorError
 from ._detector import ContactError, TouchDetector
@@ -124,8 +124,7 @@ def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
 
 def taxels_listed(places: Sequence[Sequence[int]], most: int) -> str:
     """Return where taxels lie, the first few of them."""
-    listed = ", ".join(f"row {row} column {col}" for row, col in places[:most])
-    return listed + f" and {len(places) - most} more" * (len(places) > most)
+    return listed([f"row {row} column {col}" for row, col in places], most)
 
 
 def sensor_health(

@@ -19,6 +19,7 @@ from scipy.spatial.distance import cdist
 
 from .. import simulation
 from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
+from .._numbers import evenly_spaced
 from .._types import Array
 from ..simulation import (
     HOUSEHOLD,
@@ -296,7 +297,7 @@ def _quiet_mean(images: Array, labels: Array) -> Array | None:
 
     Touches of things differ; pictures of nothing are alike, whatever is named.
     """
-    rows = np.unique(np.linspace(0, len(images) - 1, _COMPARED).astype(int))
+    rows = evenly_spaced(len(images), _COMPARED)
     n_rows, n_cols = images.shape[1:3]
     scale = min(1.0, _COMPARED_SIDE / max(n_rows, n_cols))
     size = max(1, round(n_cols * scale)), max(1, round(n_rows * scale))

@@ -78,7 +78,7 @@ class Work:
 
 
 def fitted(model: Any, *training: Any) -> Any:
-    """Return `model.fit(*known)`, converged or not."""
+    """Return `model.fit(*training)`, converged or not."""
     from sklearn.exceptions import ConvergenceWarning
 
     with warnings.catch_warnings():

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._checks import nearest_path
+from .._checks import listed, nearest_path
 from .._types import Array
 from . import _pictures
 from ._columns import Arrays, TouchesError
@@ -355,10 +355,9 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
         )
     if lost := [*check.lost]:
         odd = check.lost[lost[0]]
-        more = f" and {len(lost) - 5} more" * (len(lost) > 5)
         them = lost[0] if len(lost) == 1 else "these"
         raise TouchesError(
-            f"No picture of {', '.join(lost[:5])}{more} can be used: {odd.picture} is "
+            f"No picture of {listed(lost, 5)} can be used: {odd.picture} is "
             f"{odd.problem}. Fix: {odd.fix}, or take {them} out of {root}."
         )
     if bad:

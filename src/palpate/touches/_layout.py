@@ -82,7 +82,7 @@ def compiled(name_pattern: object) -> re.Pattern[str]:
     if taken or {"n", "order"} <= groups:
         got = taken[0] if taken else "both n and order"
         raise TouchesError(
-            f"name_pattern must leave some names alone, got the group {got}. "
+            f"name_pattern must have no group of a name that is in use, got {got}. "
             "Rename it: x, y, z give position_raw, x_mm, y_mm, z_mm position_mm, n "
             "the order; the path is kept as source_path."
         )

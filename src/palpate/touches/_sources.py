@@ -268,7 +268,7 @@ class ParquetTouches(Labelled):
         """Pick touches by their rows, which must rise; no image is read."""
         other, places = copy(self), np.arange(len(self))[np.asarray(rows)]
         if (np.diff(places) <= 0).any():
-            raise TouchesError("rows must rise, got others. Sort them.")
+            raise TouchesError("rows must be increasing indices. Sort them.")
         other._rows = self._rows[places]
         other._columns = {name: c[places] for name, c in self._columns.items()}
         return other

@@ -84,7 +84,9 @@ def csv_arrays(
         names[0] = "time_s"
     if len(set(names)) < len(names) or not all(names):
         got = ", ".join(names[:8])
-        raise TouchesError(f"{path}: its names must be there and differ, got {got}.")
+        raise TouchesError(
+            f"{path} must have a first line of names that differ, got {got}."
+        )
     rows = lines[named:]
     if not rows:
         raise TouchesError(f"{path} must hold a line for each touch, got names alone.")

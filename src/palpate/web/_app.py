@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from ..sensors import ContactError, SensorError
 from ._learning import LearningError
-from ._request_guard import STATIC, RequestGuard, cookie_name, saying_once
+from ._request_guard import STATIC, RequestGuard, cookie_name, once_per_minute
 from ._routes import router
 from ._sensor_watch import Event
 from ._session import LiveSession
@@ -37,7 +37,7 @@ def build_app(sessions: Sequence[LiveSession], token: str, **limits: Any) -> Fas
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        with saying_once():
+        with once_per_minute():
             LiveSession.start_all(sessions)
             try:
                 yield

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import size_text
+from .._checks import listed, size_text
 from .._types import Array
 from ..library import LibraryError, TouchLibrary
 from ..recognition import (
@@ -47,8 +47,10 @@ _NOT_FURTHER = (
     "{names} from images of {old}, and their touches are not in the library. Forget "
     "those, or start with another `model`."
 )
-# Touches of a draw, draws, shares that are enough of draws and touches, objects named.
-_SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
+# Touches of a draw, draws of each object, objects that an advice names at most.
+_N_JUDGED, _N_DRAWN, _N_NAMED = 8, 40, 4
+# An object that is right after one touch, or eight, less often than this wants more.
+_RIGHT_AFTER_ONE, _RIGHT_AFTER_EIGHT = 0.5, 0.9
 # With so few touches of an object names are least sure: docs/explanation/page.md.
 _FEW_TOUCHES = 10
 
@@ -328,16 +330,16 @@ def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
     memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
     log_likelihood = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
     left_out = recogniser.left_out_rows
-    felt = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
+    with_contact = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
     labels = memory.labels[left_out]
     rng, result = np.random.default_rng(0), []
     for code, name in enumerate(names):
-        rows = np.flatnonzero((labels == recogniser.classes_[code]) & felt)
+        rows = np.flatnonzero((labels == recogniser.classes_[code]) & with_contact)
         answers = np.bincount(log_likelihood[rows].argmax(axis=1), minlength=len(names))
         right, answers[code] = answers[code], 0
-        drawn = rng.permuted(np.tile(rows, (_DRAWN, 1)), axis=1)[:, :_SOME]
+        drawn = rng.permuted(np.tile(rows, (_N_DRAWN, 1)), axis=1)[:, :_N_JUDGED]
         best = log_likelihood[drawn].sum(axis=1).argmax(axis=1)
-        after_eight = float(np.mean(best == code)) if len(rows) >= _SOME else None
+        after_eight = float(np.mean(best == code)) if len(rows) >= _N_JUDGED else None
         result.append(
             {
                 "name": name,
@@ -356,9 +358,8 @@ def limits(recogniser: ObjectRecogniser) -> str:
     sentences = few_objects_warning(len(names), recogniser.label)
     few = names[counts < _FEW_TOUCHES].tolist()
     if few:
-        more = f" and {len(few) - 3} more" * (len(few) > 3)
         sentences.append(
-            f"Of {', '.join(few[:3])}{more} it learnt fewer than {_FEW_TOUCHES} "
+            f"Of {listed(few, 3)} it learnt fewer than {_FEW_TOUCHES} "
             "touches: a wrong name may look certain."
         )
     return " ".join(sentences)
@@ -371,8 +372,12 @@ def advice(qualities: list[dict[str, Any]]) -> list[str]:
     """
     few = [quality["name"] for quality in qualities if quality["after_eight"] is None]
     judged = (quality for quality in qualities if quality["after_eight"] is not None)
-    low = [x for x in judged if x["after_one"] < _HALF or x["after_eight"] < _WELL]
-    low = sorted(low, key=lambda quality: quality["after_one"])[:_MOST_SAID]
+    low = [
+        x
+        for x in judged
+        if x["after_one"] < _RIGHT_AFTER_ONE or x["after_eight"] < _RIGHT_AFTER_EIGHT
+    ]
+    low = sorted(low, key=lambda quality: quality["after_one"])[:_N_NAMED]
     weak, sentences = {quality["name"]: quality["taken_for"] for quality in low}, []
     for name, other in weak.items():
         if other is None or weak.get(other) != name:
@@ -382,9 +387,8 @@ def advice(qualities: list[dict[str, Any]]) -> list[str]:
             what = f"{name} and {other} are taken for each other"
             sentences.append(f"{what}: ten more touches of each, elsewhere.")
     if few:
-        names = ", ".join(few[:_MOST_SAID])
-        more = f" and {len(few) - _MOST_SAID} more" * (len(few) > _MOST_SAID)
+        names = listed(few, _N_NAMED)
         sentences.append(
-            f"Fewer than {_SOME} touches with contact cannot be judged: {names}{more}."
+            f"Fewer than {_N_JUDGED} touches with contact cannot be judged: {names}."
         )
     return sentences

@@ -68,7 +68,7 @@ _HEAD_S = 10.0
 # and as much those with it; so many are accepted before any of them is looked at, and
 # so many wait for that in the system.
 _SHARE, _FILES, AT_ONCE, _QUEUE = 1 / 3, 1024, 32, 1024
-_AGAIN_S, _MOST_SAID = 60.0, 1000
+_AGAIN_S, _MOST_MESSAGES = 60.0, 1000
 _LOGGERS = ("asyncio", "uvicorn.error")
 
 _Permits = dict[str, tuple[float, float]]  # of an address: how many, and when
@@ -343,7 +343,7 @@ class PatientServer(Server):
             listening.listen(_QUEUE)
 
 
-class SaidOnce(logging.Filter):
+class OncePerMinute(logging.Filter):
     """Lets a message through once a minute, by its first line."""
 
     def __init__(self) -> None:
@@ -355,16 +355,16 @@ class SaidOnce(logging.Filter):
         message, now_s = record.getMessage().partition("\n")[0], time.monotonic()
         if now_s - self._last_s.get(message, -_AGAIN_S) < _AGAIN_S:
             return False
-        if len(self._last_s) >= _MOST_SAID:
+        if len(self._last_s) >= _MOST_MESSAGES:
             self._last_s.clear()
         self._last_s[message] = now_s
         return True
 
 
 @contextmanager
-def saying_once() -> Iterator[None]:
+def once_per_minute() -> Iterator[None]:
     """Keep the log of a server from growing by one message again and again."""
-    once = SaidOnce()
+    once = OncePerMinute()
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     for logger in loggers:
         logger.addFilter(once)

@@ -47,7 +47,7 @@ from ._schemas import (
     StoredTouch,
 )
 from ._session import LiveSession
-from ._teaching import Teacher
+from ._teaching import LONGEST_NAME, Teacher
 
 _Given = ParamSpec("_Given")
 _Read = TypeVar("_Read")
@@ -108,7 +108,9 @@ async def _session(
 ) -> Any:
     sessions = request.app.state.sessions
     if sensor > len(sessions):
-        raise HTTPException(404, f"There are {len(sessions)} sensors, got {sensor}.")
+        raise HTTPException(
+            404, f"sensor must be at most {len(sessions)}, got {sensor}."
+        )
     return sessions[sensor - 1]
 
 
@@ -158,7 +160,7 @@ Attempted = Annotated[tuple[dict[str, Any], Array | None], Depends(_attempted)]
 PlaceQuery = Annotated[Place, Depends(_place)]
 StoredTouches = Annotated[Teacher, Depends(_teacher)]
 Picture = Annotated[Array, Depends(_picture)]
-NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
+NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=LONGEST_NAME)]
 
 
 @router.get("/state", response_model=State, tags=["state"])

@@ -7,11 +7,14 @@ from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ._episode import LiveTouch
+from ._teaching import LONGEST_NAME, MOST_PER_LESSON
 
 _Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Vector = tuple[_Number, _Number, _Number]
 Numbers = Annotated[list[float] | None, Query(min_length=3, max_length=3)]
-Name = Annotated[str, Field(min_length=1, max_length=80, description="Object's name.")]
+Name = Annotated[
+    str, Field(min_length=1, max_length=LONGEST_NAME, description="Object's name.")
+]
 # What is wrong with a new name says `checked_name`, in one sentence.
 NewName = Annotated[
     str, Field(max_length=1000, description="Object's name, 1 to 80 printed characters")
@@ -111,7 +114,9 @@ class NamedObject(Order):
 class LessonOrder(NamedObject):
     """What to teach with the next touches of the sensor."""
 
-    touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
+    touches: Annotated[
+        int, Field(ge=1, le=MOST_PER_LESSON, description="How many.")
+    ] = 12
     keep_episode: Annotated[
         bool, Field(description="The touches of the episode become its first.")
     ] = False
@@ -146,7 +151,9 @@ class BaselineOrder(Order):
     ] = False
     ask_press: Annotated[
         bool,
-        Field(description="Then only try touches, until press/keep or press/undo."),
+        Field(
+            description="Then only try touches, until baseline/keep or baseline/undo."
+        ),
     ] = False
 
 
@@ -270,7 +277,7 @@ class SomeTouches(Order):
     """Stored touches."""
 
     ids: Annotated[
-        list[Annotated[str, Field(min_length=1, max_length=80)]],
+        list[Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]],
         Field(min_length=1, max_length=200, description="Their ids."),
     ]
 

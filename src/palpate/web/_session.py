@@ -116,7 +116,7 @@ class LiveSession:
         self.watch: SensorWatch | None = None
         if sensor is not None:
             observers = self.listeners, self.health
-            self.watch = SensorWatch(sensor, self._taken, *observers, summary)
+            self.watch = SensorWatch(sensor, self._on_touch, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped, self._placed_s = False, -math.inf
         self.recogniser: ObjectRecogniser | None = None
@@ -124,13 +124,13 @@ class LiveSession:
         self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
         self._n_elsewhere: dict[str, int] = {}
-        self._silent: set[str] = set()
+        self._no_contact_ids: set[str] = set()
         can_teach = self.teacher is not None
         self.episode = LiveEpisode(1, None, self.accepted, can_teach=can_teach)
         self.learning, self.learn_error = False, ""
         self.message = self.trouble = self.alarm = ""
-        self._met: list[Evidence] = []
-        self._n_met = 0
+        self._contact_evidence: list[Evidence] = []
+        self._n_contacts = 0
         self._changes: list[tuple[str, str]] = []  # of names, to be learnt
         self._learn_next = False
         self._changed_before: set[str] = set()
@@ -421,7 +421,7 @@ class LiveSession:
                 "the baseline again."
             ) from error
         self.message = "The baseline is taken."
-        self._met, self._n_met, self.alarm = [], 0, ""
+        self._contact_evidence, self._n_contacts, self.alarm = [], 0, ""
         if self.teacher is not None:
             self.teacher.begin_session(changed or "new baseline")
         self._notify_state()
@@ -442,7 +442,7 @@ class LiveSession:
 
     def _watched(self) -> SensorWatch:
         if self.watch is None:
-            raise SensorError("There is no sensor here to take a baseline of.")
+            raise SensorError("This session has no sensor. Start it with one.")
         return self.watch
 
     def place(self, name: str | None) -> None:
@@ -491,7 +491,7 @@ class LiveSession:
                 "nearest": self.episode.nearest,
                 "quality": self._quality,
                 "no_contact": sorted(
-                    self._silent | (teacher.silent if teacher else set())
+                    self._no_contact_ids | (teacher.silent if teacher else set())
                 ),
                 "advice": self.advice,
                 "alarm": self.alarm,
@@ -548,12 +548,12 @@ class LiveSession:
         with self._lock:
             self.recogniser, self._stored_ids = recogniser, ids
             self._top_view = None if recogniser is None else self._view_of(recogniser)
-            self._met, self._n_met, self.alarm = [], 0, ""
-            self._quality, self._n_elsewhere, self._silent = quality, {}, set()
+            self._contact_evidence, self._n_contacts, self.alarm = [], 0, ""
+            self._quality, self._n_elsewhere, self._no_contact_ids = quality, {}, set()
             if recogniser is not None:
                 memory = recogniser.memory_
                 nothing = memory.nothing & (not recogniser.uses_no_contact_)
-                self._silent = set(memory.touch_ids[nothing].tolist()) & ids
+                self._no_contact_ids = set(memory.touch_ids[nothing].tolist()) & ids
                 names = memory.labels[~np.isin(memory.touch_ids, list(ids))]
                 counted = np.unique(names.astype(str), return_counts=True)
                 self._n_elsewhere = dict(
@@ -599,7 +599,7 @@ class LiveSession:
         noise = self._watched().detector.noise
         return self._teacher().take(image, self.baseline, noise, columns or {})
 
-    def _taken(self, detected: DetectedTouch, ended_s: float) -> None:
+    def _on_touch(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
         teaching = False
         try:
@@ -666,11 +666,12 @@ class LiveSession:
                 or evidence.flags[0] == NO_CONTACT
             ):
                 return
-            self._met = met = [*self._met, evidence][-3 * LOOK_EVERY :]
-            self._n_met += 1
-            if self._n_met % LOOK_EVERY:
+            latest = [*self._contact_evidence, evidence][-3 * LOOK_EVERY :]
+            self._contact_evidence = latest
+            self._n_contacts += 1
+            if self._n_contacts % LOOK_EVERY:
                 return
-        check = recogniser.check_mounting(Evidence.together(met))
+        check = recogniser.check_mounting(Evidence.together(latest))
         self.alarm = OTHER_MOUNTING.format("") if check.changed else ""
         self._notify_state()
 

@@ -33,7 +33,7 @@ LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
 JOURNAL = "page.jsonl"
 
-NO_CONTACT_SAID = (
+NO_CONTACT_MESSAGE = (
     "That touch of {} shows no contact and does not count: touch it again. It is "
     "stored; press its picture to remove it."
 )
@@ -226,7 +226,7 @@ class Teacher:
         if self._desk is not None:
             self._pictures[key] = _digest(image)
         if not self._add(key, image, baseline, noise):
-            return NO_CONTACT_SAID.format(lesson.name)
+            return NO_CONTACT_MESSAGE.format(lesson.name)
         stored = f"Touch {lesson.done} of {lesson.wanted} of {lesson.name} is stored."
         if lesson.done < lesson.wanted:
             return stored

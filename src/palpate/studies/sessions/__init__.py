@@ -15,7 +15,7 @@ import numpy as np
 
 from ... import studies as shared
 from ...datasets import where
-from ...evaluation import Plan as Asked
+from ...evaluation import Plan as EvaluationPlan
 from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
 from ...recognition import Label, MountingCheck, ObjectRecogniser
 from ...simulation import simulate_presses, simulate_touches
@@ -125,7 +125,7 @@ def _recorded(
 def _rows_of(plan: SessionsPlan, data: str, touches: Touches, way: str) -> list[Row]:
     if way == ALARM:
         return _alarm(plan, data, touches)
-    protocol = Asked(touches=plan.touches, orders=plan.orders, seed=plan.seed)
+    protocol = EvaluationPlan(touches=plan.touches, orders=plan.orders, seed=plan.seed)
     beside = {CEILING: _ceiling, PAIRS: _pairs_known, MOVED: _moved}
     if way in beside:
         return beside[way](protocol, data, touches)
@@ -145,7 +145,7 @@ def _rows_of(plan: SessionsPlan, data: str, touches: Touches, way: str) -> list[
     return rows
 
 
-def _ceiling(protocol: Asked, data: str, touches: Touches) -> list[Row]:
+def _ceiling(protocol: EvaluationPlan, data: str, touches: Touches) -> list[Row]:
     """Ask the last quarter of each session; where it is too short, person by person."""
     assert touches.session is not None
     each = [touches[touches.session == name] for name in np.unique(touches.session)]
@@ -161,7 +161,7 @@ def _ceiling(protocol: Asked, data: str, touches: Touches) -> list[Row]:
     ]
 
 
-def _pairs_known(protocol: Asked, data: str, touches: Touches) -> list[Row]:
+def _pairs_known(protocol: EvaluationPlan, data: str, touches: Touches) -> list[Row]:
     """Ask half of the people in one session, of the others all sessions are known."""
     people = np.unique(np.asarray(touches.subject), return_inverse=True)[1]
     names: Any = touches.session
@@ -182,7 +182,7 @@ def _pairs_known(protocol: Asked, data: str, touches: Touches) -> list[Row]:
     return rows
 
 
-def _moved(protocol: Asked, data: str, touches: Touches) -> list[Row]:
+def _moved(protocol: EvaluationPlan, data: str, touches: Touches) -> list[Row]:
     """Ask about objects on the other side of the jump, among all the others."""
     rows = []
     label_and_remount: list[tuple[Label, str]]
