@@ -5,7 +5,7 @@ import pytest
 
 from first_hour import N_ASKED, N_TAUGHT, Desk, advised, table
 from palpate import Touches
-from palpate.web import advice
+from palpate.recognition import teaching_advice
 
 
 def of(name, after_one, after_eight, other):
@@ -14,11 +14,13 @@ def of(name, after_one, after_eight, other):
 
 
 def test_what_the_page_advises_is_what_is_taught():
-    pair = advice([of("a mug", 0.3, 0.5, "a cup"), of("a cup", 0.3, 0.5, "a mug")])
+    pair = teaching_advice(
+        [of("a mug", 0.3, 0.5, "a cup"), of("a cup", 0.3, 0.5, "a mug")]
+    )
     assert sorted(advised(pair)) == ["a cup", "a mug"]
-    assert advised(advice([of("pen", 0.3, 0.5, "a cup, blue")])) == ["pen"]
-    assert advised(advice([of("pen", 0.3, 0.5, None)])) == ["pen"]
-    assert advised(advice([of("pen", 0.3, None, "cup")])) == []
+    assert advised(teaching_advice([of("pen", 0.3, 0.5, "a cup, blue")])) == ["pen"]
+    assert advised(teaching_advice([of("pen", 0.3, 0.5, None)])) == ["pen"]
+    assert advised(teaching_advice([of("pen", 0.3, None, "cup")])) == []
     alike = (
         "Of 12 touches of a mug 9 are like others: ten more touches of it, elsewhere"
     )

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser
-from palpate.web import LiveSession, advice, object_quality
+from palpate.recognition import ObjectRecogniser, object_quality, teaching_advice
+from palpate.web import LiveSession
 
 from .conftest import Still, waited
 
@@ -157,7 +157,7 @@ def of(name, after_eight, other=None, after_one=0.8):
     ],
 )
 def test_advice_follows_from_the_figures(qualities, said):
-    assert advice(qualities) == said
+    assert teaching_advice(qualities) == said
 
 
 @pytest.mark.slow

@@ -29,8 +29,7 @@ def remount(
     TOUCHES are the first of the session. Labelled ones are confirmed: they join what
     was learnt. Without labels some ten touches of several objects are enough.
     """
-    from ..recognition import ObjectRecogniser, check_model_path
-    from ..web import object_quality
+    from ..recognition import ObjectRecogniser, check_model_path, object_quality
 
     _options.in_order(model, touches)
     check_model_path(output)

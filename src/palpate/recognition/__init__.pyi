@@ -40,7 +40,10 @@ from ._sentences import OTHER_SESSION as OTHER_SESSION
 from ._sentences import about as about
 from ._sentences import few_objects_warning as few_objects_warning
 from ._sentences import figure_of as figure_of
+from ._sentences import limits_message as limits_message
+from ._sentences import object_quality as object_quality
 from ._sentences import share_of as share_of
+from ._sentences import teaching_advice as teaching_advice
 from ._sentences import touch_note as touch_note
 from ._sentences import upper_bound as upper_bound
 from ._strangers import episode_evidence as episode_evidence

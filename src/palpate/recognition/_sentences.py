@@ -3,6 +3,9 @@
 The terminal, the page, reports and Python all show these sentences; numbers behind them
 (evidence in nats, bounds, encodings) are told where someone asks why. Pictures of
 beliefs, episodes and confusions stand beside them.
+
+Whether what was learnt will do: it is asked about every touch of it as if that, and its
+neighbours, had not been taught. That says nothing of places that were never touched.
 """
 
 from __future__ import annotations
@@ -10,16 +13,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from math import ceil, floor, log, log1p
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.stats import beta
 
+from .._checks import listed
 from .._extras import needed
 from .._types import Indices
+from ._evidence import with_floor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from ._recogniser import ObjectRecogniser
 
 CONFIDENCE = 0.95
 NOTHING = "nothing I know"
@@ -34,6 +41,12 @@ OTHER_SESSION = (
 _MOST_LIKELY, _MOST_NAMED = 0.9, 3
 # Of more objects a picture has no names.
 MOST_LABELLED = 30
+# Touches of a draw, draws of each object, objects that an advice names at most.
+_N_JUDGED, _N_DRAWN, _N_NAMED = 8, 40, 4
+# An object that is right after one touch, or eight, less often than this wants more.
+_RIGHT_AFTER_ONE, _RIGHT_AFTER_EIGHT = 0.5, 0.9
+# With so few touches of an object names are least sure: docs/explanation/page.md.
+_FEW_TOUCHES = 10
 # What stands for a stranger.
 _NOTHING, _GREY = "nothing learnt", "#888888"
 
@@ -290,3 +303,77 @@ def draw_confusion(counts: Indices, names: Sequence[str], ax: Axes | None) -> Ax
         label = f"{shares[row, col]:.0f}"
         axes.text(col, row, label, ha="center", va="center", color=colour, size=7)
     return axes
+
+
+def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
+    """Return how often left-out touches of each object are recognised.
+
+    By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of right
+    answers after one touch and after eight drawn ones, None where there are not so
+    many; `taken_for`, the most frequent wrong answer to one touch, or None.
+    """
+    memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
+    log_likelihood = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
+    left_out = recogniser.left_out_rows
+    with_contact = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
+    labels = memory.labels[left_out]
+    rng, result = np.random.default_rng(0), []
+    for code, name in enumerate(names):
+        rows = np.flatnonzero((labels == recogniser.classes_[code]) & with_contact)
+        answers = np.bincount(log_likelihood[rows].argmax(axis=1), minlength=len(names))
+        right, answers[code] = answers[code], 0
+        drawn = rng.permuted(np.tile(rows, (_N_DRAWN, 1)), axis=1)[:, :_N_JUDGED]
+        best = log_likelihood[drawn].sum(axis=1).argmax(axis=1)
+        after_eight = float(np.mean(best == code)) if len(rows) >= _N_JUDGED else None
+        result.append(
+            {
+                "name": name,
+                "n_touches": len(rows),
+                "after_one": float(right / len(rows)) if len(rows) else None,
+                "after_eight": after_eight,
+                "taken_for": names[answers.argmax()] if answers.any() else None,
+            }
+        )
+    return result
+
+
+def limits_message(recogniser: ObjectRecogniser) -> str:
+    """Return what a name is worth where few objects, or touches, were learnt, or ""."""
+    names, counts = np.unique(recogniser.memory_.labels.astype(str), return_counts=True)
+    sentences = few_objects_warning(len(names), recogniser.label)
+    few = names[counts < _FEW_TOUCHES].tolist()
+    if few:
+        sentences.append(
+            f"Of {listed(few, 3)} it learnt fewer than {_FEW_TOUCHES} "
+            "touches: a wrong name may look certain."
+        )
+    return " ".join(sentences)
+
+
+def teaching_advice(qualities: list[dict[str, Any]]) -> list[str]:
+    """Return what to teach next, in sentences, of what `object_quality` returned.
+
+    Of objects that too few touches, one or eight, are right of, the worst first.
+    """
+    few = [quality["name"] for quality in qualities if quality["after_eight"] is None]
+    judged = (quality for quality in qualities if quality["after_eight"] is not None)
+    low = [
+        x
+        for x in judged
+        if x["after_one"] < _RIGHT_AFTER_ONE or x["after_eight"] < _RIGHT_AFTER_EIGHT
+    ]
+    low = sorted(low, key=lambda quality: quality["after_one"])[:_N_NAMED]
+    weak, sentences = {quality["name"]: quality["taken_for"] for quality in low}, []
+    for name, other in weak.items():
+        if other is None or weak.get(other) != name:
+            what = f"is taken for {other}" if other else "is not sure"
+            sentences.append(f"{name} {what}: ten more touches of {name}, elsewhere.")
+        elif name < other:
+            what = f"{name} and {other} are taken for each other"
+            sentences.append(f"{what}: ten more touches of each, elsewhere.")
+    if few:
+        names = listed(few, _N_NAMED)
+        sentences.append(
+            f"Fewer than {_N_JUDGED} touches with contact cannot be judged: {names}."
+        )
+    return sentences

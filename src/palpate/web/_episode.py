@@ -26,6 +26,7 @@ from ..recognition import (
     Evidence,
     ObjectRecogniser,
     figure_of,
+    limits_message,
     nearest_touches,
     share_of,
     touch_note,
@@ -33,7 +34,6 @@ from ..recognition import (
 from ..simulation import SensorPose
 from ..touches import Touches
 from ._images import thumbnail
-from ._learning import limits
 
 Vector = tuple[float, float, float]
 _SHOWN, _NEAREST = 5, 6
@@ -112,7 +112,7 @@ class LiveEpisode:
         self.episode: Episode | None = None
         if recogniser is not None:
             self.episode = recogniser.episode(**accepted, level="any")
-        self.limits = "" if recogniser is None else limits(recogniser)
+        self.limits = "" if recogniser is None else limits_message(recogniser)
         self.by_place = False
         self.touches: list[LiveTouch] = []
         self.images: list[Array | None] = []

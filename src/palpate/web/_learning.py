@@ -1,11 +1,8 @@
-"""Learning in a process of its own, so that frames go on, and whether it will do.
+"""Learning in a process of its own, so that frames go on.
 
 The other process stays for the next lesson: starting it takes longer than learning a
 few touches. It reads jobs as lines of JSON from standard input, writes the model file
 all or nothing, and answers each with a line.
-
-Whether it will do: what was learnt is asked about every touch of it as if that, and its
-neighbours, had not been taught. That says nothing of places that were never touched.
 """
 
 import atexit
@@ -22,15 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import listed, size_text
+from .._checks import size_text
 from .._types import Array
 from ..library import LibraryError, TouchLibrary
 from ..recognition import (
     EmptyTouchError,
     Memory,
     ObjectRecogniser,
-    few_objects_warning,
-    with_floor,
 )
 from ..sensors import SensorMemory
 from ..touches import TouchSource
@@ -47,12 +42,6 @@ _NOT_FURTHER = (
     "{names} from images of {old}, and their touches are not in the library. Forget "
     "those, or start with another `model`."
 )
-# Touches of a draw, draws of each object, objects that an advice names at most.
-_N_JUDGED, _N_DRAWN, _N_NAMED = 8, 40, 4
-# An object that is right after one touch, or eight, less often than this wants more.
-_RIGHT_AFTER_ONE, _RIGHT_AFTER_EIGHT = 0.5, 0.9
-# With so few touches of an object names are least sure: docs/explanation/page.md.
-_FEW_TOUCHES = 10
 
 
 class LearningError(ValueError):
@@ -318,77 +307,3 @@ def main() -> None:
         except (ValueError, OSError, MemoryError) as error:
             answer = {"refused": str(error)}
         print(json.dumps(answer), file=answers, flush=True)
-
-
-def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
-    """Return how often left-out touches of each object are recognised.
-
-    By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of right
-    answers after one touch and after eight drawn ones, None where there are not so
-    many; `taken_for`, the most frequent wrong answer to one touch, or None.
-    """
-    memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
-    log_likelihood = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
-    left_out = recogniser.left_out_rows
-    with_contact = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
-    labels = memory.labels[left_out]
-    rng, result = np.random.default_rng(0), []
-    for code, name in enumerate(names):
-        rows = np.flatnonzero((labels == recogniser.classes_[code]) & with_contact)
-        answers = np.bincount(log_likelihood[rows].argmax(axis=1), minlength=len(names))
-        right, answers[code] = answers[code], 0
-        drawn = rng.permuted(np.tile(rows, (_N_DRAWN, 1)), axis=1)[:, :_N_JUDGED]
-        best = log_likelihood[drawn].sum(axis=1).argmax(axis=1)
-        after_eight = float(np.mean(best == code)) if len(rows) >= _N_JUDGED else None
-        result.append(
-            {
-                "name": name,
-                "n_touches": len(rows),
-                "after_one": float(right / len(rows)) if len(rows) else None,
-                "after_eight": after_eight,
-                "taken_for": names[answers.argmax()] if answers.any() else None,
-            }
-        )
-    return result
-
-
-def limits(recogniser: ObjectRecogniser) -> str:
-    """Return what a name is worth where few objects, or touches, were learnt, or ""."""
-    names, counts = np.unique(recogniser.memory_.labels.astype(str), return_counts=True)
-    sentences = few_objects_warning(len(names), recogniser.label)
-    few = names[counts < _FEW_TOUCHES].tolist()
-    if few:
-        sentences.append(
-            f"Of {listed(few, 3)} it learnt fewer than {_FEW_TOUCHES} "
-            "touches: a wrong name may look certain."
-        )
-    return " ".join(sentences)
-
-
-def advice(qualities: list[dict[str, Any]]) -> list[str]:
-    """Return what to teach next, in sentences, of what `object_quality` returned.
-
-    Of objects that too few touches, one or eight, are right of, the worst first.
-    """
-    few = [quality["name"] for quality in qualities if quality["after_eight"] is None]
-    judged = (quality for quality in qualities if quality["after_eight"] is not None)
-    low = [
-        x
-        for x in judged
-        if x["after_one"] < _RIGHT_AFTER_ONE or x["after_eight"] < _RIGHT_AFTER_EIGHT
-    ]
-    low = sorted(low, key=lambda quality: quality["after_one"])[:_N_NAMED]
-    weak, sentences = {quality["name"]: quality["taken_for"] for quality in low}, []
-    for name, other in weak.items():
-        if other is None or weak.get(other) != name:
-            what = f"is taken for {other}" if other else "is not sure"
-            sentences.append(f"{name} {what}: ten more touches of {name}, elsewhere.")
-        elif name < other:
-            what = f"{name} and {other} are taken for each other"
-            sentences.append(f"{what}: ten more touches of each, elsewhere.")
-    if few:
-        names = listed(few, _N_NAMED)
-        sentences.append(
-            f"Fewer than {_N_JUDGED} touches with contact cannot be judged: {names}."
-        )
-    return sentences

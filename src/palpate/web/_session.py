@@ -22,6 +22,8 @@ from ..recognition import (
     Evidence,
     ObjectRecogniser,
     check_strangers,
+    object_quality,
+    teaching_advice,
 )
 from ..sensors import (
     PLACE_COLUMNS,
@@ -38,9 +40,7 @@ from ._episode import LiveEpisode, TopView, archive_beside
 from ._images import ImageKind, Names, check_image
 from ._learning import (
     LearningError,
-    advice,
     learn_in_process,
-    object_quality,
     start_learning,
 )
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
@@ -215,7 +215,7 @@ class LiveSession:
     def advice(self) -> list[str]:
         """What to teach next, in sentences, as lessons and learning tell."""
         verdicts = {} if self.teacher is None else self.teacher.verdicts
-        sentences = [self.alarm, *verdicts.values(), *advice(self._quality)]
+        sentences = [self.alarm, *verdicts.values(), *teaching_advice(self._quality)]
         memory = None if self.recogniser is None else self.recogniser.memory_
         if self.watch is not None and memory and len(np.unique(memory.sessions)) == 1:
             sentences.append(ONE_SESSION)
