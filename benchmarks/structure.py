@@ -30,7 +30,7 @@ VERBS = (
     "learn|recognise|evaluate|study|simulate|explore|demo|serve|bench|doctor|benchmark|"
 )
 VERBS += "remount|sensor|data|check|library|live|record"
-OF_COMMAND_LINE = re.compile(rf"(?<![\w'-])--[a-z][a-z-]+|\bpalpate ({VERBS})\b")
+OF_COMMAND_LINE = re.compile(rf"(?<![\w'(-])--[a-z][a-z-]+|\bpalpate ({VERBS})\b")
 
 
 def main() -> None:

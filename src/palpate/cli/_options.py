@@ -247,11 +247,13 @@ def model_file(model: Path, library: Path | None = None) -> Path:
             f"{library} with touches or a model of its own. Name another --library, "
             f"or the model {library / 'model.palpate'}."
         )
-    made = datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
+    ready_file = datasets.fetch(
+        str(model), progress=lambda what: say(what, file=sys.stderr)
+    )
     if library is None:
-        return made
+        return ready_file
     library.mkdir(parents=True, exist_ok=True)
-    return Path(shutil.copyfile(made, library / "model.palpate"))
+    return Path(shutil.copyfile(ready_file, library / "model.palpate"))
 
 
 @dataclass(frozen=True)

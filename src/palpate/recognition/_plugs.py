@@ -260,6 +260,7 @@ class Modality(BaseEstimator):
             return np.zeros((len(examples), len(classes)))
         mean = np.log(np.exp(floored[:, is_asked]).mean(axis=1, keepdims=True))
         result = np.repeat(mean, len(classes), axis=1)
-        known = np.isin(classes, self.classes_)
-        result[:, known] = floored[:, np.searchsorted(self.classes_, classes[known])]
+        is_known = np.isin(classes, self.classes_)
+        columns = np.searchsorted(self.classes_, classes[is_known])
+        result[:, is_known] = floored[:, columns]
         return result
