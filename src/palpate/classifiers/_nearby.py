@@ -125,10 +125,10 @@ class NearbyTouches(BayesRule):
         group = as_groups(groups, len(touches))
         codes = np.searchsorted(self.classes_, labels)
         rows = np.flatnonzero(codes % max(1, len(self.classes_) // _CHOSEN_ON) == 0)
-        machine = KernelRidgeClassifier(max_choice_touches=_CHOSEN_BY)
-        machine.fit(touches[rows], labels[rows], groups=group[rows])
-        self.scale_ = machine.width_ / machine.unit_
-        self.ridge_ = machine.ridge_
+        regression = KernelRidgeClassifier(max_choice_touches=_CHOSEN_BY)
+        regression.fit(touches[rows], labels[rows], groups=group[rows])
+        self.scale_ = regression.width_ / regression.unit_
+        self.ridge_ = regression.ridge_
 
     def _learn_list(
         self,

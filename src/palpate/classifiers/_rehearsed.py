@@ -175,7 +175,7 @@ def rehearsed(
     codes = np.searchsorted(pool.classes_, y)
     rows = pool.left_out_rows
     left_out = np.stack([pool.left_out_, weighed.left_out_])
-    of, n_ordinary = codes[rows], len(rows)
+    label_codes, n_ordinary = codes[rows], len(rows)
     of_drawn, is_asked = _answers_of_drawn(pool, weighed, X, y, groups, weighing, drawn)
     drawn_codes = codes[drawn.rows]
     if not sessions_known and is_asked.any():
@@ -186,9 +186,9 @@ def rehearsed(
         n_each = min(n_ordinary, len(names))
         sampled, others = (_spread(n, n_each) for n in (n_ordinary, len(names)))
         left_out = np.concatenate([left_out[:, sampled], invented[:, others]], axis=1)
-        of = np.concatenate([of[sampled], names[others]])
+        label_codes = np.concatenate([label_codes[sampled], names[others]])
     finite = np.isfinite(left_out).all(axis=(0, 2))
-    weights = pool_weights(np.maximum(left_out[:, finite], -30.0), of[finite])
+    weights = pool_weights(np.maximum(left_out[:, finite], -30.0), label_codes[finite])
     share = float(weights[1] / max(weights.sum(), 1e-12))
     if share < LEAST_SHARE:
         share = 0.0
@@ -254,10 +254,10 @@ def _answers_of_drawn(
             touches, others = X[learnt], test_features
             if matrix is not None:
                 touches, others = touches @ matrix, others @ matrix
-            again = copy(machines).refit(touches, y[learnt], groups=groups[learnt])
-            columns = np.searchsorted(pool.classes_, again.classes_)
+            refitted = copy(machines).refit(touches, y[learnt], groups=groups[learnt])
+            columns = np.searchsorted(pool.classes_, refitted.classes_)
             row = np.full((len(others), len(pool.classes_)), -30.0)
-            row[:, columns] = again.log_likelihood(others)
+            row[:, columns] = refitted.log_likelihood(others)
             answers[kind][:, rows] = row.reshape(n_sessions, int(rows.sum()), -1)
     return log_softmax(answers, axis=-1), is_asked
 

@@ -260,11 +260,11 @@ class FromProbabilities(BayesRule):
             test = np.flatnonzero(fold_of == fold)
             if len(np.unique(self.labels_[train])) < 2:
                 continue
-            again = clone(self.classifier).fit(
+            refitted = clone(self.classifier).fit(
                 self.touches_[train], self.labels_[train]
             )
-            columns = np.searchsorted(self.classes_, again.classes_)
-            log_probability = _log_probability(again, self.touches_[test])
+            columns = np.searchsorted(self.classes_, refitted.classes_)
+            log_probability = _log_probability(refitted, self.touches_[test])
             result[np.ix_(test, columns)] = log_probability
         return result
 

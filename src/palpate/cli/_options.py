@@ -636,8 +636,10 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
     }
     flat: list[Parameter] = []
     for name, parameter in taken.items():  # those of a dataclass are its own fields
-        of = _options_of(groups[name]) if name in groups else None
-        flat += [p.replace(kind=Parameter.KEYWORD_ONLY) for p in of or [parameter]]
+        group_options = _options_of(groups[name]) if name in groups else None
+        flat += [
+            p.replace(kind=Parameter.KEYWORD_ONLY) for p in group_options or [parameter]
+        ]
 
     @wraps(verb)
     def run(**values: Any) -> None:

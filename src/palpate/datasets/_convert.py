@@ -124,12 +124,12 @@ def _matching(files: Mapping[str, Member], pattern: str) -> list[tuple[Groups, M
 
 def _column(rows: list[Groups], how: Rule) -> Array:
     """Fill the templates of a column from the groups of each path."""
-    of, kind = how["of"], how["type"]
-    if isinstance(of, list):
+    source, kind = how["of"], how["type"]
+    if isinstance(source, list):
         return np.array(
-            [[int(template.format(**g)) for template in of] for g in rows], kind
+            [[int(template.format(**g)) for template in source] for g in rows], kind
         )
-    texts = [of.format(**groups) for groups in rows]
+    texts = [source.format(**groups) for groups in rows]
     if not kind.startswith("<U"):
         return np.array([int(text) + how.get("add", 0) for text in texts], kind)
     texts_kept = [text.lower() if "lower" in how else text for text in texts]

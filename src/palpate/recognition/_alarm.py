@@ -174,8 +174,8 @@ class _Usual:
     @property
     def objects(self) -> tuple[Indices, Indices]:
         """The labels that were left out, and which of them each touch is."""
-        names, of = np.unique(self.codes, return_inverse=True)
-        return names, of
+        names, object_codes = np.unique(self.codes, return_inverse=True)
+        return names, object_codes
 
     def as_known(self, looks: Floats) -> Floats:
         """Return looks, or zeros where training touches kept none."""
@@ -193,10 +193,12 @@ class _Usual:
         away, n_labels = _means(self.away, rows, counts), len(self.means)
         of_own = counts * self.posterior[rows, self.codes[rows]]
         draw = np.arange(len(rows))[:, np.newaxis]
-        pairs, of = np.unique(draw * n_labels + self.codes[rows], return_inverse=True)
-        of, label = of.reshape(rows.shape), pairs % n_labels
+        pairs, pair_codes = np.unique(
+            draw * n_labels + self.codes[rows], return_inverse=True
+        )
+        pair_codes, label = pair_codes.reshape(rows.shape), pairs % n_labels
         used = counts > 0
-        met = np.unique(np.stack([of[used], self.blocks[rows][used]]), axis=1)
+        met = np.unique(np.stack([pair_codes[used], self.blocks[rows][used]]), axis=1)
         of_blocks, in_blocks = self.sums_of_blocks
         which = csr_array(
             (np.ones(met.shape[1]), (met[0], met[1])), (len(pairs), len(in_blocks))
@@ -205,7 +207,7 @@ class _Usual:
         others = self.sums[0][label] - which @ of_blocks
         others /= np.maximum(rest, 1)[:, np.newaxis]
         change = np.where(rest[:, np.newaxis] > 0, others - self.means[label], 0.0)
-        weight = np.bincount(of.ravel(), of_own.ravel(), len(pairs))
+        weight = np.bincount(pair_codes.ravel(), of_own.ravel(), len(pairs))
         np.subtract.at(away, pairs // n_labels, weight[:, np.newaxis] * change)
         return away
 
@@ -230,9 +232,11 @@ class _Usual:
         beside it where it has too few touches. Rows (N_LIKE, n_drawn), and what each
         counts in the mean of its draw.
         """
-        rng, (names, of) = np.random.default_rng(seed), self.objects
+        rng, (names, object_codes) = np.random.default_rng(seed), self.objects
         count = np.exp(rng.uniform(0, np.log(len(names)), (N_DRAWS, 1))).round()
-        chosen = (rng.random((N_DRAWS, len(names))).argsort(axis=1) < count)[:, of]
+        chosen = (rng.random((N_DRAWS, len(names))).argsort(axis=1) < count)[
+            :, object_codes
+        ]
         begin = (chosen * rng.random(chosen.shape)).argmax(axis=1)
         place = np.abs(self.runs - self.runs[begin, np.newaxis])
         near = chosen & (place < NEIGHBOURS)
@@ -257,12 +261,13 @@ class _Usual:
 
 
 def _sums(
-    of: Indices, rows: Indices, features: Floats, looks: Floats
+    group_codes: Indices, rows: Indices, features: Floats, looks: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the sums of rows' features and looks by what they are `of`, and counts."""
-    counts = np.bincount(of[rows], minlength=of.max() + 1)
+    """Return the sums of rows' features and looks by `group_codes`, and counts."""
+    counts = np.bincount(group_codes[rows], minlength=group_codes.max() + 1)
     which = csr_array(
-        (np.ones(len(rows)), (of[rows], rows)), shape=(len(counts), len(of))
+        (np.ones(len(rows)), (group_codes[rows], rows)),
+        shape=(len(counts), len(group_codes)),
     )
     sums = [np.asarray(which @ part) for part in (features, looks)]
     return np.hstack(sums), counts.astype(float)
@@ -329,9 +334,11 @@ def rim_moved(encoder: AnyEncoder, touches: Touches) -> list[str]:
     crop = encoder.clean_up_
     if not isinstance(crop, DomeCrop) or not crop.has_rim_:
         return []
-    there: Any = wrapped(encoder).encoder.before_another_camera(touches).clean_up_
-    away = np.hypot(there.rim_row_ - crop.rim_row_, there.rim_col_ - crop.rim_col_)
-    larger = there.rim_radius_ / crop.rim_radius_ - 1
+    crop_now: Any = wrapped(encoder).encoder.before_another_camera(touches).clean_up_
+    away = np.hypot(
+        crop_now.rim_row_ - crop.rim_row_, crop_now.rim_col_ - crop.rim_col_
+    )
+    larger = crop_now.rim_radius_ / crop.rim_radius_ - 1
     if max(away / crop.rim_radius_, abs(larger)) <= RIM_MOVED:
         return []
     size = f"{100 * abs(larger):.0f} % {'larger' if larger > 0 else 'smaller'}"

@@ -93,9 +93,11 @@ def draw_episodes(
     for rows in each:
         place = rng.random((in_all // len(each), len(rows)))
         if blocks is not None:
-            of = np.unique(blocks[rows], return_inverse=True)[1]
-            n_blocks = of.max() + 1
-            place += (of - rng.integers(n_blocks, size=(len(place), 1))) % n_blocks
+            block_codes = np.unique(blocks[rows], return_inverse=True)[1]
+            n_blocks = block_codes.max() + 1
+            place += (
+                block_codes - rng.integers(n_blocks, size=(len(place), 1))
+            ) % n_blocks
         order = rows[np.argsort(place, axis=1)[:, :longest]]
         over = ((0, 0), (0, longest - order.shape[1]))
         drawn.append(np.pad(order, over, constant_values=-1))

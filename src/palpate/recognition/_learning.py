@@ -309,11 +309,11 @@ def _left_out_scores(
         train, test = fold != k, fold == k
         if not test.any() or len(np.unique(labels[train])) < 2:
             continue
-        again = preset.classifier(encoder).fit(features[train], labels[train])
-        columns = np.searchsorted(classes, again.classes_)
-        row = np.full((int(test.sum()), len(classes)), -np.inf)
-        row[:, columns] = again.log_likelihood(features[test])
-        log_posterior[test] = with_floor(row, 0.01)
+        classifier = preset.classifier(encoder).fit(features[train], labels[train])
+        columns = np.searchsorted(classes, classifier.classes_)
+        log_likelihood = np.full((int(test.sum()), len(classes)), -np.inf)
+        log_likelihood[:, columns] = classifier.log_likelihood(features[test])
+        log_posterior[test] = with_floor(log_likelihood, 0.01)
     codes = np.searchsorted(classes, labels)
     hit = log_posterior.argmax(axis=1) == codes
     loss = -log_posterior[np.arange(len(codes)), codes].mean()

@@ -190,12 +190,12 @@ class Learnt:
 
     def refitted(self, memory: Memory) -> TouchClassifier:
         """Return the classifier, learnt anew from a memory; its choices stay."""
-        again, blocks = copy(self.classifier), memory.blocks
+        refitted, blocks = copy(self.classifier), memory.blocks
         more = {}
         if self.takes_weights and (memory.weights != 1).any():
             more["weights"] = memory.weights
         with on_one_thread():
-            return again.refit(memory.features, memory.labels, groups=blocks, **more)
+            return refitted.refit(memory.features, memory.labels, groups=blocks, **more)
 
     @property
     def takes_weights(self) -> bool:

@@ -233,10 +233,10 @@ class Modality(BaseEstimator):
         self.scaler_ = StandardScaler().fit(examples)
         scaled = self.scaler_.transform(examples)
         group = np.arange(len(labels)) if groups is None else np.asarray(groups)
-        machine: Any = KernelRidgeClassifier()
+        classifier: Any = KernelRidgeClassifier()
         if self.classifier is not None:
-            machine = FromProbabilities(self.classifier)
-        self.classifier_ = machine.fit(scaled, labels, groups=group)
+            classifier = FromProbabilities(self.classifier)
+        self.classifier_ = classifier.fit(scaled, labels, groups=group)
         self.classes_ = names
         self.sequence_calibration_ = fit_sequence_calibration(
             with_floor(left_out_log_likelihood(self.classifier_), self.floor),

@@ -187,15 +187,15 @@ def _replays(
     rng = np.random.default_rng(seed)
     for learnt, left_out in halves(memory.labels, memory.blocks, drawn.rows):
         taught = memory.features[learnt], memory.labels[learnt], memory.blocks[learnt]
-        again = copy(pool).refit(*taught)
-        codes = np.searchsorted(again.classes_, taught[1])
+        refitted = copy(pool).refit(*taught)
+        codes = np.searchsorted(refitted.classes_, taught[1])
         to_compare = _sessions.Taught(taught[0], codes, parts)
         for session in drawn.features[1:] if len(left_out) > 1 else ():
             order = rng.permutation(left_out)
-            features, of = session[order], memory.labels[drawn.rows[order]]
-            code = np.searchsorted(again.classes_, of[:1])
+            features, true_labels = session[order], memory.labels[drawn.rows[order]]
+            code = np.searchsorted(refitted.classes_, true_labels[:1])
             shift = _sessions.shift_by_labels(features[:1], code, to_compare)
-            yield _Replay(again, taught, features, of, shift)
+            yield _Replay(refitted, taught, features, true_labels, shift)
 
 
 def _trust_in_one(replays: Sequence[_Replay]) -> float:

@@ -86,21 +86,25 @@ def remounted(
     shift = trust * _shift(learnt, features[counts], confirmed)
     if labels is None and not report.get("centred", True):
         shift = np.zeros_like(shift)
-    there = wrapped(learnt.encoder).shifted(shift)
+    remounted_encoder = wrapped(learnt.encoder).shifted(shift)
     report |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
     left = np.ones(len(learnt.classes), dtype=bool)
     if confirmed is not None:
         report["trust"] = trust
         left = ~np.isin(learnt.classes, confirmed)
     report["confirm"] = learnt.classes[left].astype(str).tolist()
-    report["broken"] = 0 if there.broken is None else int(there.broken.sum())
+    report["broken"] = (
+        0 if remounted_encoder.broken is None else int(remounted_encoder.broken.sum())
+    )
     variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     report["moved"] = float((shift**2).sum() / variance)
-    learnt = replace(learnt, encoder=there)
+    learnt = replace(learnt, encoder=remounted_encoder)
     if labels is None or not trust:
         return learnt, report
     objects = labels if new.object is None else new.object
-    encoding = replace(encoding, features=features + shift, looks=there.look(new))
+    encoding = replace(
+        encoding, features=features + shift, looks=remounted_encoder.look(new)
+    )
     one_group = np.zeros(len(new), dtype=np.intp)
     joined = memory_of(new, encoding, labels, objects, one_group)
     joined, report["weight"] = _weighed_by_themselves(learnt, joined, trust**2)
@@ -126,12 +130,12 @@ def _weighed_by_themselves(
     for step in range(N_WEIGHTS):
         each = np.full(n_new, most * WEIGHT_STEP**-step)
         memory = learnt.memory.plus(replace(by_itself, weights=each))
-        again = learnt.refitted(memory)
-        log_posterior = log_softmax(left_out_log_likelihood(again), axis=1)
-        rows = again.left_out_rows
-        of = np.flatnonzero(rows >= n_before)
-        of = of[counts[rows[of] - n_before]]
-        of_truth = log_posterior[of, codes[rows[of] - n_before]]
+        refitted = learnt.refitted(memory)
+        log_posterior = log_softmax(left_out_log_likelihood(refitted), axis=1)
+        rows = refitted.left_out_rows
+        places = np.flatnonzero(rows >= n_before)
+        places = places[counts[rows[places] - n_before]]
+        of_truth = log_posterior[places, codes[rows[places] - n_before]]
         loss = step**2 / 2 - of_truth.sum()
         if loss >= best:
             break
@@ -168,9 +172,11 @@ def _as_taught(
         return kept, 1.0
     if kept.clean_up_ is None:
         labels_of = np.zeros(len(new)) if labels is None else labels
-        of = memory.labels[learnt.counted]
+        counted_labels = memory.labels[learnt.counted]
         ratios = [
-            np.median(taught[slice(None) if labels is None else of == name, -1])
+            np.median(
+                taught[slice(None) if labels is None else counted_labels == name, -1]
+            )
             - np.median(seen[labels_of == name, -1])
             for name in np.unique(labels_of)
         ]
@@ -263,11 +269,11 @@ def _right_elsewhere(learnt: Learnt, met_elsewhere: Bools) -> Bools:
         met = np.unique(np.unique(pairs, axis=1)[0], return_counts=True)[1]
         if met.min() < 2:  # one session is left: its blocks
             groups = blocks_in_order(objects)
-        machine, taught = clone(learnt.classifier), memory.features[others]
+        classifier, taught = clone(learnt.classifier), memory.features[others]
         with on_one_thread():
-            machine.fit(taught, memory.labels[others], groups=groups)
-        best = machine.log_likelihood(memory.features[tested]).argmax(axis=1)
-        right.append(machine.classes_[best] == memory.labels[tested])
+            classifier.fit(taught, memory.labels[others], groups=groups)
+        best = classifier.log_likelihood(memory.features[tested]).argmax(axis=1)
+        right.append(classifier.classes_[best] == memory.labels[tested])
     return np.concatenate(right)
 
 
@@ -332,11 +338,11 @@ def without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
         return learnt, {**report, "centred": False, "weighed": False}
     gain = loss["centred"] - loss["weighed"] if may_weigh else np.zeros(1)
     weighs = bool(gain.mean() > LEAST_GAIN)
-    there = replace(memory, features=centred)
+    centred_memory = replace(memory, features=centred)
     if weighs:
-        learnt = _weighed_down(replace(learnt, memory=there), pairs)
+        learnt = _weighed_down(replace(learnt, memory=centred_memory), pairs)
     else:
-        learnt = learnt.relearnt(there)
+        learnt = learnt.relearnt(centred_memory)
     return learnt, {**report, "centred": True, "weighed": weighs}
 
 
@@ -386,9 +392,9 @@ def _log_likelihood_of_left_out_sessions(
 ) -> tuple[Floats, Indices]:
     """Return what touches are taken for, their session left out, and which."""
     memory = learnt.memory
-    of = np.unique(memory.sessions, return_inverse=True)[1]
-    again = learnt.refitted(replace(memory, features=features, blocks=of))
-    return left_out_log_likelihood(again), again.left_out_rows
+    session_codes = np.unique(memory.sessions, return_inverse=True)[1]
+    refitted = learnt.refitted(replace(memory, features=features, blocks=session_codes))
+    return left_out_log_likelihood(refitted), refitted.left_out_rows
 
 
 def _met_elsewhere(memory: Memory) -> Array:

@@ -119,19 +119,19 @@ def session_effects(features: Floats, codes: Array, sessions: Array) -> Floats:
     sessions in which nothing was met that others met add nothing; their mean over
     touches is 0.
     """
-    of = np.unique(sessions, return_inverse=True)[1].ravel()
+    session_codes = np.unique(sessions, return_inverse=True)[1].ravel()
     which = np.unique(codes, return_inverse=True)[1].ravel()
-    counts = np.zeros((which.max() + 1, of.max() + 1))
-    np.add.at(counts, (which, of), 1.0)
+    counts = np.zeros((which.max() + 1, session_codes.max() + 1))
+    np.add.at(counts, (which, session_codes), 1.0)
     n_each = counts.sum(axis=1, keepdims=True)
     # What objects explain is taken out of the normal equations of the sessions, as they
     # are linked: one of several that were met with others apart from all else is free.
     share = counts / n_each
     normal = np.diag(counts.sum(axis=0)) - counts.T @ share
-    sums = np.zeros((of.max() + 1, features.shape[1]))
-    np.add.at(sums, of, features - group_means(features, which)[which])
+    sums = np.zeros((session_codes.max() + 1, features.shape[1]))
+    np.add.at(sums, session_codes, features - group_means(features, which)[which])
     effects = np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ sums
-    effects = effects[of]
+    effects = effects[session_codes]
     return np.asarray(effects - effects.mean(axis=0))
 
 
@@ -148,10 +148,12 @@ def between_sessions(
     rows = []
     for number in range(thing.max() + 1):
         rows_of_thing = np.flatnonzero(thing == number)
-        of = np.unique(sessions[rows_of_thing], return_inverse=True)[1]
-        if of.max():
-            means = group_means(features[rows_of_thing], of)
-            rows.append((means - means.mean(axis=0)) * np.sqrt(len(means) / of.max()))
+        session_codes = np.unique(sessions[rows_of_thing], return_inverse=True)[1]
+        if session_codes.max():
+            means = group_means(features[rows_of_thing], session_codes)
+            rows.append(
+                (means - means.mean(axis=0)) * np.sqrt(len(means) / session_codes.max())
+            )
     return np.concatenate(rows) if rows else np.empty((0, features.shape[1]))
 
 
