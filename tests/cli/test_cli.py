@@ -513,6 +513,7 @@ def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
     assert str(tmp_path / "there" / "rest.png") in "".join(done.stderr.split("\n"))
 
 
+@pytest.mark.slow
 def test_levels_of_folders_are_named(palpate, tmp_path):
     rng = np.random.default_rng(0)
     for name, level in (("mug", 60), ("pen", 150)):

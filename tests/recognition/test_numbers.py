@@ -17,6 +17,7 @@ PRESETS = ("default", "corradi2015", "liu2014")
 GEOMETRIES = ("dome", "array", "none")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 @pytest.mark.parametrize("preset", PRESETS)
 def test_levels_too_large_to_add_up_are_refused(preset, geometry):

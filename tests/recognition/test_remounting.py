@@ -404,6 +404,7 @@ def pressed(_pressed):
     return deepcopy(_pressed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("labelled", [False, True])
 @pytest.mark.parametrize("gain", [0.4, 2.5])
 def test_the_gain_of_an_array_is_found_and_taken_off(pressed, gain, labelled):

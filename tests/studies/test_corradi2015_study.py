@@ -121,6 +121,7 @@ def test_the_same_seed_gives_the_same_figures(result, monkeypatch):
     assert again["unseen"] == result["unseen"]
 
 
+@pytest.mark.slow
 def test_tables_pictures_and_report(result, tmp_path, monkeypatch):
     drawn = pictures(result)
     monkeypatch.setattr("palpate.studies.corradi2015.pictures", lambda _: drawn)

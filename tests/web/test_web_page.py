@@ -286,6 +286,7 @@ def test_the_token_is_asked_for_and_then_known(page, make_session, serving):
         expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
 
 
+@pytest.mark.slow
 def test_a_server_that_starts_again_is_found_if_the_token_is_the_same(
     page, make_session, serving
 ):

@@ -170,6 +170,7 @@ def test_what_is_said_covers_nothing(page, taught, serving, width):
             )
 
 
+@pytest.mark.slow
 def test_a_name_that_says_nothing_is_refused_in_one_sentence(
     page, make_session, serving
 ):
