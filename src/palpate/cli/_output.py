@@ -136,10 +136,6 @@ def counted(number: int, what: str = "touch", many: str = "") -> str:
     return f"{number} {what if number == 1 else more}"
 
 
-def percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.1f}"
-
-
 @contextmanager
 def stages() -> Iterator[Callable[[str], None]]:
     """Show the present stage of long work with a running clock, on standard error.

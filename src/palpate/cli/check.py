@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ._options import AsJson, Reading, Report, TouchesPath, grouped
-from ._output import answer, as_typed, counted, percent, say, stages, table
+from ._output import answer, as_typed, counted, say, stages, table
 
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
@@ -231,8 +231,9 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     for name, control in checked["alone"].items():
         if control["right"] > control["chance"] + (1 - control["chance"]) / 3:
             split = "session" if most_sessions > 1 else "last"
+            right = f"{100 * control['right']:.1f} %"
             advice.append(
-                f"{name} alone, which is no touch, names {percent(control['right'])} % "
+                f"{name} alone, which is no touch, names {right} "
                 "right: record objects in turns, not one after the other, and look at "
                 f"the controls of `palpate evaluate --split {split}`"
             )
@@ -324,8 +325,8 @@ def _print(checked: dict[str, Any]) -> None:
 
 def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:
     return [
-        f"{name} alone would name {percent(control['right'])} % of each object's last "
-        f"touches right (chance {percent(control['chance'])} %)."
+        f"{name} alone would name {100 * control['right']:.1f} % of each object's last "
+        f"touches right (chance {100 * control['chance']:.1f} %)."
         for name, control in alone.items()
     ]
 

@@ -90,8 +90,7 @@ def record_touches(
     library: Path,
     name: str,
     touches: int,
-    session_name: str | None = None,
-    timeout_s: float = 120.0,
+    session_name: str | None,
 ) -> int:
     """Record touches of one object from a sensor; return how many there were."""
     from ..web import LiveSession
@@ -100,7 +99,7 @@ def record_touches(
         need_baseline(session)
         assert session.teacher is not None
         session.teacher.begin_session("", session_name)
-        return _lesson(session, " ".join(name.split()), touches, timeout_s)
+        return _lesson(session, " ".join(name.split()), touches, 120.0)
 
 
 def _place_again(session: "LiveSession") -> None:

@@ -424,9 +424,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         "<p class=note>First: mean and one standard deviation over objects (over folds "
         "where there are several). Dashed: what nuisance values achieve by themselves."
         " Second: a belief of 0.9 should be right nine times in ten.</p>"
-        + html_table(
-            "", ["after touches", *figures["accuracy"]], _figure_lines(figures)
-        )
+        + html_table("", _columns(figures), _figure_lines(figures))
         + _lines(figures["notes"])
     )
 

@@ -222,11 +222,11 @@ def _parts(picked: StoredTouches, places: Iterable[Indices]) -> Iterator[Touches
         yield Touches(touches.images, **columns, **wide, **touches.whole)
 
 
-def _write_tables(path: Path, tables: Iterator[Any], **options: Any) -> None:
+def _write_tables(path: Path, tables: Iterator[Any]) -> None:
     """Write tables of one schema into one Parquet file, one row group each."""
     pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
     first = next(tables)
-    with pq.ParquetWriter(path, first.schema, **options) as writer:
+    with pq.ParquetWriter(path, first.schema) as writer:
         for table in chain([first], tables):
             writer.write_table(table.cast(first.schema))
 

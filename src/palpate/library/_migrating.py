@@ -38,6 +38,7 @@ from ._content import (
     wide_identity,
 )
 from ._repairing import enter_all
+from ._rows import OBJECT_NAMES
 from ._store import (
     FILE_NAME,
     OLD_VERSIONS,
@@ -60,9 +61,7 @@ _ROWS = (
 # What both formats say of each touch, to be compared at the end.
 _STATE = (
     "SELECT t.number, t.id, o.name, json_extract(c.content, '$.reason') FROM touches t "
-    "LEFT JOIN objects given ON given.id = t.object "
-    "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
-    "LEFT JOIN changes c ON c.id = t.retraction ORDER BY t.number"
+    f"{OBJECT_NAMES} LEFT JOIN changes c ON c.id = t.retraction ORDER BY t.number"
 )
 
 

@@ -96,15 +96,15 @@ class StoredTouches:
 
     def ids(self) -> list[bytes]:
         """Return the id of each touch."""
-        sql = "SELECT id FROM touches WHERE number IN (?) ORDER BY number"
-        rows = self.tables.store.among(sql, self.numbers.tolist())
-        return [row[0] for row in rows]
+        return self._cells("id")
 
     def recordings(self) -> list[int]:
         """Return the key of each touch's recording."""
-        sql = "SELECT recording FROM touches WHERE number IN (?) ORDER BY number"
-        rows = self.tables.store.among(sql, self.numbers.tolist())
-        return [row[0] for row in rows]
+        return self._cells("recording")
+
+    def _cells(self, column: str) -> list[Any]:
+        sql = f"SELECT {column} FROM touches WHERE number IN (?) ORDER BY number"
+        return [row[0] for row in self.tables.store.among(sql, self.numbers.tolist())]
 
     def channels(self) -> tuple[str, ...] | None:
         """Return the names of the images' channels, or None without such an axis."""

@@ -21,7 +21,14 @@ from ._changes import Change, enter_change, is_sound
 from ._checking import LEFT_OUT, check_store, next_rows, touch_fault
 from ._content import Batch
 from ._reading import stored_array
-from ._rows import StoredTouch, Tables, packed_images, plain_values, write_rows
+from ._rows import (
+    RECORDED,
+    StoredTouch,
+    Tables,
+    packed_images,
+    plain_values,
+    write_rows,
+)
 from ._store import (
     DAMAGED,
     FILE_NAME,
@@ -313,7 +320,7 @@ def batch_again(tables: Tables, rows: list[StoredTouch]) -> Batch:
         value["object"] = row.label
     stored = [image for part in packed_images(tables, rows) for image in part.images]
     n_rows, n_cols, *n_channels = recording.image_shape
-    described = {name: getattr(recording, name) for name in _DESCRIBED}
+    described = {name: getattr(recording, name) for name in RECORDED}
     sizes = {"n_rows": n_rows, "n_cols": n_cols, "n_channels": (*n_channels, None)[0]}
     return Batch(
         layout,
@@ -333,9 +340,6 @@ def _array(tables: Tables, digest: str) -> Array | None:
         return stored_array(tables, digest)
     except LibraryError:
         return None
-
-
-_DESCRIBED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
 
 
 def backup_library(store: Store, folder: Path, *, progress: bool | None = None) -> int:

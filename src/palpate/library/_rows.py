@@ -47,18 +47,16 @@ Numbers = NDArray[np.int64]
 LOST = b""  # an array that a repair did not find whole
 _SHOWN = 20  # ids of a message that are listed
 _BYTES_AT_ONCE = 64 * 2**20  # of images, some MiB in memory
-_RECORDED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
+RECORDED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
 _SIZES = ("n_rows", "n_cols", "n_channels", "dtype", "whole")
-FROM = (
-    "FROM touches t JOIN recordings r ON r.id = t.recording "
+# The name of each touch's object today, after merges.
+OBJECT_NAMES = (
     "LEFT JOIN objects given ON given.id = t.object "
     "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
 )
+FROM = f"FROM touches t JOIN recordings r ON r.id = t.recording {OBJECT_NAMES}"
 _LISTED = ", ".join(f't."{name}"' for name in CELLS[1:])
-_NAMED = (
-    "FROM touches t LEFT JOIN objects given ON given.id = t.object "
-    "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id)"
-)
+_NAMED = f"FROM touches t {OBJECT_NAMES}"
 _INSERT = (
     "INSERT INTO touches (number, id, label, object, layout, recording, added_s, "
     'image, content, digest, extra, category, session, episode, sensor, "order", '
@@ -115,7 +113,7 @@ class Tables:
 
     def recording(self, key: int) -> Recording:
         if key not in self._recordings:
-            columns = ", ".join((*_RECORDED, *_SIZES))
+            columns = ", ".join((*RECORDED, *_SIZES))
             sql = f"SELECT digest, {columns} FROM recordings WHERE id = ?"
             row = self.store.first_row(sql, [key])
             if row is None or digest_of(row[1:]) != row[0]:
@@ -404,7 +402,7 @@ def plain_cells(batch: Batch) -> tuple[list[list[Any]], list[str | None]]:
 
 
 def _recording_row(recording: dict[str, Any]) -> dict[str, Any]:
-    row = {name: recording[name] for name in (*_RECORDED, *_SIZES)}
+    row = {name: recording[name] for name in (*RECORDED, *_SIZES)}
     row["whole"] = canonical(recording["whole"])
     return {**row, "digest": digest_of(row.values())}
 

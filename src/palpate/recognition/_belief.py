@@ -576,8 +576,8 @@ class Belief:
 
     def _two_best(self) -> tuple[str, str]:
         order = np.argsort(-self.log_posterior, kind="stable")[:2]
-        best, rival = self._model.classes[order]
-        return str(best), str(rival)
+        best, rival = self._model.classes[order].tolist()
+        return best, rival
 
     def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:
         """Return the touches that moved the belief most, and what they resemble.
