@@ -209,6 +209,13 @@ def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     )
     assert code == 1
     assert re.search(r"must be learnt on in a library that is not there.*desk", err)
+    # A sensor that was not there costs nothing: the same library is begun again.
+    later, absent = tmp_path / "later", "serial:/dev/nowhere?shape=10x10"
+    code, _, err = palpate("live", "sim-array", "--sensor", absent, "--library", later)
+    assert code == 1
+    assert "library" not in err
+    assert served("sim-array", "--library", later)[0] == 0
+    assert used.pop() == later / "model.palpate"
     assert served("sim-array")[0] == served(path, "--library", tmp_path / "new")[0] == 0
     assert used == [copy, path, path]
 

@@ -7,7 +7,6 @@ the help under the dataclass's `PANEL`.
 
 import os
 import re
-import shutil
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
@@ -231,29 +230,31 @@ def model_file(model: Path, library: Path | None = None) -> Path:
     """
     from .. import datasets
     from .._checks import did_you_mean, nearest_path
+    from .._durable import replacing
 
     if model.exists():
         return model
-    ready = datasets.ready_models()
-    if str(model) not in ready:
-        if not nearest_path(model) and (near := did_you_mean(model, ready)):
+    names = datasets.ready_models()
+    if str(model) not in names:
+        if not nearest_path(model) and (near := did_you_mean(model, names)):
             raise ValueError(f"There is no model file {model}.{near}")
         return model
-    if library is not None and any(
-        (library / name).exists() for name in ("model.palpate", "library.sqlite")
+    ready = datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
+    if library is None:
+        return ready
+    copy, content = library / "model.palpate", ready.read_bytes()
+    if (library / "library.sqlite").exists() or (
+        copy.exists() and copy.read_bytes() != content
     ):
         raise ValueError(
             f"{model} must be learnt on in a library that is not there yet, got "
             f"{library} with touches or a model of its own. Name another --library, "
-            f"or the model {library / 'model.palpate'}."
+            f"or the model {copy}."
         )
-    ready_file = datasets.fetch(
-        str(model), progress=lambda what: say(what, file=sys.stderr)
-    )
-    if library is None:
-        return ready_file
     library.mkdir(parents=True, exist_ok=True)
-    return Path(shutil.copyfile(ready_file, library / "model.palpate"))
+    with replacing(copy) as file:
+        file.write(content)
+    return copy
 
 
 @dataclass(frozen=True)
