@@ -13,9 +13,11 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass, replace
+from filecmp import cmp
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
+from shutil import copyfileobj
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, get_args
 from warnings import catch_warnings, simplefilter
 
@@ -242,19 +244,19 @@ def model_file(model: Path, library: Path | None = None) -> Path:
     ready = datasets.fetch(str(model), progress=lambda what: say(what, file=sys.stderr))
     if library is None:
         return ready
-    copy, content = library / "model.palpate", ready.read_bytes()
+    in_library = library / "model.palpate"
     if (library / "library.sqlite").exists() or (
-        copy.exists() and copy.read_bytes() != content
+        in_library.exists() and not cmp(in_library, ready, shallow=False)
     ):
         raise ValueError(
             f"{model} must be learnt on in a library that is not there yet, got "
             f"{library} with touches or a model of its own. Name another --library, "
-            f"or the model {copy}."
+            f"or the model {in_library}."
         )
     library.mkdir(parents=True, exist_ok=True)
-    with replacing(copy) as file:
-        file.write(content)
-    return copy
+    with ready.open("rb") as file, replacing(in_library) as whole:
+        copyfileobj(file, whole)
+    return in_library
 
 
 @dataclass(frozen=True)
