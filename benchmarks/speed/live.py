@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate._types import Array
+from palpate._types import Array, PresetName
 from palpate.library import TouchLibrary
-from palpate.recognition import ObjectRecogniser, PresetName
+from palpate.recognition import ObjectRecogniser
 from palpate.touches import Touches, decode_bytes
 
 from . import N_COLS, N_ROWS, Row, coded, drawn_dome, one_thread, row, wall_ms

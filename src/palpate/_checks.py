@@ -13,7 +13,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._types import Floats
+from ._types import Floats, Indices
 
 # Squares of larger numbers, and sums of them, leave double precision; sums of a few
 # larger levels leave single precision.
@@ -21,6 +21,8 @@ LARGEST_TO_SQUARE = 1e150
 LARGEST_LEVEL = 1e37
 # An image of a longer side is a camera's, made of pixels; others are of an array.
 ARRAY_SIDE = 48
+# Text and whole numbers, which are labels without scikit-learn looking at each.
+PLAIN_LABELS = "biuSU"
 
 
 # Line breaks, and what a terminal would obey: control characters.
@@ -266,6 +268,27 @@ def check_label_kinds(y: ArrayLike) -> None:
             f"y must hold labels of one kind, got {' and '.join(first)}: {shown}. Make "
             "all of them text, and leave out touches without a label."
         )
+
+
+def check_targets(labels: NDArray[Any]) -> None:
+    """Refuse labels (n_touches,) that are no classes, as scikit-learn does."""
+    if labels.dtype.kind not in PLAIN_LABELS:
+        from sklearn.utils.multiclass import check_classification_targets
+
+        check_classification_targets(labels)
+
+
+def as_groups(groups: ArrayLike | None, n_touches: int) -> Indices:
+    """Return the number of each training touch's group; by default its own."""
+    if groups is None:
+        return np.arange(n_touches)
+    numbers = np.asarray(groups)
+    if numbers.shape != (n_touches,):
+        raise ValueError(
+            f"groups must have one entry per training touch ({n_touches}), "
+            f"got shape {numbers.shape}."
+        )
+    return np.asarray(np.unique(numbers, return_inverse=True)[1])
 
 
 def _label_kind(label: object) -> str:

@@ -1,4 +1,4 @@
-"""Sums of exponentials, for the millions of small ones between a touch and a belief."""
+"""Sums of exponentials and the like: small sums, millions of which make a belief."""
 
 import cv2
 import numpy as np
@@ -77,3 +77,16 @@ def log_loss(logits: Floats, codes: Array, shares: Floats) -> tuple[float, Float
     logits *= (shares / total)[:, np.newaxis]
     logits[each, codes] -= shares
     return float(loss), logits
+
+
+def correlation(images: Array, idle: Array) -> Floats:
+    """Return the correlation of each image with one, 0 for even ones, (n_touches,)."""
+    centred_idle = idle.ravel().astype(np.float64)
+    centred_idle -= centred_idle.mean()
+    correlations = np.zeros(len(images))
+    for number, image in enumerate(images):  # one at a time, it stays in the cache
+        flat = image.ravel().astype(np.float64)
+        flat -= flat.mean()
+        norm = np.linalg.norm(flat) * np.linalg.norm(centred_idle)
+        correlations[number] = flat @ centred_idle / norm if norm > 0 else 0.0
+    return correlations

@@ -1,6 +1,6 @@
-"""Names for arrays that signatures in every room share."""
+"""Names of types that signatures in every subpackage share."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,3 +11,7 @@ Singles = NDArray[np.float32]
 Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+# Values of arguments that several subpackages, and options of the command line, take.
+Label = Literal["object", "category"]
+PresetName = Literal["default", "corradi2015", "liu2014"]
+Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
+from palpate._page import png_address
 from palpate.evaluation import (
     Plan,
     decide_episodes,
@@ -16,7 +17,6 @@ from palpate.evaluation import (
     summary,
     write_report,
 )
-from palpate.touches import png_address
 
 NAMES = ("bowl", "key", "mug", "pen")
 PLAN = Plan(touches=(1, 3), orders=6, error=0.2, seed=3)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, _contact, correlation
+from palpate._numbers import correlation
+from palpate.recognition import ObjectRecogniser, _contact
 
 NAMES = ["block"] * 12 + ["bar"] * 12
 PADS = [[0, 0, 9, 9], [0, 11, 9, 9]]

@@ -13,9 +13,7 @@ from ._rehearsed import halves as halves
 from ._rehearsed import rehearsed as rehearsed
 from ._touch_classifier import BayesRule as BayesRule
 from ._touch_classifier import FromProbabilities, TouchClassifier
-from ._touch_classifier import as_groups as as_groups
 from ._touch_classifier import as_touch_classifier as as_touch_classifier
-from ._touch_classifier import check_targets as check_targets
 from .mkl import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
 __all__ = [

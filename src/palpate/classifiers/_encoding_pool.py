@@ -19,20 +19,14 @@ from sklearn import config_context
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_squarable
+from .._checks import as_groups, check_count, check_squarable
 from .._numbers import log_loss, log_softmax
 from .._types import Array, Floats, Indices
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, learns_by_landmarks
 from ._nearby import NearbyTouches
 from ._ridge import fair_shares
-from ._touch_classifier import (
-    BayesRule,
-    Groups,
-    TouchClassifier,
-    as_groups,
-    labelled_touches,
-)
+from ._touch_classifier import BayesRule, Groups, TouchClassifier, labelled_touches
 
 TOGETHER = "all together"
 # No machine may say of a touch that an object is less probable than this (nats).

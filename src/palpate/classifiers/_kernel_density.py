@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_number, check_option, check_positive
+from .._checks import as_groups, check_number, check_option, check_positive
 from .._types import Array, Floats, Indices
 from . import _kernel_sums
 from ._kernel_sums import (
@@ -27,13 +27,7 @@ from ._kernel_sums import (
     is_precise,
     make_tiles,
 )
-from ._touch_classifier import (
-    BayesRule,
-    Groups,
-    as_groups,
-    as_touches,
-    labelled_touches,
-)
+from ._touch_classifier import BayesRule, Groups, as_touches, labelled_touches
 
 # With precision="auto" a model computes in float64 when it has at most this many
 # touches, or when float32 is good enough for less than this share of its pairs.

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_positive, check_squarable
+from .._checks import as_groups, check_count, check_positive, check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Array, Floats, Indices
 from ._landmarks import LandmarkRegression, Landmarks, Sums
@@ -41,7 +41,6 @@ from ._ridge import (
 from ._touch_classifier import (
     BayesRule,
     Groups,
-    as_groups,
     as_touches,
     labelled_touches,
     rows_left_out,

@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dposv
 from scipy.optimize import minimize_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_squarable
+from .._checks import as_groups, check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Array, Bools, Floats, Indices, Singles
 from ._kernel_ridge import KernelRidgeClassifier
@@ -25,7 +25,6 @@ from ._ridge import best_shape
 from ._touch_classifier import (
     BayesRule,
     Groups,
-    as_groups,
     as_touches,
     labelled_touches,
     rows_left_out,

@@ -11,10 +11,15 @@ from typing import Any, Protocol, Self, TypeGuard, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
-from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
 
-from .._checks import are_plain_vectors, check_label_kinds
+from .._checks import (
+    PLAIN_LABELS,
+    are_plain_vectors,
+    as_groups,
+    check_label_kinds,
+    check_targets,
+)
 from .._numbers import evenly_spaced, log_softmax
 from .._types import Array, Floats, Indices
 
@@ -27,8 +32,6 @@ _LEAST_PROBABILITY = 1e-12
 # Of more left-out answers, one for each touch and label, only a part is kept: all or
 # some touches of so many labels at least.
 MOST_ANSWERS, LEAST_LABELS = 5_000_000, 25
-# Text and whole numbers: scikit-learn would find nothing, in a millisecond or two.
-_CLASSES = "biuSU"
 
 
 @runtime_checkable
@@ -308,13 +311,7 @@ def as_labels(y: ArrayLike) -> Array:
 
 def _is_plain_labels(y: object) -> TypeGuard[Array]:
     """Whether labels are classes in one plain array."""
-    return type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in _CLASSES
-
-
-def check_targets(labels: Array) -> None:
-    """Refuse labels (n_touches,) that are no classes, as scikit-learn does."""
-    if labels.dtype.kind not in _CLASSES:
-        check_classification_targets(labels)
+    return type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in PLAIN_LABELS
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
@@ -350,19 +347,6 @@ def rows_left_out(codes: Array, groups: Indices) -> Indices:
     quota = max(2, most // len(chosen))
     parts = [order[a : min(a + quota, b)] for a, b in zip(starts, ends, strict=True)]
     return np.sort(np.concatenate(parts))
-
-
-def as_groups(groups: Groups, n_touches: int) -> Indices:
-    """Return the number of each training touch's group; by default its own."""
-    if groups is None:
-        return np.arange(n_touches)
-    numbers = np.asarray(groups)
-    if numbers.shape != (n_touches,):
-        raise ValueError(
-            f"groups must have one entry per training touch ({n_touches}), "
-            f"got shape {numbers.shape}."
-        )
-    return np.asarray(np.unique(numbers, return_inverse=True)[1])
 
 
 def _log_probability(classifier: Any, touches: Floats) -> Floats:

@@ -64,13 +64,13 @@ def one_of(name: str, values: Callable[[], Iterable[str]]) -> Callable[..., Any]
     return checked
 
 
-def _of_recognition(name: str) -> Callable[[], Iterable[str]]:
-    """Return what lists the values that a type of `palpate.recognition` allows."""
+def _allowed(name: str) -> Callable[[], Iterable[str]]:
+    """Return what lists the values that a type of `_types.py` allows."""
 
     def values() -> Iterable[str]:
-        from .. import recognition
+        from .. import _types
 
-        return get_args(getattr(recognition, name))
+        return get_args(getattr(_types, name))
 
     return values
 
@@ -167,14 +167,14 @@ Preset = Annotated[
     option(
         "--preset",
         '"default", "corradi2015" or "liu2014".',
-        callback=one_of("--preset", _of_recognition("PresetName")),
+        callback=one_of("--preset", _allowed("PresetName")),
     ),
 ]
 Label = Annotated[
     str,
     option(
         'What to recognise: "object" or "category".',
-        callback=one_of("--label", _of_recognition("Label")),
+        callback=one_of("--label", _allowed("Label")),
     ),
 ]
 ErrorRate = Annotated[float, option("--error", "Accepted share of wrong names.")]
@@ -279,7 +279,7 @@ class Learning:
         option(
             "How objects come: any (angle and place), turned (any angle), shifted (any "
             "place), fixed (always the same), or auto: found out.",
-            callback=one_of("--presentation", _of_recognition("Presentation")),
+            callback=one_of("--presentation", _allowed("Presentation")),
         ),
     ] = "auto"
     seed: Seed = 0

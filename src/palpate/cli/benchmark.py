@@ -41,9 +41,10 @@ def benchmark(
 ) -> None:
     """Compare presets with simple recognisers and controls on sets of touches."""
     from .. import datasets, evaluation
+    from .._page import check_report_path
 
     if report is not None:
-        evaluation.check_report_path(report)
+        check_report_path(report)
     with stages() as stage, working.started():
         result = evaluation.benchmark(
             archives or [datasets.where()],

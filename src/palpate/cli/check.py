@@ -332,7 +332,7 @@ def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:
 
 
 def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
-    from ..evaluation import html_table, report_page, worded
+    from .._page import html_table, report_page, worded
 
     title = f"{checked['touches']}: {counted(checked['n_touches'], 'touch', 'touches')}"
     if checked["bad"]:
@@ -366,7 +366,8 @@ def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
     import numpy as np
 
     from .._numbers import evenly_spaced
-    from ..touches import as_shown, png_address
+    from .._page import png_address
+    from ..touches import as_shown
 
     objects, odd = checked["objects"], _odd_words(checked["odd"])
     names = touches.columns.get("source_path", np.full(len(touches), ""))

@@ -55,7 +55,8 @@ def demo(
     of the report.
     """
     pictures = _pictures(data) if real else None
-    from ..evaluation import Plan, check_report_path, evaluate, write_report
+    from .._page import check_report_path
+    from ..evaluation import Plan, evaluate, write_report
 
     if not (pictures or as_json):
         say(

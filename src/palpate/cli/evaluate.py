@@ -65,7 +65,8 @@ def evaluate(
     For example: palpate evaluate --train touches/ --split last. With `session` in place
     of `last` it says what to expect on another day.
     """
-    from ..evaluation import Plan, check_report_path, write_report
+    from .._page import check_report_path
+    from ..evaluation import Plan, write_report
     from ..evaluation import evaluate as run
 
     plan = Plan(

@@ -287,8 +287,8 @@ def _frames(sensor: "LiveSensor", seconds: float, step: int) -> list["Frame"]:
 
 
 def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
-    from ..evaluation import html_table, report_page, worded
-    from ..touches import as_shown, png_address
+    from .._page import html_table, png_address, report_page, worded
+    from ..touches import as_shown
 
     findings = health["findings"] or ["Nothing is wrong."]
     lines = "".join(

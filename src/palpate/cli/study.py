@@ -40,7 +40,7 @@ def study(
     if protocol is not None:
         options["protocol"] = protocol
     if report is not None:
-        from ..evaluation import check_report_path
+        from .._page import check_report_path
 
         check_report_path(report)
     with working.started(usual=-1) as n:

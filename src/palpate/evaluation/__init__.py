@@ -14,12 +14,8 @@ from ._comparisons import without_contact as without_contact
 from ._episodes import decide_episodes as decide_episodes
 from ._evaluate import evaluate
 from ._evaluate import few_touches as few_touches
-from ._report import check_report_path as check_report_path
 from ._report import explained_episodes as explained_episodes
-from ._report import html_table as html_table
-from ._report import report_page as report_page
 from ._report import summary as summary
-from ._report import worded as worded
 from ._report import write_report
 from ._splits import PROTOCOLS as PROTOCOLS
 from ._splits import SPLITS as SPLITS

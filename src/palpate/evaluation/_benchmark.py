@@ -14,21 +14,15 @@ from sklearn.base import clone
 
 from .._checks import check_count, check_option
 from .._durable import write_text
+from .._page import check_report_path, html_table, report_page, worded
 from .._parallel import in_parallel
-from .._types import Array, Bools, Floats
-from ..recognition import PRESETS, Label, ObjectRecogniser, PresetName, find_geometry
+from .._types import Array, Bools, Floats, Label, PresetName
+from ..recognition import PRESETS, ObjectRecogniser, find_geometry
 from ..touches import Touches
 from ._comparisons import CONTROLS, SIMPLE, STANDARDISED, taxels, without_contact
 from ._episodes import run_episodes
 from ._evaluate import Progress, silent
-from ._report import (
-    TextTable,
-    as_text,
-    check_report_path,
-    html_table,
-    report_page,
-    worded,
-)
+from ._report import TextTable, as_text
 from ._splits import PROTOCOLS, RowFold, column_of, protocol_folds
 from ._trial import spread
 

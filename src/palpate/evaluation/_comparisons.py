@@ -23,10 +23,11 @@ from sklearn.svm import SVC
 from sklearn.utils import gen_batches
 
 from .._extras import needed
+from .._numbers import correlation
 from .._types import Array, Bools, Floats
 from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
-from ..recognition import correlation, find_geometry
+from ..recognition import find_geometry
 from ..touches import Touches
 from ._splits import split_touches
 

@@ -4,7 +4,6 @@ It says why the recogniser answered as it did: beside each touch that moved the 
 stand the training touches that it resembles.
 """
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
 from math import ceil, log, log1p
@@ -15,9 +14,10 @@ import numpy as np
 
 from .._durable import write_text
 from .._numbers import evenly_spaced
+from .._page import check_report_path, html_table, png_address, report_page, worded
 from .._types import Bools, Indices
 from ..recognition import about, sessions_message
-from ..touches import Touches, as_shown, png_address
+from ..touches import Touches, as_shown
 from . import plots
 from ._comparisons import as_good_alone
 from ._episodes import Decisions, Episodes, answers_of, decide_episodes
@@ -31,34 +31,6 @@ EPISODES, WRONG = 6, 4
 STRANGERS_LISTED = 8
 MOVED, NEAREST = 3, 3
 SMALL_SIDE = 72
-_TYPED = re.compile(r"`([^`]+)`|(?<![\w-])--[a-z][a-z-]*")
-PAGE_STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;background:#fff;
-max-width:62rem;margin:2rem auto;padding:0 1rem}
-code{white-space:nowrap;font:inherit}h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
-table{border-collapse:collapse}
-td,th{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #dde3e8}
-td:first-child,th:first-child{text-align:left}
-.row{display:flex;flex-wrap:wrap;gap:1.5rem;align-items:flex-start}
-.line{display:flex;align-items:center;border-bottom:1px solid #eef1f4}
-.name{width:13rem;overflow-wrap:anywhere}
-.touches img{height:84px;border-radius:4px;margin:2px}
-.why{display:flex;gap:.6rem;margin:.4rem 0}
-.why div{width:9rem;font-size:.8rem;line-height:1.25;overflow-wrap:anywhere}
-.why div:first-child{width:19rem;display:flex;gap:.6rem;border-right:1px solid #dde3e8}
-.why img{display:block;height:72px;border-radius:4px;margin-bottom:2px}
-.note,figcaption{color:#5a6572}svg{max-width:100%;height:auto}
-table,figure div{display:block;max-width:100%;overflow-x:auto}
-figure{display:flex;flex-wrap:wrap;gap:1rem;margin:2.5rem 0}figcaption{flex:1 1 18rem}
-figure svg{min-width:calc(var(--inches)*72px)}
-@media(max-width:36rem){body{margin:1rem auto;padding:0 .7rem}
-table{font-size:.85rem}td,th{padding:.15rem .3rem}th:first-child{min-width:8rem}
-.why{flex-wrap:wrap;gap:.3rem .5rem;border-top:1px solid #dde3e8;padding-top:.4rem}
-.why div{width:calc(33% - .5rem)}.why div:first-child{width:100%;border:0}
-.why div:first-child span{width:auto;flex:1}}
-"""
-
-
 # Title, columns and lines of text.
 TextTable = tuple[str, list[str], list[list[str]]]
 
@@ -81,17 +53,6 @@ class Explained(NamedTuple):
         if self.is_stranger and unknown is not None:
             return unknown[self.rows]
         return self.trial.fold.test[self.rows]
-
-
-def check_report_path(path: str | Path) -> Path:
-    """Return `path` if a report can be written there, or explain."""
-    plots.require_matplotlib()
-    target = Path(path)
-    if target.suffix != ".html":
-        raise ValueError(f"A report must end in .html, got {target.name!r}.")
-    if not target.parent.is_dir():
-        raise ValueError(f"There is no folder {target.parent} to write to; make it.")
-    return target
 
 
 def write_report(
@@ -144,38 +105,6 @@ def _ends(figures: dict[str, Any]) -> str:
 def _recommended(sentences: Sequence[str]) -> str:
     lines = "".join(f"<li>{worded(sentence)}</li>" for sentence in sentences)
     return f"<h2>What to do now</h2><ul>{lines}</ul>" if lines else ""
-
-
-def worded(sentence: str) -> str:
-    """Return a sentence as HTML, in which what is to be typed stands as such.
-
-    That is between backticks, or an option, which then does not break after its dashes.
-    """
-    text = escape(sentence)
-    return _TYPED.sub(lambda typed: f"<code>{typed[1] or typed[0]}</code>", text)
-
-
-def report_page(title: str, sections: Sequence[str]) -> str:
-    """Return sections of HTML as one page in the style of reports."""
-    return (
-        "<!doctype html><html lang=en><meta charset=utf-8>"
-        "<meta name=viewport content='width=device-width,initial-scale=1'>"
-        f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style><body>"
-        f"{''.join(sections)}</body></html>"
-    )
-
-
-def html_table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
-) -> str:
-    """Return lines of text under a title as a table of HTML."""
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
-        for row in rows
-    )
-    above = f"<h2>{escape(title)}</h2>" if title else ""
-    return f"{above}<table><tr>{head}</tr>{body}</table>"
 
 
 def summary(figures: dict[str, Any]) -> Iterator[str | TextTable]:

@@ -14,14 +14,11 @@ from scipy.stats import mannwhitneyu
 from sklearn.utils import check_X_y
 
 from .._checks import check_count, check_number, check_option
-from .._types import Floats, Indices
+from .._types import Floats, Indices, Label, Presentation, PresetName
 from ..recognition import (
     PRESETS,
     STRANGERS,
-    Label,
     ObjectRecogniser,
-    Presentation,
-    PresetName,
     across_sessions,
     check_strangers,
 )

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._extras import needed
 from .._types import Array
 
 if TYPE_CHECKING:
@@ -22,11 +21,6 @@ COLOURS = ("#0b6e8a", "#d55e00", "#e0a100", "#6b4e9b", "#5a6572", "#7fb8a4")
 OURS, CONTROLS = COLOURS[0], COLOURS[1:5]
 # Inches: two beside each other in a window, and text of one size on a phone.
 SIDE_BY_SIDE = 4.1, 3.7
-
-
-def require_matplotlib() -> None:
-    """Refuse clearly where the extra is missing."""
-    needed("matplotlib", "plot", "A report")
 
 
 def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:

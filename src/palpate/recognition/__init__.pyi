@@ -4,7 +4,6 @@ from ._belief import STRANGERS as STRANGERS
 from ._belief import Belief as Belief
 from ._belief import check_strangers as check_strangers
 from ._contact import NO_CONTACT as NO_CONTACT
-from ._contact import correlation as correlation
 from ._contact import no_contact_of as no_contact_of
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
@@ -28,9 +27,6 @@ from ._model_file import read_model as read_model
 from ._model_file import write_model as write_model
 from ._plugs import Modality as Modality
 from ._presets import PRESETS as PRESETS
-from ._presets import Label as Label
-from ._presets import Presentation as Presentation
-from ._presets import PresetName as PresetName
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt
 from ._remounting import Recentring as Recentring

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from .._numbers import evenly_spaced
+from .._numbers import correlation, evenly_spaced
 from .._types import Array, Bools, Floats
 from ..images import DomeCrop, otsu_threshold
 from ..touches import FORMER, Touches
@@ -253,19 +253,6 @@ def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
     """Whether some label's touches mostly show no contact, such as "Nothing"."""
     codes, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
     return bool((np.bincount(codes, no_contact) > CONSISTS * counts).any())
-
-
-def correlation(images: Array, idle: Array) -> Floats:
-    """Return the correlation of each image with one, 0 for even ones, (n_touches,)."""
-    centred_idle = idle.ravel().astype(np.float64)
-    centred_idle -= centred_idle.mean()
-    correlations = np.zeros(len(images))
-    for number, image in enumerate(images):  # one at a time, it stays in the cache
-        flat = image.ravel().astype(np.float64)
-        flat -= flat.mean()
-        norm = np.linalg.norm(flat) * np.linalg.norm(centred_idle)
-        correlations[number] = flat @ centred_idle / norm if norm > 0 else 0.0
-    return correlations
 
 
 def _boxes(images: Array, pads: Array | None) -> list[Array]:

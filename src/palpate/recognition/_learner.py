@@ -12,11 +12,18 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import validate_data
 
-from .._checks import check_count, check_number, check_option, unmasked
+from .._checks import (
+    as_groups,
+    check_count,
+    check_number,
+    check_option,
+    check_targets,
+    unmasked,
+)
 from .._numbers import log_softmax
 from .._parallel import on_one_thread
-from .._types import Bools, Floats, Indices
-from ..classifiers import EncodingPool, TouchClassifier, as_groups, check_targets
+from .._types import Bools, Floats, Indices, Label, Presentation, PresetName
+from ..classifiers import EncodingPool, TouchClassifier
 from ..images import PressPose
 from ..touches import Touches, TouchSource
 from . import _evidence, _memory
@@ -42,15 +49,7 @@ from ._learning import (
 from ._learnt import Learnt, RemountedEncoder
 from ._memory import Memory, Nearest
 from ._plugs import Encoding, Modality
-from ._presets import (
-    PRESENTATIONS,
-    Label,
-    Presentation,
-    Preset,
-    PresetName,
-    find_preset,
-    resolved_preset,
-)
+from ._presets import PRESENTATIONS, Preset, find_preset, resolved_preset
 from ._rehearsal import rehearsal_message, rehearse
 from ._remounting import remounted, without_nuisance
 from ._strangers import StrangerModel

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 from sklearn.base import clone
 from sklearn.decomposition import PCA
@@ -32,10 +32,6 @@ from ..images import ArrayCleanUp, ChannelMean, DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder, find_geometry
 from ._plugs import Encoding, UserEncoding, user_encodings
-
-PresetName = Literal["default", "corradi2015", "liu2014"]
-Label = Literal["object", "category"]
-Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]
 
 # With fewer taxels on a side, gradients along rings have too few places.
 FINE_TAXELS = 24

@@ -14,7 +14,7 @@ from sklearn.base import ClassifierMixin
 from sklearn.utils import Tags
 
 from .._parallel import opencv_on_one_thread, results_of
-from .._types import Array, Floats, Indices
+from .._types import Array, Floats, Indices, Label, Presentation, PresetName
 from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..images import Poses
 from ..touches import Touches
@@ -29,7 +29,6 @@ from ._learner import Learner, n_axes
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
 from ._plugs import Encoding, UserEncoding, user_encodings
-from ._presets import Label, Presentation, PresetName
 from ._sentences import draw_confusion
 
 if TYPE_CHECKING:

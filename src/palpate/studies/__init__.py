@@ -157,7 +157,8 @@ class Study:
 
     def write_report(self, path: str | Path, result: dict[str, Any]) -> Path:
         """Write tables and pictures as one `.html` that loads nothing else."""
-        from ..evaluation import check_report_path, html_table, plots, report_page
+        from .._page import check_report_path, html_table, report_page
+        from ..evaluation import plots
 
         subpackage = self._subpackage
         target = check_report_path(path)
@@ -175,9 +176,6 @@ class Study:
 
     def write_pictures(self, folder: str | Path, result: dict[str, Any]) -> list[Path]:
         """Write the pictures as `<study>-<name>.png` into an existing folder."""
-        from ..evaluation import plots
-
-        plots.require_matplotlib()
         written = []
         for name, figure in self._subpackage.pictures(result).items():
             written.append(Path(folder) / f"{self.name}-{name}.png")

@@ -15,7 +15,6 @@ from ._folder import PictureCheck as PictureCheck
 from ._folder import check_folder as check_folder
 from ._folder import shows_colour as shows_colour
 from ._html import as_shown as as_shown
-from ._html import png_address as png_address
 from ._layout import levels_pattern as levels_pattern
 from ._parquet import is_parquet as is_parquet
 from ._parquet import url_of as url_of

@@ -1,6 +1,5 @@
 """Touches as a notebook shows them: a small table, and the first few pictures."""
 
-import base64
 from collections.abc import Collection, Mapping
 from html import escape
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from .._checks import check_count
 from .._extras import needed
+from .._page import png_address
 from .._types import Array
 from ._pictures import RGB
 
@@ -15,7 +15,6 @@ PICTURES = 8  # shown of a set
 SIDE_PX = 96  # of each
 _NAMES = 12  # listed
 _LETTERS = 60  # of each name
-_DEAD = (60, 60, 220)  # blue, green, red
 _EVEN = "display:inline-block;margin:2px;text-align:center;vertical-align:top"
 
 
@@ -96,38 +95,6 @@ def as_shown(images: Array, channels: Collection[str] | None) -> Array:
     if set(RGB) <= set(names):
         return images[..., [names.index(name) for name in RGB]]
     return np.asarray(images.mean(axis=-1, dtype=np.float64))
-
-
-def png_address(image: Array, side: int) -> str:
-    """Return an image (n_rows, n_cols[, 3]) as a PNG in a data address.
-
-    Contrast is stretched from its 0.5th to its 99.5th percentile; dead taxels (NaN) are
-    red. `side` is the longer side of the picture in pixels.
-    """
-    import cv2
-
-    levels = np.asarray(image, dtype=np.float64)
-    is_nan = np.isnan(levels)
-    live = np.zeros(1) if is_nan.all() else levels[~is_nan]
-    levels = np.where(is_nan, live.min(), levels)
-    dead: Array = np.any(np.atleast_3d(is_nan), axis=2)
-    low, high = np.percentile(live, [0.5, 99.5])
-    with np.errstate(over="ignore", invalid="ignore"):
-        grey = np.clip((levels - low) / max(high - low, 1e-12), 0, 1) * 255
-    n_rows, n_cols = levels.shape[:2]
-    scale = side / max(n_rows, n_cols)
-    size = (max(1, round(n_cols * scale)), max(1, round(n_rows * scale)))
-    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
-    drawn = cv2.resize(np.nan_to_num(grey).astype(np.uint8), size, interpolation=how)
-    if levels.ndim == 3:
-        drawn = cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR)
-    if dead.any():
-        marked = cv2.resize(dead.astype(np.float32), size, interpolation=how) > 0
-        if levels.ndim == 2:
-            drawn = cv2.cvtColor(drawn, cv2.COLOR_GRAY2BGR)
-        drawn[marked] = _DEAD
-    data = cv2.imencode(".png", drawn)[1].tobytes()
-    return "data:image/png;base64," + base64.b64encode(data).decode()
 
 
 def _listed(each: list[str]) -> str:

@@ -20,10 +20,16 @@ from sklearn.utils.validation import (
 )
 
 from ... import _checks
-from ..._checks import check_count, check_option, check_positive, check_squarable
+from ..._checks import (
+    check_count,
+    check_option,
+    check_positive,
+    check_squarable,
+    check_targets,
+)
 from ..._parallel import on_one_thread
 from ..._types import Array, Floats
-from .._touch_classifier import as_labels, check_targets
+from .._touch_classifier import as_labels
 from . import _kernels, _pairs
 from ._kernels import (
     DenseBank,

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._types import Bools, Floats
+from ..._types import Bools, Floats, Label
 from ...datasets import where
 from ...evaluation import Fold, Plan, evaluate, split_touches
-from ...recognition import Label, ObjectRecogniser
+from ...recognition import ObjectRecogniser
 from ...touches import Touches
 from .. import Row, labels, row, spread
 from .episodes import DEFAULT, after_touches

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.decomposition import PCA
 
-from ..._types import Bools, Floats
+from ..._types import Bools, Floats, Label, PresetName
 from ...classifiers import KernelDensityBayes
-from ...recognition import Label, ObjectRecogniser, PresetName
+from ...recognition import ObjectRecogniser
 from ...touches import Touches
 from .. import Codes, Row, coded, labels, mean_row, row, spread
 from . import plan as stated

@@ -14,10 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ... import studies as shared
+from ..._types import Label
 from ...datasets import where
 from ...evaluation import Plan as EvaluationPlan
 from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
-from ...recognition import Label, MountingCheck, ObjectRecogniser
+from ...recognition import MountingCheck, ObjectRecogniser
 from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
 from .. import Figures, Plan, Row, Table, Work, coded
