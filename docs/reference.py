@@ -1,14 +1,18 @@
 """Pages that are made from the code.
 
-`python docs/reference.py` writes docs/reference/names.md: every public name, with the
-first line of its docstring. Sphinx (`make docs`) calls `write_generated`, which makes a
-page for every subpackage, command and address of the API; these are not kept.
+`python docs/reference.py` writes two that are kept: docs/reference/names.md, every
+public name with the first line of its docstring, and docs/contributing/shared.md, what
+else subpackages take from each other. Sphinx (`make docs`) calls `write_generated`,
+which makes a page for every subpackage, command and address of the API.
 """
 
+import ast
 import inspect
 import warnings
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 SUBPACKAGES = (
@@ -31,7 +35,16 @@ INTRODUCTION = """\
 `help(NAME)` says the rest: shapes, units, errors, sources. Made by
 `python docs/reference.py`. What stays: [stability.md](stability.md).
 """
-PAGE = Path(__file__).parent / "reference" / "names.md"
+ABOUT_SHARED = """\
+Beside its [public names](../reference/names.md) a subpackage offers these to those
+below it in [the table](../explanation/architecture.md#subpackages): names in its
+`__init__.py` that are not in `__all__`. They may change with any version. What no
+subpackage uses, tests or benchmarks do. Made by `python docs/reference.py`.
+"""
+HERE = Path(__file__).parent
+PACKAGE = HERE.parent / "src" / "palpate"
+PAGE = HERE / "reference" / "names.md"
+SHARED = HERE / "contributing" / "shared.md"
 
 
 def reference() -> str:
@@ -55,9 +68,67 @@ def section(subpackage: str) -> str:
 
 def line(item: object) -> str:
     """Return what a name is, in one line."""
-    if not (inspect.isclass(item) or inspect.isroutine(item)):
-        return f"{type(item).__name__}: {', '.join(f'`{key}`' for key in item)}"
-    return inspect.getdoc(item).splitlines()[0].replace("|", "\\|")
+    if inspect.isclass(item) or inspect.isroutine(item) or inspect.ismodule(item):
+        return inspect.getdoc(item).splitlines()[0].replace("|", "\\|")
+    if not isinstance(item, tuple | list | set | dict):
+        return f"{type(item).__name__}: `{shorten(str(item), 60)}`".replace("|", "\\|")
+    return f"{type(item).__name__}: {', '.join(f'`{n}`' for n in map(name_of, item))}"
+
+
+def name_of(value: object) -> object:
+    """Return what a value in a table of them is called."""
+    return getattr(value, "name", value)
+
+
+def shared() -> str:
+    """Return the page of what subpackages share beside their public names."""
+    users = users_of_names()
+    parts = ["# What subpackages share\n", ABOUT_SHARED]
+    for subpackage in SUBPACKAGES:
+        module = import_module(f"palpate.{subpackage}")
+        rows = [
+            f"| `{name}` | {line(getattr(module, name))} | "
+            f"{', '.join(users.get((subpackage, name), []))} |"
+            for name in offered(subpackage)
+            if name not in module.__all__
+        ]
+        if rows:
+            head = "| name | what it is | used by |\n|---|---|---|\n"
+            parts.append(f"## {subpackage}\n\n{head}" + "\n".join(rows) + "\n")
+    return "\n".join(parts)
+
+
+def offered(subpackage: str) -> list[str]:
+    """Return the names that a subpackage imports from its own files, sorted."""
+    stub = PACKAGE / subpackage / "__init__.pyi"
+    path = stub if stub.exists() else stub.with_suffix(".py")
+    return sorted(
+        alias.asname or alias.name
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.level == 1
+        for alias in node.names
+    )
+
+
+def users_of_names() -> dict[tuple[str, str], list[str]]:
+    """Return who takes each (subpackage, name) from outside, sorted."""
+    users: dict[tuple[str, str], set[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        user = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        for subpackage, name in taken(path):
+            if subpackage != user:
+                users.setdefault((subpackage, name), set()).add(user)
+    return {key: sorted(names) for key, names in users.items()}
+
+
+def taken(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield (subpackage, name) of what a file imports or reads from subpackages."""
+    depth = len(path.relative_to(PACKAGE).parts)
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level == depth and node.module:
+            yield from ((node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            yield node.value.id, node.attr
 
 
 def write_generated(folder: Path) -> None:
@@ -109,8 +180,12 @@ def _commands(
     inner = getattr(command, "commands", None)
     if inner is None:
         return [(words, command)]
-    found = [_commands(one, (*words, name)) for name, one in inner.items()]
-    return [one for some in found for one in some if not one[1].hidden]
+    return [
+        (inner_words, verb)
+        for name, group in inner.items()
+        for inner_words, verb in _commands(group, (*words, name))
+        if not verb.hidden
+    ]
 
 
 def _argument(parameter: Any) -> str:
@@ -121,25 +196,25 @@ def _argument(parameter: Any) -> str:
 
 def _options(parameters: list[Any]) -> str:
     rows = []
-    for one in parameters:
-        if getattr(one, "hidden", False) or "--help" in one.opts:
+    for parameter in parameters:
+        if getattr(parameter, "hidden", False) or "--help" in parameter.opts:
             continue
-        argument = one.param_type_name == "argument"
-        name = _argument(one) if argument else ", ".join(one.opts)
-        kind = "" if argument or one.is_flag else f" {_type(one)}"
-        default = one.default
-        known = default not in (None, "", ()) and default is not False
-        said = "required" if one.required else f"`{default}`" if known else ""
-        help_ = _escaped(one.help or "").replace("|", "\\|")
-        rows.append(f"| `{name}{kind}` | {help_} | {said} |")
+        is_argument = parameter.param_type_name == "argument"
+        name = _argument(parameter) if is_argument else ", ".join(parameter.opts)
+        kind = "" if is_argument or parameter.is_flag else f" {_type(parameter)}"
+        value = parameter.default
+        has_default = value not in (None, "", ()) and value is not False
+        default = f"`{value}`" if has_default else ""
+        default = "required" if parameter.required else default
+        help_text = _escaped(parameter.help or "").replace("|", "\\|")
+        rows.append(f"| `{name}{kind}` | {help_text} | {default} |")
     return "| | what | default |\n|---|---|---|\n" + "\n".join(rows)
 
 
 def _type(parameter: Any) -> str:
     """Return the type of an option; typer before 0.29 has click's name of it."""
     described = getattr(parameter, "type_descriptor", None)
-    known = parameter.type.name if described is None else described.annotation.__name__
-    return str(known)
+    return str(parameter.type.name if not described else described.annotation.__name__)
 
 
 def _escaped(text: str) -> str:
@@ -163,8 +238,8 @@ def http_page() -> str:
         for path, verbs in described["paths"].items()
         for verb, about in verbs.items()
     ]
-    every = [{*about["responses"]} for *_, about in calls]
-    shared = set.intersection(*every) - {"200"}
+    codes = [{*about["responses"]} for *_, about in calls]
+    common = set.intersection(*codes) - {"200"}
     about = (
         f"Of `palpate serve`; the running server describes itself at "
         f"`{app.openapi_url}`. How to come in, and how touches are sent: "
@@ -174,25 +249,25 @@ def http_page() -> str:
         "# The HTTP API",
         about,
         "Every address may refuse with one of these; the `detail` says what to do:",
-        _answers(calls[0][2], shared),
+        _answers(calls[0][2], common),
     ]
     for path, verb, call in calls:
-        parts += [f"## {verb.upper()} {path}", *_call(call, described, shared)]
+        parts += [f"## {verb.upper()} {path}", *_call(call, described, common)]
     return "\n\n".join(parts) + "\n"
 
 
 def _answers(about: dict[str, Any], codes: set[str]) -> str:
     rows = [
-        f"| {code} | {_escaped(one.get('description', ''))} | "
-        f"{', '.join(one.get('content', {})) or '-'} |"
-        for code, one in about["responses"].items()
+        f"| {code} | {_escaped(answer.get('description', ''))} | "
+        f"{', '.join(answer.get('content', {})) or '-'} |"
+        for code, answer in about["responses"].items()
         if code in codes
     ]
     return "| answer | what | as |\n|---|---|---|\n" + "\n".join(rows)
 
 
 def _call(
-    about: dict[str, Any], described: dict[str, Any], shared: set[str]
+    about: dict[str, Any], described: dict[str, Any], common: set[str]
 ) -> list[str]:
     parts = [_escaped(about.get("description") or about.get("summary", ""))]
     if about.get("deprecated"):
@@ -205,7 +280,7 @@ def _call(
         schema = _resolved(body.get("schema", {}), described)
         inside = schema.get("properties", {"body": schema})
         musts = schema.get("required", [])
-        takes += [(n, kind, one, n in musts) for n, one in inside.items()]
+        takes += [(n, kind, inner, n in musts) for n, inner in inside.items()]
     if takes:
         rows = [
             f"| `{n}` | {where} | {_kind(s, described)} | {'yes' if must else ''} | "
@@ -214,7 +289,7 @@ def _call(
         ]
         head = "| takes | in | type | must | what |\n|---|---|---|---|---|\n"
         parts.append(head + "\n".join(rows))
-    parts.append(_answers(about, {*about["responses"]} - shared))
+    parts.append(_answers(about, {*about["responses"]} - common))
     return parts
 
 
@@ -225,12 +300,13 @@ def _resolved(schema: dict[str, Any], described: dict[str, Any]) -> dict[str, An
 
 def _kind(schema: dict[str, Any], described: dict[str, Any]) -> str:
     if "anyOf" in schema:
-        return " or ".join(_kind(one, described) for one in schema["anyOf"])
+        return " or ".join(_kind(kind, described) for kind in schema["anyOf"])
     if "$ref" in schema:
         return schema["$ref"].rpartition("/")[2]
     return str(schema.get("type", "any"))
 
 
 if __name__ == "__main__":
-    PAGE.write_text(reference())
-    print(PAGE)
+    for page, text in ((PAGE, reference()), (SHARED, shared())):
+        page.write_text(text)
+        print(page)

@@ -110,11 +110,13 @@ def signature_of(thing):
         return ""
 
 
-def test_the_page_of_public_names_is_made_from_the_code():
+def test_the_pages_of_names_are_made_from_the_code():
     docs = SOURCE.parent / "docs"
     page = docs / "reference" / "names.md"
     code = runpy.run_path(str(docs / "reference.py"))
     assert page.read_text() == code["reference"](), "run: python docs/reference.py"
+    page = docs / "contributing" / "shared.md"
+    assert page.read_text() == code["shared"](), "run: python docs/reference.py"
 
 
 HEAVY = "{'sklearn', 'cv2', 'matplotlib', 'PIL', 'rich'}"
