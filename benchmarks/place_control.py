@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate import Touches
-from palpate.evaluation import Plan, control_log_likelihood, disc_centres, evaluate
+from palpate.evaluation import Plan, control_log_likelihood, evaluate
+from palpate.evaluation._comparisons import disc_centres
 from palpate.evaluation._episodes import Episodes, run_episodes
 from palpate.evaluation._trial import Trial
 from palpate.recognition import left_out_groups

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.exploration import FAULTS, explore_to_learn, read_episode
+from palpate.exploration import explore_to_learn, read_episode
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 
@@ -116,6 +116,12 @@ def test_a_refusal_reaches_the_belief(palpate, model, asked):
     assert done.returncode == 0, done.stderr
     # One that is read is tried first, at the usual error.
     assert asked - {(0.01, None)} == {(0.02, 0.3)}
+
+
+FAULTS = (
+    *("stuck force", "stuck force in contact", "no force", "overshoot", "driver error"),
+    *("slow", "retract error", "arm stuck", "no frame", "out of reach"),
+)
 
 
 def test_every_fault_is_in_the_help(palpate):

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
-from palpate.encodings import OnnxEncoding, OnnxError
+from palpate.encodings import OnnxEncoding
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -90,7 +90,7 @@ def test_one_of_several_outputs_is_named(images):
     most = OnnxEncoding(both, output="most").fit_transform(images)
     assert_allclose(most[:, 0], scaled(images).max(axis=(1, 2)), atol=1e-5)
     for output in (None, "least"):
-        with pytest.raises(OnnxError, match=r"output must be one of.*'mean', 'most'"):
+        with pytest.raises(ValueError, match=r"output must be one of.*'mean', 'most'"):
             OnnxEncoding(both, output=output).fit(images)
 
 
@@ -167,7 +167,7 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_a_network_of_images_does_not_need_is_refused(case, images):
     make, message = REFUSED[case]
-    with pytest.raises(OnnxError, match=message):
+    with pytest.raises(ValueError, match=message):
         OnnxEncoding(make()).fit(images)
 
 
@@ -178,7 +178,7 @@ def test_every_damaged_byte_is_refused_or_harmless(images, rng):
         damaged[place] ^= 1 << rng.integers(8)
         try:
             vectors = OnnxEncoding(damaged).fit_transform(images)
-        except OnnxError:
+        except ValueError:
             continue
         assert np.isfinite(vectors).all()
 
@@ -200,7 +200,7 @@ def test_every_damaged_byte_is_refused_or_harmless(images, rng):
     ],
 )
 def test_a_network_of_other_shapes_is_refused(images, made, message):
-    with pytest.raises(OnnxError, match=message):
+    with pytest.raises(ValueError, match=message):
         OnnxEncoding(network(**made)).fit(images)
 
 
@@ -210,13 +210,13 @@ def test_an_image_must_not_be_encoded_by_its_neighbours(images):
         node("Sub", ["x", "mean"], "left"),
         node("Flatten", ["left"], "out"),
     ]
-    with pytest.raises(OnnxError, match="whatever else is in the batch"):
+    with pytest.raises(ValueError, match="whatever else is in the batch"):
         OnnxEncoding(network(nodes)).fit(images)
 
 
 def test_vectors_of_another_length_are_refused(images, rng):
     flat = OnnxEncoding(network(inside("Flatten"))).fit(images)
-    with pytest.raises(OnnxError, match=r"must give 48 numbers.*got 100"):
+    with pytest.raises(ValueError, match=r"must give 48 numbers.*got 100"):
         flat.transform_checked(rng.random((2, 10, 10)))
 
 
@@ -234,7 +234,7 @@ def test_levels_that_are_none_are_refused(images, parameters, message):
 
 
 def test_a_missing_file_is_named(tmp_path, images):
-    with pytest.raises(OnnxError, match=r"no network file .*none\.onnx"):
+    with pytest.raises(ValueError, match=r"no network file .*none\.onnx"):
         OnnxEncoding(tmp_path / "none.onnx").fit(images)
     with pytest.raises(TypeError, match="bytes as an array of uint8"):
         OnnxEncoding(np.ones(3)).fit(images)

@@ -8,11 +8,10 @@ from palpate import Touches
 from palpate.evaluation import (
     brightness,
     control_log_likelihood,
-    disc_centres,
     named_alone,
-    sorted_pixels,
     without_contact,
 )
+from palpate.evaluation._comparisons import disc_centres, sorted_pixels
 
 
 @pytest.fixture

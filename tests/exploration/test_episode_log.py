@@ -14,7 +14,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate.exploration import (
-    EpisodeError,
     EpisodeLog,
     Hemisphere,
     RobotError,
@@ -67,7 +66,7 @@ def test_other_settings_are_refused(tmp_path):
     with EpisodeLog(tmp_path, {"seed": 1}):
         pass
     with (
-        pytest.raises(EpisodeError, match=r"'seed': 1.*'seed': 2.*another folder"),
+        pytest.raises(ValueError, match=r"'seed': 1.*'seed': 2.*another folder"),
         EpisodeLog(tmp_path, {"seed": 2}),
     ):
         pass
@@ -77,7 +76,7 @@ def test_only_one_program_adds_at_a_time(tmp_path):
     pytest.importorskip("fcntl")
     with (
         EpisodeLog(tmp_path) as log,
-        pytest.raises(EpisodeError, match="in use: another program"),
+        pytest.raises(ValueError, match="in use: another program"),
         EpisodeLog(tmp_path),
     ):
         pass
@@ -89,7 +88,7 @@ def test_only_one_program_adds_at_a_time(tmp_path):
 def test_a_folder_of_other_things_is_refused(tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with (
-        pytest.raises(EpisodeError, match=r"must be empty.*thesis\.txt"),
+        pytest.raises(ValueError, match=r"must be empty.*thesis\.txt"),
         EpisodeLog(tmp_path),
     ):
         pass
@@ -100,7 +99,7 @@ def test_a_folder_of_other_things_is_refused(tmp_path):
 def test_a_file_is_no_folder(tmp_path, below):
     (tmp_path / "kept").write_text("mine")
     with (
-        pytest.raises(EpisodeError, match=r"must be a folder.*got the file '.*kept'"),
+        pytest.raises(ValueError, match=r"must be a folder.*got the file '.*kept'"),
         EpisodeLog(tmp_path.joinpath("kept", *below)),
     ):
         pass
@@ -108,17 +107,17 @@ def test_a_file_is_no_folder(tmp_path, below):
 
 
 def test_no_episode_a_gap_and_damage_are_named(tmp_path):
-    with pytest.raises(EpisodeError, match="must be the folder of an episode"):
+    with pytest.raises(ValueError, match="must be the folder of an episode"):
         read_episode(tmp_path)
     with EpisodeLog(tmp_path) as log:
         for number in range(3):
             log.append(_record(number))
     whole = (tmp_path / "touch_00001.npz").read_bytes()
     (tmp_path / "touch_00001.npz").write_bytes(whole[:-30])
-    with pytest.raises(EpisodeError, match=r"touch_00001\.npz is damaged"):
+    with pytest.raises(ValueError, match=r"touch_00001\.npz is damaged"):
         read_episode(tmp_path)
     (tmp_path / "touch_00001.npz").unlink()
-    with pytest.raises(EpisodeError, match="got no touch_00001"):
+    with pytest.raises(ValueError, match="got no touch_00001"):
         read_episode(tmp_path)
 
 
@@ -127,14 +126,14 @@ def test_nothing_in_a_file_is_executed(tmp_path):
         log.append(_record())
     harm = np.array([_record()], dtype=object)
     np.savez(tmp_path / "touch_00000.npz", record=harm)
-    with pytest.raises(EpisodeError, match="allow_pickle=False"):
+    with pytest.raises(ValueError, match="allow_pickle=False"):
         read_episode(tmp_path)
 
 
 def test_appending_to_a_closed_log_is_refused(tmp_path):
     with EpisodeLog(tmp_path) as log:
         pass
-    with pytest.raises(EpisodeError, match="is not open"):
+    with pytest.raises(ValueError, match="is not open"):
         log.append(_record())
 
 

@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.exploration import (
-    EpisodeError,
     Guard,
     Hemisphere,
     RandomHemisphere,
@@ -172,7 +171,7 @@ def test_a_finished_episode_is_not_touched_again(arm, sensor, tmp_path):
 
 def test_another_strategy_does_not_go_on(arm, sensor, tmp_path):
     explore(arm, sensor, SlowlySure(1), STRATEGY, tmp_path)
-    with pytest.raises(EpisodeError, match=r"random_state=1.*random_state=2"):
+    with pytest.raises(ValueError, match=r"random_state=1.*random_state=2"):
         explore(arm, sensor, SlowlySure(1), RandomHemisphere(random_state=2), tmp_path)
 
 
@@ -318,7 +317,7 @@ def test_a_folder_that_holds_more_touches_gives_those_that_were_asked_for(
     for one, two in zip(fewer, anew, strict=True):
         assert one.position_mm == two.position_mm
     assert len(read_episode(tmp_path)) == 7
-    with pytest.raises(EpisodeError, match=r"of 5 x 4 taxels.*got \(3, 3\) in att"):
+    with pytest.raises(ValueError, match=r"of 5 x 4 taxels.*got \(3, 3\) in att"):
         run(9, size=(5, 4))
 
 

@@ -1,5 +1,6 @@
 """Every fault of the simulated arm in a real episode: it retracts, nothing is lost."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -7,10 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.exploration import (
-    FAULTS,
     Guard,
     Hemisphere,
-    MissingFrames,
     RandomHemisphere,
     Robot,
     SimulatedRobot,
@@ -71,7 +70,7 @@ class Setup:
         self.hemisphere = Hemisphere(tuple(centre), radius_mm=100)
         home = self.hemisphere.pose(0.0, 1.5)
         self.robot = SimulatedRobot(self.bench, home, **settings)
-        lost = MissingFrames(self.robot)
+        lost = self.robot.missing_frames
         self.sensor = SimulatedSensor(self.bench, missing=lost)
 
     def explore(self, folder=None, n_attempts=3, seed=0):
@@ -121,10 +120,15 @@ def test_a_touch_ends_at_the_force_in_spite_of_noise(name):
 
 
 def test_every_fault_is_told_in_this_file():
-    assert set(OUTCOME_OF) == set(FAULTS)
+    with pytest.raises(ValueError, match="faults must be one of") as refused:
+        Setup(faults={0: "none of these"})
+    listed = str(refused.value).partition(", got ")[0]
+    assert re.findall(r"'([^']+)'", listed) == [*OUTCOME_OF]
 
 
-@pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != "arm stuck"])
+@pytest.mark.parametrize(
+    "fault", [fault for fault in OUTCOME_OF if fault != "arm stuck"]
+)
 def test_after_a_fault_the_arm_is_back_and_the_episode_goes_on(fault, tmp_path):
     setup = Setup(faults={1: fault})
     end = setup.explore(tmp_path)
@@ -138,7 +142,7 @@ def test_after_a_fault_the_arm_is_back_and_the_episode_goes_on(fault, tmp_path):
     assert not setup.robot.stopped
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", OUTCOME_OF)
 def test_no_fault_presses_hard(fault):
     setup = Setup(faults={0: fault})
     setup.explore(n_attempts=1)

@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.exploration import (
-    EpisodeError,
     RobotError,
     explore_to_learn,
     put_down,
@@ -89,7 +88,7 @@ def test_a_folder_with_more_touches_gives_what_was_asked_for(tmp_path):
 def test_pictures_of_another_size_do_not_go_on(tmp_path):
     explore_to_learn([PEN], 1, CAMERA, n_sessions=1, folder=tmp_path)
     other = DomeCamera(image_shape=(32, 32), n_nodes=20)
-    with pytest.raises(EpisodeError, match=r"of 32 x 32 taxels.*got \(24, 24\)"):
+    with pytest.raises(ValueError, match=r"of 32 x 32 taxels.*got \(24, 24\)"):
         explore_to_learn([PEN], 2, other, n_sessions=1, folder=tmp_path)
 
 
@@ -101,7 +100,7 @@ def test_two_objects_of_one_name_are_refused_before_any_touch(tmp_path):
 
 def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(EpisodeError, match=r"got the file '.*notes\.txt'\. Use anoth"):
+    with pytest.raises(ValueError, match=r"got the file '.*notes\.txt'\. Use anoth"):
         explore_to_learn([PEN], 1, CAMERA, folder=tmp_path / "notes.txt")
     assert (tmp_path / "notes.txt").read_text() == "mine"
 

@@ -11,10 +11,7 @@ from palpate.recognition import (
     ObjectRecogniser,
     SequenceCalibration,
     as_touches,
-    doubts,
     given_prior,
-    log_posteriors,
-    n_informative,
     with_floor,
 )
 from palpate.recognition._calibration import (
@@ -22,6 +19,7 @@ from palpate.recognition._calibration import (
     draw_episodes,
     fit_sequence_calibration,
 )
+from palpate.recognition._evidence import doubts, log_posteriors, n_informative
 from palpate.recognition._memory import blocks_in_order
 
 

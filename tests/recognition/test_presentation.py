@@ -5,7 +5,8 @@ import pytest
 
 from palpate import Touches
 from palpate.images import repose
-from palpate.recognition import ObjectRecogniser, what_matters
+from palpate.recognition import ObjectRecogniser
+from palpate.recognition._learning import what_matters
 
 
 def bars(rng, angles, n_each=30, side=16, place=0.5):

@@ -5,7 +5,6 @@ from ._moments import CentroidMoments, HuMoments, PadShapes
 from ._moments import sorted_taxels as sorted_taxels
 from ._named import EncodingUnion, RootScaler, encoder_named
 from ._onnx import OnnxEncoding
-from ._onnx import OnnxError as OnnxError
 from ._pixels import (
     GridLevels,
     PhotometricGradients,

@@ -7,9 +7,7 @@ from ._benchmark import write_benchmark as write_benchmark
 from ._comparisons import SIMPLE as SIMPLE
 from ._comparisons import brightness as brightness
 from ._comparisons import control_log_likelihood as control_log_likelihood
-from ._comparisons import disc_centres as disc_centres
 from ._comparisons import named_alone as named_alone
-from ._comparisons import sorted_pixels as sorted_pixels
 from ._comparisons import without_contact as without_contact
 from ._episodes import decide_episodes as decide_episodes
 from ._evaluate import evaluate

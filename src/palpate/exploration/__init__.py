@@ -10,13 +10,10 @@ from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._place_belief import PlaceBelief
 from ._place_filter import advice
-from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog as EpisodeLog
 from ._record import TouchRecord as TouchRecord
 from ._record import as_touches as as_touches
 from ._record import read_episode
-from ._robot import FAULTS as FAULTS
-from ._robot import MissingFrames as MissingFrames
 from ._robot import Robot, RobotError, SimulatedRobot, check_robot
 from ._simulated_objects import QUICK_GUARD as QUICK_GUARD
 from ._simulated_objects import explore_to_learn, put_down

@@ -6,7 +6,7 @@ that way. Forces are newtons along that way, positive when something pushes back
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Container, Mapping
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -102,7 +102,7 @@ class SimulatedRobot:
         - "retract error": the first retract raises before it moves;
         - "arm stuck": every retract raises, and the arm stays where it is;
         - "no frame": the frame does not arrive, where the sensor is asked through
-          `MissingFrames` as that of `put_down` is;
+          `missing_frames` as that of `put_down` is;
         - "out of reach": the object is out of reach, so that nothing is met.
 
     Attributes
@@ -183,9 +183,10 @@ class SimulatedRobot:
         """Halt for good."""
         self.stopped = True
 
-    def loses_frame(self) -> bool:
-        """Whether the frame of this attempt is to be lost."""
-        return self._fails("no frame")
+    @property
+    def missing_frames(self) -> Container[int]:
+        """Numbers of frames that `SimulatedSensor(missing=)` is to lose."""
+        return _MissingFrames(lambda: self._fails("no frame"))
 
     def clock(self) -> float:
         """Return the simulated time (s)."""
@@ -213,14 +214,14 @@ class SimulatedRobot:
         return fails
 
 
-class MissingFrames:
-    """Numbers of the frames that do not arrive: all of an attempt with "no frame"."""
+class _MissingFrames(Container[int]):
+    """All frames as long as the fault of the attempt is "no frame", else none."""
 
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
+    def __init__(self, fails: Callable[[], bool]) -> None:
+        self._fails = fails
 
     def __contains__(self, number: object) -> bool:
-        return self._robot.loses_frame()
+        return self._fails()
 
 
 def check_robot(

@@ -31,7 +31,7 @@ from ..touches import Touches
 from ._episode import gather
 from ._guarded import Guard
 from ._record import TouchRecord, as_touches, tip_mm
-from ._robot import MissingFrames, RobotError, SimulatedRobot
+from ._robot import RobotError, SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
 from ._ways import Toucher, touch_from_hemisphere
 
@@ -157,7 +157,7 @@ def put_down(
         )
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
-    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=MissingFrames(robot))
+    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=robot.missing_frames)
     return Stand(thing, hemisphere, robot, sensor, bench)
 
 

@@ -16,7 +16,6 @@ from ._membrane import Contact as Contact
 from ._membrane import Membrane
 from ._membrane import solve_contact as solve_contact
 from ._mesh import MESH_SUFFIXES as MESH_SUFFIXES
-from ._mesh import MeshError as MeshError
 from ._mesh import load_mesh
 from ._objects import BASIC_SHAPES as BASIC_SHAPES
 from ._objects import HOUSEHOLD as HOUSEHOLD
