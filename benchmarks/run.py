@@ -11,7 +11,7 @@ from pathlib import Path
 
 from palpate import __version__
 from palpate._durable import write_text
-from palpate.bench import BENCHES, run_bench
+from speed import BENCHES, run_bench
 
 RESULTS = Path(__file__).parent / "results.json"
 

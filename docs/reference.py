@@ -29,7 +29,6 @@ SUBPACKAGES = (
     "exploration",
     "studies",
     "web",
-    "bench",
 )
 INTRODUCTION = """\
 `help(NAME)` says the rest: shapes, units, errors, sources. Made by

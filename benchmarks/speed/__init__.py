@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from time import process_time
 from timeit import timeit
@@ -21,6 +22,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
+
+from palpate._checks import check_option
+
+# The file of each, whose function `bench_<name>` it is, and what it measures.
+BENCHES: dict[str, tuple[str, str]] = {
+    "decode": ("encodings", "reading a folder of pictures, peak memory"),
+    "library": ("library", "10^4 and 10^5 touches: adding, opening, likelihoods"),
+    "library-large": ("library", "the same with 10^6"),
+    "library-sizes": ("library", "what recorded touches take on the disk"),
+    "encodings": ("encodings", "from a picture to a vector, by stage"),
+    "latency": ("live", "from a JPEG to the new belief over 50 objects, by stage"),
+    "learning": ("live", "learning, adding, and the page's next lesson"),
+    "likelihood": ("library", "kernel densities per touch"),
+    "live": ("live", "frames to a page, touches to a belief"),
+    "mkl": ("mkl", "multiple kernel learning beside MKLpy and SVC"),
+    "simulate": ("simulate", "touches of a simulated dome camera, by stage"),
+    "simulate-array": ("simulate", "presses on a simulated pressure array"),
+    "zernike": ("encodings", "Zernike moments beside three peers"),
+}
 
 Row = dict[str, Any]
 Picture = NDArray[np.uint8]
@@ -40,6 +60,35 @@ def peak_mib():
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (2**20 if sys.platform == "darwin" else 2**10)
 """
+
+
+def run_bench(name: str, **options: Any) -> list[Row]:
+    """Run the benchmark called `name` and return its rows.
+
+    Parameters
+    ----------
+    name : str
+        One of `BENCHES`.
+    **options
+        What the benchmark offers: mostly `seconds` of CPU time to spend on each
+        figure and `random_state`, what is drawn; `data`, the folder of real touches,
+        by default the one that PALPATE_DATA names (drawn ones without any).
+
+    Returns
+    -------
+    list of dict
+        Each row has `name`, `ours_ms`, `peer`, `peer_ms` and `ratio` = peer_ms /
+        ours_ms, in milliseconds of CPU time unless the name says otherwise; `ratio`
+        is None, with a `reason`, where the peer is absent.
+
+    Raises
+    ------
+    ValueError
+        There is no such benchmark; the message lists them.
+    """
+    file, _ = BENCHES[check_option("name", name, BENCHES)]
+    measure = getattr(import_module(f"speed.{file}"), f"bench_{name.replace('-', '_')}")
+    return list(measure(**options))
 
 
 def cpu_ms(function: Callable[[], object], seconds: float = 0.5) -> float:

@@ -7,10 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from threadpoolctl import threadpool_info
 
-from palpate import bench
-from palpate.bench import BENCHES, run_bench
 from palpate.encodings import ZernikeMoments
-from speed import encodings, library, one_thread
+from speed import BENCHES, encodings, library, one_thread, run_bench
 from speed import row as row_of
 
 
@@ -183,14 +181,6 @@ def test_every_benchmark_that_is_listed_is_there():
     for name, (file, _) in BENCHES.items():
         module = import_module(f"speed.{file}")
         assert callable(getattr(module, f"bench_{name.replace('-', '_')}"))
-
-
-def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):
-    installed = tmp_path / "lib" / "palpate" / "bench" / "__init__.py"
-    monkeypatch.setattr(bench, "__file__", str(installed))
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match="Clone its repository, and call it there"):
-        run_bench("likelihood")
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib import metadata
+from importlib import import_module, metadata
 from itertools import pairwise
 from pathlib import Path
 
@@ -460,6 +460,15 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
 
 def test_bench_lists_its_names(palpate):
     assert "zernike" in palpate("bench", "--list").stdout
+
+
+def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):
+    verb = import_module("palpate.cli.bench")
+    installed = tmp_path / "lib" / "palpate" / "cli" / "bench.py"
+    monkeypatch.setattr(verb, "__file__", str(installed))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="Clone its repository, and call it there"):
+        verb.bench("likelihood")
 
 
 @pytest.mark.parametrize(
