@@ -17,7 +17,6 @@ from typing import Any
 
 SUBPACKAGES = (
     "touches",
-    "datasets",
     "images",
     "encodings",
     "classifiers",
@@ -25,6 +24,7 @@ SUBPACKAGES = (
     "recognition",
     "evaluation",
     "simulation",
+    "datasets",
     "sensors",
     "exploration",
     "studies",
@@ -37,8 +37,10 @@ INTRODUCTION = """\
 ABOUT_SHARED = """\
 Beside its [public names](../reference/names.md) a subpackage offers these to those
 below it in [the table](../explanation/architecture.md#subpackages): names in its
-`__init__.py` that are not in `__all__`. They may change with any version. What no
-subpackage uses, tests or benchmarks do. Made by `python docs/reference.py`.
+`__init__.py` (recognition: `__init__.pyi`) that are not in `__all__`. They may change
+with any version. What no subpackage uses, tests, benchmarks or plugs do. To make one
+public, add it to `__all__` and give all its methods docstrings; both this page and that
+are made by `python docs/reference.py`.
 """
 HERE = Path(__file__).parent
 PACKAGE = HERE.parent / "src" / "palpate"
@@ -65,10 +67,12 @@ def section(subpackage: str) -> str:
     return head + "\n".join(rows) + "\n"
 
 
-def line(item: object) -> str:
-    """Return what a name is, in one line."""
+def line(item: object, comment: str = "") -> str:
+    """Return what a name is, in one line; of a constant its comment, or its value."""
     if inspect.isclass(item) or inspect.isroutine(item) or inspect.ismodule(item):
         return inspect.getdoc(item).splitlines()[0].replace("|", "\\|")
+    if comment:
+        return comment.replace("|", "\\|")
     if not isinstance(item, tuple | list | set | dict):
         return f"{type(item).__name__}: `{shorten(str(item), 60)}`".replace("|", "\\|")
     return f"{type(item).__name__}: {', '.join(f'`{n}`' for n in map(name_of, item))}"
@@ -86,27 +90,39 @@ def shared() -> str:
     for subpackage in SUBPACKAGES:
         module = import_module(f"palpate.{subpackage}")
         rows = [
-            f"| `{name}` | {line(getattr(module, name))} | "
-            f"{', '.join(users.get((subpackage, name), []))} |"
-            for name in offered(subpackage)
+            f"| `{name}` | {line(getattr(module, name), above(path, name))} | "
+            f"`{path.name}` | {', '.join(users.get((subpackage, name), []))} |"
+            for name, path in sorted(offered(subpackage).items())
             if name not in module.__all__
         ]
         if rows:
-            head = "| name | what it is | used by |\n|---|---|---|\n"
+            head = "| name | what it is | in | used by |\n|---|---|---|---|\n"
             parts.append(f"## {subpackage}\n\n{head}" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
 
-def offered(subpackage: str) -> list[str]:
-    """Return the names that a subpackage imports from its own files, sorted."""
-    stub = PACKAGE / subpackage / "__init__.pyi"
+def offered(subpackage: str) -> dict[str, Path]:
+    """Return the names that a subpackage imports from its own files, and the file."""
+    folder = PACKAGE / subpackage
+    stub = folder / "__init__.pyi"
     path = stub if stub.exists() else stub.with_suffix(".py")
-    return sorted(
-        alias.asname or alias.name
+    return {
+        alias.asname or alias.name: folder / f"{node.module or alias.name}.py"
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.ImportFrom) and node.level == 1
         for alias in node.names
-    )
+    }
+
+
+def above(path: Path, name: str) -> str:
+    """Return the comment above the line of a file that begins with a name, or ""."""
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    words: list[str] = []
+    for text in lines:
+        if text.startswith((f"{name} = ", f"{name}: ")):
+            break
+        words = [*words, text[2:]] if text.startswith("# ") else []
+    return " ".join(words)
 
 
 def users_of_names() -> dict[tuple[str, str], list[str]]:

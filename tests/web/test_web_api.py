@@ -240,6 +240,10 @@ def test_episodes_start_and_end(client, drawn):
     assert client.post("/api/episode/end").json()["open"] is False
     assert len(touch(client, drawn.images[1]).json()["touches"]) == 1
     assert client.post("/api/episode/start").json()["touches"] == []
+    # Programs are told all that the page is.
+    assert [*client.get("/api/state").json()["episode"]] == [
+        *client.session.episode.to_dict()
+    ]
     assert client.get("/api/episode/report").status_code == 422
 
 

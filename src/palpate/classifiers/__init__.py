@@ -3,7 +3,7 @@
 from ._corradi2014 import KernelDensityNaiveBayes, OnePerLabelSVC
 from ._encoding_pool import EncodingPool
 from ._kernel_density import KernelDensityBayes
-from ._kernel_density_index import KernelDensityIndex as KernelDensityIndex
+from ._kernel_density_index import KernelDensityIndex
 from ._kernel_ridge import KernelRidgeClassifier
 from ._kernel_ridge import learns_by_landmarks as learns_by_landmarks
 from ._nearby import NearbyTouches as NearbyTouches
@@ -22,6 +22,7 @@ __all__ = [
     "FromProbabilities",
     "GaussianKernel",
     "KernelDensityBayes",
+    "KernelDensityIndex",
     "KernelDensityNaiveBayes",
     "KernelRidgeClassifier",
     "LinearKernel",

@@ -189,6 +189,9 @@ class EpisodeState(BaseModel):
         list[str], Field(description="A sentence for each decision withdrawn.")
     ]
     why: Annotated[list[str], Field(description="The figures behind the sentence.")]
+    n_counted: Annotated[
+        int, Field(description="How many of the touches show contact.")
+    ]
     touches: list[LiveTouch]
 
 
