@@ -51,9 +51,7 @@ def evaluate(
     unknown: Annotated[Path | None, option("Touches of things never learnt.")] = None,
     test_where: Annotated[str | None, option("As --where, of --test.")] = None,
     unknown_where: Annotated[str | None, option("As --where, of --unknown.")] = None,
-    error: _options.ErrorRate = 0.01,
-    refusal: _options.Refusal = None,
-    strangers: _options.Strangers = _options.STRANGERS,
+    deciding: _options.Deciding,
     report: _options.Report = None,
     how: _options.Learning,
     reading: _options.Reading,
@@ -70,12 +68,10 @@ def evaluate(
 
     plan = Plan(
         **vars(how),
+        **vars(deciding),
         touches=_options.counts(touches),
         orders=orders,
         train_touches=train_touches,
-        error=error,
-        refusal=refusal,
-        strangers=strangers,
         remount=remount,
     )
     if report is not None:
