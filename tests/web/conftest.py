@@ -120,8 +120,8 @@ def learning_here(request):
 class Still(LiveSensor):
     """A sensor that gives nothing by itself."""
 
-    def __init__(self, shape=(4, 4), geometry="array", unit="count"):
-        super().__init__("still", unit, shape, np.uint8, geometry)
+    def __init__(self, shape=(4, 4), geometry="array", unit="count", dtype=np.uint8):
+        super().__init__("still", unit, shape, dtype, geometry)
 
     def _open(self):
         pass
@@ -147,9 +147,7 @@ class HandSensor(LiveSensor):
         """
         self.pressed = pressed
         enough = session.health.to_dict()["n_frames"] + 6
-        end = time.monotonic() + 20
-        while session.health.to_dict()["n_frames"] < enough and time.monotonic() < end:
-            time.sleep(0.005)
+        waited(lambda: session.health.to_dict()["n_frames"] >= enough)
 
     def _open(self):
         if self.unplugged:
@@ -237,6 +235,24 @@ def page(window):
         tab.close()
     window.clear_cookies()
     assert opened.errors == []
+
+
+@pytest.fixture
+def open_page(page):
+    """Return a context manager: a session that is served and open in the tab.
+
+    With `frames` the tab shows some by then. Yields address and token.
+    """
+
+    @contextmanager
+    def opened(session, *, frames=False):
+        with serving(session) as (address, token):
+            page.goto(f"{address}/?token={token}")
+            if frames:
+                page.locator("#rate", has_text="Hz").wait_for(timeout=40_000)
+            yield address, token
+
+    return opened
 
 
 @pytest.fixture(scope="session")
