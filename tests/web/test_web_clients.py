@@ -11,6 +11,8 @@ from websockets.sync.client import connect
 
 from palpate.web import Event
 
+from .conftest import waited
+
 N_CLIENTS = 20
 
 
@@ -89,17 +91,11 @@ def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch)
     session = make_session()
     with serving(session) as (address, token):
         slow = stopped_reader(address, token)
-        deadline = time.monotonic() + 5
-        while not len(session.listeners) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert len(session.listeners) == 1
+        assert waited(lambda: len(session.listeners) == 1)
         for _ in range(400):  # states of some kilobytes fill every buffer there is
             session.listeners.notify(Event("state", {"message": "x" * 40_000}))
             time.sleep(0.002)
-        deadline = time.monotonic() + 10
-        while len(session.listeners) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert len(session.listeners) == 0
+        assert waited(lambda: not len(session.listeners))
         slow.close()
 
 
@@ -107,10 +103,7 @@ def test_a_page_that_leaves_is_forgotten(make_session, serving):
     session = make_session()
     with serving(session) as (address, token):
         assert heads(address, token, 0.5)
-        deadline = time.monotonic() + 5
-        while len(session.listeners) and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert len(session.listeners) == 0
+        assert waited(lambda: not len(session.listeners))
 
 
 @pytest.mark.parametrize("message", ["ping", "{}", "x" * 1000])

@@ -2,7 +2,6 @@
 
 import io
 import shutil
-import time
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +35,7 @@ def folder(tmp_path, drawn):
 
 def settled(session):
     """Wait until it has learnt; return what the model knows."""
-    deadline = time.monotonic() + 60
-    while session.learning and time.monotonic() < deadline:
-        time.sleep(0.01)
+    assert waited(lambda: not session.learning, 60)
     assert session.learn_error == ""
     return session.recogniser.classes_.tolist()
 
