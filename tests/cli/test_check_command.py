@@ -257,7 +257,9 @@ def test_a_folder_without_one_good_picture(palpate, tmp_path):
     assert "none" in found["problem"]
 
 
-def test_pictures_that_are_turned_flat_or_there_twice_are_noted(palpate, tmp_path):
+def test_pictures_that_are_turned_flat_or_there_twice_are_noted(
+    palpate, told, tmp_path
+):
     root = tmp_path / "set"
     for number in range(4):
         put(root / "mug" / f"{number}.png")
@@ -267,9 +269,7 @@ def test_pictures_that_are_turned_flat_or_there_twice_are_noted(palpate, tmp_pat
     exif[0x0112] = 6  # as large as the others once it is upright
     put(root / "mug" / "turned.png", np.eye(12, 10, dtype=np.uint8), exif=exif)
     (root / "notes.txt").write_text("hello")
-    done = palpate("check", root, "--json")
-    assert done.returncode == 0, done.stdout
-    notes = json.loads(done.stdout)["notes"]
+    notes = told("check", root)["notes"]
     for words in (
         "1 picture turned",
         "mug/flat.png",

@@ -58,10 +58,8 @@ def model(archive):
     return recogniser.save(archive.parent / "m.palpate")
 
 
-def test_learn_writes_a_model_that_recognises(palpate, archive, tmp_path):
-    done = palpate("learn", archive, "-o", tmp_path / "m.palpate", "--json")
-    assert done.returncode == 0, done.stderr
-    learnt = json.loads(done.stdout)
+def test_learn_writes_a_model_that_recognises(told, archive, tmp_path):
+    learnt = told("learn", archive, "-o", tmp_path / "m.palpate")
     assert learnt["n_labels"] == 3
     assert ObjectRecogniser.load(learnt["model"]).classes_.tolist() == list(NAMES)
 
@@ -114,7 +112,7 @@ def test_recognise_takes_a_refusal_and_a_level(palpate, archive, model):
 
 
 @pytest.mark.parametrize("level", ["object", "any"])
-def test_only_what_is_named_has_a_level(palpate, archive, model, monkeypatch, level):
+def test_only_what_is_named_has_a_level(told, archive, model, monkeypatch, level):
     plain = Belief.named
 
     def named(self, *asked, **more):
@@ -124,9 +122,7 @@ def test_only_what_is_named_has_a_level(palpate, archive, model, monkeypatch, le
         return decision._replace(level="unknown", name="unknown")
 
     monkeypatch.setattr(Belief, "named", named)
-    done = palpate("recognise", model, archive, "--level", level, "--json")
-    assert done.returncode == 0, done.stderr
-    episodes = json.loads(done.stdout)["episodes"]
+    episodes = told("recognise", model, archive, "--level", level)["episodes"]
     decisions = [(e["decision"], e["level"]) for e in episodes]
     assert decisions == [("unknown", None), ("unknown", None), (None, None)]
 
@@ -363,9 +359,8 @@ def test_demo_without_data_says_where_to_get_it(palpate, monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_doctor_knows_this_installation(palpate):
-    done = palpate("doctor", "--json")
-    found = json.loads(done.stdout)
+def test_doctor_knows_this_installation(told):
+    found = told("doctor")
     assert found["healthy"]
     assert {"numpy", "matplotlib"} <= {check["name"] for check in found["checks"]}
 
@@ -514,7 +509,7 @@ def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
 
 
 @pytest.mark.slow
-def test_levels_of_folders_are_named(palpate, tmp_path):
+def test_levels_of_folders_are_named(palpate, told, tmp_path):
     rng = np.random.default_rng(0)
     for name, level in (("mug", 60), ("pen", 150)):
         for session in ("mon", "tue"):
@@ -524,10 +519,7 @@ def test_levels_of_folders_are_named(palpate, tmp_path):
                 picture = rng.normal(level, 20, (16, 16)).clip(0, 255).astype(np.uint8)
                 Image.fromarray(picture).save(folder / f"{k}.png")
     archive, model = tmp_path / "set", tmp_path / "m.palpate"
-    named = palpate(
-        "learn", archive, "-o", model, "--levels", "object/session", "--json"
-    )
-    learnt = json.loads(named.stdout)
+    learnt = told("learn", archive, "-o", model, "--levels", "object/session")
     assert learnt["labels"] == ["mug", "pen"]
     assert learnt["sessions"]["least"] == 2
     plain = palpate("learn", archive, "-o", model)
