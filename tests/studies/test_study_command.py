@@ -77,7 +77,7 @@ def test_studies_are_listed():
     for arguments in (["study"], ["study", "--list"]):
         done = CliRunner().invoke(app, arguments)
         assert done.exit_code == 0
-        assert "liu2014" in done.stdout
+        assert all(name in done.stdout for name in STUDIES)
 
 
 @pytest.mark.parametrize(
