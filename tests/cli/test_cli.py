@@ -153,14 +153,26 @@ def test_recognise_counts_how_labelled_episodes_ended():
     assert outcome_lines([{"object": None, "decision": "mug"}] * 2, ["mug"]) == []
 
 
-def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(capsys):
+@pytest.fixture
+def printed(capsys):
+    """Return the lines that are printed of an episode; touch 3 is of nothing."""
+
+    def lines(n_touches):
+        beliefs = [
+            {"touch": n, "flag": "no contact" * (n == 3), "unknown": 0.1}
+            | {"posterior": {"mug": 0.6, "pen": 0.3}}
+            for n in range(1, n_touches + 1)
+        ]
+        episode = {"object": "mug", "beliefs": beliefs, "touches_used": n_touches}
+        print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
+        return capsys.readouterr().out.splitlines()
+
+    return lines
+
+
+def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(printed):
     """Each of the first touches, fewer later, the last; no bar without a contact."""
-    shares = {"posterior": {"mug": 0.6, "pen": 0.3}, "unknown": 0.1}
-    beliefs = [{"touch": n, "flag": "", **shares} for n in range(1, 15)]
-    beliefs[2]["flag"] = "no contact"
-    episode = {"object": "mug", "beliefs": beliefs, "touches_used": 14}
-    print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed(14)
     assert lines[3] == "  touch 3: no contact, not counted"
     numbers, gaps = [0], []
     for line in lines[1:-2]:
@@ -173,15 +185,11 @@ def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(capsys):
     assert gaps == [before for before, after in steps if after > before + 1] != []
 
 
-def test_dots_never_stand_for_one_touch(capsys):
-    shares = {"posterior": {"mug": 0.6, "pen": 0.3}, "unknown": 0.1}
+def test_dots_never_stand_for_one_touch(printed):
     for used in range(1, 40):
-        beliefs = [{"touch": n, "flag": "", **shares} for n in range(1, used + 1)]
-        episode = {"object": "mug", "beliefs": beliefs, "touches_used": used}
-        print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
         numbers = [
             int(found[1])
-            for line in capsys.readouterr().out.splitlines()
+            for line in printed(used)
             if (found := re.search(r"touch +(\d+)", line))
         ]
         assert all(after - before != 2 for before, after in pairwise(numbers))
@@ -207,18 +215,8 @@ def test_a_split_by_session_needs_sessions_and_says_how(palpate, archive):
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     report = tmp_path / "r.html"
-    done = palpate(
-        "evaluate",
-        "--train",
-        archive,
-        "--split",
-        "last",
-        "--touches",
-        "1,3",
-        "--report",
-        report,
-        "--json",
-    )
+    words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1,3"]
+    done = palpate(*words, "--report", report, "--json")
     figures = json.loads(done.stdout)
     assert set(figures["accuracy"]) == {"1", "3"}
     assert report.read_text().startswith("<!doctype html>")

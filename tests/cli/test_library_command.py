@@ -173,34 +173,18 @@ def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
 
 
 def test_touches_are_exported(palpate, folder, tmp_path):
-    done = palpate(
-        "library",
-        "export",
-        folder,
-        "-o",
-        tmp_path / "pens.npz",
-        "--where",
-        "object=pen",
-    )
+    pens = tmp_path / "pens.npz"
+    done = palpate("library", "export", folder, "-o", pens, "--where", "object=pen")
     assert done.stdout.startswith("20 touches in")
-    assert len(Touches.load(tmp_path / "pens.npz")) == 20
+    assert len(Touches.load(pens)) == 20
 
 
 def test_verbs_take_a_library_with_a_filter(palpate, told, folder, archive, tmp_path):
     model = tmp_path / "m.palpate"
     done = palpate("learn", folder, "--where", "object != pen", "-o", model, "--json")
     assert json.loads(done.stdout)["n_train_touches"] == 40
-    done = palpate(
-        "recognise",
-        model,
-        folder,
-        "--where",
-        "object = ball",
-        "--json",
-        "--error",
-        "0.05",
-    )
-    [episode] = json.loads(done.stdout)["episodes"]
+    wish = ("--where", "object = ball", "--error", "0.05")
+    [episode] = told("recognise", model, folder, *wish)["episodes"]
     assert (episode["object"], len(episode["beliefs"])) == ("ball", 20)
     figures = told(
         "evaluate",
