@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from palpate.library import TouchLibrary
-from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
 AXE = Path(os.environ.get("PALPATE_AXE", ".venv/axe/package/axe.min.js"))
@@ -90,16 +89,12 @@ def test_recognising_and_editing(page, taught, open_page, drawn):
         check(page)
 
 
-def test_two_sensors_and_many_objects(page, open_page, drawn, tmp_path):
-    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
-    sessions = [
-        LiveSession(sensor, library=tmp_path / str(number))
-        for number, sensor in enumerate(sensors)
-    ]
+def test_two_sensors_and_many_objects(page, open_page, make_session, drawn):
+    sessions = [make_session(rate_hz=60.0) for _ in range(2)]
     names = [f"thing {n}" for n in np.arange(90) % 20]
-    for sensor, session, placed in zip(sensors, sessions, ("disc", "bar"), strict=True):
+    for session, placed in zip(sessions, ("disc", "bar"), strict=True):
         session.teacher.library.add(drawn.with_columns(object=names))
-        sensor.place(placed)
+        session.place(placed)
     with open_page(sessions):
         expect(page.locator("#sifted")).to_have_text("20 of 20 objects")
         expect(page.locator("#mixed")).to_be_visible()

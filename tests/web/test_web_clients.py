@@ -50,8 +50,7 @@ def stopped_reader(address, token):
 def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
     make_session, serving
 ):
-    session, refused = make_session(), []
-    session.watch.sensor.rate_hz = 60.0
+    session, refused = make_session(rate_hz=60.0), []
     rows = [[0.25] * 2000] * 1300  # 15 MB of JSON, of a size that is refused at last
     much = json.dumps({"image": rows}).encode()
     with serving(session) as (address, token):

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from palpate.library import LibraryError, TouchLibrary
+from palpate.library import LibraryError
 from palpate.sensors import DetectedTouch, ReplaySensor, open_sensor
 from palpate.web import LearningError, LiveSession
 
@@ -22,16 +22,6 @@ def counts(session):
     """Return how many touches each object of the library has."""
     objects = session.to_dict()["library"]["objects"]
     return {one["name"]: one["n_touches"] for one in objects}
-
-
-@pytest.fixture
-def folder(tmp_path, drawn):
-    """A library of eight discs and eight bars, with a session and a category."""
-    touches = drawn[[*range(8), *range(30, 38)]]
-    kinds = ["round"] * 8 + ["long"] * 8
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(touches.with_columns(category=kinds), session="old")
-    return tmp_path / "library"
 
 
 def test_a_touch_removed_comes_back_by_undo_after_a_restart(folder):

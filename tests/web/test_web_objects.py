@@ -11,7 +11,7 @@ from palpate import Touches
 from palpate.library import LibraryError, TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
-from palpate.web import LearningError, LiveSession
+from palpate.web import LearningError, LiveSession, learn_job
 
 from .conftest import waited
 
@@ -22,15 +22,6 @@ def small_touches(name, count, start=0):
     """Touches of 8 x 8 taxels, as another sensor than the drawn one gives them."""
     images = np.stack([np.roll(SMALL, start + n) for n in range(count)])
     return Touches(images, object=[name] * count, time_s=np.arange(count) + start)
-
-
-@pytest.fixture
-def folder(tmp_path, drawn):
-    """A library of eight discs and eight bars."""
-    rows = [*range(8), *range(30, 38)]
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(drawn[rows], session="old")
-    return tmp_path / "library"
 
 
 def settled(session):
@@ -93,7 +84,7 @@ def test_a_rename_that_would_lose_what_the_model_knows_is_refused(
         assert settled(session) == ["bar", "coin"]
 
 
-def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder, learn_job):
+def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder):
     model = folder / "model.palpate"
     learn_job(folder, model)
     with TouchLibrary.open(folder) as library:
@@ -132,7 +123,7 @@ def test_a_model_is_not_given_up_for_a_sensor_without_touches(folder, drawn):
 
 
 def test_objects_of_another_size_that_are_nowhere_else_are_kept(
-    tmp_path, learn_job, model_of_elsewhere
+    tmp_path, model_of_elsewhere
 ):
     model = model_of_elsewhere(tmp_path / "m.palpate")
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
@@ -186,7 +177,7 @@ def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch
     session.stop()
 
 
-def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch, learn_job):
+def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch):
     def refuse(self, where=None, **named):
         raise AssertionError("all touches were read at once")
 
@@ -195,7 +186,7 @@ def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch, lea
 
 
 def test_kept_objects_leave_the_others_their_touches(
-    tmp_path, drawn, learn_job, model_of_elsewhere
+    tmp_path, drawn, model_of_elsewhere
 ):
     base = model_of_elsewhere(tmp_path / "m.palpate")
     taught = drawn[drawn.object == "both"][:6]

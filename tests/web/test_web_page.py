@@ -130,8 +130,7 @@ def _reload(page):
 
 def test_the_whole_way_with_drawn_touches(page, make_session, serving):
     """Teach two, recognise one, touch a third, and all that may happen."""
-    session = make_session()
-    session.watch.sensor.rate_hz = 100.0
+    session = make_session(rate_hz=100.0)
     with serving(session) as (address, token), ExitStack() as stack:
         relay = stack.enter_context(closing(Relay(int(address.rsplit(":", 1)[1]))))
         page.goto(f"http://127.0.0.1:{relay.port}/?token={token}")
@@ -641,15 +640,9 @@ def test_a_frame_of_numbers_is_refused_where_there_is_none(make_session, connect
 
 
 def test_several_sensors_are_live_side_by_side(
-    page, open_page, drawn, drawn_model, tmp_path
+    page, open_page, make_session, drawn, drawn_model
 ):
-    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
-    for sensor in sensors:
-        sensor.place(None)
-    sessions = [
-        LiveSession(sensor, model=drawn_model, library=tmp_path / str(number))
-        for number, sensor in enumerate(sensors)
-    ]
+    sessions = [make_session(model=drawn_model, rate_hz=60.0) for _ in range(2)]
     with open_page(sessions):
         tiles = page.locator(".tile")
         expect(tiles).to_have_count(2)

@@ -10,7 +10,6 @@ from palpate import Touches
 from palpate.evaluation import Plan, evaluate, write_report
 from palpate.library import TouchLibrary
 from palpate.recognition import figure_of
-from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
 playwright = pytest.importorskip(
@@ -426,9 +425,8 @@ def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path
 def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
     page, make_session, open_page
 ):
-    session = make_session()
+    session = make_session(rate_hz=60.0)
     session.place("disc")
-    session.watch.sensor.rate_hz = 60.0
     with open_page(session, frames=True):
         expect(page.locator("#mixed")).to_be_hidden()
         page.fill("#name", "bar")
@@ -446,15 +444,11 @@ def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
 
 @pytest.mark.slow
 def test_all_sensors_are_not_taught_different_things_unasked(
-    page, open_page, drawn, tmp_path
+    page, open_page, make_session
 ):
-    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
-    for sensor, placed in zip(sensors, ("disc", "bar"), strict=True):
-        sensor.place(placed)
-    sessions = [
-        LiveSession(sensor, library=tmp_path / str(number))
-        for number, sensor in enumerate(sensors)
-    ]
+    sessions = [make_session(rate_hz=60.0) for _ in range(2)]
+    for session, placed in zip(sessions, ("disc", "bar"), strict=True):
+        session.place(placed)
     with open_page(sessions, frames=True):
         expect(page.locator("#mixed")).to_contain_text("1: disc, 2: bar")
         page.fill("#name", "pen")
@@ -467,7 +461,8 @@ def test_all_sensors_are_not_taught_different_things_unasked(
         page.locator("#as-one").check()
         page.select_option("#placed", "bar")  # goes before both
         expect(page.locator("#mixed")).to_be_hidden()
-        assert [sensor.placed for sensor in sensors] == ["bar", "bar"]
+        placed = [session.watch.sensor.placed for session in sessions]
+        assert placed == ["bar", "bar"]
         page.press("#name", "Enter")
         expect(page.locator("#stop")).to_be_visible()
         for _ in range(200):  # the second sensor is asked after the first

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from palpate import TouchLibrary
 from palpate.cli import app
 from palpate.recognition import ModelFileError
-from palpate.sensors import ReplaySensor, SensorError
+from palpate.sensors import SensorError
 from palpate.web import LiveSession, PageServer
 
 
@@ -20,15 +20,10 @@ def missing(hand):
 
 
 @pytest.fixture
-def fingers(drawn, drawn_model):
+def fingers(make_session, drawn_model):
     """Two sensors before which nothing lies yet, and the model of both."""
-
-    def finger():
-        sensor = ReplaySensor(drawn, rate_hz=100, hold=4, gap=4)
-        sensor.place(None)
-        return LiveSession(sensor, model=drawn_model)
-
-    return [finger(), finger()]
+    how = {"model": drawn_model, "library": None, "rate_hz": 100.0}
+    return [make_session(**how) for _ in range(2)]
 
 
 def test_each_sensor_has_an_episode_of_its_own(fingers, connected, drawn):

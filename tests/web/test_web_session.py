@@ -20,7 +20,7 @@ from palpate.sensors import (
     SensorError,
     SensorMemory,
 )
-from palpate.web import LearningError, LiveSession
+from palpate.web import LearningError, LiveSession, learn_job
 
 from .conftest import Still, waited
 
@@ -223,7 +223,7 @@ def test_a_missing_sensor_leaves_no_library_behind(hand, tmp_path):
 
 
 def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
-    model, drawn, tmp_path, learn_job
+    model, drawn, tmp_path
 ):
     """The job of the learning process, in this one."""
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
@@ -243,9 +243,7 @@ def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
     assert fresh["n_elsewhere"] == 25
 
 
-def test_a_model_of_the_library_knows_its_touches_and_its_sensor(
-    drawn, tmp_path, learn_job
-):
+def test_a_model_of_the_library_knows_its_touches_and_its_sensor(drawn, tmp_path):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         ids = library.add(drawn[::3])
     output = tmp_path / "out.palpate"
@@ -257,7 +255,7 @@ def test_a_model_of_the_library_knows_its_touches_and_its_sensor(
     assert (memory.no_contact == drawn.no_contact).all()
 
 
-def test_too_little_is_no_model(drawn, tmp_path, learn_job):
+def test_too_little_is_no_model(drawn, tmp_path):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(drawn[drawn.object == "disc"])
         library.add(drawn[drawn.object == "bar"][:1])
@@ -295,8 +293,7 @@ def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
 
 
 def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):
-    session = make_session()
-    session.watch.sensor.rate_hz = 25.0
+    session = make_session(rate_hz=25.0)
     with session:
         session.teacher.library.add(drawn[::3])
         session.learn(wait=True)
@@ -399,7 +396,7 @@ def library_with_empty_touches(drawn, tmp_path):
 
 
 def test_learning_leaves_out_what_holds_no_number_and_names_it(
-    library_with_empty_touches, learn_job, tmp_path
+    library_with_empty_touches, tmp_path
 ):
     folder, empty = library_with_empty_touches
     answer = learn_job(folder, tmp_path / "m.palpate")
