@@ -202,6 +202,19 @@ def test_verbs_take_a_library_with_a_filter(palpate, told, folder, archive, tmp_
     assert "must name columns of the library" in refused.stderr
 
 
+def test_a_filter_in_a_file_is_of_the_training_touches_as_a_typed_one_is(
+    told, folder, tmp_path
+):
+    with TouchLibrary.open(tmp_path / "test", create=True) as library:
+        library.add(_touches(1))
+    words = ("--train", folder, "--test", tmp_path / "test", "--touches", "1")
+    profile = tmp_path / "reading.toml"
+    profile.write_text("where = 'order < 10'")
+    for filtered in (("--where", "order < 10"), ("--read", profile)):
+        figures = told("evaluate", *words, *filtered)
+        assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 60)
+
+
 def test_a_model_is_extended_from_new_episodes(palpate, told, folder, tmp_path):
     old, new = tmp_path / "old.palpate", tmp_path / "new.palpate"
     palpate("learn", folder, "-o", old)

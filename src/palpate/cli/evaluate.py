@@ -81,7 +81,7 @@ def evaluate(
         if path is None:
             return None
         stage(f"reading {path}")
-        return replace(reading, where=where).touches(path)
+        return replace(reading, read=None, where=where).touches(path)
 
     kept = unless_made("there are no figures", report)
     with message_if_stopped(kept), stages() as stage, working.started():
