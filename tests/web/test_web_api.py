@@ -326,13 +326,6 @@ def test_names_that_are_none_are_refused(shared, drawn, name):
     assert answer.status_code == 422
 
 
-def test_blanks_in_names_are_tidied(client, drawn):
-    body = {"object": " tea\n cup ", "image": drawn.images[0].tolist()}
-    assert client.post("/api/teach/touch", json=body).status_code == 200
-    state = client.get("/api/state").json()
-    assert state["library"]["objects"][0]["name"] == "tea cup"
-
-
 def test_an_image_must_suit_those_before_it(client, drawn):
     teach(client, drawn, "disc", 1)
     wide = client.post("/api/touch", json={"image": [[0, 0]]})

@@ -138,13 +138,6 @@ def test_a_name_that_was_given_is_answered(make_session, connected):
             assert client.get("/api/health", headers=headers).status_code == status
 
 
-def test_the_token_changes_nothing_from_an_address(client):
-    client.cookies.clear()
-    answer = client.post("/api/episode/start", params={"token": TOKEN})
-    assert answer.status_code == 403
-    assert "Authorization: Bearer" in answer.json()["detail"]
-
-
 @pytest.mark.parametrize("token", [None, "wrong"])
 def test_a_browser_is_asked_for_the_token_by_a_page(client, token):
     client.cookies.clear()

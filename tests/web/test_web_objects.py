@@ -300,10 +300,11 @@ def test_what_was_never_taught_is_named_with_what_is_near(folder):
         assert len(session.teacher.newest("disc", 3)) == 3
 
 
-def test_a_new_name_is_kept_without_the_blanks_around_it(folder):
+def test_a_new_name_is_kept_without_the_blanks_around_it(folder, drawn):
     with LiveSession(library=folder) as session:
+        session.post_lesson(" tea\n cup ", drawn.images[60])
         assert session.teacher.rename("disc", "  a  disc ", learnt=False) == "a disc"
         session.rename("bar", " long bar ")
         assert session.message == "bar is called long bar now."
         names = [one["name"] for one in session.to_dict()["library"]["objects"]]
-    assert sorted(names) == ["a disc", "long bar"]
+    assert sorted(names) == ["a disc", "long bar", "tea cup"]
