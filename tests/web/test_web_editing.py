@@ -171,9 +171,12 @@ def test_what_is_forgotten_comes_back_by_undo_and_is_learnt_again(folder):
         assert session.recogniser.classes_.tolist() == ["bar", "disc"]
 
 
-def test_what_changed_stays_so_where_learning_fails(folder, learn_by):
+@pytest.mark.parametrize("error", [LearningError, MemoryError])
+def test_what_changed_stays_so_where_learning_fails(folder, learn_by, error):
+    """Also where this process has no memory for the model that was learnt."""
+
     def fail(*job):
-        raise LearningError("no memory")
+        raise error("no memory")
 
     with LiveSession(library=folder) as session:
         session.learn(wait=True)

@@ -694,7 +694,7 @@ class LiveSession:
             with self._lock:
                 journal.learnt()
                 del self._changes[: len(changes)]
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, MemoryError) as error:
             self.learn_error, self.message = str(error), ""
             journal.changed |= self._changed_before
         finally:
