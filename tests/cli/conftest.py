@@ -1,5 +1,6 @@
 """Running the command inside the test process: no start-up to wait for."""
 
+import json
 import sys
 from dataclasses import dataclass
 
@@ -32,6 +33,18 @@ def palpate(capsys, monkeypatch):
             code = stop.code or 0
         printed = capsys.readouterr()
         return Done(code, printed.out, printed.err)
+
+    return run
+
+
+@pytest.fixture
+def told(palpate):
+    """Call `palpate ARGUMENTS... --json`, which must end well; return the object."""
+
+    def run(*arguments, cwd=None):
+        done = palpate(*arguments, "--json", cwd=cwd)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
 
     return run
 

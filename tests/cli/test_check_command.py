@@ -257,7 +257,9 @@ def test_a_folder_without_one_good_picture(palpate, tmp_path):
     assert "none" in found["problem"]
 
 
-def test_pictures_that_are_turned_flat_or_there_twice_are_noted(palpate, tmp_path):
+def test_pictures_that_are_turned_flat_or_there_twice_are_noted(
+    palpate, told, tmp_path
+):
     root = tmp_path / "set"
     for number in range(4):
         put(root / "mug" / f"{number}.png")
@@ -267,9 +269,7 @@ def test_pictures_that_are_turned_flat_or_there_twice_are_noted(palpate, tmp_pat
     exif[0x0112] = 6  # as large as the others once it is upright
     put(root / "mug" / "turned.png", np.eye(12, 10, dtype=np.uint8), exif=exif)
     (root / "notes.txt").write_text("hello")
-    done = palpate("check", root, "--json")
-    assert done.returncode == 0, done.stdout
-    notes = json.loads(done.stdout)["notes"]
+    notes = told("check", root)["notes"]
     for words in (
         "1 picture turned",
         "mug/flat.png",
@@ -352,22 +352,17 @@ def test_layouts_that_people_have(tmp_path, paths, objects, sessions):
     assert found == sessions
 
 
-def test_two_folders_of_the_same_names_are_told(palpate, tmp_path):
+def test_two_folders_of_the_same_names_are_told(told, tmp_path):
     places = [
         f"{part}/{name}" for part in ("teach", "later") for name in ("mug", "pen")
     ]
     folders(tmp_path / "set", *places)
-    (line,) = (
-        line
-        for line in json.loads(palpate("check", tmp_path / "set", "--json").stdout)[
-            "advice"
-        ]
-        if "the same names" in line
-    )
+    advice = told("check", tmp_path / "set")["advice"]
+    (line,) = (line for line in advice if "the same names" in line)
     assert line.startswith("the same names (mug, pen) are in later/ and teach/")
     assert "--levels -/object" in line
     folders(tmp_path / "other", "tools/saw", "tools/awl", "toys/car", "toys/top")
-    advice = json.loads(palpate("check", tmp_path / "other", "--json").stdout)["advice"]
+    advice = told("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)
 
 
@@ -379,10 +374,8 @@ def test_many_pictures_wrong_in_one_way_are_one_row(palpate, tmp_path):
     assert "and 5 more" in " ".join(done.stdout.split())
     _, table = done.stdout.split("8 pictures cannot be used")
     assert table.count("not named as levels") == 1
-    found = json.loads(
-        palpate("check", tmp_path, "--levels", "session/object", "--json").stdout
-    )
-    assert len(found["bad"]) == 8
+    done = palpate("check", tmp_path, "--levels", "session/object", "--json")
+    assert len(json.loads(done.stdout)["bad"]) == 8
 
 
 @pytest.mark.parametrize(

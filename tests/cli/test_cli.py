@@ -58,10 +58,8 @@ def model(archive):
     return recogniser.save(archive.parent / "m.palpate")
 
 
-def test_learn_writes_a_model_that_recognises(palpate, archive, tmp_path):
-    done = palpate("learn", archive, "-o", tmp_path / "m.palpate", "--json")
-    assert done.returncode == 0, done.stderr
-    learnt = json.loads(done.stdout)
+def test_learn_writes_a_model_that_recognises(told, archive, tmp_path):
+    learnt = told("learn", archive, "-o", tmp_path / "m.palpate")
     assert learnt["n_labels"] == 3
     assert ObjectRecogniser.load(learnt["model"]).classes_.tolist() == list(NAMES)
 
@@ -114,7 +112,7 @@ def test_recognise_takes_a_refusal_and_a_level(palpate, archive, model):
 
 
 @pytest.mark.parametrize("level", ["object", "any"])
-def test_only_what_is_named_has_a_level(palpate, archive, model, monkeypatch, level):
+def test_only_what_is_named_has_a_level(told, archive, model, monkeypatch, level):
     plain = Belief.named
 
     def named(self, *asked, **more):
@@ -124,9 +122,7 @@ def test_only_what_is_named_has_a_level(palpate, archive, model, monkeypatch, le
         return decision._replace(level="unknown", name="unknown")
 
     monkeypatch.setattr(Belief, "named", named)
-    done = palpate("recognise", model, archive, "--level", level, "--json")
-    assert done.returncode == 0, done.stderr
-    episodes = json.loads(done.stdout)["episodes"]
+    episodes = told("recognise", model, archive, "--level", level)["episodes"]
     decisions = [(e["decision"], e["level"]) for e in episodes]
     assert decisions == [("unknown", None), ("unknown", None), (None, None)]
 
@@ -157,14 +153,26 @@ def test_recognise_counts_how_labelled_episodes_ended():
     assert outcome_lines([{"object": None, "decision": "mug"}] * 2, ["mug"]) == []
 
 
-def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(capsys):
+@pytest.fixture
+def printed(capsys):
+    """Return the lines that are printed of an episode; touch 3 is of nothing."""
+
+    def lines(n_touches):
+        beliefs = [
+            {"touch": n, "flag": "no contact" * (n == 3), "unknown": 0.1}
+            | {"posterior": {"mug": 0.6, "pen": 0.3}}
+            for n in range(1, n_touches + 1)
+        ]
+        episode = {"object": "mug", "beliefs": beliefs, "touches_used": n_touches}
+        print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
+        return capsys.readouterr().out.splitlines()
+
+    return lines
+
+
+def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(printed):
     """Each of the first touches, fewer later, the last; no bar without a contact."""
-    shares = {"posterior": {"mug": 0.6, "pen": 0.3}, "unknown": 0.1}
-    beliefs = [{"touch": n, "flag": "", **shares} for n in range(1, 15)]
-    beliefs[2]["flag"] = "no contact"
-    episode = {"object": "mug", "beliefs": beliefs, "touches_used": 14}
-    print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed(14)
     assert lines[3] == "  touch 3: no contact, not counted"
     numbers, gaps = [0], []
     for line in lines[1:-2]:
@@ -177,15 +185,11 @@ def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(capsys):
     assert gaps == [before for before, after in steps if after > before + 1] != []
 
 
-def test_dots_never_stand_for_one_touch(capsys):
-    shares = {"posterior": {"mug": 0.6, "pen": 0.3}, "unknown": 0.1}
+def test_dots_never_stand_for_one_touch(printed):
     for used in range(1, 40):
-        beliefs = [{"touch": n, "flag": "", **shares} for n in range(1, used + 1)]
-        episode = {"object": "mug", "beliefs": beliefs, "touches_used": used}
-        print_episode({**episode, "reasons": ["mug"], "withdrawn": [], "why": []})
         numbers = [
             int(found[1])
-            for line in capsys.readouterr().out.splitlines()
+            for line in printed(used)
             if (found := re.search(r"touch +(\d+)", line))
         ]
         assert all(after - before != 2 for before, after in pairwise(numbers))
@@ -211,18 +215,8 @@ def test_a_split_by_session_needs_sessions_and_says_how(palpate, archive):
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     report = tmp_path / "r.html"
-    done = palpate(
-        "evaluate",
-        "--train",
-        archive,
-        "--split",
-        "last",
-        "--touches",
-        "1,3",
-        "--report",
-        report,
-        "--json",
-    )
+    words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1,3"]
+    done = palpate(*words, "--report", report, "--json")
     figures = json.loads(done.stdout)
     assert set(figures["accuracy"]) == {"1", "3"}
     assert report.read_text().startswith("<!doctype html>")
@@ -363,9 +357,8 @@ def test_demo_without_data_says_where_to_get_it(palpate, monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_doctor_knows_this_installation(palpate):
-    done = palpate("doctor", "--json")
-    found = json.loads(done.stdout)
+def test_doctor_knows_this_installation(told):
+    found = told("doctor")
     assert found["healthy"]
     assert {"numpy", "matplotlib"} <= {check["name"] for check in found["checks"]}
 
@@ -523,7 +516,7 @@ def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
 
 
 @pytest.mark.slow
-def test_levels_of_folders_are_named(palpate, tmp_path):
+def test_levels_of_folders_are_named(palpate, told, tmp_path):
     rng = np.random.default_rng(0)
     for name, level in (("mug", 60), ("pen", 150)):
         for session in ("mon", "tue"):
@@ -533,10 +526,7 @@ def test_levels_of_folders_are_named(palpate, tmp_path):
                 picture = rng.normal(level, 20, (16, 16)).clip(0, 255).astype(np.uint8)
                 Image.fromarray(picture).save(folder / f"{k}.png")
     archive, model = tmp_path / "set", tmp_path / "m.palpate"
-    named = palpate(
-        "learn", archive, "-o", model, "--levels", "object/session", "--json"
-    )
-    learnt = json.loads(named.stdout)
+    learnt = told("learn", archive, "-o", model, "--levels", "object/session")
     assert learnt["labels"] == ["mug", "pen"]
     assert learnt["sessions"]["least"] == 2
     plain = palpate("learn", archive, "-o", model)

@@ -56,10 +56,8 @@ def test_evaluating_says_it_too(palpate, pictures):
     assert not any("read in grey" in s for s in coloured["recommendations"])
 
 
-def test_a_model_of_colours_reads_colours(palpate, pictures, models):
-    done = palpate("recognise", models[0], pictures / "new", "--json")
-    assert done.returncode == 0, done.stderr
-    episodes = json.loads(done.stdout)["episodes"]
+def test_a_model_of_colours_reads_colours(palpate, told, pictures, models):
+    episodes = told("recognise", models[0], pictures / "new")["episodes"]
     assert [e["beliefs"][-1]["posterior"][e["object"]] > 0.9 for e in episodes] == [
         True,
         True,

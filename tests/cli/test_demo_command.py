@@ -1,7 +1,6 @@
 """`palpate demo` from outside, with few touches: what it prints and leaves."""
 
 import importlib
-import json
 import re
 from pathlib import Path
 
@@ -43,10 +42,8 @@ def test_it_explores_shows_beliefs_and_controls_and_ends_with_the_report(
 
 
 @pytest.mark.slow
-def test_its_json_is_one_object_with_everything(palpate, small, tmp_path):
-    done = palpate("demo", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+def test_its_json_is_one_object_with_everything(told, small, tmp_path):
+    found = told("demo", cwd=tmp_path)
     assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= set(found)
     assert [e["object"] for e in found["episodes"]] == ["mug", "plastic card"]
     assert Path(found["report"]).is_file()
@@ -88,10 +85,8 @@ def test_with_recorded_pictures_two_objects_are_unknown(palpate, recorded, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.realdata
-def test_real_pictures_leave_two_objects_unknown(palpate, data_folder, tmp_path):
-    done = palpate("demo", "--real", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+def test_real_pictures_leave_two_objects_unknown(told, data_folder, tmp_path):
+    found = told("demo", "--real", cwd=tmp_path)
     assert found["n_labels"] == 8
     assert len(found["episodes"]) == 10
     assert found["unknown_auroc"]["10"] > 0.8

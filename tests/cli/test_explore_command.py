@@ -61,13 +61,11 @@ def test_learning_writes_a_model_and_its_touches_and_goes_on(palpate, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["informative", "random", "raster"])
-def test_every_strategy_comes_to_an_end(palpate, model, strategy):
-    done = palpate(
+def test_every_strategy_comes_to_an_end(told, model, strategy):
+    found = told(
         "explore", "recognise", model, "ball", "--strategy", strategy,
-        "--max-touches", 6, "--json",
+        "--max-touches", 6,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
     assert found["strategy"] == strategy
     assert found["ended_by"] in ENDS
     assert found["n_attempts"] == len(found["attempts"]) <= 6
@@ -91,13 +89,11 @@ def test_the_belief_is_drawn_and_faults_are_shown(palpate, model, tmp_path):
     assert outcomes[:2] == ["touched", "force sensor"]
 
 
-def test_flags_faults_and_what_moved_the_belief_are_given(palpate, model):
-    done = palpate(
+def test_flags_faults_and_what_moved_the_belief_are_given(told, model):
+    found = told(
         "explore", "recognise", model, "box", "--error", 1e-6, "--max-touches", 4,
-        "--fault", "0=no frame", "--fault", "2=out of reach", "--json",
+        "--fault", "0=no frame", "--fault", "2=out of reach",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
     outcomes = [attempt["outcome"] for attempt in found["attempts"]]
     assert outcomes == ["no frame", "touched", "nothing", "touched"]
     flags = [attempt["flag"] for attempt in found["attempts"]]

@@ -173,42 +173,25 @@ def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
 
 
 def test_touches_are_exported(palpate, folder, tmp_path):
-    done = palpate(
-        "library",
-        "export",
-        folder,
-        "-o",
-        tmp_path / "pens.npz",
-        "--where",
-        "object=pen",
-    )
+    pens = tmp_path / "pens.npz"
+    done = palpate("library", "export", folder, "-o", pens, "--where", "object=pen")
     assert done.stdout.startswith("20 touches in")
-    assert len(Touches.load(tmp_path / "pens.npz")) == 20
+    assert len(Touches.load(pens)) == 20
 
 
-def test_verbs_take_a_library_with_a_filter(palpate, folder, archive, tmp_path):
+def test_verbs_take_a_library_with_a_filter(palpate, told, folder, archive, tmp_path):
     model = tmp_path / "m.palpate"
     done = palpate("learn", folder, "--where", "object != pen", "-o", model, "--json")
     assert json.loads(done.stdout)["n_train_touches"] == 40
-    done = palpate(
-        "recognise",
-        model,
-        folder,
-        "--where",
-        "object = ball",
-        "--json",
-        "--error",
-        "0.05",
-    )
-    [episode] = json.loads(done.stdout)["episodes"]
+    wish = ("--where", "object = ball", "--error", "0.05")
+    [episode] = told("recognise", model, folder, *wish)["episodes"]
     assert (episode["object"], len(episode["beliefs"])) == ("ball", 20)
-    done = palpate(
+    figures = told(
         "evaluate",
         *("--train", folder, "--where", "order < 10"),
         *("--test", folder, "--test-where", "order >= 10"),
-        *("--touches", "1,5", "--orders", "2", "--json"),
+        *("--touches", "1,5", "--orders", "2"),
     )
-    figures = json.loads(done.stdout)
     assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 30)
     refused = palpate("learn", archive, "--where", "object = pen", "-o", model)
     assert refused.returncode == 1
@@ -219,7 +202,20 @@ def test_verbs_take_a_library_with_a_filter(palpate, folder, archive, tmp_path):
     assert "must name columns of the library" in refused.stderr
 
 
-def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
+def test_a_filter_in_a_file_is_of_the_training_touches_as_a_typed_one_is(
+    told, folder, tmp_path
+):
+    with TouchLibrary.open(tmp_path / "test", create=True) as library:
+        library.add(_touches(1))
+    words = ("--train", folder, "--test", tmp_path / "test", "--touches", "1")
+    profile = tmp_path / "reading.toml"
+    profile.write_text("where = 'order < 10'")
+    for filtered in (("--where", "order < 10"), ("--read", profile)):
+        figures = told("evaluate", *words, *filtered)
+        assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 60)
+
+
+def test_a_model_is_extended_from_new_episodes(palpate, told, folder, tmp_path):
     old, new = tmp_path / "old.palpate", tmp_path / "new.palpate"
     palpate("learn", folder, "-o", old)
     refused = palpate("learn", folder, "--extend", old, "-o", new)
@@ -233,8 +229,7 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
     assert json.loads(done.stdout)["n_labels"] == 4
     with TouchLibrary.open(folder) as library:
         library.add(_touches(2, ("mug",), 7), episode="more")
-    done = palpate("learn", folder, "--extend", new, "-o", new, "--json")
-    learnt = json.loads(done.stdout)
+    learnt = told("learn", folder, "--extend", new, "-o", new)
     assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from contextlib import closing
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import cv2
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.cli import record
 from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
@@ -70,12 +72,10 @@ def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_p
     assert "touch 4 of 4" in done.stderr
 
 
-def test_an_address_may_say_what_options_say(palpate, recording, tmp_path):
+def test_an_address_may_say_what_options_say(told, recording, tmp_path):
     address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
     words = ["record", "bar", "--sensor", address, "-n", "3", "--rate", "200"]
-    done = palpate(*words, "--library", tmp_path / "l", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["touches"] == 3
+    assert told(*words, "--library", tmp_path / "l")["touches"] == 3
 
 
 def test_touches_of_a_running_sensor_are_added(palpate, recording, tmp_path):
@@ -96,6 +96,29 @@ def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
     )
     assert done.returncode == 1
     assert "No touch in 0.3 s" in done.stderr
+
+
+def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
+    heard, event = [], SimpleNamespace(kind="state")
+
+    class Stored(list):
+        """Ids of which one more is stored, and told, just after they are counted."""
+
+        def __len__(self):
+            count = super().__len__()
+            if count < 2:
+                self.append("id")
+                heard[0](event)
+            return count
+
+    session = SimpleNamespace(
+        listeners=SimpleNamespace(add=heard.append),
+        teach=lambda name, wanted: None,
+        teacher=SimpleNamespace(lesson=SimpleNamespace(ids=Stored())),
+        trouble="",
+    )
+    assert record._lesson(session, "bar", 2, 0.05) == 2
+    assert "No touch" not in capsys.readouterr().err
 
 
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):

@@ -36,111 +36,113 @@ def files(learnt, tmp_path):
     return tmp_path
 
 
+@pytest.fixture
+def remounted(palpate, files):
+    """Return what `palpate remount` prints of a file of touches."""
+
+    def remount(touches, *options):
+        model, output = files / "m.palpate", files / "o.palpate"
+        done = palpate("remount", model, files / touches, "-o", output, *options)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return remount
+
+
 @pytest.mark.parametrize("unlabelled", [True, False])
-def test_remount_writes_a_model_for_the_session(palpate, files, unlabelled):
-    model, again = files / "m.palpate", files / "again.palpate"
+def test_remount_writes_a_model_for_the_session(remounted, files, unlabelled):
     options = ["--unlabelled"] if unlabelled else []
-    done = palpate(
-        *["remount", model, files / "tue.npz", "-o", again, "--json", *options]
-    )
-    said = json.loads(done.stdout)
+    said = json.loads(remounted("tue.npz", "--json", *options))
     assert said["changed"]
     assert said["labelled"] != unlabelled
     assert set(said["confirm"]) == set("abcd")
     there = visited(MOVE, 10, 3, "tue")
-    assert ObjectRecogniser.load(again).score(there) > 0.95
-    assert ObjectRecogniser.load(model).score(there) < 0.9
+    assert ObjectRecogniser.load(files / "o.palpate").score(there) > 0.95
+    assert ObjectRecogniser.load(files / "m.palpate").score(there) < 0.9
 
 
-def test_remount_says_what_it_found(palpate, files):
+def test_remount_says_what_it_found(remounted, files):
     tuesday = Touches.load(files / "tue.npz")
     few = np.concatenate([np.flatnonzero(tuesday.object == n)[:2] for n in "abcd"])
     tuesday[few].save(files / "few.npz")
-    done = palpate(
-        *["remount", files / "m.palpate", files / "few.npz", "-o", files / "o.palpate"]
-    )
-    assert "show another mounting or light" in done.stdout
-    assert "confirm 1 to 5 touches of each" in done.stdout
-    assert done.stdout.count(OTHER_SESSION) == 1
-    assert done.stdout.rstrip().endswith("o.palpate")
+    said = remounted("few.npz")
+    assert "show another mounting or light" in said
+    assert "confirm 1 to 5 touches of each" in said
+    assert said.count(OTHER_SESSION) == 1
+    assert said.rstrip().endswith("o.palpate")
 
 
-def test_of_objects_with_five_confirmed_touches_no_more_are_asked_for(palpate, files):
-    done = palpate(
-        *["remount", files / "m.palpate", files / "tue.npz", "-o", files / "o.palpate"]
-    )
-    assert "confirm" not in done.stdout
+def test_of_objects_with_five_confirmed_touches_no_more_are_asked_for(remounted):
+    assert "confirm" not in remounted("tue.npz")
 
 
-def test_where_each_object_is_confirmed_no_other_is_asked_for(palpate, files):
+@pytest.fixture
+def doubted(files):
+    """Let rehearsed sessions say that a quarter of what touches tell is believed."""
+    learnt = ObjectRecogniser.load(files / "m.palpate")
+    learnt.chosen_["rehearsal"] = {"share": 0.0, "trust": 0.25}
+    learnt.save(files / "m.palpate")
+
+
+def test_where_each_object_is_confirmed_no_other_is_asked_for(
+    remounted, files, doubted
+):
     """More touches of each are worth more still: how many there are is said."""
-    model, output = files / "m.palpate", files / "o.palpate"
     tuesday = Touches.load(files / "tue.npz")
     tuesday[[0, 6, 12, 18]].save(files / "four.npz")
-    unlabelled = palpate(
-        *["remount", model, files / "four.npz", "-o", output, "--unlabelled"]
-    )
-    assert "confirm 1 to 5 touches of each" in unlabelled.stdout
-    learnt = ObjectRecogniser.load(model)
-    learnt.chosen_["rehearsal"] = {"share": 0.0, "trust": 0.25}
-    learnt.save(model)
-    done = palpate("remount", model, files / "four.npz", "-o", output)
-    assert "By their labels" in done.stdout
-    assert "of more objects" not in done.stdout
-    assert "so far there are 4 of 4 objects" in done.stdout
+    unlabelled = remounted("four.npz", "--unlabelled")
+    assert "confirm 1 to 5 touches of each" in unlabelled
+    said = remounted("four.npz")
+    assert "By their labels" in said
+    assert "of more objects" not in said
+    assert "so far there are 4 of 4 objects" in said
 
 
-def test_what_is_left_to_confirm_is_said(palpate, files):
+def test_what_is_left_to_confirm_is_said(remounted, files):
     tuesday = Touches.load(files / "tue.npz")
     tuesday[np.isin(tuesday.object, ["a", "c"])].save(files / "some.npz")
-    done = palpate(
-        *["remount", files / "m.palpate", files / "some.npz", "-o", files / "o.palpate"]
-    )
-    (sentence,) = [line for line in done.stdout.splitlines() if "none yet" in line]
+    lines = remounted("some.npz").splitlines()
+    (sentence,) = [line for line in lines if "none yet" in line]
     assert set(sentence.rstrip(".").split("none yet: ")[1].split(", ")) == {"b", "d"}
 
 
-def test_what_one_object_tells_is_said_to_be_believed_in_part(palpate, files):
-    model, output = files / "m.palpate", files / "o.palpate"
-    learnt = ObjectRecogniser.load(model)
-    learnt.chosen_["rehearsal"] = {"share": 0.0, "trust": 0.25}
-    learnt.save(model)
+def test_what_one_object_tells_is_said_to_be_believed_in_part(
+    palpate, remounted, files, doubted
+):
     Touches.load(files / "tue.npz")[:1].save(files / "one.npz")
-    done = palpate("remount", model, files / "one.npz", "-o", output)
-    assert "By their labels, 1 touch tells what" in done.stdout
-    assert "tell of the others 25 % is believed, as rehearsed sessions" in done.stdout
-    again = palpate("recognise", output, files / "tue.npz")
+    said = remounted("one.npz")
+    assert "By their labels, 1 touch tells what" in said
+    assert "tell of the others 25 % is believed, as rehearsed sessions" in said
+    again = palpate("recognise", files / "o.palpate", files / "tue.npz")
     assert "a few touches more, with labels; see palpate remount." in again.stdout
 
 
-def test_recognise_warns_of_another_mounting(palpate, files):
+def test_recognise_warns_of_another_mounting(palpate, told, files):
     model = files / "m.palpate"
     warned = palpate("recognise", model, files / "tue.npz")
     assert "see palpate remount" in warned.stdout
     assert OTHER_SESSION in warned.stdout
     calm = palpate("recognise", model, files / "mon.npz")
     assert "palpate remount" not in calm.stdout
-    said = json.loads(palpate("recognise", model, files / "tue.npz", "--json").stdout)
+    said = told("recognise", model, files / "tue.npz")
     assert said["mounting"]["changed"]
     assert all(OTHER_SESSION in episode["why"] for episode in said["episodes"])
 
 
-def test_nuisance_is_learnt_from_other_objects(palpate, files):
+def test_nuisance_is_learnt_from_other_objects(palpate, told, files):
     days = [visited(k * MOVE / 4, 2, 10 + k, f"day {k}") for k in range(6)]
     renamed = Touches.concatenate(days)
     names = np.char.add("other ", renamed.object)
     renamed.with_columns(object=names).save(files / "others.npz")
     model, out = files / "m.palpate", files / "n.palpate"
-    done = palpate(
-        *["sensor", "learn-nuisance", model, files / "others.npz", "-o", out, "--json"]
-    )
-    assert json.loads(done.stdout)["n_differences"] == 24
+    learnt = told("sensor", "learn-nuisance", model, files / "others.npz", "-o", out)
+    assert learnt["n_differences"] == 24
     few = palpate("sensor", "learn-nuisance", model, files / "tue.npz", "-o", out)
     assert few.returncode == 1
     assert "at least 20 things in several sessions" in few.stderr
 
 
-def test_learn_and_evaluate_say_what_to_expect_of_another_day(palpate, files):
+def test_learn_and_evaluate_say_what_to_expect_of_another_day(palpate, told, files):
     both = files / "both.npz"
     days = [visited(0, 6, 0, "mon"), visited(MOVE, 6, 1, "tue")]
     Touches.concatenate(days).save(both)
@@ -149,5 +151,4 @@ def test_learn_and_evaluate_say_what_to_expect_of_another_day(palpate, files):
     one = palpate("learn", files / "mon.npz", "-o", files / "one.palpate")
     assert "Taught in 1 session an object, and none in two" in one.stdout
     split = ["--split", "session", "--touches", "1", "--remount", "recentre"]
-    figures = palpate("evaluate", "--train", both, *split, "--json")
-    assert json.loads(figures.stdout)["remount"] == "recentre"
+    assert told("evaluate", "--train", both, *split)["remount"] == "recentre"

@@ -6,9 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from palpate.cli import app
 from palpate.simulation import DomeCamera, simulate_touches
 from palpate.studies import STUDIES, run_study
 from palpate.studies.corradi2015 import Corradi2015Plan, pictures
@@ -159,11 +157,6 @@ def test_bad_sizes_are_refused(changes, message):
 def test_a_folder_without_the_touches_is_refused(tmp_path):
     with pytest.raises(ValueError, match="data must name a folder that holds bathtip"):
         run_study("corradi2015", data=tmp_path, quick=True)
-
-
-def test_the_command_lists_it():
-    done = CliRunner().invoke(app, ["study", "--list"])
-    assert "corradi2015" in done.stdout
 
 
 @pytest.mark.slow

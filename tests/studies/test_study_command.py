@@ -77,7 +77,7 @@ def test_studies_are_listed():
     for arguments in (["study"], ["study", "--list"]):
         done = CliRunner().invoke(app, arguments)
         assert done.exit_code == 0
-        assert "liu2014" in done.stdout
+        assert all(name in done.stdout for name in STUDIES)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_quick_is_quick_and_draws_every_picture(tmp_path):
 TINY = {
     "sessions": 2,
     "touches_each": 5,
-    "touches": (1, 3),
+    "touches": (1, 3, 10),  # more than some recordings have
     "orders": 2,
     "draws": 3,
     "ways": ("none", "confirm:1"),

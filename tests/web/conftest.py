@@ -70,20 +70,15 @@ def drawn_model(tmp_path_factory, drawn):
 def make_session(tmp_path_factory, drawn):
     """Return a function that makes a session over a fast replay of drawn touches."""
 
-    def make(sensor=True, **options):
+    def make(sensor=True, rate_hz=250.0, **options):
         options.setdefault("library", tmp_path_factory.mktemp("live") / "library")
-        replay = ReplaySensor(drawn, rate_hz=250, hold=3, gap=3) if sensor else None
-        if replay is not None:
+        replay = None
+        if sensor:
+            replay = ReplaySensor(drawn, rate_hz=rate_hz, hold=3, gap=3)
             replay.place(None)
         return LiveSession(replay, **options)
 
     return make
-
-
-@pytest.fixture(name="learn_job", scope="session")
-def learn_job_fixture():
-    """Give tests the job of the learning process, to be done in this one."""
-    return learn_job
 
 
 @pytest.fixture
@@ -121,8 +116,8 @@ def learning_here(request):
 class Still(LiveSensor):
     """A sensor that gives nothing by itself."""
 
-    def __init__(self, shape=(4, 4), geometry="array", unit="count"):
-        super().__init__("still", unit, shape, np.uint8, geometry)
+    def __init__(self, shape=(4, 4), geometry="array", unit="count", dtype=np.uint8):
+        super().__init__("still", unit, shape, dtype, geometry)
 
     def _open(self):
         pass
@@ -148,9 +143,7 @@ class HandSensor(LiveSensor):
         """
         self.pressed = pressed
         enough = session.health.to_dict()["n_frames"] + 6
-        end = time.monotonic() + 20
-        while session.health.to_dict()["n_frames"] < enough and time.monotonic() < end:
-            time.sleep(0.005)
+        waited(lambda: session.health.to_dict()["n_frames"] >= enough)
 
     def _open(self):
         if self.unplugged:
@@ -240,6 +233,24 @@ def page(window):
     assert opened.errors == []
 
 
+@pytest.fixture
+def open_page(page):
+    """Return a context manager: a session that is served and open in the tab.
+
+    With `frames` the tab shows some by then. Yields address and token.
+    """
+
+    @contextmanager
+    def opened(session, *, frames=False):
+        with serving(session) as (address, token):
+            page.goto(f"{address}/?token={token}")
+            if frames:
+                page.locator("#rate", has_text="Hz").wait_for(timeout=40_000)
+            yield address, token
+
+    return opened
+
+
 @pytest.fixture(scope="session")
 def taught_library(tmp_path_factory, drawn):
     """The library of a session that has learnt the disc and the bar."""
@@ -254,6 +265,14 @@ def taught_library(tmp_path_factory, drawn):
 def taught(make_session, taught_library, tmp_path):
     """A session that has learnt the disc and the bar."""
     folder = shutil.copytree(taught_library, tmp_path / "taught")
-    session = make_session(library=folder)
-    session.watch.sensor.rate_hz = 60.0
-    return session
+    return make_session(library=folder, rate_hz=60.0)
+
+
+@pytest.fixture
+def folder(tmp_path, drawn):
+    """A library of eight discs and eight bars, with a session and a category."""
+    touches = drawn[[*range(8), *range(30, 38)]]
+    kinds = ["round"] * 8 + ["long"] * 8
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(touches.with_columns(category=kinds), session="old")
+    return tmp_path / "library"

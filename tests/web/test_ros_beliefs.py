@@ -139,20 +139,6 @@ def test_what_holds_a_number_is_met_by_nobody_else():
     assert len({NUMBER, *others}) == 4
 
 
-def test_a_listener_that_takes_no_frames_is_sent_none():
-    """Frames cost a picture each, and beliefs need none."""
-    listeners, with_frames, without = LiveSession().listeners, [], []
-    listeners.add(with_frames.append)
-    listeners.add(without.append, frames=False)
-    for kind in ("frame", "touch", "frame", "state"):
-        listeners.notify(Event(kind))
-    assert [event.kind for event in with_frames] == ["frame", "touch", "frame", "state"]
-    assert [event.kind for event in without] == ["touch", "state"]
-    assert (len(listeners), listeners.n_of_frames) == (2, 1)
-    listeners.discard(with_frames.append)
-    assert (len(listeners), listeners.n_of_frames) == (1, 0)
-
-
 def test_an_address_to_publish_at_is_checked_before_anything_starts(monkeypatch):
     command = ["palpate", "live", "no.palpate", "--sensor", "sim:mug", "--publish"]
     for address, why in (("/palpate", "like ros:/palpate"), ("ros:/a?qos=x", "'qos'")):

@@ -1,13 +1,13 @@
 """Touches with places: what the page shows from above, and who is told why not."""
 
-import time
-
 import numpy as np
 import pytest
 
 from palpate import ObjectRecogniser, Touches
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
+
+from .conftest import waited
 
 RADIUS_MM = {"disc": 60.0, "bar": 30.0}
 
@@ -41,11 +41,18 @@ def placed_model(tmp_path_factory, balls):
 
 
 @pytest.fixture(scope="module")
-def placed_client(make_session, connected, placed_model):
+def placed(make_session, connected, placed_model):
     """A client of a model that was taught with places, its map not yet learnt."""
     session = make_session(sensor=False, model=placed_model, library=None)
     with connected(session) as client:
         yield client
+
+
+@pytest.fixture
+def placed_client(placed):
+    """The same client, at the beginning of an episode."""
+    placed.post("/api/episode/start")
+    return placed
 
 
 def posted(client, image, tip, way, path="/api/touch", **more):
@@ -58,13 +65,12 @@ def posted(client, image, tip, way, path="/api/touch", **more):
 
 def seen(client):
     """Return what is seen from above, once the map is learnt."""
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        answer = client.get("/api/episode/above").json()
-        if not answer["sentence"].startswith("Learning"):
-            return answer
-        time.sleep(0.05)
-    raise AssertionError("the map was never learnt")
+
+    def above():
+        return client.get("/api/episode/above").json()
+
+    assert waited(lambda: not above()["sentence"].startswith("Learning"), 60)
+    return above()
 
 
 def touch_the_large_ball(client, drawn, count=5, aside_mm=(0, 0, 0)):
@@ -76,7 +82,6 @@ def touch_the_large_ball(client, drawn, count=5, aside_mm=(0, 0, 0)):
 
 
 def test_places_tell_the_ball_and_where_it_stands(placed_client, drawn):
-    placed_client.post("/api/episode/start")
     tips = touch_the_large_ball(placed_client, drawn, aside_mm=(8, 0, 0))
     above = seen(placed_client)
     assert above["sentence"].startswith("disc on face 0, a turn that cannot be told")
@@ -92,7 +97,6 @@ def test_places_tell_the_ball_and_where_it_stands(placed_client, drawn):
 
 
 def test_a_new_episode_is_seen_anew(placed_client, drawn):
-    placed_client.post("/api/episode/start")
     assert placed_client.get("/api/episode/above").json()["touches"] == []
     image = drawn.images[drawn.object == "disc"][22]
     placed_client.post("/api/touch", json={"image": image.tolist()})
@@ -115,7 +119,6 @@ def archive(client):
 
 
 def test_another_unit_is_told_and_the_touch_counts(placed_client, drawn):
-    placed_client.post("/api/episode/start")
     image = drawn.images[drawn.object == "disc"][22]
     answer = posted(placed_client, image, [0, 0, 60_000], [0, 0, -1])
     assert len(answer.json()["touches"]) == 1
@@ -133,7 +136,6 @@ def test_another_unit_is_told_and_the_touch_counts(placed_client, drawn):
     ],
 )
 def test_half_a_place_is_refused(placed_client, drawn, place, words):
-    placed_client.post("/api/episode/start")
     image = drawn.images[0]
     answer = placed_client.post("/api/touch", json={"image": image.tolist(), **place})
     assert answer.status_code == 422
@@ -141,15 +143,9 @@ def test_half_a_place_is_refused(placed_client, drawn, place, words):
     assert placed_client.get("/api/episode").json()["touches"] == []
 
 
-def missed(client, tip, way, **more):
-    place = {"position_mm": list(tip), "direction": list(way)}
-    return client.post("/api/touch", json={**place, "miss": True, **more})
-
-
 def test_the_belief_is_by_pictures_and_places_once_the_map_is_learnt(
     placed_client, drawn
 ):
-    placed_client.post("/api/episode/start")
     posted(placed_client, drawn.images[0], [0, 0, 60], [0, 0, -1])
     seen(placed_client)
     placed_client.post("/api/episode/start")
@@ -174,12 +170,12 @@ def test_the_belief_is_by_pictures_and_places_once_the_map_is_learnt(
 
 
 def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
-    placed_client.post("/api/episode/start")
     image = drawn.images[drawn.object == "disc"][22]
     before = posted(placed_client, image, [0, 0, 60], [0, 0, -1])
     seen(placed_client)
     before = placed_client.get("/api/episode").json()["touches"][-1]
-    answer = missed(placed_client, [0, 0, 40], [0, 0, -1])
+    body = {"position_mm": [0, 0, 40], "direction": [0, 0, -1], "miss": True}
+    answer = placed_client.post("/api/touch", json=body)
     assert answer.status_code == 200
     touch = answer.json()["touches"][-1]
     assert touch["miss"]
@@ -207,7 +203,6 @@ def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
     ],
 )
 def test_a_wrong_miss_is_refused(placed_client, drawn, more, words):
-    placed_client.post("/api/episode/start")
     posted(placed_client, drawn.images[0], [0, 0, 60], [0, 0, -1])
     seen(placed_client)
     body = {"position_mm": [0, 0, 40], "direction": [0, 0, -1], "miss": True}
@@ -219,7 +214,6 @@ def test_a_wrong_miss_is_refused(placed_client, drawn, more, words):
 
 @pytest.mark.parametrize("name", ["position_mm", "direction", "force_n"])
 def test_a_place_that_is_no_number_is_refused(placed_client, name):
-    placed_client.post("/api/episode/start")
     place = {"position_mm": "[0, 0, 60]", "direction": "[0, 0, -1]", "force_n": "1"}
     place[name] = "NaN" if name == "force_n" else "[0, 0, NaN]"
     fields = ", ".join(f'"{key}": {value}' for key, value in place.items())
@@ -230,7 +224,6 @@ def test_a_place_that_is_no_number_is_refused(placed_client, name):
 
 
 def test_a_picture_has_its_place_in_the_address(placed_client, drawn):
-    placed_client.post("/api/episode/start")
     image = drawn.images[drawn.object == "disc"][22]
     path = placed_client.session.model_path.with_name("touch.npy")
     np.save(path, image)
@@ -266,9 +259,7 @@ def test_a_replay_tells_the_places_of_its_recording(balls, placed_model):
     rest = np.zeros_like(large.images[0])
     sensor = ReplaySensor(large, rate_hz=250, hold=3, gap=3, no_contact=rest)
     with LiveSession(sensor, model=placed_model) as session:
-        deadline = time.monotonic() + 30
-        while len(session.episode.touches) < 3 and time.monotonic() < deadline:
-            time.sleep(0.02)
+        assert waited(lambda: len(session.episode.touches) >= 3)
     tips = [touch.position_mm for touch in session.episode.touches[:3]]
     # As stored: the first frames may be over before the sensor is followed.
     recorded = large.columns["position_mm"].tolist()
@@ -310,12 +301,11 @@ def test_a_model_without_places_says_so(make_session, connected, drawn_model, dr
 
 @pytest.mark.slow
 def test_the_page_shows_it_where_a_touch_has_a_place(
-    page, serving, make_session, placed_model, drawn
+    page, open_page, make_session, placed_model, drawn
 ):
     session = make_session(sensor=False, model=placed_model, library=None)
     images = drawn.images[drawn.object == "disc"][22:]
-    with session, serving(session) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with session, open_page(session):
         session.post_touch(images[0])
         page.wait_for_selector("#strip img")
         assert page.locator("#above").is_hidden()

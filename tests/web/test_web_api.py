@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import time
 import zlib
 
 import numpy as np
@@ -12,6 +11,8 @@ from PIL import Image
 
 from palpate import Touches
 from palpate.library import TouchLibrary
+
+from .conftest import waited
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +58,8 @@ def learnt(client):
 
 
 def settled(client):
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        state = client.get("/api/state").json()
-        if not state["learning"]:
-            return state
-        time.sleep(0.05)
-    raise AssertionError("it never stopped learning")
+    assert waited(lambda: not client.get("/api/state").json()["learning"], 60)
+    return client.get("/api/state").json()
 
 
 def touch(client, image):
@@ -305,21 +301,14 @@ def test_hostile_pictures_are_refused(shared, path, content, kind, message):
         b"{",
         b"\xff\xfe",
         b"[" * 5000,
-        b'{"image": []}',
-        b'{"image": [[]]}',
-        b'{"image": [[1], [1, 2]]}',
-        b'{"image": [[1e999]]}',
         b'{"image": [["a"]]}',
         b'{"image": [[1e39]]}',
         b'{"image": 3, "more": 4}',
         b'{"image": [[1]], "more": 4}',
-        b'{"image": [[1]], "image": 4}',
         b'{"image": [[1] [2]]}',
         b'{"image": [[1], 2]}',
-        b'{"image": [[true]]}',
         b'{"image": [[' + b"9" * 5000 + b"]]}",
         b'{"image": [[' + b"[" * 50_000 + b"]]}",
-        b'{"image": [[1]]',
         json.dumps({"image": [[0] * 4097]}).encode() * 2,
     ],
 )
@@ -339,13 +328,6 @@ def test_names_that_are_none_are_refused(shared, drawn, name):
     body = json.dumps({"object": name, "image": drawn.images[0].tolist()})
     answer = shared.post("/api/teach/touch", content=body, headers=headers)
     assert answer.status_code == 422
-
-
-def test_blanks_in_names_are_tidied(client, drawn):
-    body = {"object": " tea\n cup ", "image": drawn.images[0].tolist()}
-    assert client.post("/api/teach/touch", json=body).status_code == 200
-    state = client.get("/api/state").json()
-    assert state["library"]["objects"][0]["name"] == "tea cup"
 
 
 def test_an_image_must_suit_those_before_it(client, drawn):
@@ -396,6 +378,12 @@ def test_an_image_of_nothing_but_nulls_is_refused_at_the_door(client, drawn, sha
         assert answer.status_code == 422
         if len(shape) == 2:
             assert "only NaN (null in JSON)" in answer.text
+    body, kind = npy(np.full(shape, np.nan)), {"Content-Type": "application/x-npy"}
+    for path in ("/api/teach/touch/picture?object=disc", "/api/touch/picture"):
+        answer = client.post(path, content=body, headers=kind)
+        assert answer.status_code == 422
+        assert "at least one number, got only NaN" in answer.json()["detail"]
+    assert client.get("/api/state").json()["library"]["objects"] == []
     # What comes after it is learnt as if it had never come.
     for name in ("disc", "bar"):
         teach(client, drawn, name, 12)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from palpate.library import TouchLibrary
-from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
 AXE = Path(os.environ.get("PALPATE_AXE", ".venv/axe/package/axe.min.js"))
@@ -49,10 +48,9 @@ def test_before_anything_is_there(page, hand, serving, tmp_path):
         check(page)
 
 
-def test_while_teaching_and_after_a_restart(page, make_session, serving, tmp_path):
+def test_while_teaching_and_after_a_restart(page, make_session, open_page, tmp_path):
     folder = tmp_path / "library"
-    with serving(make_session(library=folder)) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(make_session(library=folder)):
         page.fill("#name", "disc")
         page.press("#wanted", "Enter")
         page.select_option("#placed", "disc")
@@ -64,15 +62,13 @@ def test_while_teaching_and_after_a_restart(page, make_session, serving, tmp_pat
     session = make_session(library=folder)
     session.teach("bar", 8)
     session.stop()
-    with serving(make_session(library=folder)) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(make_session(library=folder)):
         expect(page.locator("#interrupted")).to_be_visible()
         check(page)
 
 
-def test_recognising_and_editing(page, taught, serving, drawn):
-    with serving(taught) as (address, token):
-        page.goto(f"{address}/?token={token}")
+def test_recognising_and_editing(page, taught, open_page, drawn):
+    with open_page(taught):
         expect(page.locator("#learnt")).to_have_text("2 objects learnt")
         check(page)
         for image in drawn.images[:5]:
@@ -93,18 +89,13 @@ def test_recognising_and_editing(page, taught, serving, drawn):
         check(page)
 
 
-def test_two_sensors_and_many_objects(page, serving, drawn, tmp_path):
-    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
-    sessions = [
-        LiveSession(sensor, library=tmp_path / str(number))
-        for number, sensor in enumerate(sensors)
-    ]
+def test_two_sensors_and_many_objects(page, open_page, make_session, drawn):
+    sessions = [make_session(rate_hz=60.0) for _ in range(2)]
     names = [f"thing {n}" for n in np.arange(90) % 20]
-    for sensor, session, placed in zip(sensors, sessions, ("disc", "bar"), strict=True):
+    for session, placed in zip(sessions, ("disc", "bar"), strict=True):
         session.teacher.library.add(drawn.with_columns(object=names))
-        sensor.place(placed)
-    with serving(sessions) as (address, token):
-        page.goto(f"{address}/?token={token}")
+        session.place(placed)
+    with open_page(sessions):
         expect(page.locator("#sifted")).to_have_text("20 of 20 objects")
         expect(page.locator("#mixed")).to_be_visible()
         check(page)

@@ -11,6 +11,8 @@ from websockets.sync.client import connect
 
 from palpate.web import Event
 
+from .conftest import waited
+
 N_CLIENTS = 20
 
 
@@ -48,8 +50,7 @@ def stopped_reader(address, token):
 def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
     make_session, serving
 ):
-    session, refused = make_session(), []
-    session.watch.sensor.rate_hz = 60.0
+    session, refused = make_session(rate_hz=60.0), []
     rows = [[0.25] * 2000] * 1300  # 15 MB of JSON, of a size that is refused at last
     much = json.dumps({"image": rows}).encode()
     with serving(session) as (address, token):
@@ -89,17 +90,11 @@ def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch)
     session = make_session()
     with serving(session) as (address, token):
         slow = stopped_reader(address, token)
-        deadline = time.monotonic() + 5
-        while not len(session.listeners) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert len(session.listeners) == 1
+        assert waited(lambda: len(session.listeners) == 1)
         for _ in range(400):  # states of some kilobytes fill every buffer there is
             session.listeners.notify(Event("state", {"message": "x" * 40_000}))
             time.sleep(0.002)
-        deadline = time.monotonic() + 10
-        while len(session.listeners) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert len(session.listeners) == 0
+        assert waited(lambda: not len(session.listeners))
         slow.close()
 
 
@@ -107,10 +102,7 @@ def test_a_page_that_leaves_is_forgotten(make_session, serving):
     session = make_session()
     with serving(session) as (address, token):
         assert heads(address, token, 0.5)
-        deadline = time.monotonic() + 5
-        while len(session.listeners) and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert len(session.listeners) == 0
+        assert waited(lambda: not len(session.listeners))
 
 
 @pytest.mark.parametrize("message", ["ping", "{}", "x" * 1000])

@@ -67,11 +67,6 @@ def check_all_there(folder, acknowledged):
 
 
 @pytest.mark.slow
-def test_a_kill_loses_nothing_that_was_acknowledged(tmp_path):
-    check_all_there(tmp_path, killed_while_teaching(tmp_path, 25, 0))
-
-
-@pytest.mark.slow
 def test_twenty_kills_lose_nothing_that_was_acknowledged(tmp_path):
     acknowledged = []
     for kill in range(20):

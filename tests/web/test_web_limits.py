@@ -113,6 +113,7 @@ def test_a_token_in_the_address_reads_alone(method, status):
     query = b"token=" + b"t" * 20
     refusal = guard()._refusal(asked(query=query, method=method))
     assert (refusal and refusal[0]) == status
+    assert refusal is None or "Send it as Authorization: Bearer" in refusal[1]
 
 
 @pytest.mark.parametrize(("n_fields", "status"), [(100, None), (101, 401)])

@@ -2,7 +2,6 @@
 
 import io
 import shutil
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from palpate import Touches
 from palpate.library import LibraryError, TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
-from palpate.web import LearningError, LiveSession
+from palpate.web import LearningError, LiveSession, learn_job
 
 from .conftest import waited
 
@@ -25,20 +24,9 @@ def small_touches(name, count, start=0):
     return Touches(images, object=[name] * count, time_s=np.arange(count) + start)
 
 
-@pytest.fixture
-def folder(tmp_path, drawn):
-    """A library of eight discs and eight bars."""
-    rows = [*range(8), *range(30, 38)]
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(drawn[rows], session="old")
-    return tmp_path / "library"
-
-
 def settled(session):
     """Wait until it has learnt; return what the model knows."""
-    deadline = time.monotonic() + 60
-    while session.learning and time.monotonic() < deadline:
-        time.sleep(0.01)
+    assert waited(lambda: not session.learning, 60)
     assert session.learn_error == ""
     return session.recogniser.classes_.tolist()
 
@@ -96,7 +84,7 @@ def test_a_rename_that_would_lose_what_the_model_knows_is_refused(
         assert settled(session) == ["bar", "coin"]
 
 
-def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder, learn_job):
+def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder):
     model = folder / "model.palpate"
     learn_job(folder, model)
     with TouchLibrary.open(folder) as library:
@@ -135,7 +123,7 @@ def test_a_model_is_not_given_up_for_a_sensor_without_touches(folder, drawn):
 
 
 def test_objects_of_another_size_that_are_nowhere_else_are_kept(
-    tmp_path, learn_job, model_of_elsewhere
+    tmp_path, model_of_elsewhere
 ):
     model = model_of_elsewhere(tmp_path / "m.palpate")
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
@@ -189,7 +177,7 @@ def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch
     session.stop()
 
 
-def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch, learn_job):
+def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch):
     def refuse(self, where=None, **named):
         raise AssertionError("all touches were read at once")
 
@@ -198,7 +186,7 @@ def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch, lea
 
 
 def test_kept_objects_leave_the_others_their_touches(
-    tmp_path, drawn, learn_job, model_of_elsewhere
+    tmp_path, drawn, model_of_elsewhere
 ):
     base = model_of_elsewhere(tmp_path / "m.palpate")
     taught = drawn[drawn.object == "both"][:6]
@@ -312,10 +300,11 @@ def test_what_was_never_taught_is_named_with_what_is_near(folder):
         assert len(session.teacher.newest("disc", 3)) == 3
 
 
-def test_a_new_name_is_kept_without_the_blanks_around_it(folder):
+def test_a_new_name_is_kept_without_the_blanks_around_it(folder, drawn):
     with LiveSession(library=folder) as session:
+        session.post_lesson(" tea\n cup ", drawn.images[60])
         assert session.teacher.rename("disc", "  a  disc ", learnt=False) == "a disc"
         session.rename("bar", " long bar ")
         assert session.message == "bar is called long bar now."
         names = [one["name"] for one in session.to_dict()["library"]["objects"]]
-    assert sorted(names) == ["a disc", "long bar"]
+    assert sorted(names) == ["a disc", "long bar", "tea cup"]

@@ -109,32 +109,6 @@ def learn(page, count):
     )
 
 
-def walk(page, serving, session, names, n_touches):
-    """Teach two, recognise one, touch a third, and all that may happen."""
-    known, other, third = names
-    with serving(session) as (address, token), ExitStack() as stack:
-        relay = stack.enter_context(closing(Relay(int(address.rsplit(":", 1)[1]))))
-        page.goto(f"http://127.0.0.1:{relay.port}/?token={token}")
-        assert "token" not in page.url
-        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
-        teach(page, known, n_touches)
-        teach(page, other, n_touches)
-        clear(page)
-        page.click("#undo")
-        expect(page.locator("#status")).to_contain_text(f"touch of {other} is undone")
-        learn(page, 2)
-        put(page, known)
-        expect(page.locator("#decision")).to_have_text(known, timeout=PATIENT)
-        _reload(page)
-        _cut(page, relay)
-        put(page, third)
-        expect(page.locator("#strip li").nth(2)).to_be_attached(timeout=PATIENT)
-        clear(page)
-        # Of two things taught the page may take a third for one of them.
-        expect(page.locator("#decision")).to_have_text(heading_of(session))
-        _forget(page, other)
-
-
 def heading_of(session):
     """Return what the heading says of an episode with touches."""
     episode = session.episode.episode
@@ -154,34 +128,45 @@ def _reload(page):
     expect(page.locator("#reason")).to_have_text(reason)
 
 
-def _cut(page, relay):
-    relay.cut_off()
-    expect(page.locator("#offline")).to_be_visible()
-    relay.cut = False
-    expect(page.locator("#offline")).to_be_hidden(timeout=PATIENT)
-
-
-def _forget(page, name):
-    page.get_by_role("button", name=f"Forget {name}").click()
-    page.locator("#confirm").get_by_role("button", name="Forget").click()
-    expect(page.get_by_role("heading", name=name, exact=True)).to_have_count(
-        0, timeout=PATIENT
-    )
-    expect(page.locator("#learn-error")).to_contain_text(
-        "at least two objects", timeout=PATIENT
-    )
-
-
 def test_the_whole_way_with_drawn_touches(page, make_session, serving):
-    session = make_session()
-    session.watch.sensor.rate_hz = 100.0
-    walk(page, serving, session, ("disc", "bar", "both"), 6)
+    """Teach two, recognise one, touch a third, and all that may happen."""
+    session = make_session(rate_hz=100.0)
+    with serving(session) as (address, token), ExitStack() as stack:
+        relay = stack.enter_context(closing(Relay(int(address.rsplit(":", 1)[1]))))
+        page.goto(f"http://127.0.0.1:{relay.port}/?token={token}")
+        assert "token" not in page.url
+        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+        for name in ("disc", "bar"):
+            teach(page, name, 6)
+        clear(page)
+        page.click("#undo")
+        expect(page.locator("#status")).to_contain_text("touch of bar is undone")
+        learn(page, 2)
+        put(page, "disc")
+        expect(page.locator("#decision")).to_have_text("disc", timeout=PATIENT)
+        _reload(page)
+        relay.cut_off()
+        expect(page.locator("#offline")).to_be_visible()
+        relay.cut = False
+        expect(page.locator("#offline")).to_be_hidden(timeout=PATIENT)
+        put(page, "both")
+        expect(page.locator("#strip li").nth(2)).to_be_attached(timeout=PATIENT)
+        clear(page)
+        # Of two things taught the page may take a third for one of them.
+        expect(page.locator("#decision")).to_have_text(heading_of(session))
+        page.get_by_role("button", name="Forget bar").click()
+        page.locator("#confirm").get_by_role("button", name="Forget").click()
+        gone = page.get_by_role("heading", name="bar", exact=True)
+        expect(gone).to_have_count(0, timeout=PATIENT)
+        expect(page.locator("#learn-error")).to_contain_text(
+            "at least two objects", timeout=PATIENT
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.realdata
 def test_real_touches_are_taught_and_a_held_out_one_recognised(
-    page, serving, data_folder, tmp_path
+    page, open_page, data_folder, tmp_path
 ):
     """640 x 480 pictures of a dome, ten touches a second, as its camera wrote them.
 
@@ -198,9 +183,7 @@ def test_real_touches_are_taught_and_a_held_out_one_recognised(
     sensor = ReplaySensor(real, rate_hz=40, hold=2, gap=2)
     sensor.place(None)
     session = LiveSession(sensor, library=tmp_path / "library", error=0.05)
-    with serving(session) as (address, token):
-        page.goto(f"{address}/?token={token}")
-        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+    with open_page(session, frames=True):
         teach(page, "ball", 15)
         teach(page, "can", 15)
         clear(page)
@@ -215,10 +198,8 @@ def test_real_touches_are_taught_and_a_held_out_one_recognised(
         expect(page.locator("#decision")).to_have_text(heading_of(session))
 
 
-def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, serving):
-    with serving(make_session()) as (address, token):
-        page.goto(f"{address}/?token={token}")
-        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, open_page):
+    with open_page(make_session(), frames=True):
         page.keyboard.press("Tab")
         assert page.evaluate("document.activeElement.className") == "skip"
         reached = set()
@@ -256,11 +237,9 @@ def fits(page):
     return page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_it_fits_a_phone(page, make_session, serving):
-    with serving(make_session()) as (address, token):
-        resize(page, 320, 844)
-        page.goto(f"{address}/?token={token}")
-        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+def test_it_fits_a_phone(page, make_session, open_page):
+    resize(page, 320, 844)
+    with open_page(make_session(), frames=True):
         assert fits(page)
         for width in (390, 768):
             resize(page, width, 844)
@@ -326,11 +305,10 @@ def press(page, hand, session):
     expect(page.locator("#contact")).to_have_text("no contact")
 
 
-def test_the_first_baseline_is_tried_by_a_press(page, hand, serving, tmp_path):
+def test_the_first_baseline_is_tried_by_a_press(page, hand, open_page, tmp_path):
     session = LiveSession(hand, library=tmp_path / "library")
     hand.pressed = True
-    with serving(session) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(session):
         button = page.locator("#baseline")
         expect(page.locator("#contact")).to_have_text("no baseline")
         expect(button).to_have_text("Nothing touches it: take baseline")
@@ -360,10 +338,9 @@ def test_the_first_baseline_is_tried_by_a_press(page, hand, serving, tmp_path):
         expect(page.locator("#strip li")).to_have_count(1)
 
 
-def test_what_the_camera_changes_by_itself_is_said(page, hand, serving):
+def test_what_the_camera_changes_by_itself_is_said(page, hand, open_page):
     hand.unfixed = "The driver of camera 'dome' does not keep exposure fixed."
-    with serving(LiveSession(hand)) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(LiveSession(hand)):
         for width in (390, 1280):
             resize(page, width, 800)
             expect(page.locator("#warnings li")).to_have_text(hand.unfixed)
@@ -380,10 +357,9 @@ def seen(page, selector):
 DESK, PHONE = (1280, 800), (390, 844)
 
 
-def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, serving):
+def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, open_page):
     resize(page, *DESK)
-    with serving(taught) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(taught):
         expect(page.locator("#step-1")).to_contain_text("taken")
         expect(page.locator("#step-2")).to_contain_text("2 learnt")
         page.fill("#name", "coin")
@@ -411,7 +387,7 @@ def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, serving
 
 
 def test_an_unknown_object_is_taught_with_the_touches_just_made(
-    page, taught, serving, drawn
+    page, taught, open_page, drawn
 ):
     # Of two things taught little is called unknown: here every score speaks for it.
     recogniser = taught.recogniser
@@ -421,8 +397,7 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
     )
     recogniser.strangers_ = replace(model, low_curve=always, high_curve=always)
     taught.begin_episode()
-    with serving(taught) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(taught):
         for image in drawn.images[drawn.object == "disc"][:3]:
             taught.post_touch(image.T[::-1] // 2 + 100)  # like nothing learnt
         expect(page.locator("#decision")).to_have_text("Nothing I know")
@@ -448,12 +423,11 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
 
 
 def test_an_answer_that_is_late_does_not_take_newer_touches_away(
-    page, taught, serving, drawn
+    page, taught, open_page, drawn
 ):
     asked = []
     page.route("**/api/episode", lambda route: asked.append(route))
-    with serving(taught) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(taught):
         expect(page.locator("#bars")).to_be_attached()
         expect(page.locator("body")).to_have_attribute("data-online", "true")
         taught.post_touch(drawn.images[0])
@@ -516,10 +490,9 @@ def test_of_a_long_episode_the_last_dozen_pictures_are_loaded(
 
 
 def test_names_that_are_taken_make_objects_one_and_the_focus_stays(
-    page, taught, serving
+    page, taught, open_page
 ):
-    with serving(taught) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(taught):
         page.get_by_role("button", name="Rename disc").click()
         page.fill("#new-name", "coin")
         page.keyboard.press("Enter")
@@ -533,9 +506,8 @@ def test_names_that_are_taken_make_objects_one_and_the_focus_stays(
         expect(card.locator(".meta")).to_contain_text("60 touches")
 
 
-def test_a_button_that_cannot_be_pressed_says_why(page, hand, serving, tmp_path):
-    with serving(LiveSession(hand, library=tmp_path / "library")) as (address, token):
-        page.goto(f"{address}/?token={token}")
+def test_a_button_that_cannot_be_pressed_says_why(page, hand, open_page, tmp_path):
+    with open_page(LiveSession(hand, library=tmp_path / "library")):
         for name in ("start", "undo", "learn"):
             expect(page.locator(f"#{name}")).to_be_disabled()
         for reason in ("take the baseline first", "nothing was taught", "two objects"):
@@ -544,7 +516,7 @@ def test_a_button_that_cannot_be_pressed_says_why(page, hand, serving, tmp_path)
 
 @pytest.mark.slow
 def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
-    page, serving, drawn, tmp_path
+    page, open_page, drawn, tmp_path
 ):
     """A disc touched twelve times in one place, and a bar that has two names."""
     images = np.concatenate([drawn.images[:1].repeat(12, 0), drawn.images[30:60]])
@@ -555,9 +527,7 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
     sensor.place(None)
     session = LiveSession(sensor, library=tmp_path / "library")
     resize(page, *DESK)
-    with serving(session) as (address, token):
-        page.goto(f"{address}/?token={token}")
-        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+    with open_page(session, frames=True):
         page.fill("#name", "disc")
         page.press("#wanted", "Enter")
         expect(page.locator("#elsewhere")).to_be_hidden()
@@ -631,7 +601,7 @@ def test_long_names_and_many_pictures_fit_a_narrow_phone(
     assert saved.evaluate("document.documentElement.scrollWidth") <= 320
 
 
-def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, serving):
+def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, open_page):
     """Two pads with a gap between them; what each taxel reads is known."""
     rest = np.full((4, 9), 5, np.float32)
     rest[:, 4] = np.nan
@@ -647,8 +617,7 @@ def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, serving):
             (b) => at(col * cell + a, row * cell + b).join()));
         return [cell, colours(3, 1), colours(4, 1), colours(7, 1)];
     }"""
-    with serving(LiveSession(sensor)) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(LiveSession(sensor)) as (address, token):
         image = page.locator("#image")
         expect(image).to_have_class("array")
         expect(image).to_have_css("image-rendering", "pixelated")
@@ -671,17 +640,10 @@ def test_a_frame_of_numbers_is_refused_where_there_is_none(make_session, connect
 
 
 def test_several_sensors_are_live_side_by_side(
-    page, serving, drawn, drawn_model, tmp_path
+    page, open_page, make_session, drawn, drawn_model
 ):
-    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
-    for sensor in sensors:
-        sensor.place(None)
-    sessions = [
-        LiveSession(sensor, model=drawn_model, library=tmp_path / str(number))
-        for number, sensor in enumerate(sensors)
-    ]
-    with serving(sessions) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    sessions = [make_session(model=drawn_model, rate_hz=60.0) for _ in range(2)]
+    with open_page(sessions):
         tiles = page.locator(".tile")
         expect(tiles).to_have_count(2)
         for number in range(2):
@@ -721,10 +683,9 @@ def test_several_sensors_are_live_side_by_side(
 
 
 def test_a_wrong_name_is_put_right_with_the_touches_just_made(
-    page, taught, serving, drawn
+    page, taught, open_page, drawn
 ):
-    with serving(taught) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(taught):
         expect(page.locator("#wrong")).to_be_hidden()
         while taught.episode.decision is None:
             for image in drawn.images[drawn.object == "disc"][:5]:
@@ -737,13 +698,12 @@ def test_a_wrong_name_is_put_right_with_the_touches_just_made(
 
 
 def test_a_name_has_a_doubt_beside_it_while_the_sensor_looks_changed(
-    page, taught, serving, drawn, monkeypatch
+    page, taught, open_page, drawn, monkeypatch
 ):
     changed = type("Check", (), {"changed": True})()
     monkeypatch.setattr(type(taught.recogniser), "check_mounting", lambda *_: changed)
     discs = drawn.images[drawn.object == "disc"]
-    with serving(taught) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(taught):
         for image in discs[:9]:
             taught.post_touch(image)
         expect(page.locator("#decision")).to_have_text("disc")

@@ -10,7 +10,6 @@ from palpate import Touches
 from palpate.evaluation import Plan, evaluate, write_report
 from palpate.library import TouchLibrary
 from palpate.recognition import figure_of
-from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
 playwright = pytest.importorskip(
@@ -18,11 +17,6 @@ playwright = pytest.importorskip(
 )
 expect = playwright.expect
 PATIENT = 40_000
-
-
-def opened(page, address, token):
-    page.goto(f"{address}/?token={token}")
-    expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
 
 
 def primary(page):
@@ -45,11 +39,10 @@ def top(page, selector):
 
 
 def test_each_state_has_one_step_and_at_most_one_next_button(
-    page, hand, serving, tmp_path, drawn
+    page, hand, open_page, tmp_path, drawn
 ):
     session = LiveSession(hand, library=tmp_path / "library")
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         expect(page.locator("#contact")).to_have_text("no baseline")
         assert (step(page), primary(page)) == ("step-1", ["baseline"])
         page.click("#baseline")
@@ -77,11 +70,14 @@ def test_each_state_has_one_step_and_at_most_one_next_button(
         assert (step(page), primary(page)) == ("step-2", ["learn"])
 
 
-def test_what_is_it_comes_first_once_something_is_learnt(page, taught, serving, drawn):
-    with serving(taught) as (address, token):
+def test_what_is_it_comes_first_once_something_is_learnt(
+    page, taught, open_page, drawn
+):
+    with open_page(taught):
         for width, height in ((1280, 900), (390, 844)):
             page.set_viewport_size({"width": width, "height": height})
-            opened(page, address, token)
+            page.reload()
+            expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
             assert top(page, "#belief") < top(page, "#teach")
             assert top(page, "#belief") < height / 3
             assert step(page) == "step-3"
@@ -98,13 +94,12 @@ def test_what_is_it_comes_first_once_something_is_learnt(page, taught, serving, 
 
 
 def test_the_heading_says_what_is_decided_and_nothing_else(
-    page, taught, serving, drawn
+    page, taught, open_page, drawn
 ):
     """What it may be stands below; the tile of a sensor says the same."""
     disc, bar = (drawn.images[drawn.object == name] for name in ("disc", "bar"))
     heading, seen = page.locator("#decision"), set()
-    with serving(taught) as (address, token):
-        opened(page, address, token)
+    with open_page(taught, frames=True):
         expect(heading).to_have_text("Touch something")
         for image in [*disc[:2], *bar[:12]]:
             taught.post_touch(image)
@@ -138,10 +133,9 @@ def test_the_heading_says_what_is_decided_and_nothing_else(
             expect(heading).to_have_class(kind)
 
 
-def test_without_a_library_there_is_one_next_step(page, make_session, serving, drawn):
+def test_without_a_library_there_is_one_next_step(page, make_session, open_page, drawn):
     session = make_session(library=None)
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         session.post_touch(drawn.images[0])
         expect(page.locator("#strip li")).to_have_count(1)
         expect(page.locator("#decision")).to_have_text("Nothing learnt yet")
@@ -154,11 +148,10 @@ def test_without_a_library_there_is_one_next_step(page, make_session, serving, d
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_what_is_said_covers_nothing(page, taught, serving, width):
+def test_what_is_said_covers_nothing(page, taught, open_page, width):
     """However long it is, and wherever the page is scrolled to at the top."""
     page.set_viewport_size({"width": width, "height": 844})
-    with serving(taught) as (address, token):
-        opened(page, address, token)
+    with open_page(taught, frames=True):
         for words in ("Short.", "A long sentence that wraps. " * 12):
             page.evaluate(
                 "async (words) => (await import('/static/dom.js')).say(words)", words
@@ -172,11 +165,10 @@ def test_what_is_said_covers_nothing(page, taught, serving, width):
 
 @pytest.mark.slow
 def test_a_name_that_says_nothing_is_refused_in_one_sentence(
-    page, make_session, serving
+    page, make_session, open_page
 ):
     session = make_session()
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         for name, why in (
             ("...", "must hold a letter"),
             ("   ", "must not be blank"),
@@ -196,9 +188,8 @@ def test_a_name_that_says_nothing_is_refused_in_one_sentence(
             assert session.teacher.lesson is None
 
 
-def test_no_line_breaks_between_a_number_and_its_sign(page, taught, serving, drawn):
-    with serving([taught]) as (address, token):
-        opened(page, address, token)
+def test_no_line_breaks_between_a_number_and_its_sign(page, taught, open_page, drawn):
+    with open_page([taught], frames=True):
         for image in drawn.images[:3]:
             taught.post_touch(image)
         expect(page.locator("#strip li")).to_have_count(3)
@@ -211,13 +202,14 @@ def test_no_line_breaks_between_a_number_and_its_sign(page, taught, serving, dra
         assert "\u00a0%" in page.locator("main").inner_text()
 
 
-def test_shares_are_rounded_as_in_reports_and_never_sum_to_more_than_all(page, serving):
+def test_shares_are_rounded_as_in_reports_and_never_sum_to_more_than_all(
+    page, open_page
+):
     rng = np.random.default_rng(0)
     shares = [0, 1e-9, 0.00099, 0.001, 0.0995, 0.1, 0.29, 0.5, 0.9899, 0.99, 0.9995]
     drawn = rng.dirichlet(np.full(5, 0.2), 200)
     shares += [1 - 1e-9, 1, *drawn.ravel().tolist()]
-    with serving(LiveSession()) as (address, token):
-        page.goto(f"{address}/?token={token}")
+    with open_page(LiveSession()):
         shown = page.evaluate(
             """async (shares) => (await import("/static/dom.js")).percent
             && shares.map((await import("/static/dom.js")).percent)""",
@@ -235,14 +227,13 @@ def test_shares_are_rounded_as_in_reports_and_never_sum_to_more_than_all(page, s
 
 
 def test_a_card_says_that_its_object_changed_since_it_was_learnt(
-    page, taught, serving, drawn
+    page, taught, open_page, drawn
 ):
     def card(name):
         title = page.get_by_role("heading", name=name, exact=True)
         return page.locator("li.object", has=title).locator(".meta")
 
-    with serving(taught) as (address, token):
-        opened(page, address, token)
+    with open_page(taught, frames=True):
         expect(card("disc")).to_have_text("30 touches, learnt")
         taught.post_touch(drawn.images[0])
         expect(page.locator("#limits")).to_contain_text("It knows 2 objects")
@@ -257,9 +248,8 @@ def test_a_card_says_that_its_object_changed_since_it_was_learnt(
         expect(card("disc")).to_have_text("29 touches, learnt")
 
 
-def test_without_a_connection_nothing_can_be_pressed(page, taught, serving):
-    with serving(taught) as (address, token):
-        opened(page, address, token)
+def test_without_a_connection_nothing_can_be_pressed(page, taught, open_page):
+    with open_page(taught, frames=True):
         expect(page.locator("#start")).to_be_enabled()
         page.fill("#wanted", "7")
         page.fill("#name", "pen")
@@ -276,10 +266,9 @@ def test_without_a_connection_nothing_can_be_pressed(page, taught, serving):
     assert page.locator("#steps").evaluate("(steps) => steps.inert")
 
 
-def test_nothing_covers_a_heading_below_the_steps(page, taught, serving):
+def test_nothing_covers_a_heading_below_the_steps(page, taught, open_page):
     """Where nothing is said, what lies right under the steps is the page."""
-    with serving(taught) as (address, token):
-        opened(page, address, token)
+    with open_page(taught, frames=True):
         page.evaluate("window.scrollTo(0, 200)")
         below = page.evaluate(
             """() => { const box = document.querySelector('#steps')
@@ -289,10 +278,9 @@ def test_nothing_covers_a_heading_below_the_steps(page, taught, serving):
         assert below
 
 
-def test_a_lost_sensor_leaves_nothing_to_press(page, hand, serving, tmp_path):
+def test_a_lost_sensor_leaves_nothing_to_press(page, hand, open_page, tmp_path):
     session = LiveSession(hand, library=tmp_path / "library")
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         expect(page.locator("#offer")).to_contain_text("No baseline yet")
         session.take_baseline()
         expect(page.locator("#start")).to_be_enabled()
@@ -308,11 +296,10 @@ def test_a_lost_sensor_leaves_nothing_to_press(page, hand, serving, tmp_path):
 
 
 def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
-    page, make_session, taught_library, tmp_path, serving
+    page, make_session, taught_library, tmp_path, open_page
 ):
     folder = shutil.copytree(taught_library, tmp_path / "edited")
-    with serving(make_session(library=folder)) as (address, token):
-        opened(page, address, token)
+    with open_page(make_session(library=folder), frames=True):
         card = page.locator("li.object", has=page.get_by_role("heading", name="disc"))
         card.locator(".more").click()
         expect(card.locator(".thumb")).to_have_count(30)
@@ -339,8 +326,7 @@ def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
         expect(card.locator(".meta")).to_contain_text("28 touches")
         expect(page.locator("#step-2 span")).to_have_text("learn again")
         assert primary(page) == ["learn"]
-    with serving(make_session(library=folder)) as (address, token):
-        opened(page, address, token)
+    with open_page(make_session(library=folder), frames=True):
         expect(page.locator("#undo")).to_have_text("Undo move to bar")
         page.click("#undo")
         expect(page.locator("#undo")).to_have_text("Undo removal from disc")
@@ -349,9 +335,8 @@ def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
         expect(card.locator(".meta")).to_contain_text("30 touches")
 
 
-def test_a_touch_of_the_episode_is_looked_at_alone(page, taught, serving, drawn):
-    with serving(taught) as (address, token):
-        opened(page, address, token)
+def test_a_touch_of_the_episode_is_looked_at_alone(page, taught, open_page, drawn):
+    with open_page(taught, frames=True):
         taught.post_touch(drawn.images[0])
         page.locator("#strip .look").click()
         expect(page.locator("#editor-title")).to_have_text("Touch 1")
@@ -371,11 +356,10 @@ def test_a_touch_of_the_episode_is_looked_at_alone(page, taught, serving, drawn)
 
 
 @pytest.mark.slow
-def test_an_interrupted_lesson_is_offered(page, make_session, serving, tmp_path):
+def test_an_interrupted_lesson_is_offered(page, make_session, open_page, tmp_path):
     folder = tmp_path / "library"
     session = make_session(library=folder)
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         page.fill("#name", "shoe")
         page.fill("#wanted", "60")  # more than come before the page looks
         page.press("#wanted", "Enter")
@@ -385,8 +369,7 @@ def test_an_interrupted_lesson_is_offered(page, make_session, serving, tmp_path)
         expect(page.locator("#lesson-strip li").nth(2)).to_be_visible(timeout=PATIENT)
     done = len(session.teacher.lesson.ids)
     session = make_session(library=folder)
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         expect(page.locator("#interrupted")).to_contain_text(f"shoe: {done} of 60")
         assert primary(page) == ["resume"]
         page.click("#resume")
@@ -440,13 +423,11 @@ def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path
 
 
 def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
-    page, make_session, serving
+    page, make_session, open_page
 ):
-    session = make_session()
+    session = make_session(rate_hz=60.0)
     session.place("disc")
-    session.watch.sensor.rate_hz = 60.0
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         expect(page.locator("#mixed")).to_be_hidden()
         page.fill("#name", "bar")
         expect(page.locator("#mixed")).to_contain_text("On the desk lies disc")
@@ -463,17 +444,12 @@ def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
 
 @pytest.mark.slow
 def test_all_sensors_are_not_taught_different_things_unasked(
-    page, serving, drawn, tmp_path
+    page, open_page, make_session
 ):
-    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
-    for sensor, placed in zip(sensors, ("disc", "bar"), strict=True):
-        sensor.place(placed)
-    sessions = [
-        LiveSession(sensor, library=tmp_path / str(number))
-        for number, sensor in enumerate(sensors)
-    ]
-    with serving(sessions) as (address, token):
-        opened(page, address, token)
+    sessions = [make_session(rate_hz=60.0) for _ in range(2)]
+    for session, placed in zip(sessions, ("disc", "bar"), strict=True):
+        session.place(placed)
+    with open_page(sessions, frames=True):
         expect(page.locator("#mixed")).to_contain_text("1: disc, 2: bar")
         page.fill("#name", "pen")
         page.press("#name", "Enter")
@@ -485,7 +461,8 @@ def test_all_sensors_are_not_taught_different_things_unasked(
         page.locator("#as-one").check()
         page.select_option("#placed", "bar")  # goes before both
         expect(page.locator("#mixed")).to_be_hidden()
-        assert [sensor.placed for sensor in sensors] == ["bar", "bar"]
+        placed = [session.watch.sensor.placed for session in sessions]
+        assert placed == ["bar", "bar"]
         page.press("#name", "Enter")
         expect(page.locator("#stop")).to_be_visible()
         for _ in range(200):  # the second sensor is asked after the first
@@ -497,9 +474,8 @@ def test_all_sensors_are_not_taught_different_things_unasked(
 
 
 @pytest.mark.slow
-def test_the_answer_and_the_count_are_read_aloud(page, taught, serving, drawn):
-    with serving(taught) as (address, token):
-        opened(page, address, token)
+def test_the_answer_and_the_count_are_read_aloud(page, taught, open_page, drawn):
+    with open_page(taught, frames=True):
         live = page.evaluate(
             """() => [...document.querySelectorAll('[aria-live]')].map((e) => e.id)"""
         )
@@ -527,11 +503,10 @@ def test_the_report_of_an_evaluation_fits_a_phone(page, drawn, tmp_path):
 
 
 def test_what_is_named_can_be_put_on_the_desk_before_it_is_taught(
-    page, make_session, serving
+    page, make_session, open_page
 ):
     session = make_session()
-    with serving(session) as (address, token):
-        opened(page, address, token)
+    with open_page(session, frames=True):
         session.place("bar")
         page.fill("#name", "disc")
         expect(page.locator("#mixed")).to_contain_text("On the desk lies bar")

@@ -76,12 +76,6 @@ def test_the_opposite_of_many_touches_stays_on_the_map():
     assert_allclose(np.abs(xs), [0.2] * 5 + [1.0], atol=1e-6)
 
 
-def test_a_touch_that_is_undone_is_compared_no_more():
-    variety = told([pressed(8, 8), pressed(32, 50), pressed(8, 8)])
-    variety.drop(0)
-    assert variety.like == [None, None]
-
-
 @pytest.fixture(scope="module")
 def quality(drawn):
     """Of the disc, and of a bar under two names."""
@@ -291,9 +285,7 @@ def test_a_touch_that_is_dropped_leaves_its_like_new(rng):
 
 
 def test_a_lesson_of_a_camera_keeps_its_channels(tmp_path):
-    teacher = LiveSession(
-        Still((4, 4, 3), "plane", "grey level"), library=tmp_path / "library"
-    ).teacher
+    teacher = lesson_of(Still((4, 4, 3), "plane", "grey level"), tmp_path / "library")
     teacher.begin("mug", 2)
     image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     said = teacher.take(image, None, 1.0, {"force_n": 0.5})
@@ -317,9 +309,7 @@ def test_colours_are_compared_one_by_one(rng):
 
 
 def test_what_was_removed_or_moved_comes_back(tmp_path):
-    teacher = LiveSession(
-        Still((4, 4, 3), "plane", "grey level"), library=tmp_path / "library"
-    ).teacher
+    teacher = lesson_of(Still((4, 4, 3), "plane", "grey level"), tmp_path / "library")
     images = np.arange(96, dtype=np.uint8).reshape(2, 4, 4, 3)
     keys = [teacher.store("mug", image, ("r", "g", "b"), None) for image in images]
     assert teacher.remove(keys[:1]) == "1 touch of mug removed."

@@ -2,43 +2,28 @@
 
 import json
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from palpate import TouchLibrary
 from palpate.cli import app
 from palpate.recognition import ModelFileError
-from palpate.sensors import LiveSensor, ReplaySensor, SensorError
+from palpate.sensors import SensorError
 from palpate.web import LiveSession, PageServer
 
 
-class Missing(LiveSensor):
-    """A sensor that is not plugged in."""
-
-    def __init__(self):
-        super().__init__("missing", "count", (12, 12), np.uint8, "array")
-
-    def _open(self):
-        raise SensorError("Nothing is plugged in at 7. Plug it in.")
-
-    def _grab(self):
-        return []
-
-    def _close(self):
-        pass
+@pytest.fixture
+def missing(hand):
+    """Give a sensor that is not plugged in."""
+    hand.unplugged = True
+    return hand
 
 
 @pytest.fixture
-def fingers(drawn, drawn_model):
+def fingers(make_session, drawn_model):
     """Two sensors before which nothing lies yet, and the model of both."""
-
-    def finger():
-        sensor = ReplaySensor(drawn, rate_hz=100, hold=4, gap=4)
-        sensor.place(None)
-        return LiveSession(sensor, model=drawn_model)
-
-    return [finger(), finger()]
+    how = {"model": drawn_model, "library": None, "rate_hz": 100.0}
+    return [make_session(**how) for _ in range(2)]
 
 
 def test_each_sensor_has_an_episode_of_its_own(fingers, connected, drawn):
@@ -79,15 +64,15 @@ def test_frames_and_states_of_all_go_through_one_websocket(fingers, serving):
     assert seen == {(kind, n) for kind in ("frame", "state") for n in (1, 2)}
 
 
-def test_one_that_fails_is_said_and_the_other_goes_on(fingers, connected):
-    with connected([LiveSession(Missing()), fingers[1]]) as client:
+def test_one_that_fails_is_said_and_the_other_goes_on(fingers, missing, connected):
+    with connected([LiveSession(missing), fingers[1]]) as client:
         first = client.get("/api/state").json()["sensor"]
-        assert first["lost"].startswith("It is left out: Nothing is plugged in at 7.")
+        assert first["lost"] == "It is left out: it is unplugged"
         second = client.get("/api/state", params={"sensor": 2}).json()["sensor"]
         assert second["lost"] == ""
         assert client.get("/api/frame", params={"sensor": 2}).status_code == 200
-    with pytest.raises(SensorError, match="Nothing is plugged in at 7"):
-        LiveSession.start_all([LiveSession(Missing()), LiveSession(Missing())])
+    with pytest.raises(SensorError, match="it is unplugged"):
+        LiveSession.start_all([LiveSession(missing), LiveSession(missing)])
 
 
 def test_the_command_refuses_what_cannot_be(tmp_path):
@@ -122,7 +107,9 @@ def test_two_of_one_place_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
     assert folders == ["sim-bar10-seed-1", "sim-bar10-seed-2"]
 
 
-def test_a_session_that_cannot_begin_lets_go_of_its_library(tmp_path, monkeypatch):
+def test_a_session_that_cannot_begin_lets_go_of_its_library(
+    missing, tmp_path, monkeypatch
+):
     closed, plain = [], TouchLibrary.close
 
     def close(library):
@@ -131,7 +118,7 @@ def test_a_session_that_cannot_begin_lets_go_of_its_library(tmp_path, monkeypatc
 
     TouchLibrary.open(tmp_path / "lab", create=True).close()
     monkeypatch.setattr(TouchLibrary, "close", close)
-    with pytest.raises(SensorError), LiveSession(Missing(), library=tmp_path / "lab"):
+    with pytest.raises(SensorError), LiveSession(missing, library=tmp_path / "lab"):
         pass
     (tmp_path / "m.palpate").write_bytes(b"no model")
     with pytest.raises(ModelFileError):

@@ -1,6 +1,5 @@
 """The live loop by itself, without any web in it."""
 
-import io
 import os
 import queue
 import signal
@@ -17,14 +16,13 @@ from palpate.library import TouchLibrary
 from palpate.recognition import ModelFileError, ObjectRecogniser
 from palpate.sensors import (
     ContactError,
-    LiveSensor,
     ReplaySensor,
     SensorError,
     SensorMemory,
 )
-from palpate.web import LearningError, LiveSession
+from palpate.web import LearningError, LiveSession, learn_job
 
-from .conftest import waited
+from .conftest import Still, waited
 
 
 @pytest.fixture(scope="module")
@@ -176,46 +174,20 @@ def test_a_sensor_that_has_changed_since_learning_is_told_of(model, drawn):
     assert "At rest the sensor differs" in warning
 
 
-def test_a_sensor_that_is_lost_is_told_of_and_comes_back():
-    class Plugged(LiveSensor):
-        plugged = True
-        retry_s = 0.02
-
-        def __init__(self):
-            super().__init__("plug", "count", (4, 4), np.uint8)
-
-        def _open(self):
-            if not self.plugged:
-                raise SensorError("it is unplugged")
-
-        def _grab(self):
-            time.sleep(0.005)
-            if not self.plugged:
-                raise SensorError("it is unplugged")
-            return [np.zeros((4, 4), np.uint8)]
-
-        def _close(self):
-            pass
-
-    sensor = Plugged()
-    with LiveSession(sensor) as session:
+def test_a_sensor_that_is_lost_is_told_of_and_comes_back(hand):
+    hand.retry_s = 0.02
+    with LiveSession(hand) as session:
         session.take_baseline()
-        sensor.plugged = False
+        hand.unplugged = True
         assert waited(lambda: session.to_dict()["sensor"]["lost"] == "it is unplugged")
-        sensor.plugged = True
+        hand.unplugged = False
         assert waited(lambda: session.to_dict()["sensor"]["lost"] == "")
 
 
 def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
-    class Flickering(LiveSensor):
+    class Flickering(Still):
         step = 1.0
-
-        def __init__(self):
-            super().__init__("array", "count", (16, 16), np.float32)
-            self.levels = [0.0] * 4
-
-        def _open(self):
-            pass
+        levels = (0.0,) * 4
 
         def _grab(self):
             time.sleep(0.002)
@@ -223,10 +195,7 @@ def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
             image[3, 3] = self.levels[self.n_frames % 4]
             return [image]
 
-        def _close(self):
-            pass
-
-    sensor = Flickering()
+    sensor = Flickering((16, 16), dtype=np.float32)
     with LiveSession(sensor, library=tmp_path / "library") as session:
         session.take_baseline()
         sensor.levels = [0.0, 0.0, 1.0, 1.0]
@@ -245,24 +214,16 @@ def test_a_model_of_another_sensor_is_refused_where_nothing_can_be_learnt(model,
     assert not other.connected
 
 
-def test_a_missing_sensor_leaves_no_library_behind(tmp_path):
-    class Missing(LiveSensor):
-        def __init__(self):
-            super().__init__("plug", "count", (4, 4), np.uint8)
-
-        def _open(self):
-            raise SensorError("it is not there")
-
-        _grab = _close = lambda self: None
-
-    session = LiveSession(Missing(), library=tmp_path / "library")
-    with pytest.raises(SensorError, match="not there"):
+def test_a_missing_sensor_leaves_no_library_behind(hand, tmp_path):
+    hand.unplugged = True
+    session = LiveSession(hand, library=tmp_path / "library")
+    with pytest.raises(SensorError, match="unplugged"):
         session.start()
     assert not (tmp_path / "library").exists()
 
 
 def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
-    model, drawn, tmp_path, learn_job
+    model, drawn, tmp_path
 ):
     """The job of the learning process, in this one."""
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
@@ -282,9 +243,7 @@ def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
     assert fresh["n_elsewhere"] == 25
 
 
-def test_a_model_of_the_library_knows_its_touches_and_its_sensor(
-    drawn, tmp_path, learn_job
-):
+def test_a_model_of_the_library_knows_its_touches_and_its_sensor(drawn, tmp_path):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         ids = library.add(drawn[::3])
     output = tmp_path / "out.palpate"
@@ -296,7 +255,7 @@ def test_a_model_of_the_library_knows_its_touches_and_its_sensor(
     assert (memory.no_contact == drawn.no_contact).all()
 
 
-def test_too_little_is_no_model(drawn, tmp_path, learn_job):
+def test_too_little_is_no_model(drawn, tmp_path):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(drawn[drawn.object == "disc"])
         library.add(drawn[drawn.object == "bar"][:1])
@@ -334,8 +293,7 @@ def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
 
 
 def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):
-    session = make_session()
-    session.watch.sensor.rate_hz = 25.0
+    session = make_session(rate_hz=25.0)
     with session:
         session.teacher.library.add(drawn[::3])
         session.learn(wait=True)
@@ -391,9 +349,8 @@ def test_what_cannot_be_opened_is_refused(tmp_path, drawn):
     session.stop()
 
 
-def test_another_mounting_is_told_after_ten_touches(make_session, drawn, tmp_path):
+def test_another_mounting_is_told_after_ten_touches(make_session, drawn, model):
     known = drawn[drawn.object != "both"]
-    model = ObjectRecogniser().fit(known[::2]).save(tmp_path / "m.palpate")
     with make_session(sensor=False, library=None, model=model) as session:
         for image in known.images[1::6]:
             session.post_touch(image)
@@ -405,10 +362,9 @@ def test_another_mounting_is_told_after_ten_touches(make_session, drawn, tmp_pat
 
 
 def test_touches_of_nothing_do_not_count_towards_the_mounting(
-    make_session, drawn, tmp_path, monkeypatch
+    make_session, drawn, model, monkeypatch
 ):
     known = drawn[drawn.object != "both"]
-    model = ObjectRecogniser().fit(known[::2]).save(tmp_path / "m.palpate")
     checked = []
 
     def check(self, evidence):
@@ -440,7 +396,7 @@ def library_with_empty_touches(drawn, tmp_path):
 
 
 def test_learning_leaves_out_what_holds_no_number_and_names_it(
-    library_with_empty_touches, learn_job, tmp_path
+    library_with_empty_touches, tmp_path
 ):
     folder, empty = library_with_empty_touches
     answer = learn_job(folder, tmp_path / "m.palpate")
@@ -469,19 +425,3 @@ def test_a_library_is_refused_with_the_id_of_what_holds_no_number(
             ObjectRecogniser("liu2014").fit(library.select())
         rest = library.select(f"id != '{empty[0]}' and id != '{empty[1]}'")
         assert len(ObjectRecogniser("liu2014").fit(rest).memory_) == 58
-
-
-def test_images_of_nothing_are_refused_at_the_door(make_session, connected):
-    nulls = {"object": "disc", "image": [[None] * 3] * 3}
-    numbers = io.BytesIO()
-    np.save(numbers, np.full((3, 3), np.nan, np.float32))
-    kind = {"Content-Type": "application/x-npy"}
-    with connected(make_session(sensor=False)) as client:
-        answers = [client.post("/api/teach/touch", json=nulls)]
-        for path in ("teach/touch/picture?object=disc", "touch/picture"):
-            body = numbers.getvalue()
-            answers.append(client.post(f"/api/{path}", content=body, headers=kind))
-        assert client.get("/api/state").json()["library"]["objects"] == []
-    for answer in answers:
-        assert answer.status_code == 422
-        assert "at least one number, got only NaN" in answer.json()["detail"]

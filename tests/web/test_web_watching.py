@@ -112,10 +112,39 @@ def test_frames_go_to_those_who_take_frames(watch):
     assert shown.picture.startswith(b"\x89PNG")
     assert shown.image is image
     assert json.loads(shown.text)["kind"] == "frame"
-    listeners.notify(Event("state"))
-    assert [event.kind for event in others] == ["state"]
+    for kind in ("touch", "state"):
+        listeners.notify(Event(kind))
+    assert [event.kind for event in all_events] == ["frame", "touch", "state"]
+    assert [event.kind for event in others] == ["touch", "state"]
     listeners.discard(all_events.append)
     assert (len(listeners), listeners.n_of_frames) == (1, 0)
+
+
+def test_one_listener_goes_and_the_others_stay():
+    listeners, gone, stays = LiveSession().listeners, [], []
+    for events in (gone, stays):
+        listeners.add(events.append)
+    listeners.notify(Event("state"))
+    for _ in range(2):  # again does no harm
+        listeners.discard(gone.append)
+    listeners.number = 3
+    listeners.notify(Event("state"))
+    assert (len(gone), len(stays), len(listeners)) == (1, 2, 1)
+    assert stays[-1].values["sensor_number"] == 3
+
+
+def test_a_listener_that_fails_is_not_told_again_and_holds_up_nobody():
+    listeners, told = LiveSession().listeners, []
+
+    def fail(event):
+        told.append("fail")
+        raise OSError
+
+    listeners.add(fail)
+    listeners.add(lambda event: told.append("well"))
+    for _ in range(2):
+        listeners.notify(Event("state"))
+    assert told == ["fail", "well", "well"]
 
 
 def test_a_baseline_is_of_ten_frames_that_come(watch):
@@ -163,10 +192,14 @@ def test_health_is_of_the_last_hundred_and_the_sensors_drops():
     sensor = Still()
     sensor.n_dropped = 3
     health = LiveSession(sensor).health
-    assert health.to_dict()["n_dropped"] == 3
-    for latency_ms in range(150):
-        health.count_touch(float(latency_ms))
-    assert health.to_dict()["belief_ms"] == np.median(range(50, 150))
+    nothing = {"rate_hz": 0.0, "n_frames": 0, "frame_ms": None, "belief_ms": None}
+    assert health.to_dict() == {"n_dropped": 3, **nothing}
+    latencies_ms = np.arange(150.0) ** 2
+    for latency_ms in latencies_ms.tolist():
+        health.count_touch(latency_ms)
+    assert health.to_dict()["belief_ms"] == np.median(latencies_ms[50:])
+    health.count_shown(time.monotonic() - 0.2)
+    assert health.to_dict()["frame_ms"] == pytest.approx(200, abs=150)
     now_s = time.monotonic()
     health.count_frame(now_s)
     assert health.to_dict()["rate_hz"] == 0
@@ -181,9 +214,10 @@ def test_health_is_of_the_last_hundred_and_the_sensors_drops():
 @pytest.mark.parametrize(("ago_s", "rate_hz"), [(1.5, 10), (2.5, 0)])
 def test_a_sensor_silent_for_two_seconds_has_no_rate(ago_s, rate_hz):
     health, now_s = LiveSession().health, time.monotonic()
-    for number in range(5):
-        health.count_frame(now_s - ago_s - (4 - number) / 10)
+    for number in range(150):  # the last hundred
+        health.count_frame(now_s - ago_s - (149 - number) / 10)
     assert health.to_dict()["rate_hz"] == pytest.approx(rate_hz)
+    assert health.to_dict()["n_frames"] == 150
 
 
 def test_two_events_alike_are_two_events():

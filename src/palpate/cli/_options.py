@@ -177,20 +177,12 @@ Label = Annotated[
         callback=one_of("--label", _allowed("Label")),
     ),
 ]
-ErrorRate = Annotated[float, option("--error", "Accepted share of wrong names.")]
 STRANGERS = 0.05  # as where Python is asked, which is loaded later
 Strangers = Annotated[
     float,
     option(
         "--strangers",
         "Share of episodes with something never learnt; 0: it is always one of those.",
-    ),
-]
-Refusal = Annotated[
-    float | None,
-    option(
-        "--refusal",
-        "Unknown is said when its probability reaches 1 minus this. If none: --error.",
     ),
 ]
 Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
@@ -283,6 +275,21 @@ class Learning:
         ),
     ] = "auto"
     seed: Seed = 0
+
+
+@dataclass(frozen=True)
+class Deciding:
+    """When something is named or called unknown, as `Belief.decide` takes it."""
+
+    error: Annotated[float, option("Accepted share of wrong names.")] = 0.01
+    refusal: Annotated[
+        float | None,
+        option(
+            "Unknown is said when its probability reaches 1 minus this. If none: "
+            "--error."
+        ),
+    ] = None
+    strangers: Strangers = STRANGERS
 
 
 @dataclass(frozen=True)

@@ -51,9 +51,7 @@ def evaluate(
     unknown: Annotated[Path | None, option("Touches of things never learnt.")] = None,
     test_where: Annotated[str | None, option("As --where, of --test.")] = None,
     unknown_where: Annotated[str | None, option("As --where, of --unknown.")] = None,
-    error: _options.ErrorRate = 0.01,
-    refusal: _options.Refusal = None,
-    strangers: _options.Strangers = _options.STRANGERS,
+    deciding: _options.Deciding,
     report: _options.Report = None,
     how: _options.Learning,
     reading: _options.Reading,
@@ -71,12 +69,10 @@ def evaluate(
 
     plan = Plan(
         **vars(how),
+        **vars(deciding),
         touches=_options.counts(touches),
         orders=orders,
         train_touches=train_touches,
-        error=error,
-        refusal=refusal,
-        strangers=strangers,
         remount=remount,
     )
     if report is not None:
@@ -86,7 +82,7 @@ def evaluate(
         if path is None:
             return None
         stage(f"reading {path}")
-        return replace(reading, where=where).touches(path)
+        return replace(reading, read=None, where=where).touches(path)
 
     kept = unless_made("there are no figures", report)
     with message_if_stopped(kept), stages() as stage, working.started():

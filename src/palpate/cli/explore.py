@@ -97,11 +97,13 @@ def learn(
 
 
 @explore.command()
+@_options.grouped
 def recognise(
     model: _options.ModelPath,
     thing: Annotated[
         str, _options.argument("OBJECT", "A built-in object or a mesh file.")
     ],
+    *,
     strategy: Annotated[str, option("informative, random or raster.")] = "informative",
     taught: Annotated[
         Path | None,
@@ -111,9 +113,7 @@ def recognise(
         ),
     ] = None,
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
-    error: _options.ErrorRate = 0.01,
-    refusal: _options.Refusal = None,
-    strangers: _options.Strangers = _options.STRANGERS,
+    deciding: _options.Deciding,
     folder: Folder = None,
     yaw: Annotated[float | None, option("Turn, degrees. Default: drawn.")] = None,
     face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
@@ -170,9 +170,7 @@ def recognise(
         folder,
         guard=exploration.QUICK_GUARD,
         max_attempts=most,
-        error=error,
-        refusal=refusal,
-        strangers=strangers,
+        **vars(deciding),
         clock=stand.robot.clock,
         on_attempt=None if as_json else print_attempt,
     )
@@ -181,7 +179,10 @@ def recognise(
         _draw(end, way, picture)
     answer(
         as_json,
-        {**about, **exploration_to_dict(knower, end, strangers, stand.hemisphere)},
+        {
+            **about,
+            **exploration_to_dict(knower, end, deciding.strangers, stand.hemisphere),
+        },
         f"  {end.reason}",
         *_standing(end),
     )

@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import (
-    STRANGERS,
     AsJson,
-    ErrorRate,
+    Deciding,
     MaxModelMb,
     ModelPath,
-    Refusal,
-    Strangers,
     grouped,
     model_file,
     option,
@@ -49,9 +46,7 @@ def live(
     touches: Annotated[int, option("-n", "--touches", "Most of an episode.")] = 30,
     episodes: Annotated[int, option("How many episodes; 0 goes on until Ctrl-C.")] = 1,
     timeout: Patience = 120.0,
-    error: ErrorRate = 0.01,
-    refusal: Refusal = None,
-    strangers: Strangers = STRANGERS,
+    deciding: Deciding,
     summary: Summary = "peak",
     log: LogFile = None,
     publish: Publish = None,
@@ -69,10 +64,12 @@ def live(
     done: list[Episode] = []
     check_publish(publish)
     chosen = options.open(sensor)
-    how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
-    how |= {"summary": summary}
     session = LiveSession(
-        chosen, model=model_file(model, library), library=library, **how
+        chosen,
+        model=model_file(model, library),
+        library=library,
+        summary=summary,
+        **vars(deciding),
     )
     events: queue.Queue[dict[str, Any]] = queue.Queue()
 

@@ -24,9 +24,7 @@ def recognise(
     model: _options.ModelPath,
     touches: _options.TouchesPath,
     *,
-    error: _options.ErrorRate = 0.01,
-    refusal: _options.Refusal = None,
-    strangers: _options.Strangers = _options.STRANGERS,
+    deciding: _options.Deciding,
     level: Annotated[
         str, _options.option("What may be named: object, category or any.")
     ] = "object",
@@ -57,10 +55,8 @@ def recognise(
         stage(f"recognising {len(tested)} touches")
         evidence = recogniser.evidence(tested)
         check = recogniser.check_mounting(evidence)
-        how = {"error": error, "refusal": refusal, "strangers": strangers}
-        episodes = recognise_episodes(
-            recogniser, tested, {**how, "level": level}, evidence
-        )
+        how = {**vars(deciding), "level": level}
+        episodes = recognise_episodes(recogniser, tested, how, evidence)
     if as_json:
         mounting = {"changed": check.changed, "reasons": check.reasons}
         print_json({"episodes": episodes, "mounting": mounting})

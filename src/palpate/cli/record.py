@@ -135,10 +135,10 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
     say(f"Touch {name} {wanted} times.", file=sys.stderr)
     try:
         while lesson is not None and len(lesson.ids) < wanted:
-            changed.clear()
             if not changed.wait(timeout_s):
                 say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
                 break
+            changed.clear()  # before looking: what comes from now on is told again
             if session.trouble:
                 say(f"palpate: {session.trouble}", file=sys.stderr)
                 break

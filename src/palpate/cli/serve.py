@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ._options import (
-    STRANGERS,
     AsJson,
-    ErrorRate,
+    Deciding,
     MaxModelMb,
-    Refusal,
-    Strangers,
     grouped,
     model_file,
     option,
@@ -68,9 +65,7 @@ def serve(
         list[str] | None,
         option("Another name of this server, such as its proxy's; may be repeated."),
     ] = None,
-    error: ErrorRate = 0.01,
-    refusal: Refusal = None,
-    strangers: Strangers = STRANGERS,
+    deciding: Deciding,
     summary: Summary = "peak",
     log: LogFile = None,
     publish: Publish = None,
@@ -85,8 +80,7 @@ def serve(
     from ..web import LiveSession, create_app
 
     check_publish(publish)
-    how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
-    how |= {"summary": summary}
+    how: Any = {**vars(deciding), "summary": summary}
     addresses = sensor or []
     token = None if token is None else web.page_token(chosen=token)
     kept = "" if library is None else f" What was taught is kept in {library}."

@@ -64,35 +64,31 @@ class Listeners:
     def __init__(self) -> None:
         self.number = 1
         self._lock = threading.Lock()
-        self._all: tuple[Listener, ...] = ()
-        self._of_frames: tuple[Listener, ...] = ()
+        # Replaced and never changed: other threads go through it meanwhile.
+        self._takes_frames: dict[Listener, bool] = {}
 
     def __len__(self) -> int:
-        return len(self._all)
+        return len(self._takes_frames)
 
     @property
     def n_of_frames(self) -> int:
         """How many take frames, which cost a picture each."""
-        return len(self._of_frames)
+        return sum(self._takes_frames.values())
 
     def add(self, listener: Listener, *, frames: bool = True) -> None:
         with self._lock:
-            self._all = (*self._all, listener)
-            if frames:
-                self._of_frames = (*self._of_frames, listener)
+            self._takes_frames = {**self._takes_frames, listener: frames}
 
     def discard(self, listener: Listener) -> None:
         with self._lock:
-            self._all = tuple(
-                listener_kept
-                for listener_kept in self._all
-                if listener_kept != listener
-            )
-            self._of_frames = tuple(o for o in self._of_frames if o != listener)
+            kept = self._takes_frames.items()
+            self._takes_frames = {other: f for other, f in kept if other != listener}
 
     def notify(self, event: Event) -> None:
         event.values["sensor_number"] = self.number
-        for listener in self._of_frames if event.kind == "frame" else self._all:
+        for listener, takes_frames in self._takes_frames.items():
+            if event.kind == "frame" and not takes_frames:
+                continue
             try:
                 listener(event)
             except Exception:  # one broken listener must not stop the sensor

@@ -5,6 +5,7 @@ import math
 import shutil
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -555,10 +556,8 @@ class LiveSession:
                 nothing = memory.nothing & (not recogniser.uses_no_contact_)
                 self._no_contact_ids = set(memory.touch_ids[nothing].tolist()) & ids
                 names = memory.labels[~np.isin(memory.touch_ids, list(ids))]
-                counted = np.unique(names.astype(str), return_counts=True)
-                self._n_elsewhere = dict(
-                    zip(*map(np.ndarray.tolist, counted), strict=True)
-                )
+                counts = Counter(names.astype(str).tolist())
+                self._n_elsewhere = dict(sorted(counts.items()))
             if self.teacher is not None:
                 self.teacher.elsewhere = {*self._n_elsewhere}
             if self.watch is not None:
@@ -695,7 +694,7 @@ class LiveSession:
             with self._lock:
                 journal.learnt()
                 del self._changes[: len(changes)]
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, MemoryError) as error:
             self.learn_error, self.message = str(error), ""
             journal.changed |= self._changed_before
         finally:

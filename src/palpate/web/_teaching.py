@@ -323,10 +323,10 @@ class Teacher:
         """Add a touch once more under another name; return its id."""
         touch = self.library.touches(f"id = {quoted(row.id)}")
         if "category" in touch.columns:
-            category = next((row.category for row in self._newest(name)), None)
             touch = touch.without("category")
-            if category is not None:
-                touch = touch.with_columns(category=[category])
+            newest = self._rows(name, 1) if name in self._counts() else []
+            if newest and newest[0].category is not None:
+                touch = touch.with_columns(category=[newest[0].category])
         sensors = {sensor.name: sensor for sensor in self.library.sensors()}
         (key,) = self.library.add(
             touch.with_columns(object=[name]),
@@ -336,9 +336,6 @@ class Teacher:
         if any(row.retracted for row in self._row(key)):  # it was there before
             self.library.restore([key])
         return key
-
-    def _newest(self, name: str) -> list[TouchRow]:
-        return self._rows(name, 1) if name in self._counts() else []
 
     def _row(self, key: str) -> list[TouchRow]:
         """Return the touch of an id, also one left out; none where it is not there."""
@@ -476,7 +473,7 @@ class Teacher:
     def ids_of(self, name: str) -> set[str]:
         """Return the ids of an object's touches that are to be learnt."""
         size = self.image_shape()
-        rows = self._rows(name) if name in self._counts() else []
+        rows = self.library.list(f"object = {quoted(name)}", limit=None)
         return {row.id for row in rows if row.image_shape == size}
 
     def _counts(self) -> dict[str, int]:

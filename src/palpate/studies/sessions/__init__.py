@@ -6,7 +6,7 @@ asked and the others teach, with what `remount` does beside nothing done, what n
 values alone achieve, and the last quarter of the same sessions as a ceiling.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -175,11 +175,7 @@ def _pairs_known(protocol: EvaluationPlan, data: str, touches: Touches) -> list[
     for way in ("none", "recentre"):
         plan = replace(protocol, remount=way)
         figures = [evaluate(touches[~t], touches[t], plan=plan)[0] for t in tests]
-        curves = [figure["accuracy"] for figure in figures]
-        for k in map(str, protocol.touches):
-            shares = [curve[k] for curve in curves if k in curve]
-            if shares:
-                rows.append(_row(data, f"{PAIRS}, {WAYS[way]}", int(k), shares))
+        rows += _rows_after(data, f"{PAIRS}, {WAYS[way]}", figures, protocol)
     return rows
 
 
@@ -193,10 +189,8 @@ def _moved(protocol: EvaluationPlan, data: str, touches: Touches) -> list[Row]:
         ("category", "none"),
     ]
     for label, way in label_and_remount:
-        results = moved(touches, replace(protocol, remount=way, label=label))
-        for k in map(str, protocol.touches):
-            shares = [result["accuracy"][k] for result in results.values()]
-            rows.append(_row(data, f"{label} {MOVED}, {WAYS[way]}", int(k), shares))
+        results = moved(touches, replace(protocol, remount=way, label=label)).values()
+        rows += _rows_after(data, f"{label} {MOVED}, {WAYS[way]}", results, protocol)
     return rows
 
 
@@ -222,6 +216,15 @@ def _alarm(plan: SessionsPlan, data: str, touches: Touches) -> list[Row]:
         _row(data, f"{ALARM}: {name}", N_ALARM_TOUCHES, shares)
         for name, shares in rates.items()
     ]
+
+
+def _rows_after(
+    data: str, way: str, figures: Iterable[dict[str, Any]], protocol: EvaluationPlan
+) -> list[Row]:
+    """Return a row after each number of touches that some of the figures go to."""
+    curves = [figure["accuracy"] for figure in figures]
+    shares = {k: [c[str(k)] for c in curves if str(k) in c] for k in protocol.touches}
+    return [_row(data, way, k, right) for k, right in shares.items() if right]
 
 
 def _row(data: str, way: str, k: int, shares: list[float]) -> Row:
