@@ -18,6 +18,7 @@ from PIL import Image
 import palpate as package
 from palpate import Touches
 from palpate.cli import app
+from palpate.cli._options import Reading
 from palpate.cli.recognise import outcome_lines, print_episode
 from palpate.library import TouchLibrary
 from palpate.recognition import Belief, ObjectRecogniser
@@ -513,6 +514,14 @@ def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
     done = palpate("check", tmp_path / "touch.png", "--read", profile)
     assert done.returncode == 1
     assert str(tmp_path / "there" / "rest.png") in "".join(done.stderr.split("\n"))
+
+
+def test_what_is_typed_goes_before_a_file_even_if_it_is_usual(tmp_path):
+    profile = tmp_path / "reading.toml"
+    profile.write_text("max-megapixels = 0.0001")
+    assert Reading(read=profile).max_pixels == 100
+    assert Reading(read=profile, max_megapixels=50).max_pixels == 50_000_000
+    assert Reading().max_pixels == 50_000_000
 
 
 @pytest.mark.slow

@@ -99,26 +99,40 @@ def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
 
 
 def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
-    heard, event = [], SimpleNamespace(kind="state")
+    listeners, event = [], SimpleNamespace(kind="state")
 
-    class Stored(list):
-        """Ids of which one more is stored, and told, just after they are counted."""
+    class Lesson:
+        """Of which one touch more is stored, and told, just after they are counted."""
 
-        def __len__(self):
-            count = super().__len__()
-            if count < 2:
-                self.append("id")
-                heard[0](event)
-            return count
+        def __init__(self, n_without_contact=0):
+            self.ids, self._n_without = [], n_without_contact
 
-    session = SimpleNamespace(
-        listeners=SimpleNamespace(add=heard.append),
-        teach=lambda name, wanted: None,
-        teacher=SimpleNamespace(lesson=SimpleNamespace(ids=Stored())),
-        trouble="",
-    )
-    assert record._lesson(session, "bar", 2, 0.05) == 2
-    assert "No touch" not in capsys.readouterr().err
+        @property
+        def done(self):
+            n_stored = len(self.ids)
+            if n_stored < 2 + self._n_without:
+                self.ids.append("id")
+                listeners[-1](event)
+            return max(n_stored - self._n_without, 0)
+
+    def recorded(lesson):
+        session = SimpleNamespace(
+            listeners=SimpleNamespace(add=listeners.append),
+            teach=lambda name, wanted: None,
+            teacher=SimpleNamespace(lesson=lesson),
+            trouble="",
+        )
+        assert record._lesson(session, "bar", 2, 0.05) == 2
+        return capsys.readouterr().err
+
+    messages = recorded(Lesson())
+    assert "No touch" not in messages
+    assert "without contact" not in messages
+    # As on the page, one without contact is stored and another one is asked for.
+    messages = recorded(Lesson(n_without_contact=3))
+    assert "without contact: it does not count" in messages
+    assert "touch 2 of 2" in messages
+    assert "touch 3" not in messages
 
 
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):

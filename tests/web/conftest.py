@@ -12,8 +12,7 @@ import pytest
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
-from palpate.web import LiveSession, PageServer, create_app, page_token
-from palpate.web._learning import learn_job
+from palpate.web import LiveSession, PageServer, create_app, learn_job, page_token
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
 pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')

@@ -10,7 +10,7 @@ import pytest
 from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import CameraSensor, ReplaySensor
-from palpate.web import LiveSession
+from palpate.web import LiveSession, learn_job
 
 from .conftest import waited
 
@@ -174,7 +174,7 @@ def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connec
         assert (green < 20) == (names == "rgb")
 
 
-def test_touches_of_a_colour_are_learnt_apart_from_grey(tmp_path, learn_job):
+def test_touches_of_a_colour_are_learnt_apart_from_grey(tmp_path):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         grey = np.zeros((4, 12, 12), np.uint8)
         library.add(Touches(grey, object=["cup", "cup", "pen", "pen"]))

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _NOT_OF_STREAMS = ("where", "name_pattern", "levels", "shape")
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
+MEGAPIXELS = 50  # of the largest picture that is read unless told
 
 
 def checked_seed(seed: int) -> int:
@@ -343,7 +344,9 @@ class Reading:
         float | None,
         option("Of a film: the change at which a touch begins. Default: 6 noises."),
     ] = None
-    max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
+    max_megapixels: Annotated[
+        float | None, option("Larger pictures are refused unread. Default: 50.")
+    ] = None
 
     def __post_init__(self) -> None:
         written = {} if self.read is None else _read_profile(self.read)
@@ -397,7 +400,7 @@ class Reading:
         if topic is not None or not is_parquet(path):
             return iter([self.touches(path, topic)])
         self._refuse_for_parquet()
-        parts = read_parquet(path, max_pixels=self._max_pixels)
+        parts = read_parquet(path, max_pixels=self.max_pixels)
         return chain([next(parts)], parts)
 
     @contextmanager
@@ -408,7 +411,7 @@ class Reading:
         opened = self._library(path)
         if opened is None and is_parquet(path):
             self._refuse_for_parquet()
-            yield ParquetTouches(path, max_pixels=self._max_pixels)
+            yield ParquetTouches(path, max_pixels=self.max_pixels)
             return
         if opened is None:
             yield self._recording(path)
@@ -418,8 +421,10 @@ class Reading:
             yield library.select(self.where)
 
     @property
-    def _max_pixels(self) -> int:
-        return int(self.max_megapixels * 1e6)
+    def max_pixels(self) -> int:
+        """Largest picture that is read."""
+        most = MEGAPIXELS if self.max_megapixels is None else self.max_megapixels
+        return int(most * 1e6)
 
     def _refuse_for_parquet(self) -> None:
         names = ("name_pattern", "levels", "no_contact", "colour", "where")
@@ -499,7 +504,7 @@ class Reading:
             "shape": None if self.shape is None else _sides(self.shape),
             "dtype": self.dtype,
             "channels": None if self.channels is None else self.channels.split(","),
-            "max_pixels": self._max_pixels,
+            "max_pixels": self.max_pixels,
         }
 
     def read_as(self, path: Path, touches: "Labelled") -> str:

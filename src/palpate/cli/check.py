@@ -106,7 +106,7 @@ def _pictures(
         levels=reading.levels,
         no_contact=reading.no_contact,
         colour=bool(reading.colour),
-        max_pixels=int(reading.max_megapixels * 1e6),
+        max_pixels=reading.max_pixels,
     )
 
 

@@ -131,10 +131,10 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
     session.teach(name, wanted)
     assert session.teacher is not None
     lesson = session.teacher.lesson
-    shown = 0
+    shown = n_stored = 0
     say(f"Touch {name} {wanted} times.", file=sys.stderr)
     try:
-        while lesson is not None and len(lesson.ids) < wanted:
+        while lesson is not None and lesson.done < wanted:
             if not changed.wait(timeout_s):
                 say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
                 break
@@ -142,9 +142,12 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
             if session.trouble:
                 say(f"palpate: {session.trouble}", file=sys.stderr)
                 break
-            if len(lesson.ids) != shown:
-                shown = len(lesson.ids)
+            before, shown = shown, lesson.done
+            if shown != before:
                 say(f"  touch {shown} of {wanted}", file=sys.stderr)
+            elif len(lesson.ids) > n_stored:
+                say("  a touch without contact: it does not count", file=sys.stderr)
+            n_stored = len(lesson.ids)
     except KeyboardInterrupt:
         say("Ended; what was counted is kept.", file=sys.stderr)
-    return 0 if lesson is None else len(lesson.ids)
+    return 0 if lesson is None else lesson.done

@@ -5,6 +5,7 @@ FastAPI application (the extra `web`).
 """
 
 from ._learning import LearningError as LearningError
+from ._learning import learn_job as learn_job
 from ._learning import remember_library as remember_library
 from ._ros import RosPublisher as RosPublisher
 from ._sensor_watch import Event as Event

@@ -102,14 +102,14 @@ class Variety:
 class Lesson:
     """One object being taught: touches wanted, and the ids of those stored so far.
 
-    Those in `silent` show no contact: they are stored and do not count.
+    Those in `no_contact_ids` show no contact: they are stored and do not count.
     """
 
     name: str
     wanted: int
     ids: list[str] = field(default_factory=list)
     variety: Variety = field(default_factory=Variety)
-    silent: set[str] = field(default_factory=set)
+    no_contact_ids: set[str] = field(default_factory=set)
     _recent: list[Array] = field(default_factory=list)
 
     def add(self, key: str, image: Array, baseline: Array | None, noise: float) -> None:
@@ -121,7 +121,7 @@ class Lesson:
         """Leave a stored touch out."""
         number = self.ids.index(key)
         self.ids.pop(number)
-        self.silent.discard(key)
+        self.no_contact_ids.discard(key)
         self.variety.drop(number)
 
     def shows_contact(
@@ -155,7 +155,7 @@ class Lesson:
     @property
     def done(self) -> int:
         """How many touches count."""
-        return sum(key not in self.silent for key in self.ids)
+        return sum(key not in self.no_contact_ids for key in self.ids)
 
     @property
     def prompt(self) -> str:
@@ -180,7 +180,7 @@ class Lesson:
             "done": self.done,
             "stored": len(self.ids),
             "no_contact": [
-                n for n, key in enumerate(self.ids, 1) if key in self.silent
+                n for n, key in enumerate(self.ids, 1) if key in self.no_contact_ids
             ],
             "n_new": self.variety.n_new,
             "map": self.variety.map(),

@@ -492,7 +492,9 @@ class LiveSession:
                 "nearest": self.episode.nearest,
                 "quality": self._quality,
                 "no_contact": sorted(
-                    self._no_contact_ids | (teacher.silent if teacher else set())
+                    self._no_contact_ids.union(
+                        teacher.no_contact_ids if teacher else ()
+                    )
                 ),
                 "advice": self.advice,
                 "alarm": self.alarm,

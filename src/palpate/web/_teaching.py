@@ -98,7 +98,8 @@ class Teacher:
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
         self.elsewhere: set[str] = set()  # objects that the model knows from elsewhere
-        self.silent: set[str] = set()  # ids of touches taught here without contact
+        # Of touches taught here that show no contact.
+        self.no_contact_ids: set[str] = set()
         if TouchLibrary.is_library(self.folder):
             _ = self.library
             if self._desk is not None:
@@ -257,8 +258,8 @@ class Teacher:
         about = self._described.geometry, channels
         counts = self.lesson.shows_contact(image, baseline, *about)
         if not counts:  # known before it is there, so that it is never counted
-            self.lesson.silent.add(key)
-            self.silent.add(key)
+            self.lesson.no_contact_ids.add(key)
+            self.no_contact_ids.add(key)
         self.lesson.add(key, image, baseline, noise)
         return counts
 
@@ -287,7 +288,7 @@ class Teacher:
                 reason = "undone on the page"
                 self.library.retract([row.id for row in left], reason=reason)
             self._drop_from_lesson(last.ids)
-            self.silent -= {*last.ids}
+            self.no_contact_ids -= {*last.ids}
             return str(left[0].object) if left else None
         gone = [row.id for row in rows if row.retracted]
         copies = [row.id for key in last.copies for row in self._row(key)]
