@@ -1,10 +1,10 @@
 """Recognise things by touch: from tactile images to a belief over objects.
 
-What people reach for first can be imported from here; the rest lives in rooms:
+What people reach for first can be imported from here; the rest lives in subpackages:
 `palpate.touches`, `images`, `encodings`, `classifiers`, `library`, `recognition`,
 `evaluation`, `simulation`, `sensors`, `exploration`. `__init__.pyi` lists every name
-with its room, which is loaded when the name is first used, so that `import palpate` is
-cheap.
+with its subpackage, which is loaded when the name is first used, so that `import
+palpate` is cheap.
 """
 
 import lazy_loader

@@ -130,7 +130,7 @@ def test_the_true_problem_is_solved(mkl_rows):
 
 
 @pytest.mark.slow
-def test_stages_andencodings_have_rows(monkeypatch):
+def test_stages_and_encodings_have_rows(monkeypatch):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     rows = run_bench("encodings", seconds=1e-3, names=["hu", "scaled-pixels"])
     assert [row["name"] for row in rows] == [

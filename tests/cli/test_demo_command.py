@@ -22,7 +22,7 @@ def small(monkeypatch):
     monkeypatch.setattr(demo, "TEST_TOUCHES", 6)
     monkeypatch.setattr(demo, "UNKNOWN_TOUCHES", 6)
     monkeypatch.setattr(demo, "SIDE", 40)
-    monkeypatch.setattr(demo, "KNOWN_SHOWN", ("mug",))
+    monkeypatch.setattr(demo, "EPISODES_OF", ("mug",))
     monkeypatch.setattr(demo, "MOST_ATTEMPTS", 3)
 
 

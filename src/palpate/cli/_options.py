@@ -93,7 +93,7 @@ def checked_workers(workers: int | None) -> int | None:
     return workers
 
 
-def counts(text: str) -> tuple[int, ...]:
+def numbers_of_touches(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError:

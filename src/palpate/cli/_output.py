@@ -2,7 +2,7 @@
 
 Text is printed as it is: square brackets, as in `palpate[plot]`, are no markup.
 
-A message of a lower room names arguments and functions: as the first word before
+A message of another subpackage names arguments and functions: as the first word before
 "must", or between backticks (`where`, `shape=16x16`, `check_library`). `as_typed` turns
 them into options and verbs of what was typed; what it does not know stays as it is.
 """
@@ -40,7 +40,7 @@ _UNITS = ("mm", "n", "s", "deg")  # an option leaves the unit of an argument out
 _ROOT: list[typer.Typer] = []  # the command, once it is put together
 
 BAR_WIDTH = 24
-SHOWN = 3
+OBJECTS_SHOWN = 3
 
 
 def print_json(value: dict[str, Any]) -> None:
@@ -90,13 +90,14 @@ def printable(text: str) -> str:
 def belief_line(touch: int, posterior: dict[str, float], unknown: float) -> str:
     """Return one line that shows a belief: a bar for the best, figures for the next.
 
-    Of the probabilities of the learnt objects and of none of them.
+    `posterior` holds the probability of each learnt object, `unknown` that it is none
+    of them, which is ranked among them.
     """
     shares = {**posterior, "unknown": unknown}
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     name, share = ranked[0]
     bar = ("█" * round(share * BAR_WIDTH)).ljust(BAR_WIDTH, "·")
-    others = "  ".join(f"{n} {_rounded_down(p)}" for n, p in ranked[1:SHOWN])
+    others = "  ".join(f"{n} {_rounded_down(p)}" for n, p in ranked[1:OBJECTS_SHOWN])
     return f"  touch {touch:3d}  {bar} {_rounded_down(share)} {name}   {others}"
 
 

@@ -50,7 +50,7 @@ def benchmark(
             archives or [datasets.where()],
             **_names(recognisers=recognisers, protocols=protocols),
             label=cast(Any, label),
-            touches=_options.counts(touches),
+            touches=_options.numbers_of_touches(touches),
             repeats=repeats,
             seed=seed,
             progress=stage,

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
 
 SHEET_OBJECTS, SHEET_TOUCHES, SHEET_SIDE = 60, 8, 96
-_SHOWN, _NAMED, _ALIKE = 40, 3, 5
+_ROWS_SHOWN, _NAMED, _ALIKE = 40, 3, 5
 _SHEET_STYLE = (
     "<style>.sheet{display:flex;flex-wrap:wrap;gap:.5rem}.sheet div{width:6rem;"
     "font-size:.75rem;line-height:1.25;overflow-wrap:anywhere}"
@@ -313,10 +313,10 @@ def _print(checked: dict[str, Any]) -> None:
         say(f"Note: {note}.")
     if objects := checked["objects"]:
         columns = [name for name in objects[0] if objects[0][name] is not None]
-        rows = [[str(row[name]) for name in columns] for row in objects[:_SHOWN]]
+        rows = [[str(row[name]) for name in columns] for row in objects[:_ROWS_SHOWN]]
         table(counted(len(objects), "object"), columns, rows)
-        if len(objects) > _SHOWN:
-            say(f"and {len(objects) - _SHOWN} more")
+        if len(objects) > _ROWS_SHOWN:
+            say(f"and {len(objects) - _ROWS_SHOWN} more")
     for line in _alone_lines(checked["alone"]):
         say(line)
     for advice in checked["advice"]:

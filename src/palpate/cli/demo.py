@@ -20,7 +20,7 @@ NAME_PATTERN = (
     r"_at_(?P<x>-?\d+)_(?P<y>-?\d+)_(?P<z>-?\d+)"
 )
 # What touch can tell apart, and a thing like none of them (the paper's ten: `study`).
-SHOWN = ("stapler", "toothbrush", "mug", "box", "pen", "ball")
+LEARNT = ("stapler", "toothbrush", "mug", "box", "pen", "ball")
 UNLIKE = ("massage ball",)
 # Another placement shows more than more touches in the same.
 TRAIN_TOUCHES, TRAIN_SESSIONS = 120, 20
@@ -29,7 +29,7 @@ UNKNOWN_TOUCHES = 20
 RECORDED_TOUCHES = 60
 UNKNOWN_RECORDED = 2
 SIDE = 120
-KNOWN_SHOWN = ("toothbrush", "box", "ball")
+EPISODES_OF = ("toothbrush", "box", "ball")
 ERROR = 0.05
 # One in four of the things that it touches was never learnt.
 STRANGERS = 0.25
@@ -107,7 +107,7 @@ def _explored(seed: int) -> Sets:
     from ..simulation import DomeCamera, find_object
 
     learnt_objects, unknown = (
-        list(map(find_object, names)) for names in (SHOWN, UNLIKE)
+        list(map(find_object, names)) for names in (LEARNT, UNLIKE)
     )
     explore = partial(
         explore_to_learn,
@@ -139,7 +139,7 @@ def _recognise_by_exploring(
     from ..simulation import DomeCamera, find_object
 
     episodes = []
-    for number, name in enumerate(KNOWN_SHOWN + UNLIKE):
+    for number, name in enumerate(EPISODES_OF + UNLIKE):
         rng = np.random.default_rng([seed, number])
         stand = put_down(
             find_object(name),

@@ -70,7 +70,7 @@ def evaluate(
     plan = Plan(
         **vars(how),
         **vars(deciding),
-        touches=_options.counts(touches),
+        touches=_options.numbers_of_touches(touches),
         orders=orders,
         train_touches=train_touches,
         remount=remount,

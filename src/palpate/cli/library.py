@@ -131,7 +131,7 @@ def list_touches(
     if as_json:
         print_json({"library": str(folder), "rows": plain})
         return
-    names = list(plain[0]) if objects and plain else _SHOWN
+    names = list(plain[0]) if objects and plain else _COLUMNS_SHOWN
     cells = [[_shown(row[name]) for name in names] for row in plain]
     if not objects:
         cells = [[key[:_ID_SHOWN], *rest] for key, *rest in cells]
@@ -384,7 +384,7 @@ def restore(
 
 
 _ID_SHOWN = 12
-_SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
+_COLUMNS_SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
 
 
 def _opened(folder: Path, *, create: bool = False) -> "TouchLibrary":

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from ..touches import Touches
 
 
-SHOWN_ALL = 5
-SHOWN_LATER = (8, 12, 20, 30, 50, 100)
+FIRST_TOUCHES_SHOWN = 5
+LATER_TOUCHES_SHOWN = (8, 12, 20, 30, 50, 100)
 # Of the best object's press; angles are in degrees from 0 to 360 / symmetry.
 _POSE = ("x_mm", "y_mm", "angle_deg", "sd_mm", "sd_deg", "symmetry")
 
@@ -176,7 +176,7 @@ def print_episode(episode: dict[str, Any], *, explain: bool = False) -> None:
 
 def _shown_touches(used: int) -> set[int]:
     """Return which touches get a line; a gap of one would take a line as well."""
-    shown = {*range(1, SHOWN_ALL + 1), *SHOWN_LATER, used}
+    shown = {*range(1, FIRST_TOUCHES_SHOWN + 1), *LATER_TOUCHES_SHOWN, used}
     gaps = {n for n in range(1, used) if n not in shown and {n - 1, n + 1} <= shown}
     return shown | gaps
 
