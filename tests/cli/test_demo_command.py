@@ -16,7 +16,7 @@ def small(monkeypatch):
     """Two objects, few touches of each."""
     demo = importlib.import_module("palpate.cli.demo")
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # No processes to wait for.
-    monkeypatch.setattr(demo, "SHOWN", ("mug", "pen"))
+    monkeypatch.setattr(demo, "LEARNT", ("mug", "pen"))
     monkeypatch.setattr(demo, "UNLIKE", ("plastic card",))
     monkeypatch.setattr(demo, "TRAIN_TOUCHES", 8)
     monkeypatch.setattr(demo, "TEST_TOUCHES", 6)
