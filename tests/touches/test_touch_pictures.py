@@ -38,56 +38,35 @@ def luma(colour):
     return colour @ np.array([0.299, 0.587, 0.114])
 
 
-def test_8_bit_png_is_exact(grey):
-    assert_array_equal(decode_bytes(coded(Image.fromarray(grey))), grey)
-
-
-def test_16_bit_png_is_exact(grey):
+def test_grey_png_is_exact(grey):
+    """16 bits stay 16 bits, one bit is spread to 255, opaque alpha is dropped."""
     deep = grey.astype(np.uint16) * 251 + 3
-    found = decode_bytes(coded(Image.fromarray(deep)))
-    assert found.dtype == np.uint16
-    assert_array_equal(found, deep)
+    spread = np.where(grey > 120, 255, 0)
+    opaque = np.dstack([grey, np.full_like(grey, 255)])
+    pairs = ((grey, grey), (deep, deep), (grey > 120, spread), (opaque, grey))
+    for stored, expected in pairs:
+        found = decode_bytes(coded(Image.fromarray(stored)))
+        assert_array_equal(found, expected)
+        assert found.dtype == (np.uint16 if stored is deep else np.uint8)
 
 
-def test_1_bit_png_is_spread_to_255(grey):
-    found = decode_bytes(coded(Image.fromarray(grey > 120)))
-    assert_array_equal(found, np.where(grey > 120, 255, 0))
-
-
-def test_colour_png_becomes_luma(colour):
-    found = decode_bytes(coded(Image.fromarray(colour)))
+@pytest.mark.parametrize("alpha", [False, True])
+@pytest.mark.parametrize("factor", [np.uint8(1), np.uint16(257)])
+def test_colour_png_becomes_luma(colour, factor, alpha):
+    """16 bits stay 16 bits; an opaque alpha channel is dropped."""
+    opaque = [np.full((24, 32), 255, np.uint8)] if alpha else []
+    blue_first = np.dstack([colour[..., ::-1], *opaque]) * factor
+    found = decode_bytes(cv2.imencode(".png", blue_first)[1].tobytes())
+    assert found.dtype == factor.dtype
     # Half a level of rounding and one of libpng's 15-bit weights.
-    assert_allclose(found, luma(colour), atol=1.1)
+    atol = 1.1 if factor == 1 else 4
+    assert_allclose(found, float(factor) * luma(colour), atol=atol)
 
 
 def test_palette_png_becomes_the_luma_of_its_colours(colour):
     image = Image.fromarray(colour).quantize(16)
     expected = luma(np.asarray(image.convert("RGB")))
     assert_allclose(decode_bytes(coded(image)), expected, atol=1.1)
-
-
-def test_16_bit_colour_png_keeps_16_bits(colour):
-    import cv2
-
-    deep = colour.astype(np.uint16) * 257
-    data = cv2.imencode(".png", deep[..., ::-1])[1].tobytes()
-    found = decode_bytes(data)
-    assert found.dtype == np.uint16
-    assert_allclose(found, 257 * luma(colour), atol=4)  # 15-bit weights
-
-
-@pytest.mark.parametrize("deep", [False, True])
-def test_an_opaque_alpha_channel_is_dropped(colour, deep):
-    import cv2
-
-    factor = np.uint16(257) if deep else np.uint8(1)
-    alpha = np.dstack([colour[..., ::-1], np.full((24, 32), 255, np.uint8)])
-    data = cv2.imencode(".png", alpha * factor)[1].tobytes()
-    assert_allclose(decode_bytes(data) / float(factor), luma(colour), atol=1.1)
-
-
-def test_opaque_grey_with_alpha_is_exact(grey):
-    assert_array_equal(decode_bytes(coded(Image.fromarray(grey).convert("LA"))), grey)
 
 
 @pytest.mark.parametrize("options", [{}, {"progressive": True}, {"quality": 40}])
