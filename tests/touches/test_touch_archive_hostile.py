@@ -246,9 +246,3 @@ def test_damage_is_refused_or_changes_no_value(tmp_path):
         assert values == {
             array.tobytes() for array in {**good.columns, **good.whole}.values()
         }
-
-
-@pytest.mark.realdata
-def test_visual_words_are_no_touches(data_folder):
-    with pytest.raises(TouchesError, match=r"not a touch archive.*counts \(2000 x 100"):
-        Touches.load(data_folder / "bathtip" / "visual_words50.npz")

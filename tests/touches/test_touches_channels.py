@@ -11,6 +11,8 @@ from PIL import Image
 from palpate import Touches
 from palpate.touches import TouchesError, decode_bytes
 
+from .conftest import assert_same
+
 COLOUR = ["r", "g", "b"]
 
 
@@ -100,13 +102,7 @@ def test_archives_keep_channels_pads_and_frames(tmp_path):
         press_frames=np.ones((2, 5, 4, 6, 3), np.uint8),
     )
     hand.save(tmp_path / "hand.npz")
-    back = Touches.load(tmp_path / "hand.npz")
-    assert back.images.dtype == np.uint8
-    assert_array_equal(back.images, hand.images)
-    assert_array_equal(back.columns["press_frames"], hand.columns["press_frames"])
-    assert_array_equal(back.no_contact, hand.no_contact)
-    assert_array_equal(back.pads, hand.pads)
-    assert (back.channels, back.pad_names) == (hand.channels, hand.pad_names)
+    assert_same(Touches.load(tmp_path / "hand.npz"), hand)
 
 
 def test_former_names_of_archives_are_read(tmp_path):
@@ -242,8 +238,9 @@ def test_the_picture_of_no_contact_is_in_colour_too(painted, tmp_path):
     touches.with_columns(channels=["x", "y", "z"]).save(tmp_path / "t.npz")
     with pytest.raises(TouchesError, match=r"a picture for images of uint8 and .*x, y"):
         Touches.load(tmp_path / "t.npz", no_contact=rest)
-    with pytest.raises(TouchesError, match="colour must be left out for an archive"):
-        Touches.load(tmp_path / "t.npz", colour=True)
+    for name, value in {"colour": True, "name_pattern": "(?P<object>x)"}.items():
+        with pytest.raises(TouchesError, match=f"{name} must be left out for an"):
+            Touches.load(tmp_path / "t.npz", **{name: value})
 
 
 @pytest.mark.realdata
