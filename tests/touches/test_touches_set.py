@@ -77,12 +77,8 @@ def test_variable_width_text_becomes_plain_text():
 def test_arrays_are_read_only_and_the_callers_own_is_left_alone():
     images = np.zeros((2, 3, 3))
     touches = Touches(images, force_n=[1.0, 2.0])
-    for part in (
-        touches,
-        touches[:1],
-        touches[[1, 0]],
-        pickle.loads(pickle.dumps(touches)),
-    ):
+    sent = pickle.loads(pickle.dumps(touches))
+    for part in (touches, touches[:1], touches[[1, 0]], sent):
         for array in (part.images, part.columns["force_n"]):
             with pytest.raises(ValueError, match="read-only"):
                 array[:] = 1
