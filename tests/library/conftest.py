@@ -1,5 +1,7 @@
 """Shared by tests of the library: a library, and rows changed behind its back."""
 
+import multiprocessing
+import os
 import sqlite3
 from contextlib import closing
 
@@ -19,6 +21,35 @@ def press_of(seed, n_touches=1, side=5):
         press=[seed] * n_touches,
         loads=rng.normal(size=(n_touches, 20)),
     )
+
+
+def started(target, *arguments):
+    """Run `target` in another process; return it and a pipe of what it writes."""
+    reading, writing = os.pipe()
+    fork = multiprocessing.get_context("fork")
+    process = fork.Process(target=target, args=(*arguments, writing), daemon=True)
+    process.start()
+    os.close(writing)
+    return process, reading
+
+
+def said_elsewhere(task, prepare):
+    """Return as text what a task returns or raises in a process that is prepared."""
+
+    def run(pipe):
+        prepare()
+        try:
+            said = str(task())
+        except BaseException as error:
+            said = f"{type(error).__name__}: {error}"
+        os.write(pipe, said.encode())
+        os._exit(0)
+
+    process, pipe = started(run)
+    with os.fdopen(pipe) as stream:
+        said = stream.read()
+    process.join()
+    return said
 
 
 def rows_of(folder):

@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 import pickle
-import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from palpate.library import (
     LibraryError,
     SensorDescription,
     TouchLibrary,
-    check_library,
 )
 
 
@@ -186,11 +184,9 @@ def test_a_folder_without_library_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_newer_library_is_refused_by_name(library):
+def test_a_newer_library_is_refused_by_name(library, alter):
     library.close()
-    database = sqlite3.connect(library.folder / "library.sqlite")
-    database.execute("PRAGMA user_version = 7")
-    database.close()
+    alter(library.folder, "PRAGMA user_version = 7")
     with pytest.raises(LibraryError, match="format 7, this palpate reads 3"):
         TouchLibrary.open(library.folder)
 
@@ -200,16 +196,6 @@ def test_another_file_is_no_library(tmp_path, content):
     Path(tmp_path / "library.sqlite").write_bytes(content)
     with pytest.raises(LibraryError, match=r"library\.sqlite must be"):
         TouchLibrary.open(tmp_path)
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_an_older_library_is_told_how_it_is_migrated(library, alter, version):
-    library.close()
-    alter(library.folder, f"PRAGMA user_version = {version}")
-    for create in (False, True):
-        with pytest.raises(LibraryError, match=r"`migrate_library\(.*, NEW\)`"):
-            TouchLibrary.open(library.folder, create=create)
-    assert [p.kind for p in check_library(library.folder).problems] == ["version"]
 
 
 def test_a_library_travels_to_other_processes_by_its_folder(library, cups):
