@@ -307,11 +307,7 @@ class _OldLibrary:
         )
 
     def _label(self, row: sqlite3.Row) -> str | None:
-        """Return what the object of a touch was called when it was added.
-
-        The id follows from that name; where it does from none, the one by the times of
-        changes counts.
-        """
+        """Return the name from which the id follows, else that by times of changes."""
         by_time: str | None = row["label"]
         names = [by_time]
         for change in reversed(self._changes):

@@ -166,10 +166,7 @@ def kept_names(names: Sequence[str], levels: str) -> list[str]:
 
 
 def odd_depths(names: Sequence[str]) -> tuple[dict[str, str], str]:
-    """Return the paths in more or fewer folders than most with where they lie.
-
-    And where most lie.
-    """
+    """Return where paths lie that lie in more or fewer folders than most, and most."""
     where = ("in no folder", "in one folder", "in folders of folders")
     depths = [min(name.count("/"), 2) for name in names]
     usual = max(set(depths), key=depths.count)
@@ -209,12 +206,7 @@ def odd_folders(
 
 
 def labels_of_folders(names: Sequence[str]) -> Arrays:
-    """Take labels from the levels of folders above each picture.
-
-    One level: its folder is the object. More: the first level is the category, the
-    whole relative folder the object; a level of sessions below or above gives sessions,
-    and a last one that is the same everywhere says nothing. None at all: no labels.
-    """
+    """Return labels from the levels of folders above pictures; see `read_folder`."""
     odd, usual = odd_depths(names)
     if odd:
         first = next(iter(odd))
@@ -307,10 +299,7 @@ def labels_of(
 
 
 def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
-    """Match every name; turn the named groups into columns.
-
-    The file name is searched first, then the path relative to the folder.
-    """
+    """Match every name; turn the named groups into columns."""
     texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
     for name, match in zip(names, _all_matched(names, pattern), strict=True):
         for group, values in texts.items():

@@ -127,10 +127,7 @@ def _metadata(
 def parquet_parts(
     path: str | PathLike[str], max_bytes: int, max_pixels: int
 ) -> Iterator[tuple[Arrays, list[bytes] | None]]:
-    """Yield what `Touches` is made of, of one recording at a time, and files of images.
-
-    Raises TouchesError where it is no Parquet, or not one of touches.
-    """
+    """Yield what `parquet_rows` does, of all files of a path."""
     n_parts = 0
     for name in parquet_files(path):
         for part in parquet_rows(name, max_bytes, max_pixels):
@@ -487,10 +484,7 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
 
 
 def _tensor(pa: Any, images: Array) -> Any:
-    """Return images as a tensor of Arrow, without its permutation of axes.
-
-    That says nothing here, and several readers refuse it.
-    """
+    """Return images as a tensor; several readers refuse one with permuted axes."""
     flat = _arrow(pa, _IMAGE, images.reshape(len(images), -1))
     shape = images.shape[1:]
     kind = pa.fixed_shape_tensor(flat.type.value_type, shape)
