@@ -9,7 +9,7 @@ from PIL import Image
 
 from palpate import Touches
 from palpate.library import LibraryError, SensorDescription, TouchLibrary
-from palpate.touches import TouchesError, read_parquet
+from palpate.touches import TouchesError, png_bytes, read_parquet
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -221,8 +221,13 @@ def test_camera_images_are_shown_by_others_as_pictures(library, tmp_path):
     assert features["image"] == {"_type": "Image"}
     assert features["object"] == {"dtype": "string", "_type": "Value"}
     assert set(features) == set(schema.names)
-    again = Touches.load(tmp_path / "some.parquet")  # PNG loses nothing
+    (tmp_path / "rest.png").write_bytes(png_bytes(images[0]))
+    how = {"no_contact": tmp_path / "rest.png", "max_pixels": 60 * 80}
+    again = Touches.load(tmp_path / "some.parquet", **how)  # PNG loses nothing
     assert_array_equal(again.images, images)
+    assert_array_equal(again.no_contact, images[0])
+    with pytest.raises(TouchesError, match="at most 4799 pixels, got 80 x 60"):
+        Touches.load(tmp_path / "some.parquet", max_pixels=60 * 80 - 1)
 
 
 @pytest.mark.parametrize("by", [None, "object"])
