@@ -7,6 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from palpate.library import TouchLibrary
 from palpate.touches import Touches
@@ -50,6 +51,17 @@ def said_elsewhere(task, prepare):
         said = stream.read()
     process.join()
     return said
+
+
+def assert_alike(read, given):
+    """Fail where touches that were read are not those that were given."""
+    assert read.images.dtype == given.images.dtype
+    assert_array_equal(read.images, given.images)
+    for here, there in ((read.columns, given.columns), (read.whole, given.whole)):
+        assert set(here) == set(there)
+        for name, array in there.items():
+            assert_array_equal(here[name], array, err_msg=name)
+            assert here[name].dtype.kind == array.dtype.kind
 
 
 def rows_of(folder):
