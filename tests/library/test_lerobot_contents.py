@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.library import TouchLibrary
 
 pq = pytest.importorskip("pyarrow.parquet")
 
@@ -43,13 +42,12 @@ WAYS = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd
 
 
 @pytest.fixture
-def exported(tmp_path):
+def exported(library, tmp_path):
     """Add touches to a library, export them; return the folder."""
 
     def export(touches):
-        with TouchLibrary.open(tmp_path / "library", create=True) as library:
-            library.add(touches)
-            library.export(tmp_path / "robot")
+        library.add(touches)
+        library.export(tmp_path / "robot")
         return tmp_path / "robot"
 
     return export

@@ -149,14 +149,13 @@ def test_merged_objects_stay_one_through_merges_renames_and_repairs(folder, rebu
 
 
 @pytest.mark.parametrize(("n_objects", "more"), [(20, False), (21, True)])
-def test_unknown_names_are_told_with_twenty_known_ones(tmp_path, n_objects, more):
+def test_unknown_names_are_told_with_twenty_known_ones(library, n_objects, more):
     names = [f"thing {k:02}" for k in range(n_objects)]
-    with TouchLibrary.open(tmp_path, create=True) as library:
-        with pytest.raises(LibraryError, match=r"library \(it has none\), got 'x'"):
-            library.rename_object("x", "y")
-        library.add(touches(names))
-        with pytest.raises(LibraryError) as refused:
-            library.rename_object("thing 7", "y")
+    with pytest.raises(LibraryError, match=r"library \(it has none\), got 'x'"):
+        library.rename_object("x", "y")
+    library.add(touches(names))
+    with pytest.raises(LibraryError) as refused:
+        library.rename_object("thing 7", "y")
     listed = ", ".join(map(repr, names[:20])) + ", ..." * more
     assert f"library ({listed}), got 'thing 7'" in str(refused.value)
     assert "Did you mean" in str(refused.value)
@@ -229,20 +228,19 @@ BAD = {
 }
 
 
-def test_two_spellings_are_one_object(tmp_path):
+def test_two_spellings_are_one_object(library):
     assert NFC != NFD
     touches = Touches(IMAGES, object=[NFC, NFD], category=[NFD, NFD])
     assert [*touches.object] == [NFC, NFC]
-    with TouchLibrary.open(tmp_path, create=True) as library:
-        ids = library.add(touches)
-        assert ids[0] == ids[1]
-        assert library.add(Touches(IMAGES[:1], object=[NFD])) == ids[:1]
-        assert [row.name for row in library.objects()] == [NFC]
-        assert library.count(f"object = {NFD}") == 1
-        library.rename_object(NFD, "mug")
-        library.rename_object("mug", NFD)
-        assert [row.name for row in library.objects()] == [NFC]
-        assert library.check().ok
+    ids = library.add(touches)
+    assert ids[0] == ids[1]
+    assert library.add(Touches(IMAGES[:1], object=[NFD])) == ids[:1]
+    assert [row.name for row in library.objects()] == [NFC]
+    assert library.count(f"object = {NFD}") == 1
+    library.rename_object(NFD, "mug")
+    library.rename_object("mug", NFD)
+    assert [row.name for row in library.objects()] == [NFC]
+    assert library.check().ok
 
 
 @pytest.mark.parametrize("name", BAD.values(), ids=BAD)

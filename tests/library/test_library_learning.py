@@ -35,17 +35,16 @@ def sums(touches):
 
 
 @pytest.fixture
-def library(tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        opened.add(_touches(0), episode="first")
-        yield opened
+def filled(library):
+    library.add(_touches(0), episode="first")
+    return library
 
 
 @pytest.fixture
-def counted(monkeypatch, library):
+def counted(monkeypatch, filled):
     """How many touches of a library were encoded, one entry per call."""
     calls = []
-    selection = type(library.select())
+    selection = type(filled.select())
     features = selection.features
 
     def counting(self, key, encode):
@@ -60,10 +59,10 @@ def counted(monkeypatch, library):
 
 
 @pytest.fixture
-def shown(monkeypatch, library):
+def shown(monkeypatch, filled):
     """Places of the touches whose images were read, one entry per call."""
     calls = []
-    selection = type(library.select())
+    selection = type(filled.select())
     touches = selection.touches
 
     def showing(self, rows):
@@ -74,9 +73,9 @@ def shown(monkeypatch, library):
     return calls
 
 
-def test_a_library_teaches_what_its_touches_teach(library):
-    held = ObjectRecogniser().fit(library.touches())
-    read = ObjectRecogniser().fit(library.select())
+def test_a_library_teaches_what_its_touches_teach(filled):
+    held = ObjectRecogniser().fit(filled.touches())
+    read = ObjectRecogniser().fit(filled.select())
     tested = _touches(1)
     # Every step is the same but for the size of the blocks that are encoded.
     assert_allclose(
@@ -85,23 +84,23 @@ def test_a_library_teaches_what_its_touches_teach(library):
     assert read.chosen_ == held.chosen_
 
 
-def test_features_are_computed_once(library, counted):
-    ObjectRecogniser("corradi2015").fit(library.select())
+def test_features_are_computed_once(filled, counted):
+    ObjectRecogniser("corradi2015").fit(filled.select())
     assert sum(counted) == 90
     counted.clear()
-    ObjectRecogniser("corradi2015").fit(library.select())
+    ObjectRecogniser("corradi2015").fit(filled.select())
     assert counted == []
-    library.add(_touches(2, ("pen",), 4), episode="second")
-    ObjectRecogniser("corradi2015").fit(library.select())
+    filled.add(_touches(2, ("pen",), 4), episode="second")
+    ObjectRecogniser("corradi2015").fit(filled.select())
     # PCA is learnt anew from other touches: another encoder, so nothing is kept.
     assert sum(counted) == 94
 
 
-def test_an_object_is_added_from_its_new_episodes_alone(library, counted):
-    recogniser = ObjectRecogniser().fit(library.select())
+def test_an_object_is_added_from_its_new_episodes_alone(filled, counted):
+    recogniser = ObjectRecogniser().fit(filled.select())
     counted.clear()
-    library.add(_touches(3, ("cap",)), episode="second")
-    recogniser.add_object("cap", library.select("episode = second"))
+    filled.add(_touches(3, ("cap",)), episode="second")
+    recogniser.add_object("cap", filled.select("episode = second"))
     assert sum(counted) == 30
     assert "cap" in recogniser.classes_
     belief = recogniser.start().update(_touches(4, ("cap",), 5))
@@ -124,25 +123,25 @@ def test_an_encoding_is_learnt_from_some_touches_of_each_label(tmp_path, shown):
     assert (read.classes_[answer] == _touches(5).object).mean() > 0.9
 
 
-def test_an_encoding_is_learnt_from_all_of_a_few_touches(library, shown):
-    ObjectRecogniser("corradi2015").fit(library.select())
+def test_an_encoding_is_learnt_from_all_of_a_few_touches(filled, shown):
+    ObjectRecogniser("corradi2015").fit(filled.select())
     assert_array_equal(shown[0], np.arange(90))
 
 
-def test_features_are_the_same_from_one_process_and_two(library):
+def test_features_are_the_same_from_one_process_and_two(filled):
     """More touches than are encoded at once."""
-    library.add(_touches(8, n_each=400))
-    chosen = library.select()
+    filled.add(_touches(8, n_each=400))
+    chosen = filled.select()
     one = chosen.features("one", sums)
-    assert_array_equal(one, sums(library.touches()))
+    assert_array_equal(one, sums(filled.touches()))
     with parallel_config("threading", n_jobs=2):
         assert_array_equal(chosen.features("two", sums), one)
 
 
-def test_a_selection_knows_the_ids_of_its_touches(library):
+def test_a_selection_knows_the_ids_of_its_touches(filled):
     """One id in 256 ends in a byte of zero, which is a part of it."""
-    ids = library.add(_touches(9, ("cap",), 600))
-    assert library.select("object = cap").touch_id.tolist() == ids
+    ids = filled.add(_touches(9, ("cap",), 600))
+    assert filled.select("object = cap").touch_id.tolist() == ids
     assert any(key.endswith("00") for key in ids)
 
 
@@ -166,20 +165,17 @@ def pq():
 
 
 @pytest.fixture
-def written(tmp_path, pq):
+def written(tmp_path, library, pq):
     """Return touches, and the folder of Parquet that a library of them exports."""
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(_touches(0, n_each=40), session="monday")
-        library.export(tmp_path / "set.parquet", by="object")
-        inside = library.touches()
-    return inside, tmp_path / "set.parquet"
+    library.add(_touches(0, n_each=40), session="monday")
+    library.export(tmp_path / "set.parquet", by="object")
+    return library.touches(), tmp_path / "set.parquet"
 
 
-def test_rows_are_those_of_reading_all_of_it(tmp_path, pq):
+def test_rows_are_those_of_reading_all_of_it(tmp_path, library, pq):
     path = tmp_path / "set.parquet"
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(_touches(0, n_each=300))
-        library.export(path, by="object")
+    library.add(_touches(0, n_each=300))
+    library.export(path, by="object")
     for file in path.rglob("*.parquet"):  # several row groups each, large and small
         pq.write_table(pq.read_table(file), file, row_group_size=130)
     whole, source = Touches.load(path), ParquetTouches(path)
@@ -199,14 +195,13 @@ def test_rows_are_those_of_reading_all_of_it(tmp_path, pq):
 
 
 @pytest.mark.parametrize("scheme", ["file", "memory"])
-def test_what_is_learnt_is_what_touches_in_memory_teach(written, scheme, tmp_path):
+def test_what_is_learnt_is_what_touches_in_memory_teach(written, scheme, library):
     pytest.importorskip("fsspec")
     touches, path = written
     url = f"file://{path}"
     if scheme == "memory":
         url = "memory://learning/set.parquet"
-        with TouchLibrary.open(tmp_path / "library") as library:
-            library.export(url, by="object")
+        library.export(url, by="object")
     with parallel_config("threading", n_jobs=2):
         source = ParquetTouches(url)
         from_store = ObjectRecogniser().fit(source)
@@ -219,11 +214,10 @@ def test_what_is_learnt_is_what_touches_in_memory_teach(written, scheme, tmp_pat
     assert len(touches) == len(from_store.memory_)
 
 
-def test_pictures_are_decoded_where_they_are_asked_for(tmp_path, pq):
+def test_pictures_are_decoded_where_they_are_asked_for(tmp_path, library, pq):
     images = np.random.default_rng(0).integers(0, 255, (9, 60, 80), dtype=np.uint8)
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(Touches(images, object=["mug", "pen", "cap"] * 3))
-        library.export(tmp_path / "some.parquet")
+    library.add(Touches(images, object=["mug", "pen", "cap"] * 3))
+    library.export(tmp_path / "some.parquet")
     source = ParquetTouches(tmp_path / "some.parquet")
     assert_array_equal(source.touches([1, 5]).images, images[[1, 5]])
 
@@ -290,40 +284,38 @@ def test_other_files_are_refused(tmp_path, pq):
         ParquetTouches(tmp_path / "b.parquet")
 
 
-def test_a_library_that_changes_while_it_is_read_teaches_what_was_selected(tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(_touches(0, n_each=40))
-        before = library.select()
-        alone = before.features("before", sums)
+def test_a_library_that_changes_while_it_is_read_teaches_what_was_selected(library):
+    library.add(_touches(0, n_each=40))
+    before = library.select()
+    alone = before.features("before", sums)
 
-        def encode(some):
-            with TouchLibrary.open(tmp_path / "library") as other:
-                other.add(_touches(len(other), n_each=1))
-                if "ball" in {row.name for row in other.objects()}:
-                    other.rename_object("ball", "renamed")
-                    other.retract(object="mug", reason="test")
-            return sums(some)
+    def encode(some):
+        with TouchLibrary.open(library.folder) as other:
+            other.add(_touches(len(other), n_each=1))
+            if "ball" in {row.name for row in other.objects()}:
+                other.rename_object("ball", "renamed")
+                other.retract(object="mug", reason="test")
+        return sums(some)
 
-        chosen = library.select()
-        names = chosen.object
-        assert_array_equal(chosen.features("during", encode), alone)
-        assert_array_equal(chosen.object, names)
-        assert len(chosen.touches(range(120))) == 120
-        later = library.select()
+    chosen = library.select()
+    names = chosen.object
+    assert_array_equal(chosen.features("during", encode), alone)
+    assert_array_equal(chosen.object, names)
+    assert len(chosen.touches(range(120))) == 120
+    later = library.select()
     assert len(later) != 120
     assert "renamed" in later.object
     assert "mug" not in later.object
 
 
-def test_kept_features_of_another_encoding_are_made_anew(tmp_path):
+def test_kept_features_of_another_encoding_are_made_anew(library):
     """A file of another width under this encoding's key is no good."""
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(_touches(0))
-        chosen = library.select()
-        right = chosen.features("key", sums)
-        cache = tmp_path / "library" / "features" / "key"
-        (kept,) = cache.glob("*.npz")
-        with np.load(kept) as held:
-            ids = held["ids"]
-        np.savez(cache / "other.npz", ids=ids[:50], x=np.zeros((50, 3)))
-        assert_array_equal(chosen.features("key", sums), right)
+    library.add(_touches(0))
+    chosen = library.select()
+    right = chosen.features("key", sums)
+    cache = library.folder / "features" / "key"
+    (kept,) = cache.glob("*.npz")
+    with np.load(kept) as held:
+        ids = held["ids"]
+    np.savez(cache / "other.npz", ids=ids[:50], x=np.zeros((50, 3)))
+    assert_array_equal(chosen.features("key", sums), right)
