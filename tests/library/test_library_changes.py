@@ -98,9 +98,20 @@ def test_what_changes_nothing_leaves_nothing(folder):
         assert library.restore(object="b") == 0
         assert library.restore(first) == 1
         assert library.retract([], reason="none") == 0
-        for old, new in (("a", "b"), ("nobody", "x"), ("b", "b")):
-            with pytest.raises(LibraryError):
+        taken, unknown = "merge '{}' into it", "must be one in the library"
+        for old, new, match in (
+            ("a", "b", taken.format("a")),
+            ("nobody", "x", unknown),
+            ("b", "b", taken.format("b")),
+        ):
+            with pytest.raises(LibraryError, match=match):
                 library.rename_object(old, new)
+        for bad, match in (("xyz", "hexadecimal"), ("00" * 16, "in the library, got")):
+            with pytest.raises(LibraryError, match=match):
+                library.retract(bad, reason="x")
+        for reason in (" ", "\ud800"):
+            with pytest.raises(ValueError, match="reason must be a text"):
+                library.retract(object="a", reason=reason)
         for one in "ab":
             with pytest.raises(LibraryError, match="which are one"):
                 library.merge_objects(one, one)
@@ -119,6 +130,9 @@ def test_touches_are_chosen_by_ids_or_by_their_object(folder, rebuilt):
         library.retract(ids[0], reason="wet")
         # Those of the merged one are of the object; the retracted one is left as it is.
         assert library.retract(object="a", reason="dry") == 3
+        assert [row.name for row in library.objects()] == ["c"]
+        assert library.add(touches("aabbcc")) == ids
+        assert len(library) == len(library.touches()) == 2
         rows = library.list(retracted=True)
         assert [row.reason for row in rows] == ["wet", *["dry"] * 3, None, None]
         assert library.restore(object="b") == 4
@@ -279,6 +293,8 @@ def test_an_export_after_a_rename_adds_nothing(library, tmp_path):
     ids = library.add(_touches())
     library.rename_object("a", "mug")
     library.rename_object("mug", "cup")
+    assert [row.name for row in library.objects()] == ["b", "c", "cup"]
+    assert set(library.touches().object) == {"b", "c", "cup"}
     assert library.add(_exported(library, tmp_path)) == ids
     assert library.add(library.touches("object = cup")) == ids[::3]
     assert library.add(_touches()) == ids
@@ -368,8 +384,6 @@ def test_a_name_that_no_database_holds_is_unknown(library):
             act()
     with pytest.raises(LibraryError, match="such as UTF-8 can hold"):
         library.no_contact("\ud800")
-    with pytest.raises(ValueError, match="reason must be a text"):
-        library.retract(object="a", reason="\ud800")
 
 
 @pytest.mark.parametrize("name", ["it's", "a \"b\" 'c'", "''", "and", "5", "ツ = or"])

@@ -97,45 +97,6 @@ def test_rows_are_listed_without_reading_an_image(library, cups, alter):
     json.dumps(rows[0]._asdict())
 
 
-def test_a_renamed_object_is_the_same_object(library, cups):
-    library.add(cups)
-    library.rename_object("cup", "white cup")
-    assert [row.name for row in library.objects()] == ["pen", "white cup"]
-    assert set(library.touches().object) == {"pen", "white cup"}
-    assert len(library.add(cups)) == len(library) == 6
-    with pytest.raises(LibraryError, match="merge 'pen' into it"):
-        library.rename_object("pen", "white cup")
-    with pytest.raises(LibraryError, match="must be one in the library"):
-        library.rename_object("cup", "x")
-
-
-def test_retracted_touches_are_left_out_and_can_be_restored(library, cups):
-    ids = library.add(cups)
-    assert library.retract(ids[1], reason="slipped") == 1
-    assert library.retract(ids[:2], reason="slipped") == 1
-    assert len(library.touches()) == 4
-    gone = [row for row in library.list(retracted=True) if row.retracted]
-    assert [row.id for row in gone] == ids[:2]
-    assert {row.reason for row in gone} == {"slipped"}
-    assert library.add(cups) == ids
-    assert len(library) == 4
-    assert library.restore(ids) == 2
-    assert len(library) == 6
-
-
-def test_a_whole_object_can_be_retracted(library, cups):
-    library.add(cups)
-    assert library.retract(object="cup", reason="wrong thing") == 3
-    assert [row.name for row in library.objects()] == ["pen"]
-    assert library.restore(object="cup") == 3
-    with pytest.raises(ValueError, match="reason must be a text"):
-        library.retract(object="cup", reason=" ")
-    with pytest.raises(LibraryError, match="hexadecimal"):
-        library.retract("xyz", reason="x")
-    with pytest.raises(LibraryError, match="in the library, got"):
-        library.retract("00" * 16, reason="x")
-
-
 def test_sensors_are_described(library, cups):
     plain = cups.without("set_pitch_mm", "geometry")
     sensor = SensorDescription("pad 3", "array", "kPa", 4.0, "array")

@@ -1,6 +1,7 @@
 """A set of touches: what it takes, gives back and refuses; sets joined."""
 
 import pickle
+from itertools import product
 
 import numpy as np
 import pytest
@@ -231,38 +232,31 @@ def test_differences_without_no_contact_say_how_to_give_it():
         Touches(np.zeros((1, 2, 2))).differences()
 
 
-def test_episodes_are_one_per_object_and_session_in_order_of_the_set(six):
-    told = [(e.object, e.session, e.rows.tolist()) for e in six.episodes()]
-    assert told == [("cup", 1, [0, 2]), ("ball", 1, [1, 4]), ("cup", 2, [3, 5])]
-
-
-def test_every_object_in_every_session_is_an_episode_of_its_own():
-    touches = Touches(
-        np.zeros((18, 2, 2)),
-        object=np.tile(np.repeat(["a", "b", "c"], 3), 2),
-        session=np.tile([1, 2, 3], 6),
-    )
-    episodes = touches.episodes()
-    assert len({(e.object, e.session) for e in episodes}) == len(episodes) == 9
-    for episode in episodes:
-        assert set(touches.object[episode.rows]) == {episode.object}
-        assert set(touches.session[episode.rows]) == {episode.session}
-
-
-def test_more_objects_than_sessions_are_not_mixed():
-    labels = {"object": ["a", "b", "c"] * 2, "session": [1, 1, 1, 2, 2, 2]}
-    told = Touches(np.zeros((6, 2, 2)), **labels).episodes()
-    assert [e.rows.tolist() for e in told] == [[0], [1], [2], [3], [4], [5]]
-
-
-def test_episodes_without_labels_or_sessions():
-    bare = Touches(np.zeros((3, 2, 2)))
-    assert [(e.object, e.session, len(e.rows)) for e in bare.episodes()] == [
-        (None, None, 3)
-    ]
-    sessions = bare.with_columns(session=["b", "a", "b"])
-    told = [(e.object, e.session, e.rows.tolist()) for e in sessions.episodes()]
-    assert told == [(None, "b", [0, 2]), (None, "a", [1])]
+@pytest.mark.parametrize(
+    ("labels", "episodes"),
+    [
+        (
+            {"object": ["cup", "ball", "cup", "cup"], "session": [1, 1, 1, 2]},
+            [("cup", 1, [0, 2]), ("ball", 1, [1]), ("cup", 2, [3])],
+        ),
+        (
+            {"object": [*"abc"] * 2, "session": [1, 1, 1, 2, 2, 2]},
+            [(n, s, [row]) for row, (s, n) in enumerate(product((1, 2), "abc"))],
+        ),
+        (
+            {"object": np.repeat([*"abc"], 3), "session": [1, 2, 3] * 3},
+            [(n, s, [row]) for row, (n, s) in enumerate(product("abc", (1, 2, 3)))],
+        ),
+        ({"press": [0, 1, 2]}, [(None, None, [0, 1, 2])]),
+        ({"session": ["b", "a", "b"]}, [(None, "b", [0, 2]), (None, "a", [1])]),
+    ],
+    ids=["interleaved", "more objects", "all pairs", "no labels", "sessions alone"],
+)
+def test_episodes_are_one_per_object_and_session_in_their_order(labels, episodes):
+    n_touches = sum(len(rows) for *_, rows in episodes)
+    touches = Touches(np.zeros((n_touches, 2, 2)), **labels)
+    found = [(e.object, e.session, e.rows.tolist()) for e in touches.episodes()]
+    assert found == episodes
 
 
 def test_with_columns_adds_replaces_and_moves(six):
