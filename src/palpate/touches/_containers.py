@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -94,12 +95,9 @@ def raw_arrays(
             f"{path} holds numbers alone, so shape and dtype must be given, got "
             f"{shape} and {dtype}. Such as 16x16 and uint16."
         )
-    try:
+    kind = np.dtype(np.object_)
+    with suppress(TypeError):
         kind = np.dtype(dtype)
-    except TypeError as error:
-        raise TouchesError(
-            f"dtype must be a type of numbers such as uint16 or <f4, got {dtype!r}."
-        ) from error
     if kind.kind not in "biuf" or kind.names or kind.subdtype:
         raise TouchesError(
             f"dtype must be a type of numbers such as uint16 or <f4, got {dtype!r}."

@@ -226,7 +226,10 @@ def labels_of_folders(names: Sequence[str]) -> Arrays:
     _refuse_parts(folders)
     columns: Arrays = {}
     if len({*map(len, folders)}) == 1:
-        folders = _without_constant(folders)
+        above = {tuple(parts[:-1]) for parts in folders}
+        alike = len({parts[-1] for parts in folders}) == 1
+        if len(folders[0]) > 1 and len(above) > 1 and alike:  # that level says nothing
+            folders = [parts[:-1] for parts in folders]
         folders, sessions = _without_sessions(folders)
         if sessions:
             columns["session"] = np.array(sessions)
@@ -247,14 +250,6 @@ def _refuse_parts(folders: list[list[str]]) -> None:
         f"Folders must name objects, got {' and '.join(parts)}, {what} of a set. "
         f"Give each by itself, as .../{parts[0]}{together}."
     )
-
-
-def _without_constant(folders: list[list[str]]) -> list[list[str]]:
-    """Leave out a last level that is the same below different folders."""
-    above = {tuple(parts[:-1]) for parts in folders}
-    if len(folders[0]) > 1 and len(above) > 1 and len({p[-1] for p in folders}) == 1:
-        return [parts[:-1] for parts in folders]
-    return folders
 
 
 def _without_sessions(folders: list[list[str]]) -> tuple[list[list[str]], list[str]]:
