@@ -127,10 +127,6 @@ def test_touches_of_several_shapes_are_told_with_a_filter_that_chooses(library):
         with pytest.raises(LibraryError, match=said):
             read()
     assert library.touches("n_rows = 3").images.shape == (2, 3, 5)
-    colour = Touches(images(2, 2, (3, 5, 3)), object=["a", "b"], channels=[*"rgb"])
-    library.add(colour)
-    with pytest.raises(LibraryError, match='or "n_channels is null"'):
-        library.touches("n_rows = 3")
 
 
 def test_columns_of_several_kinds_are_joined_as_texts_or_refused(library):

@@ -316,7 +316,9 @@ def test_a_colour_that_the_palette_lacks_is_refused(grey, n_bits):
 @pytest.mark.parametrize("shape", [(3, 5), (3, 5, 3)])
 def test_levels_written_as_a_png_come_back(levels, shape, rng):
     written = rng.integers(0, np.iinfo(levels).max, shape, levels, endpoint=True)
-    assert_array_equal(decode_bytes(png_bytes(written), colour=len(shape) > 2), written)
+    read = decode_bytes(png_bytes(written), colour=len(shape) > 2)
+    assert read.dtype == levels
+    assert_array_equal(read, written)
 
 
 def test_a_file_may_hold_32_mib_beside_eight_bytes_a_pixel(grey, tmp_path):
