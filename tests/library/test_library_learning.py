@@ -166,10 +166,10 @@ def pq():
 
 @pytest.fixture
 def written(tmp_path, library, pq):
-    """Return touches, and the folder of Parquet that a library of them exports."""
+    """Return the folder of Parquet that a library of 120 touches exports."""
     library.add(_touches(0, n_each=40), session="monday")
     library.export(tmp_path / "set.parquet", by="object")
-    return library.touches(), tmp_path / "set.parquet"
+    return tmp_path / "set.parquet"
 
 
 def test_rows_are_those_of_reading_all_of_it(tmp_path, library, pq):
@@ -197,21 +197,20 @@ def test_rows_are_those_of_reading_all_of_it(tmp_path, library, pq):
 @pytest.mark.parametrize("scheme", ["file", "memory"])
 def test_what_is_learnt_is_what_touches_in_memory_teach(written, scheme, library):
     pytest.importorskip("fsspec")
-    touches, path = written
-    url = f"file://{path}"
+    url = f"file://{written}"
     if scheme == "memory":
         url = "memory://learning/set.parquet"
         library.export(url, by="object")
     with parallel_config("threading", n_jobs=2):
         source = ParquetTouches(url)
         from_store = ObjectRecogniser().fit(source)
-    held = ObjectRecogniser().fit(Touches.load(path))
+    held = ObjectRecogniser().fit(Touches.load(written))
     asked = _touches(1, n_each=4)
     # The same touches in the same order: rounding alone.
     assert_allclose(
         from_store.log_likelihood(asked), held.log_likelihood(asked), atol=1e-9
     )
-    assert len(touches) == len(from_store.memory_)
+    assert len(from_store.memory_) == 120
 
 
 def test_pictures_are_decoded_where_they_are_asked_for(tmp_path, library, pq):
@@ -223,9 +222,8 @@ def test_pictures_are_decoded_where_they_are_asked_for(tmp_path, library, pq):
 
 
 def test_a_file_that_changes_while_it_is_read_is_refused(written, pq):
-    _, path = written
-    source = ParquetTouches(path)
-    first = next(iter(sorted(path.rglob("*.parquet"))))
+    source = ParquetTouches(written)
+    first = next(iter(sorted(written.rglob("*.parquet"))))
     table = pq.read_table(first)
 
     def encode(touches):
@@ -243,21 +241,19 @@ def test_a_file_that_changes_while_it_is_read_is_refused(written, pq):
 
 
 def test_a_file_that_comes_later_is_not_in_it(written, pq):
-    _, path = written
-    source = ParquetTouches(path)
-    first = next(iter(sorted(path.rglob("*.parquet"))))
+    source = ParquetTouches(written)
+    first = next(iter(sorted(written.rglob("*.parquet"))))
     pq.write_table(pq.read_table(first), first.with_name("later.parquet"))
     assert len(source) == len(source.features("any", sums)) == 120
-    assert len(ParquetTouches(path)) == 160
+    assert len(ParquetTouches(written)) == 160
 
 
 def test_blocks_of_different_sizes_or_types_are_refused_before_learning(written):
-    _, path = written
-    with TouchLibrary.open(path.parent / "other", create=True) as library:
+    with TouchLibrary.open(written.parent / "other", create=True) as library:
         library.add(Touches(np.zeros((2, 4, 4)), object=["mug", "pen"]))
-        library.export(path / "other.parquet")
+        library.export(written / "other.parquet")
     with pytest.raises(TouchesError, match="one size and type, got") as refused:
-        ParquetTouches(path)
+        ParquetTouches(written)
     assert re.search(r"4 x 4.*other\.parquet", str(refused.value))
 
 

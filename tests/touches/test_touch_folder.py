@@ -2,8 +2,6 @@
 
 import itertools
 import os
-import struct
-import zlib
 from pathlib import Path
 
 import cv2
@@ -17,7 +15,6 @@ from palpate.touches import (
     TouchesError,
     check_folder,
     decode_bytes,
-    png_bytes,
     read_folder,
 )
 
@@ -56,21 +53,20 @@ def test_no_contact_within_the_folder_is_no_touch(put, tmp_path):
         assert_array_equal(touches.no_contact, np.zeros((4, 6)))
 
 
-def test_no_contact_from_elsewhere(put, tmp_path):
-    Image.new("L", (6, 4), 9).save(tmp_path / "empty.jpg", quality=100)
-    touches = Touches.load(put("a.png"), no_contact=tmp_path / "empty.jpg")
-    assert (touches.no_contact == 9).all()
+@pytest.mark.parametrize(
+    ("name", "dtype"), [("empty.jpg", np.uint8), ("empty.png", np.uint16)]
+)
+def test_no_contact_from_elsewhere(put, tmp_path, name, dtype):
+    empty = np.full((4, 6), 99, dtype)
+    Image.fromarray(empty).save(tmp_path / name, quality=100)
+    touches = Touches.load(put("a.png", dtype=dtype), no_contact=tmp_path / name)
+    assert_array_equal(touches.no_contact, empty)
     touches.without("no_contact").save(tmp_path / "t.npz")
-    again = Touches.load(tmp_path / "t.npz", no_contact=tmp_path / "empty.jpg")
-    assert (again.no_contact == 9).all()
-
-
-def test_no_contact_of_16_bits_for_an_archive(tmp_path):
-    empty = np.full((4, 6), 300, np.uint16)
-    (tmp_path / "empty.png").write_bytes(png_bytes(empty))
-    Touches(np.zeros((2, 4, 6), np.uint16)).save(tmp_path / "t.npz")
-    again = Touches.load(tmp_path / "t.npz", no_contact=tmp_path / "empty.png")
+    again = Touches.load(tmp_path / "t.npz", no_contact=tmp_path / name)
     assert_array_equal(again.no_contact, empty)
+    Touches(np.zeros((1, 4, 6))).save(tmp_path / "t.npz")
+    with pytest.raises(TouchesError, match="must have the unit of the images"):
+        Touches.load(tmp_path / "t.npz", no_contact=tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -90,12 +86,6 @@ def test_a_no_contact_that_does_not_fit_is_refused(put, tmp_path, image, message
     for source in (root, tmp_path / "t.npz"):
         with pytest.raises(TouchesError, match=message):
             Touches.load(source, no_contact=tmp_path / "empty.png")
-
-
-def test_a_picture_is_no_baseline_of_float_images(put, tmp_path):
-    Touches(np.zeros((1, 4, 6))).save(tmp_path / "t.npz")
-    with pytest.raises(TouchesError, match="must have the unit of the images"):
-        Touches.load(tmp_path / "t.npz", no_contact=put("a.png") / "a.png")
 
 
 def test_missing_and_empty_folders(put, tmp_path):
@@ -201,32 +191,11 @@ def test_a_wrong_ending_does_not_matter(put):
     assert first_levels(Touches.load(root)) == [0]
 
 
-def test_a_picture_of_400_megapixels_in_48_kb_is_refused(tmp_path):
-    rows = zlib.compress(bytes(20_000 * (1 + 20_000 // 8)))
-    size = struct.pack(">IIBBBBB", 20_000, 20_000, 1, 0, 0, 0, 0)
-    chunks = {b"IHDR": size, b"IDAT": rows, b"IEND": b""}
-    bomb = b"\x89PNG\r\n\x1a\n"
-    for kind, content in chunks.items():
-        bomb += len(content).to_bytes(4, "big") + kind + content
-        bomb += zlib.crc32(kind + content).to_bytes(4, "big")
-    (tmp_path / "bomb.png").write_bytes(bomb)
-    assert (tmp_path / "bomb.png").stat().st_size < 2**16
-    with pytest.raises(TouchesError, match="at most 50000000 pixels, got 20000 x 2000"):
-        Touches.load(tmp_path)
-
-
 def test_the_memory_cap_comes_before_decoding(put):
     root = put("a.png", "b.png")
     assert len(Touches.load(root, max_bytes=48)) == 2
     with pytest.raises(TouchesError, match=r"must take at most 47 bytes, got 48"):
         Touches.load(root, max_bytes=47)
-
-
-def test_a_file_far_larger_than_its_picture_is_refused(put):
-    root = put("a.png")
-    os.truncate(root / "a.png", 2**30)  # sparse: takes no room
-    with pytest.raises(TouchesError, match="got a file of 1073741824 bytes"):
-        Touches.load(root, max_pixels=1000)
 
 
 def test_a_picture_that_changes_after_its_header_was_read(put, monkeypatch):
