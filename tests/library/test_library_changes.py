@@ -386,7 +386,9 @@ def test_a_name_that_no_database_holds_is_unknown(library):
         library.no_contact("\ud800")
 
 
-@pytest.mark.parametrize("name", ["it's", "a \"b\" 'c'", "''", "and", "5", "ツ = or"])
+@pytest.mark.parametrize(
+    "name", ["it's", "a \"b\" 'c'", "''", "and", "5", "ツ = or", "' or 1 = 1"]
+)
 def test_any_name_can_be_asked_for(library, name):
     library.add(_touches(object=[name, "b", "c"] * 2))
     assert [r.object for r in library.list(f"object = {quoted(name)}")] == [name] * 2

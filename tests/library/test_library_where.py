@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palpate import Touches
-from palpate.library import LibraryError, TouchLibrary, quoted
+from palpate.library import LibraryError, TouchLibrary
 
 OBJECTS = ["cup", "red mug", "7", "o'hara", "pen", "pen"]
 FORCES = [0.1, 0.2, 0.3, 0.4, 0.5, np.nan]
@@ -156,11 +156,6 @@ def test_what_is_no_filter_is_refused(library, where, message):
 @pytest.mark.parametrize("limit", [2**63 - 1, 2**63, 2**64, -(2**63), -(2**64)])
 def test_integers_of_any_size_are_compared(library, limit):
     assert library.count(f"force_n < {limit}") == 5 * (limit > 0)
-
-
-@pytest.mark.parametrize("name", ["pen", "o'hara", "''", "' or 1 = 1", "cup and pen"])
-def test_a_quoted_text_is_only_that_text(library, name):
-    assert library.count(f"object = {quoted(name)}") == OBJECTS.count(name)
 
 
 @pytest.mark.parametrize("method", ["count", "list", "touches", "select"])

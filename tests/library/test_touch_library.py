@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -144,13 +143,6 @@ def test_a_newer_library_is_refused_by_name(library, alter):
     alter(library.folder, "PRAGMA user_version = 7")
     with pytest.raises(LibraryError, match="format 7, this palpate reads 3"):
         TouchLibrary.open(library.folder)
-
-
-@pytest.mark.parametrize("content", [b"", b"no database at all" * 300])
-def test_another_file_is_no_library(tmp_path, content):
-    Path(tmp_path / "library.sqlite").write_bytes(content)
-    with pytest.raises(LibraryError, match=r"library\.sqlite must be"):
-        TouchLibrary.open(tmp_path)
 
 
 def test_a_library_travels_to_other_processes_by_its_folder(library, cups):

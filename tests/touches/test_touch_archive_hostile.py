@@ -80,6 +80,7 @@ GOOD = ("images.npy", npy(np.zeros((2, 2, 2), np.uint8)))
         ([GOOD, ("no_contact.npy", npy(np.zeros((3, 3))))], "no_contact must be one"),
         ([("images.npy", npy(np.zeros((2, 2))))], r"got \(2, 2\)"),
         ([("images.npy", npy(np.zeros((0, 2, 2))))], "at least one touch"),
+        ([("images.npy", npy(np.zeros((2, 4, 6, 3))))], "channels must name each"),
         ([("images.npy", npy(np.full((1, 1, 1), np.inf)))], "infinity in touch 0"),
         ([("images.npy", npy(np.full((1, 1, 1), "a")))], "integers or floats"),
         ([], "is not a touch archive.*it holds nothing"),

@@ -364,14 +364,6 @@ def test_very_many_scans_are_refused_before_they_are_decoded(large_grey, n_scans
         decode_bytes(with_scans(large_grey, n_scans))
 
 
-def test_the_refusal_names_the_file(large_grey, tmp_path):
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "1.jpg").write_bytes(with_scans(large_grey, 500))
-    with pytest.raises(TouchesError, match=r"1\.jpg must be .* more than 100 scans"):
-        read_folder(tmp_path)
-
-
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("progressive", [False, True])
 def test_usual_jpegs_pass_at_every_size(colour, progressive):

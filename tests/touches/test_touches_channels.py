@@ -116,12 +116,6 @@ def test_former_names_of_archives_are_read(tmp_path):
     assert (old.channels, old.pad_names) == (("r", "g", "b"), ("palm",))
 
 
-def test_an_archive_whose_channels_are_not_named_is_refused(tmp_path):
-    np.savez(tmp_path / "bare.npz", images=np.zeros((2, 4, 6, 3)))
-    with pytest.raises(TouchesError, match=r"bare.npz: channels must name each"):
-        Touches.load(tmp_path / "bare.npz")
-
-
 def test_sets_of_unlike_channels_are_not_joined():
     colour, grey = coloured(), Touches(np.zeros((1, 4, 6), np.uint8))
     assert len(Touches.concatenate([colour, colour[:1]])) == 3
