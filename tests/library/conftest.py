@@ -34,7 +34,7 @@ def started(target, *arguments):
     return process, reading
 
 
-def said_elsewhere(task, prepare):
+def said_elsewhere(task, prepare=lambda: None):
     """Return as text what a task returns or raises in a process that is prepared."""
 
     def run(pipe):
@@ -75,6 +75,24 @@ def library(tmp_path):
     """An empty library, open."""
     with TouchLibrary.open(tmp_path / "library", create=True) as opened:
         yield opened
+
+
+@pytest.fixture
+def seven(rng):
+    """Seven touches of two objects in two sessions, one taxel dead."""
+    images = rng.normal(size=(7, 3, 4)).astype(np.float32)
+    images[:, 0, 0] = np.nan
+    images[2, 1, 1] = np.nan  # a reading that one touch lacks
+    return Touches(
+        images,
+        object=["cup"] * 3 + ["pen"] * 4,
+        session=["a", "a", "b", "a", "a", "a", "b"],
+        time_s=100 + np.arange(7) * 0.5,
+        order=np.arange(7)[::-1],
+        force_n=np.linspace(0.1, 1, 7),
+        position_mm=rng.normal(size=(7, 3)),
+        no_contact=np.zeros((3, 4), np.float32),
+    )
 
 
 @pytest.fixture

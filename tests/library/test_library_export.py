@@ -18,18 +18,8 @@ pq = pytest.importorskip("pyarrow.parquet")
 
 
 @pytest.fixture
-def filled(library, rng):
-    """The library with seven touches of two objects in two sessions."""
-    touches = Touches(
-        rng.normal(size=(7, 3, 4)).astype(np.float32),
-        object=["cup"] * 3 + ["pen"] * 4,
-        session=["a", "a", "b", "a", "a", "a", "b"],
-        time_s=100 + np.arange(7) * 0.5,
-        force_n=np.linspace(0, 1, 7),
-        position_mm=rng.normal(size=(7, 3)),
-        no_contact=np.zeros((3, 4), np.float32),
-    )
-    library.add(touches)
+def filled(library, seven):
+    library.add(seven)
     return library
 
 

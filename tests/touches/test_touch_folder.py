@@ -328,12 +328,3 @@ def test_real_originals_cut_anywhere_are_refused(data_folder, rng):
         data = path.read_bytes()
         with pytest.raises(TouchesError, match=r"must be a JPEG or PNG, got"):
             decode_bytes(data[: rng.integers(len(data))])
-
-
-@pytest.mark.realdata
-def test_real_originals_without_a_pattern(data_folder):
-    originals = data_folder / "bathtip" / "originals"
-    with pytest.raises(TouchesError, match=r"baselineForCalibration.jpg lies in no"):
-        Touches.load(originals)
-    with pytest.raises(TouchesError, match=r"baselineForCalibration.jpg must match"):
-        Touches.load(originals, name_pattern=BATHTIP)
