@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from .._parallel import Progress
 from ._changes import Names, change_rows
-from ._content import Image, identity, wide_identity
+from ._content import identity, wide_identity
 from ._reading import is_whole, stored_array
 from ._rows import (
     LOST,
@@ -163,17 +163,12 @@ def touch_fault(tables: Tables, row: StoredTouch, names: Names | None) -> str | 
     [packed] = packed_images(tables, [row])
     stored = packed.images[0]
     assert stored is not None  # it is whole
-    if row.key != _identity(tables, row, stored):
-        return f"The id of touch {row.key.hex()} must follow from what it holds."
-    return None
-
-
-def _identity(tables: Tables, row: StoredTouch, stored: Image) -> bytes:
-    """Return the id that follows from what a touch is and was called."""
     [values] = plain_values([row])
     wide = wide_values(tables, row, stored) if stored.more is not None else {}
     wide_part = wide_identity({name: value[None] for name, value in wide.items()}, 0)
-    return identity(row.image, {**values, "object": row.label}, wide_part)
+    if row.key != identity(row.image, {**values, "object": row.label}, wide_part):
+        return f"The id of touch {row.key.hex()} must follow from what it holds."
+    return None
 
 
 def _shown(key: object) -> str:
