@@ -8,7 +8,7 @@ import threading
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -292,13 +292,6 @@ def test_columns_and_arrays_of_any_type_come_back_to_the_bit(tmp_path, kind):
         assert library.check().ok
 
 
-@contextmanager
-def _readable_by_all():
-    with tempfile.TemporaryDirectory() as place:
-        Path(place).chmod(0o755)
-        yield Path(place)
-
-
 def _be_nobody():
     """Make this a process that may write nothing here, and where warnings count."""
     if os.geteuid() == 0:
@@ -324,7 +317,9 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
         with TouchLibrary.open(place) as library, tempfile.TemporaryDirectory() as to:
             return library.backup(Path(to) / "copy")
 
-    with _readable_by_all() as outer:
+    with tempfile.TemporaryDirectory() as readable_by_all:
+        outer = Path(readable_by_all)
+        outer.chmod(0o755)
         place = shutil.copytree(folder, outer / "lab")
         expected = str(read())
         before = {path: path.read_bytes() for path in place.iterdir()}
