@@ -245,7 +245,9 @@ class ParquetTouches(Labelled):
         self._limits = max_bytes, max_pixels
         files = zip(names, stamps, [index.n_rows for index in indices], strict=True)
         self._blocks = list(_in_blocks(files))
-        self._columns = _in_all(index.columns for index in indices)
+        held = [index.columns for index in indices]
+        common = [n for n in held[0] if all(n in others for others in held)]
+        self._columns = {n: np.concatenate([c[n] for c in held]) for n in common}
         self._rows = np.arange(sum(sum(index.n_rows) for index in indices))
         self._whole = [whole for index in indices for whole in index.whole]
         if not len(self._rows):
@@ -314,13 +316,6 @@ def _in_blocks(
                 yield _Blocks(name, stamp, groups, first, n_rows)
                 first += n_rows
                 groups, n_rows = [], 0
-
-
-def _in_all(columns: Iterator[Arrays]) -> Arrays:
-    """Return the columns that all files have, one after another."""
-    held = list(columns)
-    names = [n for n in held[0] if all(n in others for others in held)]
-    return {name: np.concatenate([c[name] for c in held]) for name in names}
 
 
 def _touches_of(
