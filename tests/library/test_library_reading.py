@@ -142,12 +142,17 @@ def test_columns_of_several_kinds_are_joined_as_texts_or_refused(library):
         library.touches()
 
 
-def test_a_category_that_some_lack_is_left_out_and_an_object_refused(library):
-    library.add(Touches(images(2), object=["a", "b"], category=["x", "y"]))
+def test_what_some_lack_is_filled_a_category_left_out_an_object_refused(library):
+    columns = {"category": ["x", "y"], "session": ["s", "t"], "order": [1, 2]}
+    columns |= {"object": ["a", "b"], "position_mm": np.ones((2, 3))}
+    library.add(Touches(images(2), **columns))
     library.add(Touches(images(2, 1), object=["a", "c"]))
     read = library.touches()
     assert read.category is None
     assert read.object.tolist() == ["a", "b", "a", "c"]
+    assert read.session.tolist() == ["s", "t", "", ""]
+    assert_array_equal(read.order, [1, 2, np.nan, np.nan])
+    assert np.isnan(read.columns["position_mm"][2:]).all()
     assert library.touches("category is not null").category.tolist() == ["x", "y"]
     library.add(Touches(images(3, 2)))
     with pytest.raises(LibraryError, match=r"or none, got 3 without\. Leave those"):

@@ -108,19 +108,6 @@ def test_sensors_are_described(library, cups):
         library.add(plain, sensor=SensorDescription(""))
 
 
-def test_columns_that_some_touches_lack_are_filled(library, cups):
-    library.add(cups)
-    bare = Touches(cups.images + 1, object=["cap"] * 6, geometry="array")
-    library.add(bare)
-    again = library.touches()
-    assert np.isnan(again.columns["order"][6:].astype(float)).all()
-    assert again.session[6:].tolist() == [""] * 6
-    assert np.isnan(again.columns["position_mm"][6:]).all()
-    assert again.category is None
-    assert again.no_contact is None
-    assert library.touches("object = cup").no_contact is not None
-
-
 def test_what_a_repair_lost_is_added_again(library, cups, alter):
     ids = library.add(cups)
     alter(library.folder, "DELETE FROM images WHERE number > 2")
