@@ -275,6 +275,9 @@ def test_other_files_are_refused(tmp_path, pq):
     pq.write_table(pa.table({"object": ["mug"]}), tmp_path / "a.parquet")
     with pytest.raises(TouchesError, match="must have a column 'image'"):
         ParquetTouches(tmp_path / "a.parquet")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(TouchesError, match="at least one touch, got none"):
+        ParquetTouches(tmp_path / "empty")
     (tmp_path / "b.parquet").write_bytes(b"PAR1")
     with pytest.raises(TouchesError, match="whole Parquet file"):
         ParquetTouches(tmp_path / "b.parquet")
