@@ -11,9 +11,9 @@ import pytest
 from scipy.io import savemat
 
 from palpate import Touches
-from palpate.datasets import card, fetch, where
+from palpate.datasets import card, fetch
 
-from .conftest import png, zipped
+from .conftest import png, refused, zipped
 
 # pooch leaves the socket of a failed download open.
 pytestmark = [
@@ -22,20 +22,6 @@ pytestmark = [
 ]
 ROOT = "dataset-image/Dataset-shapes"
 PICTURE = f"{ROOT}/cuboid/_3.png"  # the set has one of this name
-
-
-def downloads():
-    """Return what is left of downloads."""
-    folder = where() / ".downloads"
-    return [path for path in folder.rglob("*") if path.is_file()]
-
-
-def refused(name, match):
-    """Fetch a set whose source is refused; nothing is left of it. Return the error."""
-    with pytest.raises(ValueError, match=match) as error:
-        fetch(name)
-    assert downloads() == []
-    return error
 
 
 @pytest.fixture
@@ -171,7 +157,7 @@ def film(**arrays):
 )
 def test_a_film_that_is_none_is_refused_in_a_sentence(sources, content, got):
     sources.put("taxel10x10", content)
-    assert "fetch it again" in str(refused("taxel10x10", got).value)
+    assert "fetch it again" in refused("taxel10x10", got)
 
 
 def test_a_source_that_sends_a_little_now_and_then_is_given_up(
