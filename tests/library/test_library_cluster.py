@@ -191,11 +191,18 @@ def parquet(tmp_path):
     return touches, tmp_path / "set.parquet"
 
 
-def _learn(monkeypatch, capsys, *given):
-    monkeypatch.setattr(sys, "argv", ["palpate", "learn", *map(str, given), "--json"])
-    with suppress(SystemExit):
-        main()
-    return json.loads(capsys.readouterr().out)
+@pytest.fixture
+def palpate(monkeypatch, capsys):
+    """Call `palpate ARGUMENTS... --json`; return what it says."""
+
+    def run(*given):
+        words = map(str, ["palpate", *given, "--json"])
+        monkeypatch.setattr(sys, "argv", list(words))
+        with suppress(SystemExit):
+            main()
+        return json.loads(capsys.readouterr().out)
+
+    return run
 
 
 @pytest.fixture
@@ -208,14 +215,14 @@ def few_at_once(monkeypatch):
 
 @pytest.mark.slow
 def test_the_command_learns_parquet_alike_everywhere(
-    cluster, parquet, few_at_once, tmp_path, monkeypatch, capsys
+    cluster, parquet, few_at_once, tmp_path, palpate
 ):
     touches, path = parquet
     places = {"one": [], "cluster": ["--cluster", cluster.scheduler_address]}
     answers = []
     for name, place in places.items():
         output = tmp_path / f"{name}.palpate"
-        learnt = _learn(monkeypatch, capsys, path, "-o", output, *place)
+        learnt = palpate("learn", path, "-o", output, *place)
         assert learnt["n_train_touches"] == len(touches)
         answers.append(ObjectRecogniser.load(output).log_likelihood(touches[::20]))
     # The same arithmetic in the same blocks, added in the same order.
@@ -268,26 +275,20 @@ def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, capsys, monkeypatch):
+def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, palpate):
     """`--workers` and `--cluster` lead to the same figures.
 
     Every category is left out once per fold; processes share the folds.
     """
     _kinds().save(tmp_path / "t.npz")
-    given = ["--train", tmp_path / "t.npz", "--split", "unseen-objects", "--json"]
+    given = ["--train", tmp_path / "t.npz", "--split", "unseen-objects"]
     given += ["--label", "category", "--touches", "1,3", "--orders", 2]
     places = {
         "one": ["--workers", 1],
         "two": ["--workers", 2],
         "cluster": ["--cluster", cluster.scheduler_address],
     }
-    figures = {}
-    for name, place in places.items():
-        words = map(str, ["palpate", "evaluate", *given, *place])
-        monkeypatch.setattr(sys, "argv", list(words))
-        with suppress(SystemExit):
-            main()
-        figures[name] = json.loads(capsys.readouterr().out)
+    figures = {n: palpate("evaluate", *given, *place) for n, place in places.items()}
     for key in ("accuracy", "log_loss", "ece"):
         one = figures["one"][key]
         # The same arithmetic on the same machine, one thread or several.
