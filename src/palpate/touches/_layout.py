@@ -166,7 +166,7 @@ def kept_names(names: Sequence[str], levels: str) -> list[str]:
 
 
 def odd_depths(names: Sequence[str]) -> tuple[dict[str, str], str]:
-    """Return where paths lie that are less or more deep than most, and where most lie."""
+    """Return where paths lie that are not as deep as most, and where most lie."""
     where = ("in no folder", "in one folder", "in folders of folders")
     depths = [min(name.count("/"), 2) for name in names]
     usual = max(set(depths), key=depths.count)
