@@ -294,16 +294,6 @@ def test_the_same_set_with_other_images(six):
     assert halves.images.dtype == np.float64
 
 
-def test_repr_tells_what_is_there(six):
-    assert repr(six) == (
-        "<Touches: 6 of 4 x 5 uint8; 2 objects, 2 categories, 2 sessions; "
-        "columns: 5; whole set: 4>"
-    )
-    assert repr(Touches(np.zeros((1, 2, 2)))) == (
-        "<Touches: 1 of 2 x 2 float64; no labels>"
-    )
-
-
 def test_pickle_keeps_everything(six):
     assert_same(pickle.loads(pickle.dumps(six)), six)
 
