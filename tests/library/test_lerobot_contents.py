@@ -192,20 +192,22 @@ def test_pictures_of_a_camera_are_stored_as_png(exported, rng, channels):
 
 
 @pytest.mark.parametrize(
-    ("side", "geometry", "kind"),
+    ("shape", "about_them", "kind"),
     [
-        (48, "plane", "float32"),
-        (49, "plane", "image"),
-        (49, "array", "float32"),
-        (49, "none", "float32"),
+        ((48, 60), {"geometry": "plane"}, "float32"),
+        ((48, 60, 3), {"channels": ["r", "g", "b"]}, "float32"),
+        ((49, 60), {"geometry": "plane"}, "image"),
+        ((49, 60), {"geometry": "array"}, "float32"),
+        ((49, 60), {"geometry": "none"}, "float32"),
     ],
 )
-def test_what_may_be_an_array_is_stored_as_one(exported, rng, side, geometry, kind):
-    images = rng.integers(0, 255, (4, side, 60), dtype=np.uint8)
-    folder = exported(Touches(images, object=["cup"] * 4, geometry=geometry))
+def test_what_may_be_an_array_is_stored_as_one(exported, rng, shape, about_them, kind):
+    images = rng.integers(0, 255, (4, *shape), dtype=np.uint8)
+    folder = exported(Touches(images, object=["cup"] * 4, **about_them))
     feature = about(folder, "info")["features"]["observation.tactile"]
     assert feature["dtype"] == kind
     if kind == "float32":
+        assert feature["shape"] == [*shape]
         found = np.array(frames_of(folder).to_pydict()["observation.tactile"])
         assert_array_equal(found, images)
 

@@ -1,6 +1,5 @@
 """What is read back of some touches: columns, channels, limits, selections."""
 
-import json
 import mmap
 
 import numpy as np
@@ -393,21 +392,6 @@ def test_check_and_repair_know_channels(library, rng, alter):
     assert repair_library(library.folder).n_touches == 2
     with TouchLibrary.open(library.folder) as again:
         assert_alike(again.touches(), touches[::2])
-
-
-def test_exports_keep_channels(library, rng, tmp_path):
-    pq = pytest.importorskip("pyarrow.parquet")
-    touches = colour(rng, pads=[[0, 0, 5, 6]])
-    library.add(touches)
-    library.export(tmp_path / "t.npz")
-    again = Touches.load(tmp_path / "t.npz")
-    assert_alike(again, touches)
-    library.export(tmp_path / "robot")
-    info = json.loads((tmp_path / "robot/meta/info.json").read_text())
-    assert info["features"]["observation.tactile"]["shape"] == [5, 6, 3]
-    data = pq.read_table(tmp_path / "robot/data/chunk-000/file-000.parquet")
-    seen = np.array(data["observation.tactile"].to_pylist())
-    assert_array_equal(seen, touches.images)
 
 
 def test_grey_touches_have_the_ids_that_they_ever_had(library):
