@@ -180,8 +180,7 @@ class _OldLibrary:
     def enter_rest(self, store: Store, bar: Progress) -> None:
         """Enter touches and changes in their order, but for those in `store`."""
         number = store.count("SELECT max(number) FROM touches")
-        last_s = store.first_row("SELECT max(time_s) FROM changes")
-        done_s = (last_s and last_s[0]) or 0.0
+        [(done_s,)] = store.rows("SELECT coalesce(max(time_s), 0) FROM changes")
         waiting = [change for change in self._changes if change.time_s > done_s]
         enter_all(store, self._touches_after(number, bar), waiting)
 

@@ -237,10 +237,8 @@ def _tiff(path: Path, max_bytes: int) -> Array:
             )
         series = file.series[0]
         _refuse_large(str(path), _n_bytes(series.shape, series.dtype), max_bytes)
-        tiles = [page.keyframe for page in series.pages[:1]]
-        for page in tiles:
-            piece = _n_bytes(page.chunks, series.dtype)
-            _refuse_large(f"A tile of {path}", piece, max_bytes)
+        tile = _n_bytes(series.keyframe.chunks, series.dtype)
+        _refuse_large(f"A tile of {path}", tile, max_bytes)
         levels: Array = series.asarray(maxworkers=1)
         axes, samples = series.axes, file.pages[0].samplesperpixel
     if samples > 1:

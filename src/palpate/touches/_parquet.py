@@ -325,7 +325,7 @@ def _picked(pa: Any, batches: Iterator[Any], rows: Array | None) -> Iterator[Any
 def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
     """Return what the file says of itself; of another program's it is nothing."""
     try:
-        about = json.loads(metadata.get(b"palpate", b"{}"))
+        about: dict[str, Any] = json.loads(metadata.get(b"palpate", b"{}"))
         if about.get("format", FORMAT) > FORMAT:
             raise TouchesError(
                 f"{name} must be of Parquet format {FORMAT} or older, got "
@@ -343,8 +343,7 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
             f"{name} must say of itself in JSON what it holds, got: {error!r}. Write "
             "it anew."
         ) from error
-    entries: dict[str, Any] = about
-    return entries
+    return about
 
 
 def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:
@@ -437,14 +436,12 @@ def _numpy(pa: Any, name: str, column_name: str, column: Any) -> Array:
             tensor: Array = column.to_numpy_ndarray()
             return tensor
         raise _no_column(name, column_name, kind)
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        return np.array(["" if text is None else text for text in column.to_pylist()])
     if pa.types.is_dictionary(kind):
         return _numpy(pa, name, column_name, column.dictionary_decode())
-    if pa.types.is_binary(kind):
-        return np.array(
-            [b"" if value is None else value for value in column.to_pylist()]
-        )
+    is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
+    if is_text or pa.types.is_binary(kind):
+        blank = "" if is_text else b""
+        return np.array([blank if v is None else v for v in column.to_pylist()])
     if pa.types.is_fixed_size_list(kind) and not column.null_count:
         flat = _numpy(pa, name, column_name, column.flatten())
         return flat.reshape(len(column), kind.list_size, *flat.shape[1:])
