@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.datasets import card
+from palpate.datasets import card, fetch, where
 
 
 class Quiet(SimpleHTTPRequestHandler):
@@ -62,6 +62,20 @@ def sources(tmp_path, monkeypatch):
     with warnings.catch_warnings():  # pooch leaves the socket of a failed download open
         warnings.simplefilter("ignore", ResourceWarning)
         gc.collect()
+
+
+def left(folder):
+    """Return what lies in a folder, but for records and empty folders."""
+    found = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return sorted(map(str, found))
+
+
+def refused(name, match, error=ValueError):
+    """Fetch a set that is refused, of which nothing is left; return the message."""
+    with pytest.raises(error, match=match) as refusal:
+        fetch(name)
+    assert left(where()) == []
+    return str(refusal.value)
 
 
 def zipped(files):

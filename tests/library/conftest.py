@@ -1,10 +1,13 @@
 """Shared by tests of the library: a library, and rows changed behind its back."""
 
+import multiprocessing
+import os
 import sqlite3
 from contextlib import closing
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from palpate.library import TouchLibrary
 from palpate.touches import Touches
@@ -21,6 +24,46 @@ def press_of(seed, n_touches=1, side=5):
     )
 
 
+def started(target, *arguments):
+    """Run `target` in another process; return it and a pipe of what it writes."""
+    reading, writing = os.pipe()
+    fork = multiprocessing.get_context("fork")
+    process = fork.Process(target=target, args=(*arguments, writing), daemon=True)
+    process.start()
+    os.close(writing)
+    return process, reading
+
+
+def said_elsewhere(task, prepare=lambda: None):
+    """Return as text what a task returns or raises in a process that is prepared."""
+
+    def run(pipe):
+        prepare()
+        try:
+            said = str(task())
+        except BaseException as error:
+            said = f"{type(error).__name__}: {error}"
+        os.write(pipe, said.encode())
+        os._exit(0)
+
+    process, pipe = started(run)
+    with os.fdopen(pipe) as stream:
+        said = stream.read()
+    process.join()
+    return said
+
+
+def assert_alike(read, given):
+    """Fail where touches that were read are not those that were given."""
+    assert read.images.dtype == given.images.dtype
+    assert_array_equal(read.images, given.images)
+    for here, there in ((read.columns, given.columns), (read.whole, given.whole)):
+        assert set(here) == set(there)
+        for name, array in there.items():
+            assert_array_equal(here[name], array, err_msg=name)
+            assert here[name].dtype.kind == array.dtype.kind
+
+
 def rows_of(folder):
     """Return every row of a library, those that were retracted too."""
     with TouchLibrary.open(folder) as library:
@@ -32,6 +75,24 @@ def library(tmp_path):
     """An empty library, open."""
     with TouchLibrary.open(tmp_path / "library", create=True) as opened:
         yield opened
+
+
+@pytest.fixture
+def seven(rng):
+    """Seven touches of two objects in two sessions, one taxel dead."""
+    images = rng.normal(size=(7, 3, 4)).astype(np.float32)
+    images[:, 0, 0] = np.nan
+    images[2, 1, 1] = np.nan  # a reading that one touch lacks
+    return Touches(
+        images,
+        object=["cup"] * 3 + ["pen"] * 4,
+        session=["a", "a", "b", "a", "a", "a", "b"],
+        time_s=100 + np.arange(7) * 0.5,
+        order=np.arange(7)[::-1],
+        force_n=np.linspace(0.1, 1, 7),
+        position_mm=rng.normal(size=(7, 3)),
+        no_contact=np.zeros((3, 4), np.float32),
+    )
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.library import LibraryError, TouchLibrary, read_bag
+from palpate.library import LibraryError, read_bag
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 rosbag1 = pytest.importorskip("rosbags.rosbag1")
@@ -79,7 +79,7 @@ def test_images_of_a_bag_are_touches(bag, rng):
     assert touches.columns["time_s"].tolist() == [7.25, 8.25, 9.25]
 
 
-def test_a_digest_of_all_messages_is_kept(bag, tmp_path):
+def test_a_digest_of_all_messages_is_kept(bag, library):
     """Bags in SQLite have no checksum: the library keeps one of what was read."""
     images = np.zeros((2, 2, 3), np.uint8)
     messages = [_image(image, "mono8", stamp=n) for n, image in enumerate(images)]
@@ -91,9 +91,8 @@ def test_a_digest_of_all_messages_is_kept(bag, tmp_path):
         images[1, 0, 0] = row
         altered = bag(messages[0], _image(images[1], "mono8", stamp=stamp))
         assert read_bag(altered, "/pad").whole["set_bag_sha256"] != digest
-    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
-        library.add(touches)
-        assert library.touches().whole["set_bag_sha256"] == digest
+    library.add(touches)
+    assert library.touches().whole["set_bag_sha256"] == digest
 
 
 def test_a_misspelt_topic_is_told_with_the_one_meant(bag, tmp_path):

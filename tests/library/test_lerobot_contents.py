@@ -15,12 +15,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.library import TouchLibrary
 
 pq = pytest.importorskip("pyarrow.parquet")
 
-NAMES = ["cup"] * 3 + ["pen"] * 4
-SESSIONS = ["a", "a", "b", "a", "a", "a", "b"]
 STARTS, LENGTHS = [0, 2, 3, 6], [2, 1, 3, 1]
 DTYPES = {
     "observation.tactile": ("float32", [3, 4]),
@@ -43,32 +40,15 @@ WAYS = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd
 
 
 @pytest.fixture
-def exported(tmp_path):
+def exported(library, tmp_path):
     """Add touches to a library, export them; return the folder."""
 
     def export(touches):
-        with TouchLibrary.open(tmp_path / "library", create=True) as library:
-            library.add(touches)
-            library.export(tmp_path / "robot")
+        library.add(touches)
+        library.export(tmp_path / "robot")
         return tmp_path / "robot"
 
     return export
-
-
-@pytest.fixture
-def arrays(rng):
-    images = rng.normal(size=(7, 3, 4)).astype(np.float32)
-    images[:, 0, 0] = np.nan  # a dead taxel
-    images[2, 1, 1] = np.nan  # a reading that one touch lacks
-    return Touches(
-        images,
-        object=NAMES,
-        session=SESSIONS,
-        time_s=100 + np.arange(7) * 0.5,
-        order=np.arange(7)[::-1],
-        force_n=np.linspace(0.1, 1, 7),
-        position_mm=rng.normal(size=(7, 3)),
-    )
 
 
 def frames_of(folder):
@@ -79,8 +59,8 @@ def about(folder, name):
     return json.loads((folder / f"meta/{name}.json").read_text())
 
 
-def test_every_feature_has_its_kind_and_shape(exported, arrays):
-    folder = exported(arrays)
+def test_every_feature_has_its_kind_and_shape(exported, seven):
+    folder = exported(seven)
     features = about(folder, "info")["features"]
     found = {name: (one["dtype"], one["shape"]) for name, one in features.items()}
     assert found == DTYPES
@@ -94,18 +74,18 @@ def test_every_feature_has_its_kind_and_shape(exported, arrays):
         assert names.get(str(stored), str(stored)) == kind, name
 
 
-def test_every_value_is_the_touches(exported, arrays):
+def test_every_value_is_the_touches(exported, seven):
     """Arrays are stored in float32, the rest as it is; the last action stays."""
-    frames = frames_of(exported(arrays)).to_pydict()
-    known, place = arrays.columns, arrays.columns["position_mm"].astype(np.float32)
+    frames = frames_of(exported(seven)).to_pydict()
+    known, place = seven.columns, seven.columns["position_mm"].astype(np.float32)
     force = known["force_n"].astype(np.float32)
-    assert_array_equal(frames["observation.tactile"], arrays.images)
+    assert_array_equal(frames["observation.tactile"], seven.images)
     assert_array_equal(frames["observation.position_mm"], place)
     assert_array_equal(frames["observation.force_n"], force)
     assert_array_equal(frames["observation.state"], np.c_[place, force])
     assert_array_equal(frames["action"], place[[1, 1, 2, 4, 5, 5, 6]])
-    assert frames["object"] == NAMES
-    assert frames["session"] == SESSIONS
+    assert frames["object"] == known["object"].tolist()
+    assert frames["session"] == known["session"].tolist()
     assert frames["time_s"] == known["time_s"].tolist()
     assert frames["order"] == known["order"].tolist()
     assert frames["index"] == [0, 1, 2, 3, 4, 5, 6]
@@ -115,8 +95,8 @@ def test_every_value_is_the_touches(exported, arrays):
     assert frames["task_index"] == [0, 0, 0, 1, 1, 1, 1]
 
 
-def test_episodes_tell_where_they_begin_and_end(exported, arrays):
-    folder = exported(arrays)
+def test_episodes_tell_where_they_begin_and_end(exported, seven):
+    folder = exported(seven)
     rows = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet")
     for number, row in enumerate(rows.to_pylist()):
         assert row == {
@@ -139,8 +119,8 @@ def test_episodes_tell_where_they_begin_and_end(exported, arrays):
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
 
-def test_info_says_how_much_there_is_and_where(exported, arrays):
-    folder = exported(arrays.with_columns(no_contact=np.ones((3, 4), np.float32)))
+def test_info_says_how_much_there_is_and_where(exported, seven):
+    folder = exported(seven.with_columns(no_contact=np.ones((3, 4), np.float32)))
     info = about(folder, "info")
     info.pop("features")
     whole = info.pop("palpate")
@@ -163,9 +143,9 @@ def test_info_says_how_much_there_is_and_where(exported, arrays):
     assert whole["whole"]["no_contact"] == np.ones((3, 4)).tolist()
 
 
-def test_spread_is_over_what_was_read(exported, arrays):
+def test_spread_is_over_what_was_read(exported, seven):
     """Of every feature of numbers; what is NaN counts nowhere, all of it as 0."""
-    folder = exported(arrays)
+    folder = exported(seven)
     stats = about(folder, "stats")
     assert set(stats) == set(DTYPES) - {"object", "session"}
     frames = frames_of(folder).to_pydict()
@@ -212,20 +192,22 @@ def test_pictures_of_a_camera_are_stored_as_png(exported, rng, channels):
 
 
 @pytest.mark.parametrize(
-    ("side", "geometry", "kind"),
+    ("shape", "about_them", "kind"),
     [
-        (48, "plane", "float32"),
-        (49, "plane", "image"),
-        (49, "array", "float32"),
-        (49, "none", "float32"),
+        ((48, 60), {"geometry": "plane"}, "float32"),
+        ((48, 60, 3), {"channels": ["r", "g", "b"]}, "float32"),
+        ((49, 60), {"geometry": "plane"}, "image"),
+        ((49, 60), {"geometry": "array"}, "float32"),
+        ((49, 60), {"geometry": "none"}, "float32"),
     ],
 )
-def test_what_may_be_an_array_is_stored_as_one(exported, rng, side, geometry, kind):
-    images = rng.integers(0, 255, (4, side, 60), dtype=np.uint8)
-    folder = exported(Touches(images, object=["cup"] * 4, geometry=geometry))
+def test_what_may_be_an_array_is_stored_as_one(exported, rng, shape, about_them, kind):
+    images = rng.integers(0, 255, (4, *shape), dtype=np.uint8)
+    folder = exported(Touches(images, object=["cup"] * 4, **about_them))
     feature = about(folder, "info")["features"]["observation.tactile"]
     assert feature["dtype"] == kind
     if kind == "float32":
+        assert feature["shape"] == [*shape]
         found = np.array(frames_of(folder).to_pydict()["observation.tactile"])
         assert_array_equal(found, images)
 

@@ -210,12 +210,6 @@ def large(tmp_path_factory):
     return place
 
 
-def _pages(path, kinds):
-    """Return numbers of pages of some kinds: their first byte tells; not the first."""
-    content = path.read_bytes()
-    return [p for p in range(1, len(content) // PAGE) if content[p * PAGE] in kinds]
-
-
 def _facts(folder):
     with TouchLibrary.open(folder) as library:
         rows = library.list(limit=None, retracted=True)
@@ -235,7 +229,8 @@ def test_a_repair_keeps_all_that_is_whole_and_deletes_nothing(
     path = folder / "library.sqlite"
     content = bytearray(path.read_bytes())
     rng = np.random.default_rng(seed)
-    pages = _pages(path, kinds)
+    # Pages of these kinds, but the first: their first byte tells.
+    pages = [p for p in range(1, len(content) // PAGE) if content[p * PAGE] in kinds]
     for page in rng.permutation(pages)[:n_pages]:
         where = slice(page * PAGE + 100, (page + 1) * PAGE - 8)
         content[where] = rng.bytes(where.stop - where.start)

@@ -12,7 +12,7 @@ from threading import Thread
 
 import numpy as np
 import pytest
-from joblib import Parallel, delayed, parallel_config
+from joblib import parallel_config
 from numpy.testing import assert_allclose
 
 from palpate import ObjectRecogniser, Touches, __version__, _parallel
@@ -88,33 +88,16 @@ def _kinds():
     )
 
 
-def _slow_square(number, folder):
+def _slow_sum(number, block, folder):
     """Leave a mark with this worker's number, so that the test can kill it."""
     (folder / f"{number}.{os.getpid()}").touch()
     time.sleep(0.3)
-    return number**2
-
-
-@pytest.mark.slow
-def test_a_worker_that_dies_is_survived(on_cluster, tmp_path):
-    """SIGKILL one worker while it works: its task is done again by another."""
-    run = Parallel(return_as="generator", batch_size=1)
-    results = run(delayed(_slow_square)(n, tmp_path) for n in range(12))
-    first = next(results)
-    mine = sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime)
-    victim = int(mine[-1].name.split(".")[1])
-    os.kill(victim, signal.SIGKILL)
-    assert [first, *results] == [n**2 for n in range(12)]
-    assert len({path.name.split(".")[1] for path in tmp_path.iterdir()}) >= 2
-
-
-def _slow_sum(number, block, folder):
-    return _slow_square(number, folder) + float(block.sum())
+    return number**2 + float(block.sum())
 
 
 @pytest.mark.slow
 def test_tasks_of_a_dead_worker_are_done_again_whatever_they_hold(on_cluster, tmp_path):
-    """The scheduler holds them, so that no worker is needed for its arguments."""
+    """SIGKILL one while it works: the scheduler holds its tasks and their arguments."""
     blocks = [np.full(1000, number / 1000) for number in range(12)]
     tasks = [(number, block, tmp_path) for number, block in enumerate(blocks)]
     results = results_of(_slow_sum, len(tasks), tasks.__getitem__)
@@ -122,6 +105,7 @@ def test_tasks_of_a_dead_worker_are_done_again_whatever_they_hold(on_cluster, tm
     newest = max(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime)
     os.kill(int(newest.name.split(".")[1]), signal.SIGKILL)
     assert [first, *results] == pytest.approx([n**2 + n for n in range(12)])
+    assert len({path.name.split(".")[1] for path in tmp_path.iterdir()}) >= 2
 
 
 @pytest.mark.slow
@@ -207,11 +191,18 @@ def parquet(tmp_path):
     return touches, tmp_path / "set.parquet"
 
 
-def _learn(monkeypatch, capsys, *given):
-    monkeypatch.setattr(sys, "argv", ["palpate", "learn", *map(str, given), "--json"])
-    with suppress(SystemExit):
-        main()
-    return json.loads(capsys.readouterr().out)
+@pytest.fixture
+def palpate(monkeypatch, capsys):
+    """Call `palpate ARGUMENTS... --json`; return what it says."""
+
+    def run(*given):
+        words = map(str, ["palpate", *given, "--json"])
+        monkeypatch.setattr(sys, "argv", list(words))
+        with suppress(SystemExit):
+            main()
+        return json.loads(capsys.readouterr().out)
+
+    return run
 
 
 @pytest.fixture
@@ -224,14 +215,14 @@ def few_at_once(monkeypatch):
 
 @pytest.mark.slow
 def test_the_command_learns_parquet_alike_everywhere(
-    cluster, parquet, few_at_once, tmp_path, monkeypatch, capsys
+    cluster, parquet, few_at_once, tmp_path, palpate
 ):
     touches, path = parquet
     places = {"one": [], "cluster": ["--cluster", cluster.scheduler_address]}
     answers = []
     for name, place in places.items():
         output = tmp_path / f"{name}.palpate"
-        learnt = _learn(monkeypatch, capsys, path, "-o", output, *place)
+        learnt = palpate("learn", path, "-o", output, *place)
         assert learnt["n_train_touches"] == len(touches)
         answers.append(ObjectRecogniser.load(output).log_likelihood(touches[::20]))
     # The same arithmetic in the same blocks, added in the same order.
@@ -284,38 +275,22 @@ def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, capsys, monkeypatch):
-    """`--workers` and `--cluster` lead to the same figures."""
+def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, palpate):
+    """`--workers` and `--cluster` lead to the same figures.
+
+    Every category is left out once per fold; processes share the folds.
+    """
     _kinds().save(tmp_path / "t.npz")
-    given = ["--train", tmp_path / "t.npz", "--split", "unseen-objects", "--json"]
+    given = ["--train", tmp_path / "t.npz", "--split", "unseen-objects"]
     given += ["--label", "category", "--touches", "1,3", "--orders", 2]
     places = {
         "one": ["--workers", 1],
         "two": ["--workers", 2],
         "cluster": ["--cluster", cluster.scheduler_address],
     }
-    log_loss = {}
-    for name, place in places.items():
-        words = map(str, ["palpate", "evaluate", *given, *place])
-        monkeypatch.setattr(sys, "argv", list(words))
-        with suppress(SystemExit):
-            main()
-        log_loss[name] = json.loads(capsys.readouterr().out)["log_loss"]
-    assert log_loss["two"] == pytest.approx(log_loss["one"], rel=0, abs=1e-10)
-    assert log_loss["cluster"] == pytest.approx(log_loss["one"], rel=0, abs=1e-10)
-
-
-@pytest.mark.slow
-def test_folds_are_evaluated_alike_in_one_process_and_two():
-    """Every category is left out once per fold; two processes share the folds."""
-    from palpate.evaluation import Plan, evaluate
-
-    touches = _kinds()
-    plan = Plan(label="category", touches=(1, 3), orders=2)
-    alone, _ = evaluate(touches, split="unseen-objects", plan=plan)
-    with parallel_config("loky", n_jobs=2):
-        shared, _ = evaluate(touches, split="unseen-objects", plan=plan)
+    figures = {n: palpate("evaluate", *given, *place) for n, place in places.items()}
     for key in ("accuracy", "log_loss", "ece"):
-        for length, value in alone[key].items():
-            # The same arithmetic on the same machine, one thread or several.
-            assert abs(shared[key][length] - value) < 1e-10
+        one = figures["one"][key]
+        # The same arithmetic on the same machine, one thread or several.
+        assert figures["two"][key] == pytest.approx(one, rel=0, abs=1e-10)
+        assert figures["cluster"][key] == pytest.approx(one, rel=0, abs=1e-10)

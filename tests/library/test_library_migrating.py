@@ -75,13 +75,10 @@ def test_everything_is_as_it_was_and_the_old_folder_untouched(old, state, tmp_pa
     assert actions == ["rename", "merge", "rename", "retract", "restore"]
 
 
-def test_format_1_is_format_2_without_seals(old, state, tmp_path):
-    with closing(sqlite3.connect(old / "library.sqlite")) as database:
-        tables = ("objects", "recordings", "layouts", "files", "changes", "touches")
-        for table in tables:
-            database.execute(f"ALTER TABLE {table} DROP COLUMN seal")
-        database.execute("PRAGMA user_version = 1")
-        database.commit()
+def test_format_1_is_format_2_without_seals(old, state, tmp_path, alter):
+    tables = ("objects", "recordings", "layouts", "files", "changes", "touches")
+    drop = "ALTER TABLE {} DROP COLUMN seal"
+    alter(old, *map(drop.format, tables), "PRAGMA user_version = 1")
     migrate_library(old, tmp_path / "new")
     _assert_same(tmp_path / "new", state)
 
@@ -108,14 +105,14 @@ def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps)
     assert not [*new.glob(".migrating*")]
 
 
-def test_an_old_library_is_refused_with_the_way_out(old):
-    with pytest.raises(LibraryError, match="`migrate_library"):
-        TouchLibrary.open(old)
-    with pytest.raises(LibraryError, match="`migrate_library"):
-        TouchLibrary.open(old, create=True)
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_old_library_is_refused_with_the_way_out(old, alter, version):
+    alter(old, f"PRAGMA user_version = {version}")
+    for create in (False, True):
+        with pytest.raises(LibraryError, match=r"`migrate_library\(.*, NEW\)`"):
+            TouchLibrary.open(old, create=create)
     report = check_library(old)
-    assert not report.ok
-    assert report.problems[0].kind == "version"
+    assert (report.ok, [p.kind for p in report.problems]) == (False, ["version"])
 
 
 def test_touches_whose_image_is_gone_are_named(old, tmp_path):
@@ -183,13 +180,11 @@ def test_what_is_no_old_library_is_refused(old, tmp_path):
 
 
 def test_a_begun_migration_of_another_library_is_not_continued(
-    old, tmp_path, monkeypatch
+    old, tmp_path, monkeypatch, alter
 ):
     new, other = tmp_path / "new", tmp_path / "other"
     shutil.copytree(old, other)
-    with closing(sqlite3.connect(other / "library.sqlite")) as database:
-        database.execute("UPDATE touches SET id = randomblob(16)")
-        database.commit()
+    alter(other, "UPDATE touches SET id = randomblob(16)")
 
     def stopped(*_):
         raise KeyboardInterrupt

@@ -1,6 +1,5 @@
 """One database: shared transactions, copies, sizes, and places where it lies."""
 
-import multiprocessing
 import os
 import shutil
 import sqlite3
@@ -9,7 +8,7 @@ import threading
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from palpate.library import (
     repair_library,
 )
 
-from .conftest import press_of, rows_of
+from .conftest import press_of, rows_of, said_elsewhere
 
 PAGE = 8192
 
@@ -293,37 +292,11 @@ def test_columns_and_arrays_of_any_type_come_back_to_the_bit(tmp_path, kind):
         assert library.check().ok
 
 
-@contextmanager
-def _readable_by_all():
-    with tempfile.TemporaryDirectory() as place:
-        Path(place).chmod(0o755)
-        yield Path(place)
-
-
-def _elsewhere(task):
-    """Run a task in a process that may write nothing here; return what it says."""
-
-    def run():
-        os.close(reading)
-        if os.geteuid() == 0:
-            os.setuid(65534)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            try:
-                said = str(task())
-            except BaseException as error:
-                said = f"{type(error).__name__}: {error}"
-        os.write(writing, said.encode())
-        os._exit(0)
-
-    reading, writing = os.pipe()
-    process = multiprocessing.get_context("fork").Process(target=run, daemon=True)
-    process.start()
-    os.close(writing)
-    with os.fdopen(reading) as stream:
-        said = stream.read()
-    process.join()
-    return said
+def _be_nobody():
+    """Make this a process that may write nothing here, and where warnings count."""
+    if os.geteuid() == 0:
+        os.setuid(65534)
+    warnings.simplefilter("error")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs another user")
@@ -337,22 +310,25 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
         with TouchLibrary.open(place) as library:
             library.add(press_of(1))
 
+    def make():
+        TouchLibrary.open(outer / "new" / "lab", create=True)
+
     def backup():
         with TouchLibrary.open(place) as library, tempfile.TemporaryDirectory() as to:
             return library.backup(Path(to) / "copy")
 
-    with _readable_by_all() as outer:
+    with tempfile.TemporaryDirectory() as readable_by_all:
+        outer = Path(readable_by_all)
+        outer.chmod(0o755)
         place = shutil.copytree(folder, outer / "lab")
         expected = str(read())
         before = {path: path.read_bytes() for path in place.iterdir()}
         for path in (place, *before):
             path.chmod(0o555)
-        assert _elsewhere(read) == expected
-        assert "may be written to" in _elsewhere(add)
-        assert _elsewhere(backup) == "6"
-        assert "folder that can be made" in _elsewhere(
-            lambda: TouchLibrary.open(outer / "new" / "lab", create=True)
-        )
+        assert said_elsewhere(read, _be_nobody) == expected
+        assert "may be written to" in said_elsewhere(add, _be_nobody)
+        assert said_elsewhere(backup, _be_nobody) == "6"
+        assert "folder that can be made" in said_elsewhere(make, _be_nobody)
         assert {path: path.read_bytes() for path in place.iterdir()} == before
         place.chmod(0o755)
 

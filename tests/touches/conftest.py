@@ -10,6 +10,18 @@ def first_levels(touches):
     return touches.images[:, 0, 0].tolist()
 
 
+def assert_same(one, other):
+    """Fail where two sets of touches are not the same to the bit."""
+    assert one.images.dtype == other.images.dtype
+    assert one.images.tobytes() == other.images.tobytes()
+    for here, there in ((one.columns, other.columns), (one.whole, other.whole)):
+        assert list(here) == list(there)
+        for name, array in here.items():
+            assert array.dtype == there[name].dtype
+            assert array.shape == there[name].shape
+            assert array.tobytes() == there[name].tobytes()
+
+
 @pytest.fixture
 def put(tmp_path):
     """Write pictures whose level is their number, by path within a folder."""

@@ -80,6 +80,7 @@ GOOD = ("images.npy", npy(np.zeros((2, 2, 2), np.uint8)))
         ([GOOD, ("no_contact.npy", npy(np.zeros((3, 3))))], "no_contact must be one"),
         ([("images.npy", npy(np.zeros((2, 2))))], r"got \(2, 2\)"),
         ([("images.npy", npy(np.zeros((0, 2, 2))))], "at least one touch"),
+        ([("images.npy", npy(np.zeros((2, 4, 6, 3))))], "channels must name each"),
         ([("images.npy", npy(np.full((1, 1, 1), np.inf)))], "infinity in touch 0"),
         ([("images.npy", npy(np.full((1, 1, 1), "a")))], "integers or floats"),
         ([], "is not a touch archive.*it holds nothing"),
@@ -163,23 +164,17 @@ def patched_size(path, size):
     path.write_bytes(data)
 
 
-def test_a_bomb_that_lies_about_its_size_does_not_inflate(tmp_path):
-    content = described((2, 2, 2)) + bytes(2**26)
-    path = zipped(tmp_path / "liar.npz", [("images.npy", content)])
-    patched_size(path, len(described((2, 2, 2))) + 8)
+@pytest.mark.parametrize(("side", "n_bytes"), [(2, 2**26), (9, 0)])
+def test_an_archive_that_lies_about_its_size_does_not_inflate(tmp_path, side, n_bytes):
+    header = described((side, side, side))
+    path = zipped(tmp_path / "liar.npz", [("images.npy", header + bytes(n_bytes))])
+    patched_size(path, len(header) + side**3)
     tracemalloc.start()
     with pytest.raises(TouchesError, match=r"liar.npz must be a touch archive"):
         Touches.load(path)
     # zipfile inflates by chunks; 64 MiB would be the whole.
     assert tracemalloc.get_traced_memory()[1] < 2**22
     tracemalloc.stop()
-
-
-def test_a_size_beyond_the_content_is_refused(tmp_path):
-    path = zipped(tmp_path / "short.npz", [("images.npy", described((9, 9, 9)))])
-    patched_size(path, len(described((9, 9, 9))) + 729)
-    with pytest.raises(TouchesError, match=r"short.npz must be a touch archive"):
-        Touches.load(path)
 
 
 def test_files_that_are_no_archive_are_refused(tmp_path):
@@ -246,9 +241,3 @@ def test_damage_is_refused_or_changes_no_value(tmp_path):
         assert values == {
             array.tobytes() for array in {**good.columns, **good.whole}.values()
         }
-
-
-@pytest.mark.realdata
-def test_visual_words_are_no_touches(data_folder):
-    with pytest.raises(TouchesError, match=r"not a touch archive.*counts \(2000 x 100"):
-        Touches.load(data_folder / "bathtip" / "visual_words50.npz")

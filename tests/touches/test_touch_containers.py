@@ -150,21 +150,20 @@ def test_a_first_taxel_that_is_no_clock_stays_one(tmp_path, rng):
     assert_array_equal(Touches.load(tmp_path / "r.csv").images[:, 0], rows)
 
 
-def test_labels_beside_pictures_are_columns(tmp_path, rng):
-    for n in range(3):
-        levels = rng.integers(0, 256, (6, 7), dtype=np.uint8)
-        Image.fromarray(levels).save(tmp_path / f"{n}.png")
-    table = tmp_path / "labels.csv"
+def test_labels_beside_pictures_are_columns(put):
+    root = put("0.png", "1.png", "2.png")
+    table = root / "labels.csv"
     table.write_text("filename,label,force_n\n1.png,pen,2\n0.png,7,1\n2.png,cup,3\n")
-    touches = Touches.load(tmp_path)
+    touches = Touches.load(root)
     assert touches.object.tolist() == ["7", "pen", "cup"]
     assert touches.columns["force_n"].tolist() == [1, 2, 3]
-    table.write_text("filename,label\n1.png,pen\n")
-    with pytest.raises(TouchesError, match=r"none for 0.png \(2 of 3\)"):
-        Touches.load(tmp_path)
-    table.write_text("what,label\n1.png,pen\n")
-    with pytest.raises(TouchesError, match="one of them file, filename"):
-        Touches.load(tmp_path)
+    for first, message in (
+        ("filename", r"none for 0.png \(2 of 3\)"),
+        ("what", "one of them file, filename"),
+    ):
+        table.write_text(f"{first},label\n1.png,pen\n")
+        with pytest.raises(TouchesError, match=message):
+            Touches.load(root)
 
 
 def test_a_set_is_an_array(images):
@@ -193,9 +192,8 @@ def test_small_files_that_claim_much_are_refused_unread(tmp_path):
 
 
 def test_a_mat_file_that_unpacks_to_much_is_refused(tmp_path):
-    scipy.io.savemat(
-        tmp_path / "t.mat", {"X": np.zeros((60, 300, 300))}, do_compression=True
-    )
+    large = {"X": np.zeros((60, 300, 300))}
+    scipy.io.savemat(tmp_path / "t.mat", large, do_compression=True)
     assert (tmp_path / "t.mat").stat().st_size < 100_000
     with pytest.raises(TouchesError, match="at most 1000000 bytes, got 43200000"):
         Touches.load(tmp_path / "t.mat", max_bytes=1_000_000)

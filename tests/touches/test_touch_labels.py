@@ -10,29 +10,72 @@ from palpate.touches import TouchesError, png_bytes, read_folder
 from .conftest import first_levels
 
 
-def test_one_level_of_folders_is_the_object(put):
-    touches = Touches.load(put("cup/a.png", "ball/a.png", "cup/b.png"))
-    assert touches.object.tolist() == ["ball", "cup", "cup"]
-    assert touches.category is None
-    assert touches.columns["source_path"].tolist() == [
-        "ball/a.png", "cup/a.png", "cup/b.png",
-    ]  # fmt: skip
-    assert first_levels(touches) == [1, 0, 2]
-    assert touches.order is None
-
-
-def test_more_levels_are_category_and_object(put):
-    touches = Touches.load(
-        put("01_stapler/01/a.png", "01_stapler/02/x/a.png", "02_mug/01/a.png")
-    )
-    assert touches.object.tolist() == ["01_stapler/01", "01_stapler/02/x", "02_mug/01"]
-    assert touches.category.tolist() == ["01_stapler", "01_stapler", "02_mug"]
-
-
-def test_pictures_in_no_folder_have_no_labels(put):
-    touches = Touches.load(put("b.png", "a.png"))
-    assert touches.object is None
-    assert len(touches.episodes()) == 1
+@pytest.mark.parametrize(
+    ("names", "pattern", "columns"),
+    [
+        pytest.param(
+            ["cup/a.png", "ball/a.png", "cup/b.png"],
+            None,
+            {
+                "object": ["ball", "cup", "cup"],
+                "source_path": ["ball/a.png", "cup/a.png", "cup/b.png"],
+            },
+            id="one level of folders is the object",
+        ),
+        pytest.param(
+            ["01_stapler/01/a.png", "01_stapler/02/x/a.png", "02_mug/01/a.png"],
+            None,
+            {
+                "object": ["01_stapler/01", "01_stapler/02/x", "02_mug/01"],
+                "category": ["01_stapler", "01_stapler", "02_mug"],
+            },
+            id="more levels are category and object",
+        ),
+        pytest.param(["b.png", "a.png"], None, {}, id="no folder is no label"),
+        pytest.param(
+            ["1_2.png"],
+            r"(?P<x>\d)_(?P<y>\d)",
+            {"x": [1], "y": [2]},
+            id="x and y alone are columns of their own",
+        ),
+        pytest.param(
+            ["cup/7.png", "deep/ball/8.png"],
+            r"(?P<object>[a-z]+)/(?P<n>\d+)",
+            {"object": ["cup", "ball"], "order": [7, 8]},
+            id="the path is searched where the name does not match",
+        ),
+        pytest.param(
+            ["cup/7.png", "ball/8.png"],
+            r"(?P<n>\d)\.",
+            {"object": ["ball", "cup"], "order": [8, 7]},
+            id="folders label what the pattern does not",
+        ),
+        pytest.param(
+            ["1_f2.5_left.png", "2.png"],
+            r"(?P<n>\d)(_f(?P<force_n>[\d.]+))?(_(?P<hand>\w+))?\.png",
+            {"order": [1, 2], "force_n": [2.5, np.nan], "hand": ["left", ""]},
+            id="groups that match sometimes leave gaps",
+        ),
+        pytest.param(
+            ["a/b_1.png", "x_2/c.png", "a/\udce9_3.png"],
+            r"(?P<what>[^/]+)_(?P<n>\d)(?P<more>x)?",
+            {
+                "what": ["b", "\udce9", "x"],
+                "order": [1, 3, 2],
+                "more": ["", "", ""],
+                "object": ["a", "a", "x_2"],
+            },
+            id="names are matched as they are",
+        ),
+    ],
+)
+def test_folders_and_patterns_give_columns(put, names, pattern, columns):
+    touches = Touches.load(put(*names), name_pattern=pattern)
+    assert {*touches.columns} == {*columns, "source_path"}
+    for name, values in columns.items():
+        assert_array_equal(touches.columns[name], values)
+    paths = touches.columns["source_path"].tolist()
+    assert first_levels(touches) == [names.index(path) for path in paths]
 
 
 def test_every_name_group_becomes_its_column(put):
@@ -61,34 +104,6 @@ def test_every_name_group_becomes_its_column(put):
     assert columns["press"].dtype.kind == "i"
     assert columns["hand"].tolist() == ["left", "right"]
     assert "x" not in columns
-
-
-def test_x_and_y_alone_are_columns_of_their_own(put):
-    touches = Touches.load(put("1_2.png"), name_pattern=r"(?P<x>\d)_(?P<y>\d)")
-    assert touches.columns["x"].tolist() == [1]
-    assert "position_raw" not in touches.columns
-
-
-def test_the_path_is_searched_where_the_name_does_not_match(put):
-    pattern = r"(?P<object>[a-z]+)/(?P<n>\d+)"
-    touches = Touches.load(put("cup/7.png", "deep/ball/8.png"), name_pattern=pattern)
-    assert touches.object.tolist() == ["cup", "ball"]
-    assert touches.order.tolist() == [7, 8]
-
-
-def test_folders_label_what_the_pattern_does_not(put):
-    touches = Touches.load(put("cup/7.png", "ball/8.png"), name_pattern=r"(?P<n>\d)\.")
-    assert touches.object.tolist() == ["ball", "cup"]
-    assert touches.order.tolist() == [8, 7]
-
-
-def test_groups_that_match_sometimes_leave_gaps(put):
-    touches = Touches.load(
-        put("1_f2.5_left.png", "2.png"),
-        name_pattern=r"(?P<n>\d)(_f(?P<force_n>[\d.]+))?(_(?P<hand>\w+))?\.png",
-    )
-    assert_array_equal(touches.columns["force_n"], [2.5, np.nan])
-    assert touches.columns["hand"].tolist() == ["left", ""]
 
 
 @pytest.mark.parametrize(
@@ -142,16 +157,6 @@ def test_a_pattern_that_takes_for_ever_is_given_up(rng, tmp_path, short_patience
         (tmp_path / name).write_bytes(image)
     with pytest.raises(TouchesError, match=r"within 1 s, got .*at 'a{30}!.png'.*\\w\+"):
         read_folder(tmp_path, name_pattern=r"^(?P<object>(\w+)+)_\d\.png$")
-
-
-def test_names_are_matched_as_they_are(put):
-    """The file name before the path; letters of any kind; nothing where none."""
-    folder = put("a/b_1.png", "x_2/c.png", "a/\udce9_3.png")
-    pattern = r"(?P<what>[^/]+)_(?P<n>\d)(?P<more>x)?"
-    columns = read_folder(folder, name_pattern=pattern).columns
-    assert columns["what"].tolist() == ["b", "\udce9", "x"]
-    assert columns["order"].tolist() == [1, 3, 2]
-    assert columns["more"].tolist() == ["", "", ""]
 
 
 def test_more_names_are_matched_than_a_pipe_holds(put):

@@ -1,6 +1,7 @@
 """A set of touches: what it takes, gives back and refuses; sets joined."""
 
 import pickle
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from numpy.testing import assert_array_equal
 from palpate import ObjectRecogniser, Touches
 from palpate.images import ChannelMean
 from palpate.touches import TouchesError
+
+from .conftest import assert_same
 
 
 @pytest.fixture
@@ -75,7 +78,8 @@ def test_variable_width_text_becomes_plain_text():
 def test_arrays_are_read_only_and_the_callers_own_is_left_alone():
     images = np.zeros((2, 3, 3))
     touches = Touches(images, force_n=[1.0, 2.0])
-    for part in (touches, touches[:1], touches[[1, 0]], pickle.loads(_p(touches))):
+    sent = pickle.loads(pickle.dumps(touches))
+    for part in (touches, touches[:1], touches[[1, 0]], sent):
         for array in (part.images, part.columns["force_n"]):
             with pytest.raises(ValueError, match="read-only"):
                 array[:] = 1
@@ -84,10 +88,6 @@ def test_arrays_are_read_only_and_the_callers_own_is_left_alone():
     assert images.flags.writeable
     with pytest.raises(AttributeError):
         touches.images = images
-
-
-def _p(touches):
-    return pickle.dumps(touches)
 
 
 @pytest.mark.parametrize(
@@ -207,19 +207,15 @@ def test_iteration_gives_one_touch_at_a_time(six):
     assert [len(touch) for touch in six] == [1] * 6
 
 
-def test_differences_are_signed_where_unsigned_integers_would_wrap():
-    images = np.array([[[90, 255]]], dtype=np.uint8)
-    touches = Touches(images, no_contact=np.array([[100, 0]], dtype=np.uint8))
-    assert touches.differences().dtype == np.float32
-    assert touches.differences().tolist() == [[[-10.0, 255.0]]]
-
-
 @pytest.mark.parametrize(
-    ("dtype", "expected"), [("u2", "f4"), ("i4", "f8"), ("f4", "f4"), ("f8", "f8")]
+    ("dtype", "expected"),
+    [("u1", "f4"), ("u2", "f4"), ("i4", "f8"), ("f4", "f4"), ("f8", "f8")],
 )
-def test_differences_are_floats_that_hold_the_images(dtype, expected):
-    touches = Touches(np.ones((1, 2, 2), dtype), no_contact=np.ones((2, 2), dtype))
-    assert touches.differences().dtype == np.dtype(expected)
+def test_differences_are_signed_floats_that_hold_the_images(dtype, expected):
+    images, no_contact = np.array([[[90, 255]]], dtype), np.array([[100, 0]], dtype)
+    differences = Touches(images, no_contact=no_contact).differences()
+    assert differences.dtype == np.dtype(expected)
+    assert differences.tolist() == [[[-10.0, 255.0]]]
 
 
 def test_dead_taxels_stay_dead_in_differences():
@@ -232,38 +228,31 @@ def test_differences_without_no_contact_say_how_to_give_it():
         Touches(np.zeros((1, 2, 2))).differences()
 
 
-def test_episodes_are_one_per_object_and_session_in_order_of_the_set(six):
-    told = [(e.object, e.session, e.rows.tolist()) for e in six.episodes()]
-    assert told == [("cup", 1, [0, 2]), ("ball", 1, [1, 4]), ("cup", 2, [3, 5])]
-
-
-def test_every_object_in_every_session_is_an_episode_of_its_own():
-    touches = Touches(
-        np.zeros((18, 2, 2)),
-        object=np.tile(np.repeat(["a", "b", "c"], 3), 2),
-        session=np.tile([1, 2, 3], 6),
-    )
-    episodes = touches.episodes()
-    assert len({(e.object, e.session) for e in episodes}) == len(episodes) == 9
-    for episode in episodes:
-        assert set(touches.object[episode.rows]) == {episode.object}
-        assert set(touches.session[episode.rows]) == {episode.session}
-
-
-def test_more_objects_than_sessions_are_not_mixed():
-    labels = {"object": ["a", "b", "c"] * 2, "session": [1, 1, 1, 2, 2, 2]}
-    told = Touches(np.zeros((6, 2, 2)), **labels).episodes()
-    assert [e.rows.tolist() for e in told] == [[0], [1], [2], [3], [4], [5]]
-
-
-def test_episodes_without_labels_or_sessions():
-    bare = Touches(np.zeros((3, 2, 2)))
-    assert [(e.object, e.session, len(e.rows)) for e in bare.episodes()] == [
-        (None, None, 3)
-    ]
-    sessions = bare.with_columns(session=["b", "a", "b"])
-    told = [(e.object, e.session, e.rows.tolist()) for e in sessions.episodes()]
-    assert told == [(None, "b", [0, 2]), (None, "a", [1])]
+@pytest.mark.parametrize(
+    ("labels", "episodes"),
+    [
+        (
+            {"object": ["cup", "ball", "cup", "cup"], "session": [1, 1, 1, 2]},
+            [("cup", 1, [0, 2]), ("ball", 1, [1]), ("cup", 2, [3])],
+        ),
+        (
+            {"object": [*"abc"] * 2, "session": [1, 1, 1, 2, 2, 2]},
+            [(n, s, [row]) for row, (s, n) in enumerate(product((1, 2), "abc"))],
+        ),
+        (
+            {"object": np.repeat([*"abc"], 3), "session": [1, 2, 3] * 3},
+            [(n, s, [row]) for row, (n, s) in enumerate(product("abc", (1, 2, 3)))],
+        ),
+        ({"press": [0, 1, 2]}, [(None, None, [0, 1, 2])]),
+        ({"session": ["b", "a", "b"]}, [(None, "b", [0, 2]), (None, "a", [1])]),
+    ],
+    ids=["interleaved", "more objects", "all pairs", "no labels", "sessions alone"],
+)
+def test_episodes_are_one_per_object_and_session_in_their_order(labels, episodes):
+    n_touches = sum(len(rows) for *_, rows in episodes)
+    touches = Touches(np.zeros((n_touches, 2, 2)), **labels)
+    found = [(e.object, e.session, e.rows.tolist()) for e in touches.episodes()]
+    assert found == episodes
 
 
 def test_with_columns_adds_replaces_and_moves(six):
@@ -305,20 +294,8 @@ def test_the_same_set_with_other_images(six):
     assert halves.images.dtype == np.float64
 
 
-def test_repr_tells_what_is_there(six):
-    assert repr(six) == (
-        "<Touches: 6 of 4 x 5 uint8; 2 objects, 2 categories, 2 sessions; "
-        "columns: 5; whole set: 4>"
-    )
-    assert repr(Touches(np.zeros((1, 2, 2)))) == (
-        "<Touches: 1 of 2 x 2 float64; no labels>"
-    )
-
-
 def test_pickle_keeps_everything(six):
-    again = pickle.loads(pickle.dumps(six))
-    assert repr(again) == repr(six)
-    assert_array_equal(again.images, six.images)
+    assert_same(pickle.loads(pickle.dumps(six)), six)
 
 
 def masked_images(dtype):
@@ -374,11 +351,7 @@ def test_parts_of_a_set_make_the_set_again(rng):
         geometry="plane",
         calibration=np.arange(3),
     )
-    joined = Touches.concatenate([whole[:3], whole[3:4], whole[4:]])
-    assert repr(joined) == repr(whole)
-    assert_array_equal(joined.images, whole.images)
-    assert_array_equal(joined.columns["force_n"], whole.columns["force_n"])
-    assert_array_equal(joined.whole["calibration"], np.arange(3))
+    assert_same(Touches.concatenate([whole[:3], whole[3:4], whole[4:]]), whole)
 
 
 def test_longer_labels_are_not_cut():

@@ -44,6 +44,11 @@ def test_repr_fits_a_line(many):
     some = Touches(np.zeros((2, 3, 3)), **{f"about_{i}": [1, 2] for i in range(9)})
     assert repr(some) == ("<Touches: 2 of 3 x 3 float64; no labels; columns: 9>")
     assert "\n" not in repr(Touches(np.zeros((1, 2, 2)), **{"a\nb": [1]}))
+    kinds = Touches(np.zeros((3, 2, 2)), object=[*"aaa"], category=[*"xyy"])
+    assert repr(kinds) == (
+        "<Touches: 3 of 2 x 2 float64; 1 object, 2 categories; "
+        "columns: object, category>"
+    )
     for touches in (many, few, some):
         assert len(repr(touches)) <= 88
 
@@ -121,7 +126,8 @@ def test_every_image_can_be_shown(image):
 
 def test_a_repr_needs_no_opencv(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    assert repr(Touches(np.zeros((1, 2, 2)))).startswith("<Touches: 1 of 2 x 2")
+    bare = Touches(np.zeros((1, 2, 2)))
+    assert repr(bare) == "<Touches: 1 of 2 x 2 float64; no labels>"
 
 
 def test_colour_is_shown_in_colour_and_other_channels_as_their_mean():

@@ -394,12 +394,8 @@ def _ready_file(name: str, folder: Path) -> Path:
     return folder / "models" / f"{name}-{_code()}.palpate"
 
 
-def _make_ready(name: str, folder: Path, say: Callable[[str], None] | None) -> Path:
-    """Return the file of a ready model, made first where it is not there.
-
-    Raises ImportError where the simulation's packages are missing, OSError where the
-    folder cannot be written.
-    """
+def _make_ready(name: str, folder: Path, say: Say | None) -> Path:
+    """Return the file of a ready model, made first where it is not there."""
     from ..recognition import ObjectRecogniser
 
     path = _ready_file(name, folder)

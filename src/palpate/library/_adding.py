@@ -232,15 +232,13 @@ def _store_batch(store: Store, batch: Batch) -> list[bytes]:
     for digest, array in batch.arrays.items():
         enter_array(store, digest, array)  # it may have been lost meanwhile
     ids = _matched(store, batch)
-    stored = {row[0] for row in store.among(_STORED_IDS, ids)}
+    sql = "SELECT id FROM touches WHERE id IN (?)"
+    stored = {row[0] for row in store.among(sql, ids)}
     new = {key: row for row, key in enumerate(ids) if key not in stored}
     if new:
         kept = batch if len(new) == len(ids) else batch.picked(sorted(new.values()))
         write_rows(store, kept)
     return ids
-
-
-_STORED_IDS = "SELECT id FROM touches WHERE id IN (?)"
 
 
 def _refuse_other_channels(store: Store, recording: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@
 import time
 import unicodedata
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from .._checks import did_you_mean, one_spelling
@@ -61,7 +61,7 @@ def enter_change(store: Store, change: Change) -> int:
     }
     digest = digest_of(values.values())
     key = store.insert("changes", {**values, "digest": digest})
-    n_changed = _ACTIONS[change.action](store, key, change.content)
+    n_changed = _carry_out(store, key, change)
     if not n_changed:
         store.run("DELETE FROM changes WHERE id = ?", [key])
         return 0
@@ -70,28 +70,32 @@ def enter_change(store: Store, change: Change) -> int:
     return n_changed
 
 
+def change_rows(
+    store: Store, tail: str = "ORDER BY id", values: Sequence[Any] = ()
+) -> list[tuple[int, bytes, Change | None]]:
+    """Return key and digest of changes, and each that is as it was made, else None."""
+    sql = f"SELECT id, digest, time_s, after, action, content FROM changes {tail}"
+    changes = []
+    for key, digest, *cells in store.rows(sql, values):
+        change = None
+        if digest_of(cells) == digest:
+            time_s, after, action, text = cells
+            change = Change(time_s, action, from_json(text), after)
+        changes.append((key, digest, change))
+    return changes
+
+
 def history(store: Store) -> list[Change]:
     """Return all changes in the order made, each compared with its digest."""
-    rows = store.rows(
-        "SELECT time_s, after, action, content, digest, id FROM changes ORDER BY id"
-    )
     changes = []
-    for time_s, after, action, text, digest, key in rows:
-        if not is_sound([time_s, after, action, text], digest):
+    for key, _, change in change_rows(store):
+        if change is None:
             raise LibraryError(
                 f"{store.path} must be as it was written, got another change {key}. "
                 "See `check_library`."
             )
-        changes.append(Change(time_s, action, from_json(text), after))
+        changes.append(change)
     return changes
-
-
-def is_sound(values: Sequence[Any], digest: object) -> bool:
-    """Tell whether the values of a change are those that its digest is of."""
-    try:
-        return digest_of(values) == digest
-    except TypeError:
-        return False
 
 
 def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
@@ -139,8 +143,23 @@ def chosen_ids(
     return chosen
 
 
-def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
-    old, new = content["old"], content["new"]
+def _carry_out(store: Store, key: int, change: Change) -> int:
+    content = change.content
+    if change.action == "rename":
+        return _rename(store, content["old"], content["new"])
+    if change.action == "merge":
+        return _merge(store, content["source"], content["into"])
+    retraction = {"retract": key, "restore": None}[change.action]
+    return store.run_many(
+        "UPDATE touches SET retraction = ? WHERE id = ? AND (retraction IS NULL) = ?",
+        [
+            (retraction, bytes.fromhex(touch), retraction is not None)
+            for touch in content["ids"]
+        ],
+    )
+
+
+def _rename(store: Store, old: str, new: str) -> int:
     key, _ = object_row(store, old)
     if store.first_row("SELECT id FROM objects WHERE name = ?", [new]):
         raise LibraryError(
@@ -150,34 +169,17 @@ def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
     return store.run("UPDATE objects SET name = ? WHERE id = ?", [new, key])
 
 
-def _merge(store: Store, change: int, content: dict[str, Any]) -> int:
-    source, _ = object_row(store, content["source"])
-    into, _ = object_row(store, content["into"])
-    if source == into:
+def _merge(store: Store, source: str, into: str) -> int:
+    key, _ = object_row(store, source)
+    into_key, _ = object_row(store, into)
+    if key == into_key:
         raise LibraryError(
-            f"Objects to merge must be two, got {content['source']!r} and "
-            f"{content['into']!r}, which are one."
+            f"Objects to merge must be two, got {source!r} and {into!r}, which are one."
         )
     return store.run(
         "UPDATE objects SET merged_into = ? WHERE id = ? OR merged_into = ?",
-        [into, source, source],
+        [into_key, key, key],
     )
-
-
-def _leave_out(store: Store, change: int | None, ids: list[str]) -> int:
-    """Retract touches by a change; take retracted ones back in where it is None."""
-    return store.run_many(
-        "UPDATE touches SET retraction = ? WHERE id = ? AND (retraction IS NULL) = ?",
-        [(change, bytes.fromhex(key), change is not None) for key in ids],
-    )
-
-
-_ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
-    "rename": _rename,
-    "merge": _merge,
-    "retract": lambda store, change, content: _leave_out(store, change, content["ids"]),
-    "restore": lambda store, change, content: _leave_out(store, None, content["ids"]),
-}
 
 
 def checked_name(name: object) -> str:
@@ -201,33 +203,20 @@ def checked_name(name: object) -> str:
     return spelling
 
 
-class _Change(NamedTuple):
-    """`old` became `new`; `after` is the number of the last touch before it."""
-
-    after: int
-    action: str
-    old: str
-    new: str
-
-
 class Names:
     """Renames and merges in their order."""
 
     def __init__(self, store: Store) -> None:
-        rows = store.rows(
-            "SELECT time_s, after, action, content, digest FROM changes "
-            "WHERE action IN ('rename', 'merge') ORDER BY id"
-        )
-        self.changes: list[_Change] = []
-        for *values, digest in rows:
-            _, after, action, text = values
-            names = ("old", "new") if action == "rename" else ("source", "into")
-            # Of a damaged one nothing is known: touches that it named are refused.
-            if digest_of(values) == digest:
-                content = from_json(text)
-                old, new = (content[name] for name in names)
-                self.changes.append(_Change(after, action, old, new))
-        self._after = [change.after for change in self.changes]
+        # What became what, after which touch; of a damaged change nothing is known:
+        # touches that it named are refused.
+        self._changes: list[tuple[int, str, str, str]] = []
+        tail = "WHERE action IN ('rename', 'merge') ORDER BY id"
+        for _, _, change in change_rows(store, tail):
+            if change is not None:
+                keys = {"rename": ("old", "new"), "merge": ("source", "into")}
+                old, new = (change.content[key] for key in keys[change.action])
+                self._changes.append((change.after, change.action, old, new))
+        self._after = [after for after, *_ in self._changes]
         self._labels: dict[tuple[str | None, int], str | None] = {}
 
     def now(self, label: str | None, number: int) -> str | None:
@@ -241,7 +230,7 @@ class Names:
         key = label, place
         if key not in self._labels:
             name, since = label, number
-            for after, action, old, new in self.changes:
+            for after, action, old, new in self._changes:
                 if old == name and (after >= since or action == "merge"):
                     name, since = new, 0
             self._labels[key] = name
@@ -250,7 +239,7 @@ class Names:
     def former(self, name: str | None) -> list[str]:
         """Return what the object that now has this name has been called."""
         names: list[str] = []
-        for _, _, old, new in reversed(self.changes):
+        for _, _, old, new in reversed(self._changes):
             if new == name or new in names:
                 names.append(old)
         return names

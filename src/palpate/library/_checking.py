@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .._parallel import Progress
-from ._changes import Names, is_sound
-from ._content import Image, identity, wide_identity
+from ._changes import Names, change_rows
+from ._content import identity, wide_identity
 from ._reading import is_whole, stored_array
 from ._rows import (
     LOST,
@@ -27,7 +27,6 @@ from ._store import (
     OtherVersion,
     Store,
     chained,
-    from_json,
 )
 
 _SHOWN = 20  # ids of a problem that are listed
@@ -94,11 +93,10 @@ def check_store(store: Store, progress: bool | None) -> CheckReport:
     """Check a library that is open; see `check_library`."""
     problems: list[Problem] = []
     tables = Tables(store)
-    parts = (
+    for part in (
         *(_database_problems, _touch_problems, _array_problems, _change_problems),
         _lost,
-    )
-    for part in parts:
+    ):
         try:
             problems += part(tables, progress)
         except DatabaseDamaged as error:
@@ -165,17 +163,12 @@ def touch_fault(tables: Tables, row: StoredTouch, names: Names | None) -> str | 
     [packed] = packed_images(tables, [row])
     stored = packed.images[0]
     assert stored is not None  # it is whole
-    if row.key != _identity(tables, row, stored):
-        return f"The id of touch {row.key.hex()} must follow from what it holds."
-    return None
-
-
-def _identity(tables: Tables, row: StoredTouch, stored: Image) -> bytes:
-    """Return the id that follows from what a touch is and was called."""
     [values] = plain_values([row])
     wide = wide_values(tables, row, stored) if stored.more is not None else {}
     wide_part = wide_identity({name: value[None] for name, value in wide.items()}, 0)
-    return identity(row.image, {**values, "object": row.label}, wide_part)
+    if row.key != identity(row.image, {**values, "object": row.label}, wide_part):
+        return f"The id of touch {row.key.hex()} must follow from what it holds."
+    return None
 
 
 def _shown(key: object) -> str:
@@ -206,22 +199,20 @@ def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]
     """Compare changes, and what touches and objects are with what changes say."""
     store = tables.store
     tally = store.tally()
-    rows = store.rows(
-        "SELECT id, time_s, after, action, content, digest FROM changes ORDER BY id"
-    )
+    rows = change_rows(store)
     chain = b""
     retracted: dict[str, int] = {}
     numbers = dict(store.rows("SELECT lower(hex(id)), number FROM touches"))
-    for key, time_s, after, action, text, digest in rows:
-        if not is_sound([time_s, after, action, text], digest):
+    for key, digest, change in rows:
+        if change is None:
             yield Problem("change", f"Change {key} must be as it was made.", [])
             continue
         chain = chained(chain, [digest])
-        for touch in from_json(text).get("ids", ()):
+        for touch in change.content.get("ids", ()):
             # One that a repair lost may have been added again since.
-            if not 0 < numbers.get(touch, 0) <= after:
+            if not 0 < numbers.get(touch, 0) <= change.after:
                 continue
-            if action == "retract":
+            if change.action == "retract":
                 retracted.setdefault(touch, key)
             else:
                 retracted.pop(touch, None)

@@ -34,7 +34,7 @@ from .._checks import ARRAY_SIDE
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
 from .._types import Array, Floats, Indices
-from ..touches import RGB, Touches, png_bytes, url_of, write_parquet
+from ..touches import RGB, Touches, TouchesError, png_bytes, url_of, write_parquet
 from ._reading import StoredTouches, read_array
 from ._rows import FROM, Numbers, Tables, n_at_once
 from ._store import LibraryError, refuse_used, room_for
@@ -118,13 +118,13 @@ def _to_store(picked: StoredTouches, url: str, by: str | None) -> int:
                 _write_parquet(file, picked)
         else:
             _write_parts(picked, by, place, lambda name: system.open(name, "wb"))
+    except (LibraryError, TouchesError):
+        raise
     except (OSError, ImportError) as error:
         raise LibraryError(
             f"{url} must be an address that fsspec can write to, got: {error}."
         ) from error
     except ValueError as error:
-        if isinstance(error, LibraryError):
-            raise
         raise LibraryError(f"{url} must be an address of a store: {error}.") from error
     return len(picked)
 

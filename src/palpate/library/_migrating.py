@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from itertools import groupby
 from math import prod
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +39,7 @@ from ._content import (
     wide_identity,
 )
 from ._repairing import enter_all
-from ._rows import OBJECT_NAMES
+from ._rows import OBJECT_NAMES, RECORDED
 from ._store import (
     FILE_NAME,
     OLD_VERSIONS,
@@ -51,13 +52,15 @@ from ._store import (
 _BEGUN = ".migrating.sqlite"
 _AT_ONCE = 256  # touches in one transaction
 _ROWS = (
-    "SELECT t.number, t.id, given.name, "
+    "SELECT t.number, t.id, given.name AS label, "
     + ", ".join(f't."{name}"' for name in CELLS[1:])
-    + ", t.extra, l.columns, t.recording, f.name, f.offset, t.place, t.image, "
+    + ", t.extra, l.columns, t.recording, f.name AS file, f.offset, t.place, t.image, "
     "t.added_s FROM touches t JOIN layouts l ON l.id = t.layout "
     "JOIN files f ON f.id = t.file LEFT JOIN objects given ON given.id = t.object "
     "WHERE t.number > ? ORDER BY t.number LIMIT ?"
 )
+_IDS = "SELECT number, id FROM touches ORDER BY number"
+_COMMON = ("columns", "recording", "file", "added_s")  # to touches of one batch
 # What both formats say of each touch, to be compared at the end.
 _STATE = (
     "SELECT t.number, t.id, o.name, json_extract(c.content, '$.reason') FROM touches t "
@@ -142,6 +145,7 @@ class _OldLibrary:
                 f"{folder} must be an old library of touches, got no {FILE_NAME} in it."
             )
         self._database = sqlite3.connect(copy)
+        self._database.row_factory = sqlite3.Row
         self._database.text_factory = lambda text: text.decode(errors="replace")
         try:
             self._read()
@@ -165,8 +169,8 @@ class _OldLibrary:
 
     def refuse_others(self, store: Store) -> None:
         """Refuse to go on with a migration of another library."""
-        entered = store.rows("SELECT number, id FROM touches ORDER BY number")
-        ids = dict(self._rows("SELECT number, id FROM touches"))
+        entered = store.rows(_IDS)
+        ids = {row["number"]: row["id"] for row in self._rows(_IDS)}
         if any(ids.get(number) != key for number, key in entered):
             raise LibraryError(
                 f"{store.folder} must be where the migration of {self.folder} was "
@@ -176,23 +180,26 @@ class _OldLibrary:
     def enter_rest(self, store: Store, bar: Progress) -> None:
         """Enter touches and changes in their order, but for those in `store`."""
         number = store.count("SELECT max(number) FROM touches")
-        last_s = store.first_row("SELECT max(time_s) FROM changes")
-        done_s = (last_s and last_s[0]) or 0.0
+        [(done_s,)] = store.rows("SELECT coalesce(max(time_s), 0) FROM changes")
         waiting = [change for change in self._changes if change.time_s > done_s]
         enter_all(store, self._touches_after(number, bar), waiting)
 
     def _touches_after(
         self, number: int, bar: Progress
     ) -> Iterator[tuple[list[int], Batch]]:
+        """Yield neighbouring touches of one layout, recording, file and time."""
         while rows := self._rows(_ROWS, [number, _AT_ONCE]):
-            number = rows[-1][0]
-            yield from self._batches(rows)
+            number = rows[-1]["number"]
+            for _, alike in groupby(rows, itemgetter(*_COMMON)):
+                together = [row for row in alike if self._has_image(row)]
+                if together:
+                    yield [row["number"] for row in together], self._batch(together)
             bar.advance(len(rows))
 
     def compare(self, store: Store) -> None:
         """Refuse a new library that says other things than the old one."""
         lost = {bytes.fromhex(key) for key in self.lost}
-        before = [row for row in self._rows(_STATE) if row[1] not in lost]
+        before = [tuple(row) for row in self._rows(_STATE) if row["id"] not in lost]
         if before != store.rows(_STATE):
             pairs = zip(before, store.rows(_STATE), strict=False)
             odd = next((row[1].hex() for row, now in pairs if row != now), "the last")
@@ -206,7 +213,7 @@ class _OldLibrary:
         listed = {name.hex() for (name,) in self._rows("SELECT name FROM files")}
         return sum(p.stem not in listed for p in self.folder.glob("images/*/*.npy"))
 
-    def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+    def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
         try:
             return self._database.execute(sql, values).fetchall()
         except sqlite3.Error as error:
@@ -244,56 +251,33 @@ class _OldLibrary:
         return [row[0] for row in self._rows(sql, [key])]
 
     def _read_recordings(self) -> dict[int, dict[str, Any]]:
-        rows = self._rows(
-            "SELECT id, sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype, "
-            "whole FROM recordings"
-        )
         recordings = {}
-        names = ("sensor", "kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
-        for key, *plain, dtype, whole in rows:
+        names = (*RECORDED, "n_rows", "n_cols")
+        for row in self._rows("SELECT * FROM recordings"):
             # The type of images with channels began with their number: "(3,)|u1".
-            channels, _, kind = dtype.rpartition(")")
+            channels, _, kind = row["dtype"].rpartition(")")
             n_channels = int(channels.strip("(,")) if channels else None
-            recordings[key] = {
-                **dict(zip(names, plain, strict=True)),
+            recordings[row["id"]] = {
+                **{name: row[name] for name in names},
                 "n_channels": n_channels,
                 "dtype": kind,
-                "whole": json.loads(whole),
+                "whole": json.loads(row["whole"]),
             }
         return recordings
 
-    def _batches(
-        self, rows: list[tuple[Any, ...]]
-    ) -> Iterator[tuple[list[int], Batch]]:
-        """Yield neighbouring touches of one layout, recording, file and time."""
-        n = len(CELLS) + 2
-        for _, alike in groupby(rows, lambda row: (*row[n + 1 : n + 4], row[-1])):
-            together = [row for row in alike if self._has_image(row)]
-            if together:
-                yield [row[0] for row in together], self._batch(together)
-
-    def _has_image(self, row: tuple[Any, ...]) -> bool:
+    def _has_image(self, row: sqlite3.Row) -> bool:
         try:
             self._image(row)
             self._wide(row)
         except (OSError, ValueError, KeyError):
-            self.lost.append(row[1].hex())
+            self.lost.append(row["id"].hex())
             return False
         return True
 
-    def _batch(self, rows: list[tuple[Any, ...]]) -> Batch:
-        n = len(CELLS) + 2
-        extra, columns, recording = zip(*(row[n : n + 3] for row in rows), strict=True)
-        layout = Column.all_of(columns[0])
-        labels = [self._label(row) for row in rows]
-        values = [
-            {
-                **dict(zip(CELLS, (label, *row[3:n]), strict=True)),
-                **json.loads(more or "{}"),
-            }
-            for row, label, more in zip(rows, labels, extra, strict=True)
-        ]
-        described = dict(self._recordings[recording[0]])
+    def _batch(self, rows: list[sqlite3.Row]) -> Batch:
+        layout = Column.all_of(rows[0]["columns"])
+        values = [{**_values(row), "object": self._label(row)} for row in rows]
+        described = dict(self._recordings[rows[0]["recording"]])
         arrays: dict[bytes, Array | None] = {}
         keys = {}
         for entry, name in described["whole"].items():
@@ -313,65 +297,50 @@ class _OldLibrary:
                 stored_image(self._image(row), None, packed_rows(more, 0), packs=packs)
                 for row, more in zip(rows, wide, strict=True)
             ],
-            [row[n + 6] for row in rows],
-            [row[1] for row in rows],
+            [row["image"] for row in rows],
+            [row["id"] for row in rows],
             [b""] * len(rows),
             {**described, "whole": keys},
             arrays,
-            rows[0][-1],
+            rows[0]["added_s"],
         )
 
-    def _label(self, row: tuple[Any, ...]) -> str | None:
-        """Return what the object of a touch was called when it was added.
-
-        The id follows from that name; where it does from none, the one by the times of
-        changes counts.
-        """
-        name: str | None = row[2]
-        number = row[0]
-        names = [name]
-        by_time = name
+    def _label(self, row: sqlite3.Row) -> str | None:
+        """Return the name from which the id follows, else that by times of changes."""
+        by_time: str | None = row["label"]
+        names = [by_time]
         for change in reversed(self._changes):
             if change.action == "rename" and change.content["new"] in names:
-                if change.content["new"] == by_time and change.after >= number:
+                if change.content["new"] == by_time and change.after >= row["number"]:
                     by_time = change.content["old"]
                 names.append(change.content["old"])
-        n = len(CELLS) + 2
-        cells = {
-            **dict(zip(CELLS, (None, *row[3:n]), strict=True)),
-            **json.loads(row[n] or "{}"),
-        }
-        wide = wide_identity(self._wide(row), 0)
+        cells, wide = _values(row), wide_identity(self._wide(row), 0)
         for label in dict.fromkeys([by_time, *names]):
-            if identity(row[n + 6], {**cells, "object": label}, wide) == row[1]:
+            if identity(row["image"], {**cells, "object": label}, wide) == row["id"]:
                 return label
         return by_time
 
-    def _image(self, row: tuple[Any, ...]) -> Array:
+    def _image(self, row: sqlite3.Row) -> Array:
         """Return the image of a row, compared with its digest."""
-        n = len(CELLS) + 2
-        recording, name, offset, place, digest = row[n + 2 : n + 7]
-        about = self._recordings[recording]
+        about = self._recordings[row["recording"]]
         sides = (about["n_rows"], about["n_cols"], about["n_channels"])
         shape = tuple(side for side in sides if side is not None)
         dtype = np.dtype(about["dtype"])
         n_bytes = prod(shape) * dtype.itemsize
-        with self._path("images", name.hex()).open("rb") as file:
-            file.seek(offset + place * n_bytes)
+        with self._path("images", row["file"].hex()).open("rb") as file:
+            file.seek(row["offset"] + row["place"] * n_bytes)
             image = np.frombuffer(file.read(n_bytes), dtype).reshape(shape)
-        if image_digest(image) != digest:
+        if image_digest(image) != row["image"]:
             raise ValueError("altered values")
         return image
 
-    def _wide(self, row: tuple[Any, ...]) -> dict[str, Array]:
+    def _wide(self, row: sqlite3.Row) -> dict[str, Array]:
         """Return a row's values of wide columns, as arrays of one row."""
-        n = len(CELLS) + 2
-        layout = Column.all_of(row[n + 1])
+        layout, place = Column.all_of(row["columns"]), row["place"]
         names = [column.name for column in layout if column.wide]
         if not names:
             return {}
-        _, *blocks, _ = self._arrays("images", row[n + 3].hex())
-        place = row[n + 5]
+        _, *blocks, _ = self._arrays("images", row["file"].hex())
         return {
             name: block[place : place + 1]
             for name, block in zip(names, blocks, strict=True)
@@ -392,3 +361,9 @@ class _OldLibrary:
 
     def _path(self, kind: str, name: str) -> Path:
         return self.folder / kind / name[:2] / f"{name}.npy"
+
+
+def _values(row: sqlite3.Row) -> dict[str, Any]:
+    """Return the plain values of a touch but for its object."""
+    extra: dict[str, Any] = json.loads(row["extra"] or "{}")
+    return {name: row[name] for name in CELLS[1:]} | extra

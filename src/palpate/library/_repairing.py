@@ -17,7 +17,7 @@ from typing import NamedTuple
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._parallel import Progress
 from .._types import Array
-from ._changes import Change, enter_change, is_sound
+from ._changes import Change, change_rows, enter_change
 from ._checking import LEFT_OUT, check_store, next_rows, touch_fault
 from ._content import Batch
 from ._reading import stored_array
@@ -37,7 +37,6 @@ from ._store import (
     DatabaseUnavailable,
     LibraryError,
     Store,
-    from_json,
     refuse_used,
     room_for,
 )
@@ -240,19 +239,15 @@ def _readable_changes(old: Store) -> tuple[list[Change], int]:
     """Return the changes that are as they were made, and how many are not."""
     changes, n_lost = [], 0
     for key in range(1, _n_known(old, "changes", "id") + 1):
-        row = None
+        rows = []
         with suppress(DatabaseDamaged):
-            row = old.first_row(
-                "SELECT time_s, after, action, content, digest FROM changes "
-                "WHERE id = ?",
-                [key],
-            )
-        if row is None or not is_sound(row[:4], row[4]):
+            rows = change_rows(old, "WHERE id = ?", [key])
+        change = rows[0][2] if rows else None
+        if change is None:
             n_lost += 1
             changes += _retracted_by(old, key)
-            continue
-        time_s, after, action, text, _ = row
-        changes.append(Change(time_s, action, from_json(text), after))
+        else:
+            changes.append(change)
     return changes, n_lost
 
 

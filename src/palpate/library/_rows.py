@@ -342,7 +342,9 @@ def write_rows(
         enter_array(store, digest, array)
     layout_text = json.dumps([list(column) for column in batch.layout])
     layout = store.get_or_insert("layouts", {"columns": layout_text}, "columns")
-    described = _recording_row(batch.recording)
+    described = {name: batch.recording[name] for name in (*RECORDED, *_SIZES)}
+    described["whole"] = canonical(described["whole"])
+    described["digest"] = digest_of(described.values())
     recording = store.get_or_insert("recordings", described, "digest")
     cells, extras = plain_cells(batch)
     labels = {name for name in cells[0] if name is not None}
@@ -399,12 +401,6 @@ def plain_cells(batch: Batch) -> tuple[list[list[Any]], list[str | None]]:
     places = range(len(batch.ids))
     extras = ({n: batch.values[n][row] for n in more} for row in places)
     return cells, [canonical(extra) if extra else None for extra in extras]
-
-
-def _recording_row(recording: dict[str, Any]) -> dict[str, Any]:
-    row = {name: recording[name] for name in (*RECORDED, *_SIZES)}
-    row["whole"] = canonical(recording["whole"])
-    return {**row, "digest": digest_of(row.values())}
 
 
 def _object_key(store: Store, name: str) -> int:

@@ -155,7 +155,8 @@ class Store:
         self._count: int | None = None
         self._is_alone = alone  # locks out even a second connection of this program
         self._row_keys: dict[tuple[str, Any], int] = {}  # keys of rows that stay
-        if create and name == FILE_NAME and self._is_gone():
+        is_there = self.path.is_file() and self.path.stat().st_size > 0
+        if create and name == FILE_NAME and not is_there and self._counts():
             raise LibraryError(
                 f"{folder} must have its {FILE_NAME}, which held touches and is gone. "
                 f"Put it or a backup back, or remove {COUNT_NAME} to begin anew."
@@ -299,11 +300,6 @@ class Store:
         n_touches, n_changes = self._counts() or (0, 0)  # others may add meanwhile
         now = self.tally()
         return max(0, n_touches - now.n_touches), max(0, n_changes - now.n_changes)
-
-    def _is_gone(self) -> bool:
-        """Tell whether there is nothing where there once were touches."""
-        there = self.path.is_file() and self.path.stat().st_size > 0
-        return not there and self._counts() is not None
 
     def _counts(self) -> tuple[int, int] | None:
         """Return the counts that were noted last, None where there were no touches."""
@@ -523,10 +519,7 @@ def warn_of_network(folder: Path) -> None:
 
 
 def make_folder(place: Path) -> None:
-    """Make the folder of a library where there is none, or explain.
-
-    Files of something else are not mixed with it.
-    """
+    """Make the folder of a library where there is none, or explain."""
     try:
         place.mkdir(parents=True, exist_ok=True)
         is_ours = any((place / name).is_file() for name in (FILE_NAME, COUNT_NAME))

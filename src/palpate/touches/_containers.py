@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -94,12 +95,9 @@ def raw_arrays(
             f"{path} holds numbers alone, so shape and dtype must be given, got "
             f"{shape} and {dtype}. Such as 16x16 and uint16."
         )
-    try:
+    kind = np.dtype(np.object_)
+    with suppress(TypeError):
         kind = np.dtype(dtype)
-    except TypeError as error:
-        raise TouchesError(
-            f"dtype must be a type of numbers such as uint16 or <f4, got {dtype!r}."
-        ) from error
     if kind.kind not in "biuf" or kind.names or kind.subdtype:
         raise TouchesError(
             f"dtype must be a type of numbers such as uint16 or <f4, got {dtype!r}."
@@ -239,10 +237,8 @@ def _tiff(path: Path, max_bytes: int) -> Array:
             )
         series = file.series[0]
         _refuse_large(str(path), _n_bytes(series.shape, series.dtype), max_bytes)
-        tiles = [page.keyframe for page in series.pages[:1]]
-        for page in tiles:
-            piece = _n_bytes(page.chunks, series.dtype)
-            _refuse_large(f"A tile of {path}", piece, max_bytes)
+        tile = _n_bytes(series.keyframe.chunks, series.dtype)
+        _refuse_large(f"A tile of {path}", tile, max_bytes)
         levels: Array = series.asarray(maxworkers=1)
         axes, samples = series.axes, file.pages[0].samplesperpixel
     if samples > 1:

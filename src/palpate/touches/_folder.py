@@ -111,10 +111,7 @@ def folder_arrays(
     max_bytes: int,
     progress: bool | None,
 ) -> tuple[Arrays, list[bytes] | None]:
-    """Return what `Touches` is made of, by name, and the bytes of pictures.
-
-    `read_folder` explains the rest.
-    """
+    """Return what `Touches` is made of, and files of pictures; see `read_folder`."""
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if skip_bad:
         check = _checked(root, names, pattern, max_pixels, colour)

@@ -55,10 +55,7 @@ def touches_html(
 def touches_axes(
     images: Array, columns: Mapping[str, Array], whole: Mapping[str, Array], most: int
 ) -> Array:
-    """Draw the first `most` touches, each with its object's name.
-
-    Returns matplotlib's axes, shape (n_rows, n_cols), one a touch.
-    """
+    """Draw the first `most` touches with their objects' names; see `Touches.plot`."""
     pyplot = needed("matplotlib.pyplot", "plot", "A picture of touches")
     n_shown = min(check_count("most", most), len(images))
     n_cols = max(1, min(n_shown, 6))

@@ -166,10 +166,7 @@ def kept_names(names: Sequence[str], levels: str) -> list[str]:
 
 
 def odd_depths(names: Sequence[str]) -> tuple[dict[str, str], str]:
-    """Return the paths in more or fewer folders than most with where they lie.
-
-    And where most lie.
-    """
+    """Return where paths lie that are not as deep as most, and where most lie."""
     where = ("in no folder", "in one folder", "in folders of folders")
     depths = [min(name.count("/"), 2) for name in names]
     usual = max(set(depths), key=depths.count)
@@ -209,12 +206,7 @@ def odd_folders(
 
 
 def labels_of_folders(names: Sequence[str]) -> Arrays:
-    """Take labels from the levels of folders above each picture.
-
-    One level: its folder is the object. More: the first level is the category, the
-    whole relative folder the object; a level of sessions below or above gives sessions,
-    and a last one that is the same everywhere says nothing. None at all: no labels.
-    """
+    """Return labels from the levels of folders above pictures; see `read_folder`."""
     odd, usual = odd_depths(names)
     if odd:
         first = next(iter(odd))
@@ -234,7 +226,10 @@ def labels_of_folders(names: Sequence[str]) -> Arrays:
     _refuse_parts(folders)
     columns: Arrays = {}
     if len({*map(len, folders)}) == 1:
-        folders = _without_constant(folders)
+        above = {tuple(parts[:-1]) for parts in folders}
+        alike = len({parts[-1] for parts in folders}) == 1
+        if len(folders[0]) > 1 and len(above) > 1 and alike:  # that level says nothing
+            folders = [parts[:-1] for parts in folders]
         folders, sessions = _without_sessions(folders)
         if sessions:
             columns["session"] = np.array(sessions)
@@ -255,14 +250,6 @@ def _refuse_parts(folders: list[list[str]]) -> None:
         f"Folders must name objects, got {' and '.join(parts)}, {what} of a set. "
         f"Give each by itself, as .../{parts[0]}{together}."
     )
-
-
-def _without_constant(folders: list[list[str]]) -> list[list[str]]:
-    """Leave out a last level that is the same below different folders."""
-    above = {tuple(parts[:-1]) for parts in folders}
-    if len(folders[0]) > 1 and len(above) > 1 and len({p[-1] for p in folders}) == 1:
-        return [parts[:-1] for parts in folders]
-    return folders
 
 
 def _without_sessions(folders: list[list[str]]) -> tuple[list[list[str]], list[str]]:
@@ -307,10 +294,7 @@ def labels_of(
 
 
 def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
-    """Match every name; turn the named groups into columns.
-
-    The file name is searched first, then the path relative to the folder.
-    """
+    """Match every name; turn the named groups into columns."""
     texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
     for name, match in zip(names, _all_matched(names, pattern), strict=True):
         for group, values in texts.items():

@@ -127,10 +127,7 @@ def _metadata(
 def parquet_parts(
     path: str | PathLike[str], max_bytes: int, max_pixels: int
 ) -> Iterator[tuple[Arrays, list[bytes] | None]]:
-    """Yield what `Touches` is made of, of one recording at a time, and files of images.
-
-    Raises TouchesError where it is no Parquet, or not one of touches.
-    """
+    """Yield what `parquet_rows` does, of all files of a path."""
     n_parts = 0
     for name in parquet_files(path):
         for part in parquet_rows(name, max_bytes, max_pixels):
@@ -328,7 +325,7 @@ def _picked(pa: Any, batches: Iterator[Any], rows: Array | None) -> Iterator[Any
 def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
     """Return what the file says of itself; of another program's it is nothing."""
     try:
-        about = json.loads(metadata.get(b"palpate", b"{}"))
+        about: dict[str, Any] = json.loads(metadata.get(b"palpate", b"{}"))
         if about.get("format", FORMAT) > FORMAT:
             raise TouchesError(
                 f"{name} must be of Parquet format {FORMAT} or older, got "
@@ -346,8 +343,7 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
             f"{name} must say of itself in JSON what it holds, got: {error!r}. Write "
             "it anew."
         ) from error
-    entries: dict[str, Any] = about
-    return entries
+    return about
 
 
 def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:
@@ -440,14 +436,12 @@ def _numpy(pa: Any, name: str, column_name: str, column: Any) -> Array:
             tensor: Array = column.to_numpy_ndarray()
             return tensor
         raise _no_column(name, column_name, kind)
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        return np.array(["" if text is None else text for text in column.to_pylist()])
     if pa.types.is_dictionary(kind):
         return _numpy(pa, name, column_name, column.dictionary_decode())
-    if pa.types.is_binary(kind):
-        return np.array(
-            [b"" if value is None else value for value in column.to_pylist()]
-        )
+    is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
+    if is_text or pa.types.is_binary(kind):
+        blank = "" if is_text else b""
+        return np.array([blank if v is None else v for v in column.to_pylist()])
     if pa.types.is_fixed_size_list(kind) and not column.null_count:
         flat = _numpy(pa, name, column_name, column.flatten())
         return flat.reshape(len(column), kind.list_size, *flat.shape[1:])
@@ -487,10 +481,7 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
 
 
 def _tensor(pa: Any, images: Array) -> Any:
-    """Return images as a tensor of Arrow, without its permutation of axes.
-
-    That says nothing here, and several readers refuse it.
-    """
+    """Return images as a tensor; several readers refuse one with permuted axes."""
     flat = _arrow(pa, _IMAGE, images.reshape(len(images), -1))
     shape = images.shape[1:]
     kind = pa.fixed_shape_tensor(flat.type.value_type, shape)

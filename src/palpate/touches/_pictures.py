@@ -230,10 +230,7 @@ def decode_picture(path: Path, header: Header) -> tuple[Array, bytes]:
 def decode_pictures(
     paths: Sequence[Path], header: Header, *, max_bytes: int, progress: bool | None
 ) -> tuple[Array, list[bytes]]:
-    """Return the levels of all pictures, (n_pictures, n_rows, n_cols[, 3]), and files.
-
-    They are decoded on all cores, into one array.
-    """
+    """Return the levels of pictures, (n_pictures, n_rows, n_cols[, 3]), and files."""
     shape = (len(paths), *header.shape)
     n_bytes = prod(shape) * header.dtype.itemsize
     if n_bytes > max_bytes:

@@ -234,6 +234,9 @@ class ParquetTouches(Labelled):
         names = parquet_files(place)
         stamps = [file_stamp(name) for name in names]
         indices = [parquet_index(name) for name in names]
+        n_touches = sum(sum(index.n_rows) for index in indices)
+        if not n_touches:
+            raise TouchesError(f"{path} must hold at least one touch, got none.")
         kinds = {index.kind: name for name, index in zip(names, indices, strict=True)}
         kinds.pop(None, None)
         if len(kinds) > 1:
@@ -245,11 +248,11 @@ class ParquetTouches(Labelled):
         self._limits = max_bytes, max_pixels
         files = zip(names, stamps, [index.n_rows for index in indices], strict=True)
         self._blocks = list(_in_blocks(files))
-        self._columns = _in_all(index.columns for index in indices)
-        self._rows = np.arange(sum(sum(index.n_rows) for index in indices))
+        held = [index.columns for index in indices]
+        common = [n for n in held[0] if all(n in others for others in held)]
+        self._columns = {n: np.concatenate([c[n] for c in held]) for n in common}
+        self._rows = np.arange(n_touches)
         self._whole = [whole for index in indices for whole in index.whole]
-        if not len(self._rows):
-            raise TouchesError(f"{path} must hold at least one touch, got none.")
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -314,13 +317,6 @@ def _in_blocks(
                 yield _Blocks(name, stamp, groups, first, n_rows)
                 first += n_rows
                 groups, n_rows = [], 0
-
-
-def _in_all(columns: Iterator[Arrays]) -> Arrays:
-    """Return the columns that all files have, one after another."""
-    held = list(columns)
-    names = [n for n in held[0] if all(n in others for others in held)]
-    return {name: np.concatenate([c[name] for c in held]) for name in names}
 
 
 def _touches_of(

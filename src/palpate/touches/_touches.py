@@ -219,9 +219,9 @@ class Touches(Labelled):
                     f"{path} must be read without options for folders and tables, got "
                     "some. A Parquet file says itself what it holds."
                 )
-            parts = parquet_parts(path, max_bytes, MAX_PIXELS)
+            parts = parquet_parts(path, max_bytes, max_pixels)
             held = (cls(**arrays)._with_files(files) for arrays, files in parts)
-            return cls._joined(held, max_bytes)
+            return cls._joined(held, max_bytes)._with_rest(no_contact, max_pixels)
         place = Path(path)
         ending = place.suffix.lower()
         plain = name_pattern is None and not colour
