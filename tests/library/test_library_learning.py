@@ -275,6 +275,8 @@ def test_other_files_are_refused(tmp_path, pq):
     pq.write_table(pa.table({"object": ["mug"]}), tmp_path / "a.parquet")
     with pytest.raises(TouchesError, match="must have a column 'image'"):
         ParquetTouches(tmp_path / "a.parquet")
+    with pytest.raises(TouchesError, match=r"nothing there\. Did you mean .*a\.parq"):
+        ParquetTouches(tmp_path / "b.parquet")
     (tmp_path / "empty").mkdir()
     with pytest.raises(TouchesError, match="at least one touch, got none"):
         ParquetTouches(tmp_path / "empty")

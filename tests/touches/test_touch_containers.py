@@ -320,6 +320,11 @@ def test_arrays_of_numpy_are_touches(tmp_path, rng):
     np.save(tmp_path / "one.npy", images[0])
     assert_array_equal(Touches.load(tmp_path / "many.npy").images, images)
     assert_array_equal(Touches.load(tmp_path / "one.npy").images, images[:1])
+    np.save(tmp_path / "forces.npy", np.stack([images] * 3, axis=-1))
+    forces = Touches.load(tmp_path / "forces.npy", channels=("x", "y", "z"))
+    assert (forces.images.shape, forces.channels) == ((4, 3, 2, 3), ("x", "y", "z"))
+    with pytest.raises(TouchesError, match="shape must be left out but for tables"):
+        Touches.load(tmp_path / "many.npy", shape=(3, 2))
     np.savez(tmp_path / "plain.npz", X=images, y=[1, 1, 2, 2])
     touches = Touches.load(tmp_path / "plain.npz")
     assert_array_equal(touches.images, images)

@@ -221,9 +221,16 @@ def test_the_picture_of_no_contact_is_in_colour_too(painted, tmp_path):
     touches.with_columns(channels=["x", "y", "z"]).save(tmp_path / "t.npz")
     with pytest.raises(TouchesError, match=r"a picture for images of uint8 and .*x, y"):
         Touches.load(tmp_path / "t.npz", no_contact=rest)
-    for name, value in {"colour": True, "name_pattern": "(?P<object>x)"}.items():
-        with pytest.raises(TouchesError, match=f"{name} must be left out for an"):
+    for name, value, where in (
+        ("colour", True, "for an archive"),
+        ("name_pattern", "(?P<object>x)", "for an archive"),
+        ("channels", ("x", "y", "z"), "for an archive"),
+        ("shape", (4, 6), "but for tables and bare frames"),
+    ):
+        with pytest.raises(TouchesError, match=f"{name} must be left out {where}"):
             Touches.load(tmp_path / "t.npz", **{name: value})
+    with pytest.raises(TouchesError, match="channels must be left out for pictures"):
+        Touches.load(root, channels=("x", "y", "z"))
 
 
 @pytest.mark.realdata

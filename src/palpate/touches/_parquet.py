@@ -25,7 +25,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from .._checks import ARRAY_SIDE, size_text
+from .._checks import ARRAY_SIDE, nearest_path, size_text
 from .._extras import needed
 from .._types import Array
 from ._columns import Arrays, TouchesError
@@ -156,6 +156,11 @@ def parquet_files(path: str | PathLike[str]) -> list[str]:
     url = url_of(path)
     if url is None:
         place = Path(path)
+        if not place.exists():
+            raise TouchesError(
+                f"{path} must be Parquet of touches, got nothing there. "
+                f"{nearest_path(place) or 'Check the path.'}"
+            )
         if not place.is_dir():
             return [str(place)]
         return [str(p) for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]

@@ -225,6 +225,10 @@ class Touches(Labelled):
         place = Path(path)
         ending = place.suffix.lower()
         plain = name_pattern is None and not colour
+        why = "Other files say themselves what they hold."
+        has_shape = ending in RAW or (ending in (*TABLES, *TEXTS) and ending != ".npy")
+        if place.exists() and not (has_shape and place.is_file()):
+            _left_out(place, "but for tables and bare frames", why, shape=shape)
         if ending in CONTAINERS and place.exists() and plain:
             arrays = container_arrays(place, max_bytes, max_pixels)
             if channels:
@@ -233,9 +237,10 @@ class Touches(Labelled):
         if ending in RAW and place.exists() and plain:
             read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
             return read._with_rest(no_contact, max_pixels)
-        why = "Other files say themselves what they hold."
         _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
         if place.is_dir() or (ending in PICTURES and place.is_file()):
+            named = list(channels) if channels else None
+            _left_out(place, "for pictures and folders", why, channels=named)
             how = (name_pattern, levels, no_contact, colour, skip_bad)
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
@@ -245,14 +250,15 @@ class Touches(Labelled):
                 read = cls(**csv_arrays(place, shape, max_bytes, channels))
             else:
                 array = load_levels(place, max_bytes)
-                read = cls(array[None] if array.ndim == 2 else array)
+                array = array[None] if array.ndim == 2 else array
+                read = cls(array, channels=channels)
             return read._with_rest(no_contact, max_pixels)
         if ending != ".npz":
             raise _no_touches(place)
         why = "Archives carry their labels and the names of their channels."
-        _left_out(
-            place, "for an archive", why, name_pattern=name_pattern, colour=colour
-        )
+        named = list(channels) if channels else None
+        others = {"name_pattern": name_pattern, "colour": colour, "channels": named}
+        _left_out(place, "for an archive", why, **others)
         touches = cls._of(*read_archive(place, max_bytes))
         return touches._with_rest(no_contact, max_pixels)
 
