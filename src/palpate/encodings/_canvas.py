@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
+from .._numbers import evenly_spaced
 from .._types import Array, Floats, Indices
 
 _CLIP = 0.2  # as SIFT does, doi:10.1023/B:VISI.0000029664.99615.94
@@ -40,9 +41,6 @@ class CanvasEncoder(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        return self._vectors(images)
-
-    def _vectors(self, images: Array) -> Floats:
         shape = images.shape[1:]
         short = min(shape)
         scale = min(max(short, 32), self._most) / short / self._multiple
@@ -208,12 +206,12 @@ class RingPatterns(CanvasEncoder):
             check_number("radii", radius, low=0, high=25)
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
-        shares = self._vectors(images)
-        spread = np.linspace(0, len(images) - 1, _MOVED).astype(int)
-        rows = np.unique(spread)
+        vectors = super().transform_checked
+        shares = vectors(images)
+        rows = evenly_spaced(len(images), _MOVED)
         part, still = images[rows].astype(np.float32), shares[rows]
         changes = np.concatenate(
-            [self._vectors(_moved(part, *step)) - still for step in _STEPS]
+            [vectors(_moved(part, *step)) - still for step in _STEPS]
         )
         # Flat images change nowhere; their directions would be chance.
         strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
@@ -222,7 +220,7 @@ class RingPatterns(CanvasEncoder):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        return self._steady(self._vectors(images))
+        return self._steady(super().transform_checked(images))
 
     def _steady(self, shares: Floats) -> Floats:
         return np.asarray(shares - shares @ self.unsteady_.T @ self.unsteady_)

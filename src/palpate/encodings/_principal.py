@@ -39,6 +39,7 @@ from .._checks import (
     check_width,
 )
 from .._image_estimator import ImageEstimator
+from .._numbers import evenly_spaced
 from .._types import Array, Floats
 from ._pixels import ScaledPixels
 from ._zernike import ZernikeMoments
@@ -279,8 +280,7 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
         for k in np.unique(fold):
             others, rows = np.flatnonzero(fold != k), fold == k
             if len(others):
-                n = min(len(others), _LEARNT_FROM)
-                chosen = others[np.linspace(0, len(others) - 1, n).astype(int)]
+                chosen = others[evenly_spaced(len(others), _LEARNT_FROM)]
                 part = PrincipalShare(self.share).fit(X[chosen])
                 result[rows] = part.unexplained(X[rows], part.transform(X[rows]))
         return result

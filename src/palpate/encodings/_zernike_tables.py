@@ -20,7 +20,7 @@ from math import lcm
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss, legvander
+from numpy.polynomial.legendre import leggauss, legmulx, legvander
 from numpy.typing import DTypeLike
 
 from .._types import Array, Bools, Complexes, Floats, Indices
@@ -108,17 +108,14 @@ def _recurrence(
 
 def _powers_as_legendre(order: int) -> tuple[Array, int]:
     """Whole numbers w and a scale with x^a = sum over i of w[a, i] P_i(x) / scale."""
-    rows = [[Fraction(1)] + [Fraction(0)] * order]
+    powers = [np.array([Fraction(1)])]
     for _ in range(order):
-        row = [Fraction(0)] * (order + 2)
-        for i, weight in enumerate(rows[-1]):
-            row[i + 1] += weight * Fraction(i + 1, 2 * i + 1)
-            if i:
-                row[i - 1] += weight * Fraction(i, 2 * i + 1)
-        rows.append(row[:-1])
-    scale = lcm(*(weight.denominator for row in rows for weight in row))
-    whole = [[int(weight * scale) for weight in row] for row in rows]
-    return np.array(whole, dtype=object), scale
+        powers.append(legmulx(powers[-1]))
+    scale = lcm(*(weight.denominator for weight in np.concatenate(powers)))
+    whole = np.zeros((order + 1, order + 1), dtype=object)
+    for row, weights in zip(whole, powers, strict=True):
+        row[: len(weights)] = [int(weight * scale) for weight in weights]
+    return whole, scale
 
 
 Nodes = tuple[Floats, Floats, Floats]
