@@ -423,17 +423,15 @@ class KernelRidgeClassifier(BayesRule):
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        return self._log_posterior(self.left_out_scores_)
+        scores = self.left_out_scores_
+        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
+        return log_softmax(bent - self.log_counts_)
 
     @property
     def left_out_rows(self) -> Indices:
         """Which training touches these are, (n_left_out,)."""
         all_rows = np.arange(len(self.left_out_scores_))  # as of models before it
         return np.asarray(getattr(self, "left_out_rows_", all_rows))
-
-    def _log_posterior(self, scores: Floats) -> Floats:
-        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
-        return log_softmax(bent - self.log_counts_)
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""

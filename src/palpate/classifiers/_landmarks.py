@@ -128,7 +128,12 @@ class LandmarkRegression:
 
     def _solved(self) -> Floats:
         """Return the coefficients (n_marks, n_labels) that follow from the sums."""
-        self._factorise()
+        products = np.tril(self._products)
+        products += np.tril(products, -1).T
+        half = solve_triangular(self._root, products, lower=True)
+        inner: Floats = solve_triangular(self._root, half.T, lower=True)
+        inner.flat[:: len(inner) + 1] += self._ridge
+        self._inner, self._factor = inner, cho_factor(inner, lower=True)
         outer = solve_triangular(self._root, self._by_label.T, lower=True)
         return self._of_kernels(cho_solve(self._factor, outer, overwrite_b=True))
 
@@ -187,15 +192,6 @@ class LandmarkRegression:
         other._take_in(*new, 1.0)
         other._plain = other._solved().astype(self._plain.dtype)
         return other
-
-    def _factorise(self) -> None:
-        """Factorise the products of features, with the ridge."""
-        products = np.tril(self._products)
-        products += np.tril(products, -1).T
-        half = solve_triangular(self._root, products, lower=True)
-        inner: Floats = solve_triangular(self._root, half.T, lower=True)
-        inner.flat[:: len(inner) + 1] += self._ridge
-        self._inner, self._factor = inner, cho_factor(inner, lower=True)
 
     def _of_kernels(self, weights: Floats) -> Floats:
         """Return weights of features as coefficients of the landmarks' kernels."""
