@@ -50,20 +50,6 @@ def test_training_touches_are_centred_and_uncorrelated(features):
     assert_allclose(scores.T @ scores, np.diag(encoder.eigenvalues_), atol=1e-10)
 
 
-def test_new_touches_are_centred_by_the_training_kernel(features, new):
-    encoder = KernelPCA(5, sigma=2.0).fit(features)
-
-    def kernel(a, b):
-        return np.exp(-((a[:, None] - b) ** 2).sum(axis=2) / (2 * 2.0**2))
-
-    train, cross = kernel(features, features), kernel(new, features)
-    mean = train.mean(axis=0)
-    centred = cross - cross.mean(axis=1, keepdims=True) - mean + train.mean()
-    assert_allclose(encoder.transform(new), centred @ encoder.coefficients_, atol=1e-12)
-    shifted = encoder.transform(new[:3])
-    assert_allclose(shifted, encoder.transform(new)[:3], atol=1e-14)
-
-
 def test_scores_of_the_training_touches_are_their_transform(features):
     encoder = KernelPCA(6)
     assert_array_equal(encoder.fit_transform(features), encoder.transform(features))
