@@ -112,14 +112,6 @@ def test_a_touch_alone_is_a_touch_in_a_batch(learnt, new_touches):
     assert_allclose(model.log_likelihood(new_touches), alone, rtol=1e-12)
 
 
-def test_prior_by_counts(learnt, new_touches):
-    flat = KernelDensityNaiveBayes().fit(*learnt)
-    counted = KernelDensityNaiveBayes(prior="counts").fit(*learnt)
-    joint = flat.predict_proba(new_touches) * [20, 30, 40, 50]
-    expected = joint / joint.sum(axis=1, keepdims=True)
-    assert_allclose(counted.predict_proba(new_touches), expected, rtol=1e-9)
-
-
 def test_features_that_never_vary_are_ignored(learnt, new_touches):
     touches, labels = learnt
     padded = np.c_[np.full(140, 0.1), touches]
@@ -147,25 +139,3 @@ def test_labels_without_spread_get_a_bandwidth():
         [0.9 * pooled, 1e-2 * pooled, 0.9 * own * 5**-0.2],
         rtol=1e-12,
     )
-
-
-@pytest.mark.parametrize(
-    ("parameters", "error", "message"),
-    [
-        ({"bandwidth": "botev"}, ValueError, "must be one of 'scott', 'silverman'"),
-        ({"bandwidth": -1.0}, ValueError, "bandwidth must be positive"),
-        ({"bandwidth": None}, TypeError, "bandwidth must be a number"),
-        ({"prior": "flat"}, ValueError, "prior must be one of"),
-        ({"min_bandwidth": 0.0}, ValueError, "min_bandwidth must be positive"),
-    ],
-)
-def test_bad_parameters_are_refused_at_fit(parameters, error, message):
-    with pytest.raises(error, match=message):
-        KernelDensityNaiveBayes(**parameters).fit([[0.0], [1.0]], [0, 1])
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_not_finite_is_refused(bad, learnt):
-    model = KernelDensityNaiveBayes().fit(*learnt)
-    with pytest.raises(ValueError, match=r"NaN|infinity"):
-        model.log_likelihood(np.full((1, 7), bad))

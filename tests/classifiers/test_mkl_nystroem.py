@@ -77,13 +77,6 @@ def test_more_landmarks_than_touches_are_all_touches(draw, landmarks):
     assert len(landmarks(200).fit(X, codes).touches_) == 30
 
 
-def test_constant_touches_have_a_defined_answer(landmarks):
-    codes = np.repeat([0, 1], [4, 6])
-    machine = landmarks(5).fit(np.full((10, 3), 2.0), codes)
-    assert machine.predict(np.full((1, 3), 2.0)).tolist() == [1]
-    assert np.isfinite(machine.predict_proba(np.full((1, 3), 2.0))).all()
-
-
 _MEASURE = """
 import json, sys, time
 import numpy as np
