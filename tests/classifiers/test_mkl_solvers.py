@@ -428,12 +428,6 @@ def test_auto_takes_landmarks_when_a_pair_is_too_large(monkeypatch, draw):
     assert len(machine.fit(X, np.arange(120) % 3).feature_maps_) == 0
 
 
-def test_a_low_rank_system_holds_one_problem(rng, draw):
-    low, _ = same_problem_twice(rng, draw)
-    with pytest.raises(IndexError, match="one problem"):
-        low.take(np.array([False]))
-
-
 def test_few_touches_of_many_landmarks_are_solved_by_their_matrices(draw):
     X, _ = draw(120)
     bank = bank_of(X, 100)

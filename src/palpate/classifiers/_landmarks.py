@@ -79,17 +79,8 @@ class Landmarks:
 class LandmarkRegression:
     """The regression of labels on the landmarks' kernels, of answers 1 and 0.
 
-    Parameters
-    ----------
-    landmarks : Landmarks
-        The touches that stand for all.
-    ridge : float
-        Added to the diagonal of the products of features.
-
-    Attributes
-    ----------
-    n_first : int
-        Touches that the landmarks were chosen of.
+    `ridge` is added to the diagonal of the products of features; `n_first` touches the
+    landmarks were chosen of.
     """
 
     n_first: int
@@ -144,12 +135,9 @@ class LandmarkRegression:
         return self.n_first, lower, self._by_label
 
     def resumed(self, sums: Sums, dtype: np.dtype[Any]) -> Self:
-        """Take up sums of a model file; coefficients follow with the next touches.
+        """Take up sums of a model file, or raise ValueError where they do not fit.
 
-        Raises
-        ------
-        ValueError
-            They are not of so many landmarks.
+        Coefficients follow with the next touches.
         """
         self.n_first, lower, self._by_label = sums
         n_marks = len(self._root)

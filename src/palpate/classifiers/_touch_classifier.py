@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
 from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import are_plain_vectors, check_label_kinds
 from .._numbers import evenly_spaced, log_softmax
@@ -297,13 +297,6 @@ def labelled_touches(
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
     check_targets(labels)
     return touches, labels
-
-
-def as_labels(y: ArrayLike) -> Array:
-    """Return labels (n_touches,), or raise as scikit-learn does."""
-    if _is_plain_labels(y):
-        return np.asarray(y)
-    return np.asarray(column_or_1d(y, warn=True))
 
 
 def _is_plain_labels(y: object) -> TypeGuard[Array]:

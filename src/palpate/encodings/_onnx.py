@@ -214,13 +214,7 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
 
 
 def checked_network(content: bytes) -> bytes:
-    """Return an ONNX network that is no more than that, written anew, or explain.
-
-    Raises
-    ------
-    OnnxError
-        It is damaged, too large, or asks for what a network of images does not need.
-    """
+    """Return an ONNX network that is no more than that, written anew, or explain."""
     onnx = needed("onnx", "onnx", "OnnxEncoding")
     _check_size(len(content))
     try:

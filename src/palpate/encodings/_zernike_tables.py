@@ -62,18 +62,6 @@ def legendre_weights(order: int) -> Complexes:
 
     Exact rationals, rounded once; beyond order 20 their sums lose digits.
     """
-    monomials = np.stack(list(_monomial_weights(order)))
-    to_legendre, scale = _powers_as_legendre(order)
-    parts = []
-    for part in (monomials.real, monomials.imag):
-        whole = part.astype(np.int64).astype(object)
-        both = np.matmul(to_legendre.T, np.matmul(whole, to_legendre))
-        parts.append((both / scale**2).astype(np.float64))
-    return np.asarray(parts[0] + 1j * parts[1])
-
-
-def _monomial_weights(order: int) -> Iterator[Complexes]:
-    """Yield weights of x^a y^b at [a, b] of each V(n, m): whole, exact to order 20."""
 
     def times(a: Array, sign: int) -> Array:
         product = np.zeros_like(a)
@@ -81,9 +69,18 @@ def _monomial_weights(order: int) -> Iterator[Complexes]:
         product[:, 1:] += sign * 1j * a[:, :-1]
         return product
 
+    # Weights of x^a y^b at [a, b] of each V(n, m): whole, exact to order 20.
     unit = np.zeros((order + 1, order + 1), dtype=complex)
     unit[0, 0] = 1
-    yield from _recurrence(order, unit, lambda a: times(a, 1), lambda a: times(a, -1))
+    ways = (lambda a: times(a, 1)), (lambda a: times(a, -1))
+    monomials = np.stack([*_recurrence(order, unit, *ways)])
+    to_legendre, scale = _powers_as_legendre(order)
+    parts = []
+    for part in (monomials.real, monomials.imag):
+        whole = part.astype(np.int64).astype(object)
+        both = np.matmul(to_legendre.T, np.matmul(whole, to_legendre))
+        parts.append((both / scale**2).astype(np.float64))
+    return np.asarray(parts[0] + 1j * parts[1])
 
 
 def _recurrence(

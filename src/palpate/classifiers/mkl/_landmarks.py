@@ -223,9 +223,7 @@ class LowRankKernels:
         return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
 
     def take(self, keep: Array) -> Self:
-        if len(keep) != 1 or not np.asarray(keep).all():
-            raise IndexError("A low-rank system holds one problem.")
-        return self
+        return self  # there is one problem
 
     def lengths(self, columns: Floats) -> Floats:
         """Return the length of each kernel's part of a vector over the columns."""
