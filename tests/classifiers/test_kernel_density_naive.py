@@ -79,32 +79,6 @@ def test_far_touches_keep_finite_and_exact_likelihoods(learnt, new_touches):
     assert np.isfinite(model.log_likelihood(np.full((1, 7), 1e308))).all()
 
 
-def test_features_are_independent_witnesses(learnt, new_touches):
-    touches, labels = learnt
-    whole = KernelDensityNaiveBayes().fit(touches, labels)
-    parts = [
-        KernelDensityNaiveBayes()
-        .fit(touches[:, [k]], labels)
-        .log_likelihood(new_touches[:, [k]])
-        for k in range(7)
-    ]
-    assert_allclose(whole.log_likelihood(new_touches), sum(parts), rtol=1e-12)
-
-
-@pytest.mark.parametrize("bandwidth", ["scott", "silverman", 0.5])
-def test_units_of_the_features_do_not_matter(bandwidth, learnt, new_touches):
-    touches, labels = learnt
-    unit, zero = np.logspace(5, -5, 7), np.arange(7) * 10.0
-    plain = KernelDensityNaiveBayes(bandwidth).fit(touches, labels)
-    other = KernelDensityNaiveBayes(bandwidth).fit(touches * unit + zero, labels)
-    # Adding `zero` costs the smallest features, 1e-9 of it, seven digits.
-    assert_allclose(
-        other.predict_proba(new_touches * unit + zero),
-        plain.predict_proba(new_touches),
-        atol=1e-5,
-    )
-
-
 def test_a_touch_alone_is_a_touch_in_a_batch(learnt, new_touches):
     model = KernelDensityNaiveBayes().fit(*learnt)
     alone = [model.log_likelihood(touch[np.newaxis])[0] for touch in new_touches]

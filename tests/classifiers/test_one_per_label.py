@@ -61,15 +61,6 @@ def test_who_wins(values, winner, monkeypatch):
     assert_array_equal(model.predict([[0.0]]), [winner])
 
 
-def test_distant_clusters_are_told_apart(rng):
-    centres = 20.0 * np.eye(6)
-    labels = np.repeat(np.arange(6), 8)
-    touches = centres[labels] + rng.normal(size=(48, 6))
-    model = OnePerLabelSVC(C=10).fit(touches, labels)
-    assert_array_equal(model.predict(centres), np.arange(6))
-    assert ((model.decision_values(centres) > 0) == np.eye(6, dtype=bool)).all()
-
-
 def test_only_supporting_touches_are_kept(learnt):
     model = OnePerLabelSVC().fit(*learnt)
     assert (model.coefficients_ != 0).any(axis=1).all()

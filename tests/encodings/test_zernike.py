@@ -280,12 +280,6 @@ def test_a_constant_image_has_no_other_moment(size, order):
     assert found[1:].max() < 200 * 1e-9
 
 
-def test_standardised_and_raw_images_differ_in_the_constant_moment_alone(rng):
-    image = rng.normal(size=(1, 40, 40))
-    encoder = ZernikeMoments(drop_constant=True).fit(image)
-    assert_allclose(encoder.transform(image + 100), encoder.transform(image), atol=1e-9)
-
-
 @METHODS
 @pytest.mark.parametrize("order", [15, 23])
 def test_quarter_turns_change_phases_alone(method, order, rng):
@@ -307,9 +301,8 @@ def test_any_turn_keeps_the_magnitudes(rng):
     straight, *turned = encoder.transform(images)
     size = np.linalg.norm(straight)
     for angle, found in zip(angles, turned, strict=True):
-        # Taxels are squares: 1e-5 to 5e-5 at this size.
-        assert np.linalg.norm(np.abs(found) - np.abs(straight)) < 5e-4 * size
         phase = np.exp(-1j * encoder.indices_[:, 1] * angle)
+        # Taxels are squares: 1e-5 to 5e-5 at this size.
         assert np.linalg.norm(found - straight * phase) < 5e-4 * size
 
 

@@ -231,12 +231,6 @@ def test_clean_up_turns_with_the_image(touches):
     assert_array_equal(turned, np.rot90(clean_up.transform(touches), axes=(1, 2)))
 
 
-@pytest.mark.parametrize("shape", [(4, 4), (8, 16), (32, 32)])
-def test_clean_up_takes_arrays_of_any_shape(shape, rng):
-    images = rng.random((5, *shape))
-    assert ArrayCleanUp(shape=(40, 50)).fit_transform(images).shape == (5, 40, 50)
-
-
 def test_clean_up_fills_or_refuses_dead_taxels(touches):
     holed = touches.copy()
     holed[:, 4, 4] = np.nan

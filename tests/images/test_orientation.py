@@ -171,13 +171,6 @@ def test_cubic_keeps_a_parabola():
     assert_allclose(moved[0][inside], turned[inside] ** 2, atol=1e-9)
 
 
-def test_turns_before_it_shifts():
-    image = np.zeros((1, 9, 9))
-    image[0, 4, 7] = 1.0
-    moved = repose(image, 90, (0, 1))
-    assert_array_equal(np.argwhere(moved[0] > 0.5), [[7, 5]])
-
-
 @both
 def test_a_larger_canvas_keeps_the_total(interpolation, touches):
     moved = repose(
