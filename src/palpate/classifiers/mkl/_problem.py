@@ -62,33 +62,12 @@ class Point:
     free: Floats  # bias, multiplier of the sum of the shares, pulls features' Y a
     n_touches: int
 
-    @property
-    def alpha(self) -> Floats:
-        return self.left[:, : self.n_touches]
-
-    @property
-    def shares(self) -> Floats:
-        return self.left[:, 2 * self.n_touches :]
-
-    @property
-    def errors(self) -> Floats:
-        return self.right[:, self.n_touches : 2 * self.n_touches]
-
-    @property
-    def slack(self) -> Floats:
-        return self.right[:, 2 * self.n_touches :]
-
-    @property
-    def bias(self) -> Floats:
-        return self.free[:, :1]
-
-    @property
-    def level(self) -> Floats:
-        return self.free[:, 1:2]
-
-    @property
-    def pulls(self) -> Floats:
-        return self.free[:, 2:]
+    def __post_init__(self) -> None:
+        n, free = self.n_touches, self.free
+        # Views, through which the arrays are also written to.
+        self.alpha, self.shares = self.left[:, :n], self.left[:, 2 * n :]
+        self.errors, self.slack = self.right[:, n : 2 * n], self.right[:, 2 * n :]
+        self.bias, self.level, self.pulls = free[:, :1], free[:, 1:2], free[:, 2:]
 
     def take(self, keep: Array) -> "Point":
         parts = self.left[keep], self.right[keep], self.free[keep]
