@@ -297,11 +297,6 @@ class NearbyTouches(BayesRule):
         below = scores - scores.max(axis=1, keepdims=True)
         return log_softmax(np.maximum(self.temperature_ * below, -self.floor_))
 
-    @property
-    def left_out_rows(self) -> Indices:
-        """Which training touches these are, (n_left_out,)."""
-        return self.left_out_rows_
-
 
 def _best_of(densities: Floats) -> Indices:
     """Return the columns of the densest labels, (n_touches, n_listed), sorted."""

@@ -152,8 +152,10 @@ class BayesRule(ClassifierMixin, BaseEstimator):
 
     @property
     def left_out_rows(self) -> Indices:
-        """Rows of the training touches that are told of when left out: all."""
+        """Rows of the training touches left out: `left_out_rows_`, or all."""
         whole: Any = self
+        if hasattr(whole, "left_out_rows_"):
+            return np.asarray(whole.left_out_rows_)
         return np.arange(len(whole.left_out_log_likelihood()))
 
     def left_out_by_part(self) -> Floats:
