@@ -195,10 +195,9 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
 
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
-    if near is None:
-        missing = Circle.inscribed(shape)
-    else:
-        missing = Circle(near.row, near.col, near.radius, False, 0.0)
+    missing = Circle.inscribed(shape)
+    if near is not None:
+        missing = replace(near, visible=False, score=0.0)
     if min(shape) < SMALLEST_SIDE:
         return missing
     # 8-bit as it is, anything else stretched to 0..1 in single precision.
@@ -218,12 +217,11 @@ def _find(image: Array, near: Circle | None) -> Circle:
             away = np.hypot(here.circle[0] - near.row, here.circle[1] - near.col)
             if away <= FEW_STEPS * near.radius:
                 return Circle(*here.circle, True, here.support)
-    best: Fit | None = None
-    for fit in _candidates(grey, near):
-        if _is_rim(fit, shape, near) and (best is None or fit.evidence > best.evidence):
-            best = fit
-            if near is not None:
-                break
+    rims = (fit for fit in _candidates(grey, near) if _is_rim(fit, shape, near))
+    if near is not None:
+        best = next(rims, None)
+    else:
+        best = max(rims, key=attrgetter("evidence"), default=None)
     if best is None:
         return missing
     if near is None:
