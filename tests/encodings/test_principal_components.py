@@ -8,6 +8,7 @@ from sklearn.decomposition import KernelPCA as SklearnKernelPCA
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.encodings import KernelPCA, PrincipalShare
+from palpate.recognition import read_model, write_model
 
 
 @parametrize_with_checks([KernelPCA(), KernelPCA(0.9, scaling="paper")])
@@ -154,6 +155,16 @@ def test_features_whose_squares_leave_the_range_are_refused(features):
 def test_touches_alike_at_that_width_are_refused(features):
     with pytest.raises(ValueError, match=r"alike at sigma = 1e\+150"):
         KernelPCA(2, sigma=1e150).fit(1e-100 * features)
+
+
+@pytest.mark.parametrize("encoder", [KernelPCA(2), PrincipalShare()], ids=repr)
+def test_a_model_file_keeps_scores_and_their_names(encoder, features, tmp_path):
+    scores = encoder.fit_transform(features)
+    again = read_model(write_model(tmp_path / "p.palpate", encoder), type(encoder))
+    assert_array_equal(again.transform(features), scores)
+    names = encoder.get_feature_names_out().tolist()
+    assert again.get_feature_names_out().tolist() == names
+    assert len(names) == scores.shape[1]
 
 
 @pytest.fixture

@@ -230,7 +230,6 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
             self.components_ = np.zeros((1, features.shape[1]))
         else:
             self.components_ = _directions(features - self.mean_, share)
-        self._n_features_out = len(self.components_)
         return self
 
     def transform(self, X: ArrayLike) -> Floats:
@@ -246,6 +245,10 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
     def transform_checked(self, features: Floats) -> Floats:
         """Do what `transform` does, for a caller that has checked the features."""
         return np.asarray((features - self.mean_) @ self.components_.T)
+
+    @property
+    def _n_features_out(self) -> int:
+        return len(self.components_)
 
     def unexplained(self, X: Floats, scores: Floats) -> Floats:
         """Return how much of each touch the kept components leave out.
