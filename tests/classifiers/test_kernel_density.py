@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
-from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import KernelDensityBayes
 
@@ -16,17 +15,6 @@ SINGLE = 1e-4
 DOUBLE = 1e-9
 
 each_bandwidth = pytest.mark.parametrize("bandwidth", BANDWIDTHS)
-
-
-@parametrize_with_checks(
-    [
-        KernelDensityBayes(),
-        KernelDensityBayes("per-object", prior="counts"),
-        KernelDensityBayes("full", scale=0.5, precision="double"),
-    ]
-)
-def test_scikit_learn_contract(estimator, check):
-    check(estimator)
 
 
 @pytest.fixture(scope="module")

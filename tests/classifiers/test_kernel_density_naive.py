@@ -5,19 +5,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import logsumexp
 from scipy.stats import gaussian_kde, iqr, norm
-from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import KernelDensityNaiveBayes
 
 # Two routes through float64, over sums of a few hundred terms.
 ROUNDING = 1e-10
-
-
-@parametrize_with_checks(
-    [KernelDensityNaiveBayes(), KernelDensityNaiveBayes(0.3, prior="counts")]
-)
-def test_scikit_learn_contract(estimator, check):
-    check(estimator)
 
 
 @pytest.fixture

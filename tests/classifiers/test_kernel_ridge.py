@@ -10,14 +10,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
-from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import KernelRidgeClassifier
-
-
-@parametrize_with_checks([KernelRidgeClassifier()])
-def test_common_checks(estimator, check):
-    check(estimator)
 
 
 @pytest.fixture

@@ -36,7 +36,19 @@ def separate(rng):
     return features, labels, np.arange(60) // 4
 
 
-@parametrize_with_checks([FromProbabilities(GaussianNB())])
+@parametrize_with_checks(
+    [
+        FromProbabilities(GaussianNB()),
+        KernelDensityBayes(),
+        KernelDensityBayes("per-object", prior="counts"),
+        KernelDensityBayes("full", scale=0.5, precision="double"),
+        KernelDensityNaiveBayes(),
+        KernelDensityNaiveBayes(0.3, prior="counts"),
+        KernelRidgeClassifier(),
+        OnePerLabelSVC(),
+        OnePerLabelSVC(kernel="linear"),
+    ]
+)
 def test_scikit_learn_contract(estimator, check):
     check(estimator)
 
