@@ -109,6 +109,17 @@ def test_a_label_all_of_whose_touches_are_left_out_is_impossible():
     assert np.isfinite(machine.temperature_)
 
 
+def test_one_group_of_all_touches_leaves_nothing_to_tell_by():
+    X, labels, _ = drawn(noise=0.1)
+    machine = NearbyTouches().fit(X, labels, groups=np.zeros(len(X)))
+    assert np.isneginf(machine.left_out_log_likelihood()).all()
+    # What was learnt is told by all the same.
+    assert np.isfinite(machine.log_likelihood(X)).all()
+    assert machine.score(X, labels) > 0.9
+    again = machine.refit(X, labels, groups=np.zeros(len(X)))
+    assert again.score(X, labels) > 0.9
+
+
 def test_the_width_has_the_least_loss():
     X, labels, groups = drawn(n_labels=40)
     machine = NearbyTouches().fit(X, labels, groups=groups)

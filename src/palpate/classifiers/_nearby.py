@@ -105,9 +105,10 @@ class NearbyTouches(BayesRule):
             squared[left_out] = np.inf
             nearest.append(squared.min(axis=1))
         least_squared = np.concatenate(nearest)
-        unit = (
-            float(np.sqrt(np.median(least_squared[np.isfinite(least_squared)]))) or 1.0
-        )
+        # Of a group that holds all touches none is left to be near.
+        met = least_squared[np.isfinite(least_squared)]
+        unit = float(np.sqrt(np.median(met))) if len(met) else 0.0
+        unit = unit or 1.0
         best, densities = np.inf, np.empty(0)
         for width in _WIDTHS:
             scores = self._densities(queries, width * unit, group)
@@ -171,6 +172,8 @@ class NearbyTouches(BayesRule):
         owners = np.repeat(np.arange(len(labels)), [len(part) for part in parts])
         if kept is not None:
             rows, owners = rows[kept[rows]], owners[kept[rows]]
+        if not len(rows):
+            return np.full(len(labels), 1 / len(labels))
         near = self.touches_[rows].astype(np.float64) - centred
         squares = np.einsum("ij,ij->i", near, near)
         if len(rows) > _MOST_NEAR:
@@ -294,7 +297,8 @@ class NearbyTouches(BayesRule):
         return other
 
     def _log_posterior(self, scores: Floats) -> Floats:
-        below = scores - scores.max(axis=1, keepdims=True)
+        most = scores.max(axis=1, keepdims=True)
+        below = scores - np.where(np.isfinite(most), most, 0)
         return log_softmax(np.maximum(self.temperature_ * below, -self.floor_))
 
 
@@ -315,11 +319,11 @@ def _best_shape(
     """
     step = -(-scores.size // _SHAPED_ANSWERS)
     scores, codes = scores[::step], codes[::step]
-    own_scores = scores[np.arange(len(codes)), codes]
-    below = scores - scores.max(axis=1, keepdims=True)
-    below, codes = below[np.isfinite(own_scores)], codes[np.isfinite(own_scores)]
+    met = np.isfinite(scores[np.arange(len(codes)), codes])
+    scores, codes = scores[met], codes[met]
     if not len(codes):
         return 0.0, 1.0, float(np.log(scores.shape[1]))
+    below = scores - scores.max(axis=1, keepdims=True)
     at = np.arange(len(codes)), codes
 
     def loss(raw: float, floor: float) -> float:
