@@ -287,7 +287,8 @@ def _thinned(rows: Indices, y: Array) -> Indices:
         return rows
     kept = []
     for name in np.unique(y[rows]):
-        own = rows[y[rows] == name]
-        n_kept = min(len(own), max(4, round(len(own) * _AT_MOST / len(rows))))
-        kept.append(own[_spread(len(own), n_kept)])
+        of_label = rows[y[rows] == name]
+        count = len(of_label)
+        n_kept = min(count, max(4, round(count * _AT_MOST / len(rows))))
+        kept.append(of_label[_spread(count, n_kept)])
     return np.sort(np.concatenate(kept))

@@ -41,6 +41,9 @@ class CanvasEncoder(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
+        return self._vectors(images)
+
+    def _vectors(self, images: Array) -> Floats:
         shape = images.shape[1:]
         short = min(shape)
         scale = min(max(short, 32), self._most) / short / self._multiple
@@ -206,12 +209,11 @@ class RingPatterns(CanvasEncoder):
             check_number("radii", radius, low=0, high=25)
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
-        vectors = super().transform_checked
-        shares = vectors(images)
+        shares = self._vectors(images)
         rows = evenly_spaced(len(images), _MOVED)
         part, still = images[rows].astype(np.float32), shares[rows]
         changes = np.concatenate(
-            [vectors(_moved(part, *step)) - still for step in _STEPS]
+            [self._vectors(_moved(part, *step)) - still for step in _STEPS]
         )
         # Flat images change nowhere; their directions would be chance.
         strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
@@ -220,7 +222,7 @@ class RingPatterns(CanvasEncoder):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        return self._steady(super().transform_checked(images))
+        return self._steady(self._vectors(images))
 
     def _steady(self, shares: Floats) -> Floats:
         return np.asarray(shares - shares @ self.unsteady_.T @ self.unsteady_)

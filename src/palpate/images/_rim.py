@@ -195,9 +195,8 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
 
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
-    missing = Circle.inscribed(shape)
-    if near is not None:
-        missing = replace(near, visible=False, score=0.0)
+    stand_in = near or Circle.inscribed(shape)
+    missing = Circle(stand_in.row, stand_in.col, stand_in.radius, False, 0.0)
     if min(shape) < SMALLEST_SIDE:
         return missing
     # 8-bit as it is, anything else stretched to 0..1 in single precision.
