@@ -184,6 +184,20 @@ def test_encoder_is_blind_to_what_it_says(encoder, change, touches):
     assert (moved < 0.2) == (change in encoder.blind_to)
 
 
+NAMING = [e for e in ENCODERS if hasattr(e, "get_feature_names_out")]
+
+
+@pytest.mark.parametrize("encoder", NAMING, ids=repr)
+def test_every_column_has_a_name_of_its_own(encoder, touches):
+    colour = np.stack([touches, touches[::-1] ** 2, 3 * touches], axis=-1)
+    for images in (touches, colour):
+        fitted = clone(encoder).fit(images)
+        names = fitted.get_feature_names_out().tolist()
+        assert len({*names}) == len(names) == fitted.transform(images).shape[1]
+    with pytest.raises(NotFittedError):
+        clone(encoder).get_feature_names_out()
+
+
 COLOUR = [e for e in [*ENCODERS, *CLEANERS] if not isinstance(e, DomeCrop)]
 
 

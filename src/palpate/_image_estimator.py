@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial, wraps
 from typing import Any, Self
 
@@ -127,6 +127,15 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
         if not hasattr(self, "image_shape_"):
             check_is_fitted(self, "image_shape_")
         return self._checked(X, shape=self.image_shape_)
+
+    def _columns_named(self, names: Iterable[str]) -> Array:
+        """Return the names of columns, of several channels with that of the channel."""
+        check_is_fitted(self, "image_shape_")
+        names = list(names)
+        if len(self.image_shape_) == 3:
+            channels = range(self.image_shape_[2])
+            names = [f"{name}_channel{k}" for k in channels for name in names]
+        return np.array(names, dtype=object)
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()

@@ -45,6 +45,12 @@ def landmarks():
 
 
 @pytest.fixture
+def exact():
+    """Return an unfitted machine of the same kernels, without landmarks."""
+    return lambda **options: MKLSVC(kernels=SOME, approximation="none", **options)
+
+
+@pytest.fixture
 def reference():
     """Return a kernel's matrix as scikit-learn computes it."""
 

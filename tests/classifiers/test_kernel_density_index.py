@@ -23,6 +23,11 @@ def stored():
     return touches, labels, new
 
 
+@pytest.fixture(scope="module")
+def model(stored):
+    return KernelDensityBayes(scale=0.5).fit(*stored[:2])
+
+
 @pytest.mark.parametrize("bandwidth", ["pooled", "per-object", "full"])
 def test_likely_objects_are_exact(stored, bandwidth):
     touches, labels, new = stored
@@ -39,9 +44,8 @@ def test_likely_objects_are_exact(stored, bandwidth):
     assert index.quality(new).equal_decisions >= 0.99
 
 
-def test_with_all_objects_exact_it_is_the_model(stored):
-    touches, labels, new = stored
-    model = KernelDensityBayes(scale=0.5).fit(touches, labels)
+def test_with_all_objects_exact_it_is_the_model(stored, model):
+    new = stored[2]
     index = KernelDensityIndex(model, n_exact=100, n_near=1000)
     assert index.n_exact == 6
     far = np.vstack([new, new[:2] * 1000])
@@ -82,20 +86,17 @@ def test_one_cell_per_object_is_a_normal_density():
     assert abs(rough - known) < 0.4
 
 
-def test_near_cells_are_nearly_all(stored):
+def test_near_cells_are_nearly_all(stored, model):
     """A few cells by touch and the rest in closed form: off by hundredths of a nat."""
-    touches, labels, new = stored
-    model = KernelDensityBayes(scale=0.5).fit(touches, labels)
-    rough = KernelDensityIndex(model, n_exact=2, n_near=1).quality(new)
-    better = KernelDensityIndex(model, n_exact=2).quality(new)
+    rough = KernelDensityIndex(model, n_exact=2, n_near=1).quality(stored[2])
+    better = KernelDensityIndex(model, n_exact=2).quality(stored[2])
     assert better.error_of_best_nats <= rough.error_of_best_nats
     assert better.error_of_best_nats < 0.05
     assert better.equal_decisions == 1
 
 
-def test_the_same_seed_gives_the_same_index(stored):
-    touches, labels, new = stored
-    model = KernelDensityBayes().fit(touches, labels)
+def test_the_same_seed_gives_the_same_index(stored, model):
+    new = stored[2]
     one, other = (KernelDensityIndex(model, n_exact=1) for _ in range(2))
     np.testing.assert_array_equal(one.weights_, other.weights_)
     np.testing.assert_array_equal(one.log_likelihood(new), other.log_likelihood(new))
@@ -105,8 +106,7 @@ def test_the_same_seed_gives_the_same_index(stored):
     assert not np.array_equal(one.weights_, another.weights_)
 
 
-def test_without_faiss_the_extra_is_named(stored, monkeypatch):
-    model = KernelDensityBayes().fit(stored[0][::100], stored[1][::100])
+def test_without_faiss_the_extra_is_named(model, monkeypatch):
     monkeypatch.setitem(sys.modules, "faiss", None)
     with pytest.raises(ImportError, match=r"palpate\[index\]"):
         KernelDensityIndex(model)

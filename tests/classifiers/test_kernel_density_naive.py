@@ -5,19 +5,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import logsumexp
 from scipy.stats import gaussian_kde, iqr, norm
-from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import KernelDensityNaiveBayes
 
 # Two routes through float64, over sums of a few hundred terms.
 ROUNDING = 1e-10
-
-
-@parametrize_with_checks(
-    [KernelDensityNaiveBayes(), KernelDensityNaiveBayes(0.3, prior="counts")]
-)
-def test_scikit_learn_contract(estimator, check):
-    check(estimator)
 
 
 @pytest.fixture
@@ -79,45 +71,11 @@ def test_far_touches_keep_finite_and_exact_likelihoods(learnt, new_touches):
     assert np.isfinite(model.log_likelihood(np.full((1, 7), 1e308))).all()
 
 
-def test_features_are_independent_witnesses(learnt, new_touches):
-    touches, labels = learnt
-    whole = KernelDensityNaiveBayes().fit(touches, labels)
-    parts = [
-        KernelDensityNaiveBayes()
-        .fit(touches[:, [k]], labels)
-        .log_likelihood(new_touches[:, [k]])
-        for k in range(7)
-    ]
-    assert_allclose(whole.log_likelihood(new_touches), sum(parts), rtol=1e-12)
-
-
-@pytest.mark.parametrize("bandwidth", ["scott", "silverman", 0.5])
-def test_units_of_the_features_do_not_matter(bandwidth, learnt, new_touches):
-    touches, labels = learnt
-    unit, zero = np.logspace(5, -5, 7), np.arange(7) * 10.0
-    plain = KernelDensityNaiveBayes(bandwidth).fit(touches, labels)
-    other = KernelDensityNaiveBayes(bandwidth).fit(touches * unit + zero, labels)
-    # Adding `zero` costs the smallest features, 1e-9 of it, seven digits.
-    assert_allclose(
-        other.predict_proba(new_touches * unit + zero),
-        plain.predict_proba(new_touches),
-        atol=1e-5,
-    )
-
-
 def test_a_touch_alone_is_a_touch_in_a_batch(learnt, new_touches):
     model = KernelDensityNaiveBayes().fit(*learnt)
     alone = [model.log_likelihood(touch[np.newaxis])[0] for touch in new_touches]
     # Sums over the label's touches may run in another order.
     assert_allclose(model.log_likelihood(new_touches), alone, rtol=1e-12)
-
-
-def test_prior_by_counts(learnt, new_touches):
-    flat = KernelDensityNaiveBayes().fit(*learnt)
-    counted = KernelDensityNaiveBayes(prior="counts").fit(*learnt)
-    joint = flat.predict_proba(new_touches) * [20, 30, 40, 50]
-    expected = joint / joint.sum(axis=1, keepdims=True)
-    assert_allclose(counted.predict_proba(new_touches), expected, rtol=1e-9)
 
 
 def test_features_that_never_vary_are_ignored(learnt, new_touches):
@@ -147,25 +105,3 @@ def test_labels_without_spread_get_a_bandwidth():
         [0.9 * pooled, 1e-2 * pooled, 0.9 * own * 5**-0.2],
         rtol=1e-12,
     )
-
-
-@pytest.mark.parametrize(
-    ("parameters", "error", "message"),
-    [
-        ({"bandwidth": "botev"}, ValueError, "must be one of 'scott', 'silverman'"),
-        ({"bandwidth": -1.0}, ValueError, "bandwidth must be positive"),
-        ({"bandwidth": None}, TypeError, "bandwidth must be a number"),
-        ({"prior": "flat"}, ValueError, "prior must be one of"),
-        ({"min_bandwidth": 0.0}, ValueError, "min_bandwidth must be positive"),
-    ],
-)
-def test_bad_parameters_are_refused_at_fit(parameters, error, message):
-    with pytest.raises(error, match=message):
-        KernelDensityNaiveBayes(**parameters).fit([[0.0], [1.0]], [0, 1])
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_not_finite_is_refused(bad, learnt):
-    model = KernelDensityNaiveBayes().fit(*learnt)
-    with pytest.raises(ValueError, match=r"NaN|infinity"):
-        model.log_likelihood(np.full((1, 7), bad))

@@ -52,8 +52,8 @@ def test_densities_are_those_of_each_labels_own_touches():
     asked = drawn(seed=1)[0]
     none = np.zeros((len(asked), len(X)), bool)
     slow = slow_scores(machine, X, labels, asked, none)
-    squared = machine._squared((asked - machine.mean_).astype(np.float32))
-    assert_allclose(machine._log_densities(squared, machine.width_), slow, rtol=1e-4)
+    centred = (asked - machine.mean_).astype(np.float32)
+    assert_allclose(machine._densities(centred, machine.width_), slow, rtol=1e-4)
 
 
 def test_touches_are_left_out_with_their_group():
@@ -61,7 +61,7 @@ def test_touches_are_left_out_with_their_group():
     machine = NearbyTouches().fit(X, labels, groups=groups)
     slow = slow_scores(machine, X, labels, X, groups[:, None] == groups)
     asked, group, _ = machine._stored(X, labels, groups)
-    densities = machine._left_out_densities(asked, group, machine.width_)
+    densities = machine._densities(asked, machine.width_, group)
     assert_allclose(densities, slow, rtol=1e-4)
 
 
@@ -85,7 +85,7 @@ def test_the_list_keeps_its_probability_and_the_others_theirs():
     machine = NearbyTouches().fit(X, labels, groups=groups)
     asked = drawn(n_labels=40, seed=1)[0]
     centred = (asked - machine.mean_).astype(np.float32)
-    densities = machine._log_densities(machine._squared(centred), machine.width_)
+    densities = machine._densities(centred, machine.width_)
     by_density = np.exp(machine._log_posterior(densities))
     posterior = np.exp(machine.log_likelihood(asked))
     assert_allclose(posterior.sum(axis=1), 1)
@@ -109,6 +109,17 @@ def test_a_label_all_of_whose_touches_are_left_out_is_impossible():
     assert np.isfinite(machine.temperature_)
 
 
+def test_one_group_of_all_touches_leaves_nothing_to_tell_by():
+    X, labels, _ = drawn(noise=0.1)
+    machine = NearbyTouches().fit(X, labels, groups=np.zeros(len(X)))
+    assert np.isneginf(machine.left_out_log_likelihood()).all()
+    # What was learnt is told by all the same.
+    assert np.isfinite(machine.log_likelihood(X)).all()
+    assert machine.score(X, labels) > 0.9
+    again = machine.refit(X, labels, groups=np.zeros(len(X)))
+    assert again.score(X, labels) > 0.9
+
+
 def test_the_width_has_the_least_loss():
     X, labels, groups = drawn(n_labels=40)
     machine = NearbyTouches().fit(X, labels, groups=groups)
@@ -116,7 +127,7 @@ def test_the_width_has_the_least_loss():
 
     def least_loss(width):
         """Over temperatures, where no label is more than log 40 + 3 nats below."""
-        scores = machine._left_out_densities(asked, group, width)
+        scores = machine._densities(asked, width, group)
         below = scores - scores.max(axis=1, keepdims=True)
 
         def loss(temperature):

@@ -36,7 +36,19 @@ def separate(rng):
     return features, labels, np.arange(60) // 4
 
 
-@parametrize_with_checks([FromProbabilities(GaussianNB())])
+@parametrize_with_checks(
+    [
+        FromProbabilities(GaussianNB()),
+        KernelDensityBayes(),
+        KernelDensityBayes("per-object", prior="counts"),
+        KernelDensityBayes("full", scale=0.5, precision="double"),
+        KernelDensityNaiveBayes(),
+        KernelDensityNaiveBayes(0.3, prior="counts"),
+        KernelRidgeClassifier(),
+        OnePerLabelSVC(),
+        OnePerLabelSVC(kernel="linear"),
+    ]
+)
 def test_scikit_learn_contract(estimator, check):
     check(estimator)
 
@@ -87,7 +99,7 @@ def test_two_labels_are_left_out_too(separate):
 def test_touches_to_tell_are_checked_as_those_to_learn(classifier, separate):
     features, labels, _ = separate
     model = classifier.fit(features, labels)
-    for bad, message in ((np.nan, "NaN"), (np.inf, "infinity")):
+    for bad, message in ((np.nan, "NaN"), (np.inf, "infinity"), (-np.inf, "infinity")):
         with pytest.raises(ValueError, match=message):
             model.log_likelihood(np.full((1, 5), bad))
     with pytest.raises(ValueError, match="5 features"):
@@ -96,6 +108,18 @@ def test_touches_to_tell_are_checked_as_those_to_learn(classifier, separate):
     model.fit(pandas.DataFrame(features, columns=list("vwxyz")), labels)
     with pytest.warns(UserWarning, match="valid feature names"):
         model.log_likelihood(features)
+
+
+@pytest.mark.parametrize("kind", [KernelDensityBayes, KernelDensityNaiveBayes])
+def test_prior_by_counts_shifts_the_posterior_only(kind, separate):
+    features, labels, _ = (part[:45] for part in separate)
+    flat, counted = (kind(prior=p).fit(features, labels) for p in ("uniform", "counts"))
+    new = features + 1
+    assert_array_equal(flat.log_likelihood(new), counted.log_likelihood(new))
+    joint = flat.predict_proba(new) * [20, 20, 5]
+    expected = joint / joint.sum(axis=1, keepdims=True)
+    # Where a posterior is almost 1 its logarithm carries the rounding of the joint.
+    assert_allclose(counted.predict_proba(new), expected, rtol=1e-9)
 
 
 def test_probabilities_are_logarithms_above_a_floor(separate):
@@ -119,6 +143,42 @@ def test_classifiers_without_probabilities_are_refused():
         FromProbabilities(LinearSVC()).fit([[0.0], [1.0]], ["a", "b"])
     with pytest.raises(ValueError, match=r"one entry per training touch \(2\)"):
         FromProbabilities(GaussianNB()).fit([[0.0], [1.0]], ["a", "b"], groups=[1])
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "error", "message"),
+    [
+        (KernelDensityBayes, "bandwidth", "silverman", ValueError, "one of 'pooled'"),
+        (KernelDensityBayes, "scale", 0.0, ValueError, "positive"),
+        (KernelDensityBayes, "prior", "flat", ValueError, "one of 'uniform', 'counts'"),
+        (KernelDensityBayes, "min_variance", 0.0, ValueError, "finite and between"),
+        (KernelDensityBayes, "precision", "half", ValueError, "one of 'auto'"),
+        (KernelDensityNaiveBayes, "bandwidth", "botev", ValueError, "one .*silverman"),
+        (KernelDensityNaiveBayes, "bandwidth", -1.0, ValueError, "positive"),
+        (KernelDensityNaiveBayes, "bandwidth", None, TypeError, "a number"),
+        (KernelDensityNaiveBayes, "prior", "flat", ValueError, "one of"),
+        (KernelDensityNaiveBayes, "min_bandwidth", 0.0, ValueError, "positive"),
+        (KernelRidgeClassifier, "widths", [0.0], ValueError, "positive"),
+        (KernelRidgeClassifier, "ridges", ["a"], TypeError, "a number"),
+        (OnePerLabelSVC, "C", 0.0, ValueError, "positive"),
+        (OnePerLabelSVC, "C", "big", TypeError, "a number"),
+        (OnePerLabelSVC, "kernel", "precomputed", ValueError, "one of 'linear'"),
+        (OnePerLabelSVC, "gamma", "wide", ValueError, "one of 'scale', 'auto'"),
+        (OnePerLabelSVC, "gamma", -1.0, ValueError, "positive"),
+        (MKLSVC, "C", 0, ValueError, "positive"),
+        (MKLSVC, "norm", 0.5, ValueError, "finite and between 1"),
+        (MKLSVC, "solver", "smo", ValueError, "one of 'interior', 'simplemkl'"),
+        (MKLSVC, "normalize", "unit", ValueError, "one of 'trace'"),
+        (MKLSVC, "approximation", True, ValueError, "one of 'auto'"),
+        (MKLSVC, "tol", -1, ValueError, "positive"),
+        (MKLSVC, "probability", "no", ValueError, "one of True, False"),
+        (MKLSVC, "max_iter", 0, ValueError, "at least 1"),
+        (MKLSVC, "n_landmarks", 0, ValueError, "at least 1"),
+    ],
+)
+def test_bad_parameters_are_refused_at_fit(kind, name, value, error, message, separate):
+    with pytest.raises(error, match=f"{name} must be {message}"):
+        kind(**{name: value}).fit(*separate[:2])
 
 
 PUBLIC_CLASSIFIERS = [

@@ -7,29 +7,41 @@ from scipy.ndimage import affine_transform
 
 from palpate.encodings import (
     CentroidMoments,
+    EdgeHistograms,
     EncodingUnion,
+    GridLevels,
     HuMoments,
     OrientedPCA,
+    PadShapes,
+    PolarGradients,
+    RingPatterns,
+    RingQuantiles,
     ScaledPixels,
+    TaxelVector,
     ZernikeMoments,
     ZernikePCA,
     encoder_named,
 )
 from palpate.images import inscribed_mask
 
-NAMES = [
-    "hu",
-    "log-hu",
-    "zernike",
-    "zernike-noll",
-    "zernike-noll-abs",
-    "zernike-pca",
-    "oriented-pca",
-    "scaled-pixels",
-    "centroid-moments",
-    "polar-gradients",
-    "taxels",
-]
+KINDS = {
+    "hu": HuMoments,
+    "log-hu": HuMoments,
+    "zernike": ZernikeMoments,
+    "zernike-noll": ZernikeMoments,
+    "zernike-noll-abs": ZernikeMoments,
+    "zernike-pca": ZernikePCA,
+    "oriented-pca": OrientedPCA,
+    "scaled-pixels": ScaledPixels,
+    "centroid-moments": CentroidMoments,
+    "polar-gradients": PolarGradients,
+    "taxels": TaxelVector,
+    "grid-levels": GridLevels,
+    "edge-histograms": EdgeHistograms,
+    "ring-patterns": RingPatterns,
+    "ring-quantiles": RingQuantiles,
+    "pad-shapes": PadShapes,
+}
 
 
 def blobs(rng, n=6, size=81):
@@ -127,16 +139,6 @@ def test_hu_moments_ignore_brightness_and_contrast_unless_raw(rng):
     assert_allclose(
         raw.fit_transform(0.5 * images)[:, 0], 2 * raw.transform(images)[:, 0]
     )
-
-
-def test_hu_moments_see_the_disc_alone(rng):
-    images = blobs(rng)
-    corner = images.copy()
-    corner[:, 0, 0] = 9
-    hu = HuMoments()
-    assert_array_equal(hu.fit_transform(corner), hu.transform(images))
-    frame = HuMoments(region="frame")
-    assert (frame.fit_transform(corner) != frame.transform(images)).any()
 
 
 @pytest.mark.parametrize("levels", ["raw", "above-least"])
@@ -244,16 +246,18 @@ def test_zernike_pca_refuses_complex_moments():
         ZernikePCA(output="complex").fit(np.zeros((3, 8, 8)))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", KINDS)
 def test_every_name_makes_an_encoder_with_that_many_features(name, rng):
     images = blobs(rng, n=8, size=24)
     assert encoder_named(name, 4).fit_transform(images).shape == (8, 4)
-    assert len(encoder_named(name).fit_transform(images)) == 8
+    encoder = encoder_named(name)
+    assert type(encoder) is KINDS[name]
+    assert len(encoder.fit_transform(images)) == 8
 
 
 def test_fewer_components_are_the_first_of_more(rng):
     images = blobs(rng, n=8, size=24)
-    for name in set(NAMES) - {"scaled-pixels"}:
+    for name in set(KINDS) - {"scaled-pixels"}:
         few, more = (encoder_named(name, n).fit_transform(images) for n in (2, 5))
         # The same sums, in products of other sizes.
         assert_allclose(few, more[:, :2], rtol=1e-9, atol=1e-12)
@@ -290,13 +294,6 @@ def test_a_union_takes_one_number_for_each_part(rng):
         encoder_named("hu+zernike", (3,))
 
 
-def test_more_features_than_there_are_give_all(rng):
-    images = blobs(rng, n=8, size=24)
-    assert encoder_named("hu", 50).fit_transform(images).shape == (8, 7)
-    # At most 13 x 13 cells.
-    assert encoder_named("scaled-pixels", 400).fit_transform(images).shape == (8, 169)
-
-
 @pytest.mark.parametrize("balanced", [False, True])
 def test_a_union_refuses_complex_features(balanced, rng):
     encoders = [HuMoments(), ZernikeMoments(output="complex")]
@@ -325,8 +322,6 @@ def test_options_reach_the_encoder():
     encoder = encoder_named("zernike", 5, order=4, output="noll")
     assert isinstance(encoder[0], ZernikeMoments)
     assert (encoder[0].order, encoder[0].output) == (4, "noll")
-    assert isinstance(encoder_named("zernike"), ZernikeMoments)
-    assert isinstance(encoder_named("centroid-moments"), CentroidMoments)
 
 
 @pytest.mark.parametrize(
@@ -334,7 +329,7 @@ def test_options_reach_the_encoder():
     [
         (
             ("zernicke",),
-            f"name must be one of {', '.join(map(repr, NAMES))}, .*'zernicke'",
+            f"name must be one of {', '.join(map(repr, KINDS))}, or .*'zernicke'",
         ),
         (("hu+",), "got 'hu\\+'"),
         (("scaled-pixels", 5), "square number .*got 5. Use 4 or 9"),

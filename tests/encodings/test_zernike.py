@@ -280,12 +280,6 @@ def test_a_constant_image_has_no_other_moment(size, order):
     assert found[1:].max() < 200 * 1e-9
 
 
-def test_standardised_and_raw_images_differ_in_the_constant_moment_alone(rng):
-    image = rng.normal(size=(1, 40, 40))
-    encoder = ZernikeMoments(drop_constant=True).fit(image)
-    assert_allclose(encoder.transform(image + 100), encoder.transform(image), atol=1e-9)
-
-
 @METHODS
 @pytest.mark.parametrize("order", [15, 23])
 def test_quarter_turns_change_phases_alone(method, order, rng):
@@ -297,7 +291,6 @@ def test_quarter_turns_change_phases_alone(method, order, rng):
     phase = np.exp(-1j * encoder.indices_[:, 1] * -np.pi / 2)
     # The digits of the separable method.
     assert_allclose(turned, straight * phase, rtol=0, atol=1e-11)
-    assert_allclose(np.abs(turned), np.abs(straight), rtol=0, atol=1e-11)
 
 
 def test_any_turn_keeps_the_magnitudes(rng):
@@ -308,9 +301,8 @@ def test_any_turn_keeps_the_magnitudes(rng):
     straight, *turned = encoder.transform(images)
     size = np.linalg.norm(straight)
     for angle, found in zip(angles, turned, strict=True):
-        # Taxels are squares: 1e-5 to 5e-5 at this size.
-        assert np.linalg.norm(np.abs(found) - np.abs(straight)) < 5e-4 * size
         phase = np.exp(-1j * encoder.indices_[:, 1] * angle)
+        # Taxels are squares: 1e-5 to 5e-5 at this size.
         assert np.linalg.norm(found - straight * phase) < 5e-4 * size
 
 
@@ -388,33 +380,6 @@ def test_folding_the_image_changes_nothing(shape, method):
             encoder.transform(spoilt)
 
 
-@pytest.mark.parametrize(
-    ("n", "m", "closed_form"),
-    [
-        pytest.param(0, 0, lambda x, y: 1 + 0j * x, id="piston"),
-        pytest.param(1, 1, lambda x, y: x + 1j * y, id="tilt"),
-        pytest.param(2, 0, lambda x, y: 2 * (x**2 + y**2) - 1 + 0j, id="defocus"),
-        pytest.param(2, 2, lambda x, y: (x + 1j * y) ** 2, id="astigmatism"),
-        pytest.param(
-            3, 1, lambda x, y: (3 * (x**2 + y**2) - 2) * (x + 1j * y), id="coma"
-        ),
-        pytest.param(
-            4,
-            0,
-            lambda x, y: 6 * (x**2 + y**2) ** 2 - 6 * (x**2 + y**2) + 1 + 0j,
-            id="spherical",
-        ),
-    ],
-)
-def test_polynomials_of_low_order(n, m, closed_form):
-    x, y = np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21))
-    inside = np.hypot(x, y) <= 1
-    x, y = x[inside], y[inside]
-    values = values_at(4, x, y, 10)
-    # A few operations on numbers of order 1.
-    assert_allclose(values[n, m], closed_form(x, y), atol=1e-14)
-
-
 def test_polynomials_of_high_order_stay_within_the_unit_circle():
     x, y = np.meshgrid(np.arange(-10, 11), np.arange(-10, 11))
     inside = np.hypot(x, y) <= 10
@@ -441,7 +406,7 @@ def test_polynomials_of_high_order_keep_their_digits(m):
     assert abs(values[100, m][0] - float(radial)) < 1e-13
 
 
-@pytest.mark.parametrize("order", [2, 15, 20])
+@pytest.mark.parametrize("order", [4, 15, 20])
 def test_one_taxel_has_the_value_of_the_polynomial_at_its_centre(order):
     # To order 20 values come from sums of Legendre products.
     images = np.eye(81).reshape(-1, 9, 9)
@@ -453,7 +418,7 @@ def test_one_taxel_has_the_value_of_the_polynomial_at_its_centre(order):
     x, y = (col - 4) / 6, (row - 4) / 6
     values = [polynomial(n, m, x, y) / 36 for n, m in encoder.indices_.tolist()]
     # Two digits are lost by order 10, three more by order 20.
-    atol = 1e-15 if order == 2 else 1e-11
+    atol = 1e-15 if order == 4 else 1e-11
     assert_allclose(found, np.stack(values, axis=1), rtol=0, atol=atol)
 
 

@@ -86,13 +86,9 @@ def test_gamma_has_its_closed_form():
     image = [[0.0, 64.0, 256.0, -5.0]]
     assert_allclose(with_gamma(image, 0.5), [[0, 128, 256, 0]])
     assert_allclose(with_gamma(image, 2.0), [[0, 16, 256, 0]])
+    assert_allclose(with_gamma(image, 1.0), [[0, 64, 256, 0]], rtol=1e-14)
     assert_allclose(with_gamma(np.zeros((2, 2)), 0.5), 0)
     assert np.isfinite(with_gamma([[1e300, 3e299]], 2)).all()
-
-
-def test_gamma_of_one_changes_nothing(touches):
-    positive = np.maximum(touches[0], 0)
-    assert_allclose(with_gamma(positive, 1.0), positive, rtol=1e-14)
 
 
 def test_noise_filter_zeroes_what_is_far_below_the_mean():
@@ -183,20 +179,6 @@ def test_min_contrast_keeps_noise_in_the_background(rng):
     assert not binarised(image, 2, min_contrast=0.1)[noise].any()
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"n_partitions": 11}, ValueError, "at most 10.*Upsample"),
-        ({"n_partitions": 0}, ValueError, "at least 1"),
-        ({"n_partitions": 1.5}, TypeError, "integer"),
-        ({"min_contrast": 2}, ValueError, "between 0 and 1"),
-    ],
-)
-def test_bad_partitions_are_refused(options, error, message, touches):
-    with pytest.raises(error, match=message):
-        ArrayCleanUp((10, 10), **options).fit(touches)
-
-
 def test_dead_taxels_of_a_plane_are_restored():
     row, col = np.mgrid[:7, :6].astype(float)
     plane = 4 * row - 2 * col
@@ -249,12 +231,6 @@ def test_clean_up_turns_with_the_image(touches):
     assert_array_equal(turned, np.rot90(clean_up.transform(touches), axes=(1, 2)))
 
 
-@pytest.mark.parametrize("shape", [(4, 4), (8, 16), (32, 32)])
-def test_clean_up_takes_arrays_of_any_shape(shape, rng):
-    images = rng.random((5, *shape))
-    assert ArrayCleanUp(shape=(40, 50)).fit_transform(images).shape == (5, 40, 50)
-
-
 def test_clean_up_fills_or_refuses_dead_taxels(touches):
     holed = touches.copy()
     holed[:, 4, 4] = np.nan
@@ -265,16 +241,20 @@ def test_clean_up_fills_or_refuses_dead_taxels(touches):
 
 
 @pytest.mark.parametrize(
-    ("params", "message"),
+    ("options", "error", "message"),
     [
-        ({"output": "edges"}, "output must be one of"),
-        ({"gamma": 0}, "gamma must be positive"),
-        ({"n_sd": -1}, "n_sd must be positive"),
+        ({"output": "edges"}, ValueError, "output must be one of"),
+        ({"gamma": 0}, ValueError, "gamma must be positive"),
+        ({"n_sd": -1}, ValueError, "n_sd must be positive"),
+        ({"n_partitions": 11}, ValueError, "at most 10.*Upsample"),
+        ({"n_partitions": 0}, ValueError, "at least 1"),
+        ({"n_partitions": 1.5}, TypeError, "integer"),
+        ({"min_contrast": 2}, ValueError, "between 0 and 1"),
     ],
 )
-def test_clean_up_refuses_bad_parameters_at_fit(params, message, touches):
-    with pytest.raises(ValueError, match=message):
-        ArrayCleanUp(**params).fit(touches)
+def test_bad_parameters_are_refused_at_fit(options, error, message, touches):
+    with pytest.raises(error, match=message):
+        ArrayCleanUp((10, 10), **options).fit(touches)
 
 
 def test_lists_of_unequal_lengths_are_refused():

@@ -106,19 +106,16 @@ def test_exposure_moves_the_rim_little(gamma):
     assert off_by(find_rim(exposed), 107.2, 109.1) < 0.1
 
 
-@pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32, np.float64])
-def test_unit_of_grey_levels_does_not_matter(dtype):
+@pytest.mark.parametrize(
+    ("dtype", "gain", "offset"),
+    [(d, 7, 1000) for d in (np.uint16, np.int32, np.float32, np.float64)]
+    + [pytest.param(np.uint8, -1, 255, id="negative")],
+)
+def test_unit_of_grey_levels_does_not_matter(dtype, gain, offset):
     image = draw((120, 160), 52.2, 40.8, 60.3)
-    scaled = (image.astype(np.float64) * 7 + 1000).astype(dtype)
+    scaled = (image.astype(np.float64) * gain + offset).astype(dtype)
     wanted, rim = find_rim(image), find_rim(scaled)
     # 8-bit images are interpolated in steps of one grey level, others exactly.
-    assert off_by(rim, wanted.row, wanted.col) < 0.02
-
-
-def test_negative_image_has_the_same_rim():
-    image = draw((120, 160), 52.2, 40.8, 60.3)
-    rim, wanted = find_rim(255 - image), find_rim(image)
-    # Only the rounding of the interpolation differs.
     assert off_by(rim, wanted.row, wanted.col) < 0.02
 
 
@@ -282,13 +279,6 @@ def test_rims_are_indexed_like_arrays():
         rims[2]
 
 
-def test_nan_is_refused():
-    images = np.ones((3, 50, 50))
-    images[1, 4, 4] = np.nan
-    with pytest.raises(ValueError, match="in touch 1"):
-        find_rims(images)
-
-
 @pytest.mark.parametrize(
     ("call", "kind", "message"),
     [
@@ -296,6 +286,11 @@ def test_nan_is_refused():
         (lambda: find_rims(np.ones((50, 50), np.uint8)), ValueError, "X[np.newaxis]"),
         (lambda: find_rims(np.full((1, 9, 9), "a")), TypeError, "must be numbers"),
         (lambda: find_rims(np.ones((0, 50, 50), np.uint8)), ValueError, "at least one"),
+        (
+            lambda: find_rims(np.full((3, 50, 50), [[[1.0]], [[np.nan]], [[1.0]]])),
+            ValueError,
+            "in touch 1",
+        ),
         (
             lambda: find_rims(np.ones((1, 50, 50)), near=Circle(1, 1, 0)),
             ValueError,

@@ -123,8 +123,7 @@ class EncodingPool(BayesRule):
             name: clone(machine).fit(part, labels, groups=group)
             for name, part in self._parts(touches).items()
         }
-        self.classes_ = np.unique(labels)
-        codes = np.searchsorted(self.classes_, labels)
+        self.classes_, codes = np.unique(labels, return_inverse=True)
         return self.weighed_by(codes[self.left_out_rows])
 
     def weighed_by(self, codes: Indices) -> Self:

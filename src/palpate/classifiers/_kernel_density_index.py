@@ -122,7 +122,7 @@ class KernelDensityIndex:
         self.classes_ = model.classes_
         self.n_near = check_count("n_near", n_near)
         faiss = needed("faiss", "index", "KernelDensityIndex")
-        weights, packed, sizes, starts = [], [], [], [0]
+        weights, packed, sizes = [], [], []
         for place, rows in enumerate(self.model._rows()):
             points, precision = model.points_[rows], model._precision(place)
             count = most if n_cells is not None else -(-len(points) // TOUCHES_PER_CELL)
@@ -132,10 +132,9 @@ class KernelDensityIndex:
             flat = tiles.reshape(-1, tiles.shape[2])[: len(points)]
             packed.append(flat[np.argsort(cell, kind="stable")])
             sizes.append(np.bincount(cell))
-            starts.append(starts[-1] + len(sizes[-1]))
         self.weights_ = np.concatenate(weights, axis=1)
         self.packed_ = np.concatenate(packed)
-        self.starts_ = np.array(starts[:-1])
+        self.starts_ = np.cumsum([0, *map(len, sizes[:-1])])
         self.ends_ = np.cumsum(np.concatenate(sizes))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:

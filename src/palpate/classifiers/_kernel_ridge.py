@@ -207,12 +207,10 @@ class KernelRidgeClassifier(BayesRule):
             raise ValueError("widths and ridges must hold at least one value each.")
         at_most = check_count("max_choice_touches", self.max_choice_touches, at_least=2)
         # Touches of all labels, or of every k-th where fewer than 4 of each fit.
-        step = -(-4 * (int(codes.max()) + 1) // at_most)
-        if len(codes) <= at_most or step == 1:
-            sampled = _thin(codes, at_most)
-        else:
-            of_these_labels = np.flatnonzero(codes % step == 0)
-            sampled = of_these_labels[_thin(codes[of_these_labels], at_most)]
+        many = len(codes) > at_most
+        step = -(-4 * (int(codes.max()) + 1) // at_most) if many else 1
+        of_these_labels = np.flatnonzero(codes % step == 0)
+        sampled = of_these_labels[_thin(codes[of_these_labels], at_most)]
         codes = np.unique(codes[sampled], return_inverse=True)[1]
         chosen = touches[sampled]
         squared = squared_distances(chosen - chosen.mean(axis=0))
@@ -285,33 +283,25 @@ class KernelRidgeClassifier(BayesRule):
 
         With what is known of those before the last ones, if it has `grown` by these.
         """
-        target = _one_hot(codes, len(self.classes_))
-        if grown is None:
-            self.mean_ = touches.mean(axis=0)
-        self.touches_ = touches - self.mean_ if grown is None else grown.touches
+        target, by_size = _one_hot(codes, len(self.classes_)), rows_by_size(group)
         self._inverse = grown
         if grown is not None:
+            self.touches_ = grown.touches
             self.coefficients_ = grown.coefficients(target, self.classes_)
-            blocks = grown.blocks(rows_by_size(group))
-            return left_out_scores(blocks, self.coefficients_, target)
+            return left_out_scores(grown.blocks(by_size), self.coefficients_, target)
+        self.mean_ = touches.mean(axis=0)
+        self.touches_ = touches - self.mean_
         kernel = self._kernel(squared_distances(self.touches_))
         # The columns of the labels as they are, of which later classes need others.
         root, columns = solve_ridge(kernel, target + 1 / len(self.classes_), ridges)
         self.coefficients_ = columns - columns.mean(axis=1, keepdims=True)
-        own_blocks = inverse_blocks(root, rows_by_size(group))
+        blocks = inverse_blocks(root, by_size)
         if _GROWS_FROM <= len(touches) <= _GROWS_TO:
-            own_blocks = list(own_blocks)
-            labels = self.classes_[codes]
+            blocks, labels = list(blocks), self.classes_[codes]
             self._inverse = GrowingInverse(
-                root,
-                self.touches_,
-                labels,
-                ridges,
-                self.classes_,
-                columns,
-                own_blocks,
+                root, self.touches_, labels, ridges, self.classes_, columns, blocks
             )
-        return left_out_scores(own_blocks, self.coefficients_, target)
+        return left_out_scores(blocks, self.coefficients_, target)
 
     def _learn_by_landmarks(self, touches: Floats, codes: Array, group: Array) -> Array:
         """Let some touches stand for all; return left-out scores of some."""
@@ -422,15 +412,7 @@ class KernelRidgeClassifier(BayesRule):
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        return self._log_posterior(self.left_out_scores_)
-
-    @property
-    def left_out_rows(self) -> Indices:
-        """Which training touches these are, (n_left_out,)."""
-        all_rows = np.arange(len(self.left_out_scores_))  # as of models before it
-        return np.asarray(getattr(self, "left_out_rows_", all_rows))
-
-    def _log_posterior(self, scores: Floats) -> Floats:
+        scores = self.left_out_scores_
         bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
         return log_softmax(bent - self.log_counts_)
 

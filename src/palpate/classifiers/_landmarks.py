@@ -79,17 +79,8 @@ class Landmarks:
 class LandmarkRegression:
     """The regression of labels on the landmarks' kernels, of answers 1 and 0.
 
-    Parameters
-    ----------
-    landmarks : Landmarks
-        The touches that stand for all.
-    ridge : float
-        Added to the diagonal of the products of features.
-
-    Attributes
-    ----------
-    n_first : int
-        Touches that the landmarks were chosen of.
+    `ridge` is added to the diagonal of the products of features; `n_first` touches the
+    landmarks were chosen of.
     """
 
     n_first: int
@@ -128,7 +119,12 @@ class LandmarkRegression:
 
     def _solved(self) -> Floats:
         """Return the coefficients (n_marks, n_labels) that follow from the sums."""
-        self._factorise()
+        products = np.tril(self._products)
+        products += np.tril(products, -1).T
+        half = solve_triangular(self._root, products, lower=True)
+        inner: Floats = solve_triangular(self._root, half.T, lower=True)
+        inner.flat[:: len(inner) + 1] += self._ridge
+        self._inner, self._factor = inner, cho_factor(inner, lower=True)
         outer = solve_triangular(self._root, self._by_label.T, lower=True)
         return self._of_kernels(cho_solve(self._factor, outer, overwrite_b=True))
 
@@ -139,12 +135,9 @@ class LandmarkRegression:
         return self.n_first, lower, self._by_label
 
     def resumed(self, sums: Sums, dtype: np.dtype[Any]) -> Self:
-        """Take up sums of a model file; coefficients follow with the next touches.
+        """Take up sums of a model file, or raise ValueError where they do not fit.
 
-        Raises
-        ------
-        ValueError
-            They are not of so many landmarks.
+        Coefficients follow with the next touches.
         """
         self.n_first, lower, self._by_label = sums
         n_marks = len(self._root)
@@ -187,15 +180,6 @@ class LandmarkRegression:
         other._take_in(*new, 1.0)
         other._plain = other._solved().astype(self._plain.dtype)
         return other
-
-    def _factorise(self) -> None:
-        """Factorise the products of features, with the ridge."""
-        products = np.tril(self._products)
-        products += np.tril(products, -1).T
-        half = solve_triangular(self._root, products, lower=True)
-        inner: Floats = solve_triangular(self._root, half.T, lower=True)
-        inner.flat[:: len(inner) + 1] += self._ridge
-        self._inner, self._factor = inner, cho_factor(inner, lower=True)
 
     def _of_kernels(self, weights: Floats) -> Floats:
         """Return weights of features as coefficients of the landmarks' kernels."""

@@ -12,14 +12,14 @@ from copy import copy
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dposv
 from scipy.optimize import minimize_scalar
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import as_groups, check_squarable
 from .._numbers import exp, log_softmax
-from .._types import Array, Bools, Floats, Indices, Singles
+from .._types import Bools, Floats, Indices, Singles
 from ._kernel_ridge import KernelRidgeClassifier
 from ._ridge import best_shape
 from ._touch_classifier import (
@@ -99,17 +99,18 @@ class NearbyTouches(BayesRule):
         Parameters and errors as of `TouchClassifier.fit`.
         """
         queries, group, codes = self._stored(X, y, groups)
-        nearest = [
-            np.where(out, np.inf, squared).min(axis=1)
-            for squared, out in self._pairs(queries, group)
-        ]
+        nearest = []
+        for squared, left_out in self._pairs(queries, group):
+            squared[left_out] = np.inf
+            nearest.append(squared.min(axis=1))
         least_squared = np.concatenate(nearest)
-        unit = (
-            float(np.sqrt(np.median(least_squared[np.isfinite(least_squared)]))) or 1.0
-        )
+        # Of a group that holds all touches none is left to be near.
+        met = least_squared[np.isfinite(least_squared)]
+        unit = float(np.sqrt(np.median(met))) if len(met) else 0.0
+        unit = unit or 1.0
         best, densities = np.inf, np.empty(0)
         for width in _WIDTHS:
-            scores = self._left_out_densities(queries, group, width * unit)
+            scores = self._densities(queries, width * unit, group)
             loss = _best_shape(scores, codes, [_USUAL_FLOOR])[0]
             if loss < best:
                 best, self.width_, densities = loss, width * unit, scores
@@ -170,6 +171,8 @@ class NearbyTouches(BayesRule):
         owners = np.repeat(np.arange(len(labels)), [len(part) for part in parts])
         if kept is not None:
             rows, owners = rows[kept[rows]], owners[kept[rows]]
+        if not len(rows):
+            return np.full(len(labels), 1 / len(labels))
         near = self.touches_[rows].astype(np.float64) - centred
         squares = np.einsum("ij,ij->i", near, near)
         if len(rows) > _MOST_NEAR:
@@ -202,7 +205,7 @@ class NearbyTouches(BayesRule):
         """Store other touches, with the width and temperature already chosen."""
         check_is_fitted(self)
         queries, group, _ = self._stored(X, y, groups, reset=False)
-        densities = self._left_out_densities(queries, group, self.width_)
+        densities = self._densities(queries, self.width_, group)
         self._learn_list(queries, group, densities)
         return self
 
@@ -225,35 +228,33 @@ class NearbyTouches(BayesRule):
         return queries, (group[rows], group[order]), codes[rows]
 
     def _pairs(
-        self, queries: Singles, group: _Groups
-    ) -> Iterator[tuple[Singles, NDArray[np.bool_]]]:
+        self, queries: Singles, group: _Groups | None
+    ) -> Iterator[tuple[Singles, Bools | None]]:
         """Yield squared distances to the stored touches, and which are left out."""
         at_once = max(1, _PAIRS_AT_ONCE // len(self.touches_))
         for k in range(0, len(queries), at_once):
             rows = slice(k, k + at_once)
-            out = group[0][rows, np.newaxis] == group[1]
-            yield self._squared(queries[rows]), out
+            centred = queries[rows]
+            squared: Singles = (-2 * centred) @ self.touches_.T
+            squared += np.einsum("ij,ij->i", centred, centred)[:, np.newaxis]
+            squared += self.squares_
+            np.maximum(squared, 0, out=squared)
+            yield squared, group and group[0][rows, np.newaxis] == group[1]
 
-    def _left_out_densities(
-        self, queries: Singles, group: _Groups, width: float
+    def _densities(
+        self, queries: Singles, width: float, group: _Groups | None = None
     ) -> Floats:
+        """Return log densities of labels but for a constant of each touch (nats).
+
+        Of a `group`, stored touches of a touch's own are left out.
+        """
         pairs = self._pairs(queries, group)
         parts = [self._log_densities(squared, width, out) for squared, out in pairs]
         return np.concatenate(parts)
 
-    def _squared(self, centred: Singles) -> Singles:
-        squared: Singles = (-2 * centred) @ self.touches_.T
-        squared += np.einsum("ij,ij->i", centred, centred)[:, np.newaxis]
-        squared += self.squares_
-        return np.maximum(squared, 0, out=squared)
-
     def _log_densities(
-        self, squared: Singles, width: float, left_out: Array | None = None
+        self, squared: Singles, width: float, left_out: Bools | None
     ) -> Floats:
-        """Return log densities of labels but for a constant of each touch (nats).
-
-        Of squared distances (n_touches, n_stored); some may be left out.
-        """
         exponent = squared / np.float32(-2 * width**2)
         counts = np.diff(self.starts_, append=squared.shape[1])
         n_stored = counts
@@ -277,12 +278,7 @@ class NearbyTouches(BayesRule):
             check_is_fitted(self)
         touches = check_squarable(as_touches(self, X)) - self.mean_
         centred = touches.astype(np.float32)
-        at_once = max(1, _PAIRS_AT_ONCE // len(self.touches_))
-        parts = [
-            self._log_densities(self._squared(centred[k : k + at_once]), self.width_)
-            for k in range(0, len(centred), at_once)
-        ]
-        densities = np.concatenate(parts)
+        densities = self._densities(centred, self.width_)
         log_posterior, lists = self._log_posterior(densities), _best_of(densities)
         pairs = zip(centred, lists, strict=True)
         scores = np.stack([self._scores(touch, labels) for touch, labels in pairs])
@@ -300,13 +296,9 @@ class NearbyTouches(BayesRule):
         return other
 
     def _log_posterior(self, scores: Floats) -> Floats:
-        below = scores - scores.max(axis=1, keepdims=True)
+        most = scores.max(axis=1, keepdims=True)
+        below = scores - np.where(np.isfinite(most), most, 0)
         return log_softmax(np.maximum(self.temperature_ * below, -self.floor_))
-
-    @property
-    def left_out_rows(self) -> Indices:
-        """Which training touches these are, (n_left_out,)."""
-        return self.left_out_rows_
 
 
 def _best_of(densities: Floats) -> Indices:
@@ -326,11 +318,11 @@ def _best_shape(
     """
     step = -(-scores.size // _SHAPED_ANSWERS)
     scores, codes = scores[::step], codes[::step]
-    own_scores = scores[np.arange(len(codes)), codes]
-    below = scores - scores.max(axis=1, keepdims=True)
-    below, codes = below[np.isfinite(own_scores)], codes[np.isfinite(own_scores)]
+    met = np.isfinite(scores[np.arange(len(codes)), codes])
+    scores, codes = scores[met], codes[met]
     if not len(codes):
         return 0.0, 1.0, float(np.log(scores.shape[1]))
+    below = scores - scores.max(axis=1, keepdims=True)
     at = np.arange(len(codes)), codes
 
     def loss(raw: float, floor: float) -> float:

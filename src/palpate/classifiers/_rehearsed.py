@@ -285,11 +285,10 @@ def _thinned(rows: Indices, y: Array) -> Indices:
     """Return at most so many rows, of each label its share, at least four."""
     if len(rows) <= _AT_MOST:
         return rows
-    return np.sort(np.concatenate([*_some_of_each(rows, y)]))
-
-
-def _some_of_each(rows: Indices, y: Array) -> Iterator[Indices]:
-    names, counts = np.unique(y[rows], return_counts=True)
-    for name, count in zip(names, counts, strict=True):
+    kept = []
+    for name in np.unique(y[rows]):
+        of_label = rows[y[rows] == name]
+        count = len(of_label)
         n_kept = min(count, max(4, round(count * _AT_MOST / len(rows))))
-        yield rows[y[rows] == name][_spread(count, n_kept)]
+        kept.append(of_label[_spread(count, n_kept)])
+    return np.sort(np.concatenate(kept))

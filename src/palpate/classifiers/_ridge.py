@@ -44,22 +44,11 @@ USUAL_SHAPE = USUAL_TEMPERATURE, 0.5, 1.0
 class GrowingInverse:
     """What it takes to learn more touches without those before them again.
 
-    Attributes `n_first`, `touches`, `labels` and `ridges`: how many the first touches
-    are, and all that it has.
-
-    Parameters
-    ----------
-    root : ndarray of shape (n_first, n_first)
-        R below its diagonal, with R^T R the inverse of the first touches' kernel and
-        ridge.
-    touches : ndarray of shape (n_first, n_features)
-        The first touches, in the order of the kernel.
-    labels, ridges : ndarray of shape (n_first,)
-        Their labels, and what was added to the kernel's diagonal for each.
-    classes, coefficients : ndarray of shape (n_classes,) and (n_first, n_classes)
-        The sorted labels, and the inverse times their one-hot columns.
-    blocks : iterable of (ndarray of shape (n_groups, size), ndarray)
-        Rows of groups of touches, and the inverse at them (n_groups, size, size).
+    It is made of the `n_first` first touches (n_first, n_features), their `labels`, and
+    the `ridges` that were added to the kernel's diagonal. `root` (n_first, n_first) is
+    R below its diagonal, with R^T R the inverse of kernel and ridges; `coefficients`
+    (n_first, n_classes) are that inverse times the one-hot columns of the sorted
+    `classes`; `blocks` yield groups as `inverse_blocks` does.
     """
 
     def __init__(

@@ -11,7 +11,7 @@ from typing import Any, Protocol, Self, TypeGuard, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
-from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import (
     PLAIN_LABELS,
@@ -155,8 +155,10 @@ class BayesRule(ClassifierMixin, BaseEstimator):
 
     @property
     def left_out_rows(self) -> Indices:
-        """Rows of the training touches that are told of when left out: all."""
+        """Rows of the training touches left out: `left_out_rows_`, or all."""
         whole: Any = self
+        if hasattr(whole, "left_out_rows_"):
+            return np.asarray(whole.left_out_rows_)
         return np.arange(len(whole.left_out_log_likelihood()))
 
     def left_out_by_part(self) -> Floats:
@@ -300,13 +302,6 @@ def labelled_touches(
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
     check_targets(labels)
     return touches, labels
-
-
-def as_labels(y: ArrayLike) -> Array:
-    """Return labels (n_touches,), or raise as scikit-learn does."""
-    if _is_plain_labels(y):
-        return np.asarray(y)
-    return np.asarray(column_or_1d(y, warn=True))
 
 
 def _is_plain_labels(y: object) -> TypeGuard[Array]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
+from .._numbers import evenly_spaced
 from .._types import Array, Floats, Indices
 
 _CLIP = 0.2  # as SIFT does, doi:10.1023/B:VISI.0000029664.99615.94
@@ -209,8 +210,7 @@ class RingPatterns(CanvasEncoder):
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
         shares = self._vectors(images)
-        spread = np.linspace(0, len(images) - 1, _MOVED).astype(int)
-        rows = np.unique(spread)
+        rows = evenly_spaced(len(images), _MOVED)
         part, still = images[rows].astype(np.float32), shares[rows]
         changes = np.concatenate(
             [self._vectors(_moved(part, *step)) - still for step in _STEPS]

@@ -111,11 +111,6 @@ class CentroidMoments(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the invariant moments, shape (n_touches, n_moments)."""
-        moments = self._moments_of(images)
-        waves = self.degrees_[:, 1] > 0
-        return np.where(waves, np.abs(moments), moments.real)
-
-    def _moments_of(self, images: Array) -> Complexes:
         images = images.astype(np.float64, copy=False)
         scale = self.width * min(images.shape[1:]) / 2
         levels = images / size_of(images, self.normalise)[:, None, None]
@@ -134,12 +129,13 @@ class CentroidMoments(ImageEstimator):
         # Conjugated, as moments are integrals against the pattern's conjugate.
         moments: Complexes
         moments = flat @ self.patterns_.conj().reshape(len(self.patterns_), -1).T
-        return moments
+        waves = self.degrees_[:, 1] > 0
+        return np.where(waves, np.abs(moments), moments.real)
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "moment<n>,<m>" for each moment."""
         check_is_fitted(self)
-        return np.array([f"moment{n},{m}" for n, m in self.degrees_], dtype=object)
+        return self._columns_named(f"moment{n},{m}" for n, m in self.degrees_)
 
 
 def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
@@ -267,8 +263,7 @@ class HuMoments(ImageEstimator):
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "hu1" to "hu7"."""
-        check_is_fitted(self)
-        return np.array([f"hu{i + 1}" for i in range(self.n_components)], dtype=object)
+        return self._columns_named(f"hu{i + 1}" for i in range(self.n_components))
 
 
 @lru_cache(maxsize=16)

@@ -139,26 +139,25 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
 
     def _vectors(self, images: Array, most_seconds: float | None = None) -> Floats:
         """Return what the network makes of some images, (n_images, n_numbers)."""
-        session, name = self._ready()
-        inputs = {name: self._prepared(images, session.get_inputs()[0].shape)}
+        session = self._ready()
+        (taken,) = session.get_inputs()
+        prepared, output = self._prepared(images, taken.shape), self._output(session)
         options = needed("onnxruntime", "onnx", "OnnxEncoding").RunOptions()
         watch = Timer(most_seconds or 0, lambda: setattr(options, "terminate", True))
         watch.daemon = True
         if most_seconds:
             watch.start()
         try:
-            (output,) = session.run([self._output(session)], inputs, options)
-        except OnnxError:
-            raise
+            (vectors,) = session.run([output], {taken.name: prepared}, options)
         except Exception as error:
             raise OnnxError(
-                f"The network cannot encode images of {inputs[name].shape[2]} x "
-                f"{inputs[name].shape[3]}: {_first_line(error)}. Export it anew for "
+                f"The network cannot encode images of {prepared.shape[2]} x "
+                f"{prepared.shape[3]}: {_first_line(error)}. Export it anew for "
                 "images of this size, or of any."
             ) from error
         finally:
             watch.cancel()
-        return _rows(output, len(images))
+        return _rows(vectors, len(images))
 
     def _prepared(self, images: Array, shape: Sequence[Any]) -> Singles:
         """Return images as the network takes them, (n_images, channels, rows, cols)."""
@@ -192,12 +191,12 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
             )
         return str(name)
 
-    def _ready(self) -> tuple[Any, str]:
-        """Return the network, ready to run, and the name of its input."""
+    def _ready(self) -> Any:
+        """Return the network, ready to run."""
         if "_session" not in self.__dict__:
             check_is_fitted(self, "network_")
             self._session = _session(self.network_.tobytes())
-        return self._session, self._session.get_inputs()[0].name
+        return self._session
 
     def __getstate__(self) -> dict[str, Any]:
         state: dict[str, Any] = dict(super().__getstate__())
@@ -215,19 +214,9 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
 
 
 def checked_network(content: bytes) -> bytes:
-    """Return an ONNX network that is no more than that, written anew, or explain.
-
-    Raises
-    ------
-    OnnxError
-        It is damaged, too large, or asks for what a network of images does not need.
-    """
+    """Return an ONNX network that is no more than that, written anew, or explain."""
     onnx = needed("onnx", "onnx", "OnnxEncoding")
-    if len(content) > MAX_NETWORK_MB * MB:
-        raise OnnxError(
-            f"network must be at most {MAX_NETWORK_MB} MB, got "
-            f"{len(content) / MB:.0f} MB. Use a smaller network, or 16-bit weights."
-        )
+    _check_size(len(content))
     try:
         model = onnx.load_model_from_string(content)
         if not model.graph.node:
@@ -337,10 +326,8 @@ def _bound_memory() -> None:
 def _check_input(inputs: Sequence[Any]) -> None:
     """Refuse a network that takes no images, or one image at a time."""
     shapes = [(node.type, node.shape) for node in inputs]
-    kind: str = shapes[0][0] if len(shapes) == 1 else ""
-    shape: list[Any] = shapes[0][1] if len(shapes) == 1 else []
-    fits = kind == "tensor(float)" and len(shape) == 4 and shape[1] in (1, 3)
-    if not fits:
+    kind, shape = shapes[0] if len(shapes) == 1 else ("", [])
+    if kind != "tensor(float)" or len(shape) != 4 or shape[1] not in (1, 3):
         got = ", ".join(f"{kind} {shape}" for kind, shape in shapes) or "no input"
         raise OnnxError(
             "network must take float images (n, 1 or 3 channels, n_rows, n_cols), got "
@@ -419,13 +406,16 @@ def _bytes_of(network: str | Path | Array) -> bytes:
     path = Path(network)
     if not path.is_file():
         raise OnnxError(f"There is no network file {path}. Check the path.")
-    n_bytes = path.stat().st_size
+    _check_size(path.stat().st_size, f"{path} with ")
+    return path.read_bytes()
+
+
+def _check_size(n_bytes: int, name: str = "") -> None:
     if n_bytes > MAX_NETWORK_MB * MB:
         raise OnnxError(
-            f"network must be at most {MAX_NETWORK_MB} MB, got {path} with "
+            f"network must be at most {MAX_NETWORK_MB} MB, got {name}"
             f"{n_bytes / MB:.0f} MB. Use a smaller network, or 16-bit weights."
         )
-    return path.read_bytes()
 
 
 def _first_line(error: Exception) -> str:

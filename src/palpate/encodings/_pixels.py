@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from .._checks import check_count, check_finite, check_number, check_option
 from .._image_estimator import ImageEstimator, by_channel
+from .._numbers import evenly_spaced
 from .._types import Array, Complexes, Floats, Singles
 from ..images import OrientationRegulariser
 from ._canvas import lengths
@@ -176,9 +177,8 @@ class GridLevels(ImageEstimator, by_channel=False):
         self.baseline_ = np.zeros(1)
         if isinstance(self.baseline, str):
             check_option("baseline", self.baseline, ("median",))
-            spread = np.linspace(0, len(images) - 1, _LOOKED_AT).astype(int)
-            means = by_channel(self._means, images[np.unique(spread)])
-            self.baseline_ = np.median(means, axis=0)
+            rows = evenly_spaced(len(images), _LOOKED_AT)
+            self.baseline_ = np.median(by_channel(self._means, images[rows]), axis=0)
         elif self.baseline is not None:
             frame = check_finite(np.asarray(self.baseline)[np.newaxis])
             if frame.shape[1:] != images.shape[1:]:

@@ -39,6 +39,7 @@ from .._checks import (
     check_width,
 )
 from .._image_estimator import ImageEstimator
+from .._numbers import evenly_spaced
 from .._types import Array, Floats
 from ._pixels import ScaledPixels
 from ._zernike import ZernikeMoments
@@ -229,7 +230,6 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
             self.components_ = np.zeros((1, features.shape[1]))
         else:
             self.components_ = _directions(features - self.mean_, share)
-        self._n_features_out = len(self.components_)
         return self
 
     def transform(self, X: ArrayLike) -> Floats:
@@ -245,6 +245,10 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
     def transform_checked(self, features: Floats) -> Floats:
         """Do what `transform` does, for a caller that has checked the features."""
         return np.asarray((features - self.mean_) @ self.components_.T)
+
+    @property
+    def _n_features_out(self) -> int:
+        return len(self.components_)
 
     def unexplained(self, X: Floats, scores: Floats) -> Floats:
         """Return how much of each touch the kept components leave out.
@@ -279,8 +283,7 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
         for k in np.unique(fold):
             others, rows = np.flatnonzero(fold != k), fold == k
             if len(others):
-                n = min(len(others), _LEARNT_FROM)
-                chosen = others[np.linspace(0, len(others) - 1, n).astype(int)]
+                chosen = others[evenly_spaced(len(others), _LEARNT_FROM)]
                 part = PrincipalShare(self.share).fit(X[chosen])
                 result[rows] = part.unexplained(X[rows], part.transform(X[rows]))
         return result

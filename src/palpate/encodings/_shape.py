@@ -66,7 +66,7 @@ class ShapeGeometry(ImageEstimator):
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "area" and "edge_variance"."""
-        return np.array(["area", "edge_variance"], dtype=object)
+        return self._columns_named(["area", "edge_variance"])
 
 
 class FourierDescriptors(ImageEstimator):
@@ -141,7 +141,7 @@ class FourierDescriptors(ImageEstimator):
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "fourier1" to "fourier<n>"."""
-        return np.array([f"fourier{i + 1}" for i in range(self.n)], dtype=object)
+        return self._columns_named(f"fourier{i + 1}" for i in range(self.n))
 
 
 def outer_boundary(shape: Bools) -> Floats:

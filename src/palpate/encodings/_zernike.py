@@ -170,7 +170,7 @@ class ZernikeMoments(ImageEstimator):
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "zernike<n>,<m>" for each column."""
         check_is_fitted(self, "image_shape_")
-        return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
+        return self._columns_named(f"zernike{n},{m}" for n, m in self.indices_)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         return _checks.check_image_shape(X, shape=shape, channels=True)

@@ -20,7 +20,7 @@ from math import lcm
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss, legvander
+from numpy.polynomial.legendre import leggauss, legmulx, legvander
 from numpy.typing import DTypeLike
 
 from .._types import Array, Bools, Complexes, Floats, Indices
@@ -62,18 +62,6 @@ def legendre_weights(order: int) -> Complexes:
 
     Exact rationals, rounded once; beyond order 20 their sums lose digits.
     """
-    monomials = np.stack(list(_monomial_weights(order)))
-    to_legendre, scale = _powers_as_legendre(order)
-    parts = []
-    for part in (monomials.real, monomials.imag):
-        whole = part.astype(np.int64).astype(object)
-        both = np.matmul(to_legendre.T, np.matmul(whole, to_legendre))
-        parts.append((both / scale**2).astype(np.float64))
-    return np.asarray(parts[0] + 1j * parts[1])
-
-
-def _monomial_weights(order: int) -> Iterator[Complexes]:
-    """Yield weights of x^a y^b at [a, b] of each V(n, m): whole, exact to order 20."""
 
     def times(a: Array, sign: int) -> Array:
         product = np.zeros_like(a)
@@ -81,9 +69,18 @@ def _monomial_weights(order: int) -> Iterator[Complexes]:
         product[:, 1:] += sign * 1j * a[:, :-1]
         return product
 
+    # Weights of x^a y^b at [a, b] of each V(n, m): whole, exact to order 20.
     unit = np.zeros((order + 1, order + 1), dtype=complex)
     unit[0, 0] = 1
-    yield from _recurrence(order, unit, lambda a: times(a, 1), lambda a: times(a, -1))
+    ways = (lambda a: times(a, 1)), (lambda a: times(a, -1))
+    monomials = np.stack([*_recurrence(order, unit, *ways)])
+    to_legendre, scale = _powers_as_legendre(order)
+    parts = []
+    for part in (monomials.real, monomials.imag):
+        whole = part.astype(np.int64).astype(object)
+        both = np.matmul(to_legendre.T, np.matmul(whole, to_legendre))
+        parts.append((both / scale**2).astype(np.float64))
+    return np.asarray(parts[0] + 1j * parts[1])
 
 
 def _recurrence(
@@ -108,17 +105,14 @@ def _recurrence(
 
 def _powers_as_legendre(order: int) -> tuple[Array, int]:
     """Whole numbers w and a scale with x^a = sum over i of w[a, i] P_i(x) / scale."""
-    rows = [[Fraction(1)] + [Fraction(0)] * order]
+    powers = [np.array([Fraction(1)])]
     for _ in range(order):
-        row = [Fraction(0)] * (order + 2)
-        for i, weight in enumerate(rows[-1]):
-            row[i + 1] += weight * Fraction(i + 1, 2 * i + 1)
-            if i:
-                row[i - 1] += weight * Fraction(i, 2 * i + 1)
-        rows.append(row[:-1])
-    scale = lcm(*(weight.denominator for row in rows for weight in row))
-    whole = [[int(weight * scale) for weight in row] for row in rows]
-    return np.array(whole, dtype=object), scale
+        powers.append(legmulx(powers[-1]))
+    scale = lcm(*(weight.denominator for weight in np.concatenate(powers)))
+    whole = np.zeros((order + 1, order + 1), dtype=object)
+    for row, weights in zip(whole, powers, strict=True):
+        row[: len(weights)] = [int(weight * scale) for weight in weights]
+    return whole, scale
 
 
 Nodes = tuple[Floats, Floats, Floats]

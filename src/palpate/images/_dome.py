@@ -22,9 +22,9 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_number, check_option, check_positive
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats, Indices, Singles
+from .._types import Array, Floats, Singles
 from ._orientation import inscribed_mask
-from ._rim import Circle, Rims, as_images, rims_near, typical_rim
+from ._rim import Circle, Rims, as_images, rims_near, spread, typical_rim
 
 N_SAFE = 512  # images are spread over all; more change a quantile little
 SAFE_SHARE = 0.02  # of the images may reach beyond the disc
@@ -106,7 +106,7 @@ class DomeCrop(ImageEstimator):
         """
         images = as_images(X)
         self._learn_rim(images, no_contact)
-        self._learn_disc(self._rims(images[_spread(len(images))]))
+        self._learn_disc(self._rims(images[spread(len(images), N_SAFE)]))
         return self
 
     def fit_transform(
@@ -116,7 +116,7 @@ class DomeCrop(ImageEstimator):
         images = as_images(X)
         self._learn_rim(images, **fixed)
         rims = self._rims(images)
-        self._learn_disc(rims[_spread(len(images))])
+        self._learn_disc(rims[spread(len(images), N_SAFE)])
         return self._cut(images, rims)
 
     def _learn_rim(self, images: Array, no_contact: ArrayLike | None = None) -> None:
@@ -303,12 +303,6 @@ def standardise_discs(discs: ArrayLike) -> Singles:
     if rows != cols:
         raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
     return _standardise(images, np.zeros(images.shape, np.float32))
-
-
-def _spread(n_images: int) -> Indices:
-    """Return the rows, of so many images, that the safe radius is learnt from."""
-    rows = np.linspace(0, n_images - 1, min(n_images, N_SAFE))
-    return np.unique(rows.round().astype(int))
 
 
 def _crop(images: Array, rims: Rims, radius: float, size: int) -> Singles:

@@ -82,18 +82,6 @@ def _shift(centre: Floats) -> Floats:
     return np.where(gap >= 0, _BINOMIAL * powers, 0.0)
 
 
-@dataclass(frozen=True)
-class _Orientations:
-    """Direction of the long axis, -180 to 180, and anisotropy of images, (n_touches,).
-
-    The long tail points to `angle_deg`; the anisotropy (a - b) / (a + b) of the largest
-    and least second moments is 1 for a line, 0 for what looks alike at right angles.
-    """
-
-    angle_deg: Floats
-    anisotropy: Floats
-
-
 class OrientationRegulariser(ImageEstimator):
     """Turn each image so that its long axis lies along the columns.
 
@@ -129,23 +117,25 @@ class OrientationRegulariser(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""
-        axes = _orientations(images)
-        angle = np.where(axes.anisotropy >= self.min_anisotropy, axes.angle_deg, 0.0)
+        angle, anisotropy = _orientations(images)
+        angle = np.where(anisotropy >= self.min_anisotropy, angle, 0.0)
         turned = repose(images, -angle, edges="nearest")
         turned *= inscribed_mask(*images.shape[1:])
         return turned
 
 
-def _orientations(images: ArrayLike) -> _Orientations:
-    """Return direction and anisotropy of each image, from its central moments.
+def _orientations(images: Array) -> tuple[Floats, Floats]:
+    """Return where each image's longer tail points, -180 to 180 degrees; anisotropy.
 
     Levels count from the least one in the inscribed disc. The third moment along the
-    axis of the second ones tells its ends apart. Without a direction, both are 0.
+    axis of the second ones tells its ends apart. The anisotropy (a - b) / (a + b) of
+    the largest and least second moments is 1 for a line, 0 for what looks alike at
+    right angles. Without a direction, both are 0.
     """
-    checked = check_images(images)
-    mask = inscribed_mask(*checked.shape[1:])
-    least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
-    mu = central_moments((checked - least) * mask).mu
+    levels: Floats = images.astype(np.float64, copy=False)
+    mask = inscribed_mask(*images.shape[1:])
+    least = np.where(mask, levels, np.inf).min(axis=(1, 2), keepdims=True)
+    mu = central_moments((levels - least) * mask).mu
     both = mu[:, 0, 2] + mu[:, 2, 0]
     difference, mixed = mu[:, 0, 2] - mu[:, 2, 0], 2 * mu[:, 1, 1]
     size = np.hypot(difference, mixed)
@@ -159,7 +149,7 @@ def _orientations(images: ArrayLike) -> _Orientations:
     opposite = np.where(degrees > 0, degrees - 180, degrees + 180)
     degrees = np.where(backwards, opposite, degrees)
     share = np.where(flat, 0.0, size / np.where(both > 0, both, 1.0))
-    return _Orientations(degrees, share)
+    return degrees, share
 
 
 def repose(

@@ -246,14 +246,15 @@ class PressPose(BaseEstimator):
         place = poses[:, 1:] + _turn(centroid, poses[:, 0])
         offset = ((place - outline) ** 2).sum(axis=1)
         sd = np.sqrt(variance[:, 1] + variance[:, 2] + offset)
-        angle = np.zeros(len(poses))
+        angle, sd_deg = np.zeros(len(poses)), np.full(len(poses), np.inf)
         if symmetry:
-            angle = np.rad2deg(poses[:, 0]) - self.zeros_deg_[index]
-            angle %= 360 / symmetry
-            angle[angle >= 360 / symmetry] = 0.0  # where rounding reaches the period
-        sd_deg = np.full(len(poses), np.inf)
-        if np.isfinite(self.inflation_[index]):
-            sd_deg = _doubt_of_angle(variance[:, 0] * self.inflation_[index], symmetry)
+            period, inflation = 360 / symmetry, self.inflation_[index]
+            angle = (np.rad2deg(poses[:, 0]) - self.zeros_deg_[index]) % period
+            angle[angle >= period] = 0.0  # where rounding reaches the period
+            if np.isfinite(inflation):
+                sd_deg = np.rad2deg(np.sqrt(variance[:, 0] * inflation))
+                # As much as an angle drawn at random has.
+                sd_deg[~(sd_deg < period / np.sqrt(12))] = np.inf
         rows = np.column_stack([place, angle, sd, sd_deg])
         rows[empty] = [0, 0, 0, np.inf, np.inf]
         return rows
@@ -277,17 +278,6 @@ def _prepare(images: Floats) -> tuple[Floats, Floats]:
     by_col, by_row = outlines.sum(axis=1), outlines.sum(axis=2)
     centres = np.column_stack([by_col @ x / count, by_row @ y / count])
     return root / np.where(size > 0, size, 1.0), centres
-
-
-def _doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
-    """Standard deviations in degrees of variances in square radians.
-
-    Infinite from 360 / symmetry / sqrt(12) degrees, those of an angle drawn at random.
-    """
-    if symmetry == 0:
-        return np.full(len(variance), np.inf)
-    sd: Floats = np.rad2deg(np.sqrt(variance))
-    return np.where(sd < 360 / symmetry / np.sqrt(12), sd, np.inf)
 
 
 def _turn(points: Floats, angles: Floats) -> Floats:

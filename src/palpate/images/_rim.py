@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_finite, check_image_shape, check_levels, check_positive
 from .._parallel import opencv_on_one_thread
-from .._types import Array, Bools, Floats
+from .._types import Array, Bools, Floats, Indices
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -159,13 +159,11 @@ def typical_rim(
     touches it.
     """
     checked = as_images(images)
-    n = len(checked)
-    which = np.unique(np.linspace(0, n - 1, min(n, N_TYPICAL)).round().astype(int))
     idle = None
     if no_contact is not None:
         alone = _find(as_images(np.asarray(no_contact)[np.newaxis])[0], None)
         idle = alone if alone.visible else None
-    rims = rims_near(checked[which], idle)
+    rims = rims_near(checked[spread(len(checked), N_TYPICAL)], idle)
     seen = rims[rims.visible]
     if idle is not None:
         if not len(seen):
@@ -182,6 +180,11 @@ def typical_rim(
     return Circle(row, col, radius, True, float(np.median(seen.score)))
 
 
+def spread(n_images: int, most: int) -> Indices:
+    """Return at most so many rows of images, evenly spread over all."""
+    return np.linspace(0, n_images - 1, min(n_images, most)).round().astype(np.intp)
+
+
 def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
     """Return `X` as finite images; 8-bit ones stay so, to save memory and time."""
     images = check_image_shape(X, shape=shape)
@@ -192,10 +195,8 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
 
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
-    if near is None:
-        missing = Circle.inscribed(shape)
-    else:
-        missing = Circle(near.row, near.col, near.radius, False, 0.0)
+    stand_in = near or Circle.inscribed(shape)
+    missing = Circle(stand_in.row, stand_in.col, stand_in.radius, False, 0.0)
     if min(shape) < SMALLEST_SIDE:
         return missing
     # 8-bit as it is, anything else stretched to 0..1 in single precision.
@@ -215,12 +216,11 @@ def _find(image: Array, near: Circle | None) -> Circle:
             away = np.hypot(here.circle[0] - near.row, here.circle[1] - near.col)
             if away <= FEW_STEPS * near.radius:
                 return Circle(*here.circle, True, here.support)
-    best: Fit | None = None
-    for fit in _candidates(grey, near):
-        if _is_rim(fit, shape, near) and (best is None or fit.evidence > best.evidence):
-            best = fit
-            if near is not None:
-                break
+    rims = (fit for fit in _candidates(grey, near) if _is_rim(fit, shape, near))
+    if near is not None:
+        best = next(rims, None)
+    else:
+        best = max(rims, key=attrgetter("evidence"), default=None)
     if best is None:
         return missing
     if near is None:

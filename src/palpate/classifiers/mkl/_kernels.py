@@ -145,17 +145,14 @@ def _fill(
     powers: dict[tuple[float, int], Floats] = {}
     for place, kernel in zip(places, kernels, strict=True):
         if isinstance(kernel, PolynomialKernel):
-            # From the highest power already known.
             offset, degree = kernel.offset, kernel.degree
-            below = max(
-                (p for o, p in powers if o == offset and p <= degree), default=0
-            )
-            if below == 0:
+            if (offset, 1) not in powers:
                 powers[offset, 1] = offset + product
-                below = 1
-            power, base = powers[offset, below], powers[offset, 1]
+            # From the highest power already known.
+            below = max(p for o, p in powers if o == offset and p <= degree)
+            power = powers[offset, below]
             for _ in range(degree - below):
-                power = power * base
+                power = power * powers[offset, 1]
             powers[offset, degree] = power
             place[...] = power
         elif isinstance(kernel, LinearKernel):

@@ -11,6 +11,7 @@ Conjugate gradients solve for the step; its matrix made of some of the touches l
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -36,6 +37,7 @@ _DRAWN, _MOST_STEPS, _LEFT = 6, 30, (0.1, 0.003)
 Blocks = Callable[[], Iterator[tuple[slice, Floats]]]
 
 
+@dataclass
 class LandmarkFeatures:
     """Nystroem features of several kernels, from one matrix of distances.
 
@@ -43,16 +45,13 @@ class LandmarkFeatures:
     go from kernel values at the landmarks to features, one per kernel.
     """
 
-    def __init__(
-        self,
-        kernels: Sequence[Kernel],
-        landmarks: Floats,
-        mean: Floats,
-        maps: list[Floats],
-    ) -> None:
-        self.kernels, self.landmarks = kernels, landmarks
-        self.mean, self.maps = mean, maps
-        self.ranks = [kernel_map.shape[1] for kernel_map in maps]
+    kernels: Sequence[Kernel]
+    landmarks: Floats
+    mean: Floats
+    maps: list[Floats]
+
+    def __post_init__(self) -> None:
+        self.ranks = [kernel_map.shape[1] for kernel_map in self.maps]
 
     def __call__(self, centred: Floats) -> Floats:
         """Return features, shape (n_touches, sum of ranks), kernel by kernel."""
@@ -223,9 +222,7 @@ class LowRankKernels:
         return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
 
     def take(self, keep: Array) -> Self:
-        if len(keep) != 1 or not np.asarray(keep).all():
-            raise IndexError("A low-rank system holds one problem.")
-        return self
+        return self  # there is one problem
 
     def lengths(self, columns: Floats) -> Floats:
         """Return the length of each kernel's part of a vector over the columns."""

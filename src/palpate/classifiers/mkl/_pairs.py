@@ -79,8 +79,8 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
     for rows, index, labels in _batches(bank, codes, machines.pairs):
         system: Any = bank.system(index, labels)
         solution = settings.solve(system)
-        coefficients_and_bias = bank.machines(system, index, solution)
-        machines.coefficients[rows], machines.bias[rows] = coefficients_and_bias
+        learnt = bank.machines(system, index, solution)
+        machines.coefficients[rows], machines.bias[rows] = learnt
         machines.weights[rows] = solution.weights
         machines.gap[rows], machines.objective[rows] = solution.gap, solution.objective
         machines.n_iter[rows] = solution.n_iter
@@ -188,7 +188,8 @@ def fit_sigmoids(scores: Floats, labels: Floats) -> Floats:
     unit = np.where(unit > 0, unit, 1)[:, None]
     inputs = np.stack([scores / unit, np.ones_like(scores)], axis=2)
     prior = np.log((n_plus + 1) / (n_minus + 1))
-    sigmoid: Floats = np.concatenate([np.zeros_like(prior), prior], axis=1)
+    start: Floats = np.concatenate([np.zeros_like(prior), prior], axis=1)
+    sigmoid = start
     for _ in range(_NEWTON_STEPS):
         chance = expit((inputs @ sigmoid[:, :, None])[:, :, 0])
         gradient = (counted * (chance - target))[:, None, :] @ inputs
@@ -198,8 +199,7 @@ def fit_sigmoids(scores: Floats, labels: Floats) -> Floats:
         sigmoid = _shortened(sigmoid, step, inputs, target, counted)
         if np.abs(step).max() < 1e-9:
             break
-    useless = ~(sigmoid[:, 0] > 0)
-    sigmoid[useless] = np.stack([np.zeros_like(prior), prior], axis=1)[useless, :, 0]
+    sigmoid = np.where(sigmoid[:, :1] > 0, sigmoid, start)
     sigmoid[:, 0] /= unit[:, 0]
     return sigmoid
 

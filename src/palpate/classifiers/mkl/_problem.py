@@ -62,33 +62,12 @@ class Point:
     free: Floats  # bias, multiplier of the sum of the shares, pulls features' Y a
     n_touches: int
 
-    @property
-    def alpha(self) -> Floats:
-        return self.left[:, : self.n_touches]
-
-    @property
-    def shares(self) -> Floats:
-        return self.left[:, 2 * self.n_touches :]
-
-    @property
-    def errors(self) -> Floats:
-        return self.right[:, self.n_touches : 2 * self.n_touches]
-
-    @property
-    def slack(self) -> Floats:
-        return self.right[:, 2 * self.n_touches :]
-
-    @property
-    def bias(self) -> Floats:
-        return self.free[:, :1]
-
-    @property
-    def level(self) -> Floats:
-        return self.free[:, 1:2]
-
-    @property
-    def pulls(self) -> Floats:
-        return self.free[:, 2:]
+    def __post_init__(self) -> None:
+        n, free = self.n_touches, self.free
+        # Views, through which the arrays are also written to.
+        self.alpha, self.shares = self.left[:, :n], self.left[:, 2 * n :]
+        self.errors, self.slack = self.right[:, n : 2 * n], self.right[:, 2 * n :]
+        self.bias, self.level, self.pulls = free[:, :1], free[:, 1:2], free[:, 2:]
 
     def take(self, keep: Array) -> "Point":
         parts = self.left[keep], self.right[keep], self.free[keep]
@@ -328,20 +307,18 @@ def _advanced(task: Task, point: Point, view: View, going: Array) -> Point:
     centre = total / products.shape[1] * np.minimum(np.maximum(remains, 0), 1) ** 3
     bent -= 1
     move = step_to(centre / point.left + bent * point.right)
-    step = np.minimum(1, _SHARE_OF_WAY * _reach(point, move))
+    # The longest step that keeps everything positive, (n_problems, 1).
+    nearest = np.minimum(
+        (move.left / point.left).min(axis=1), (move.right / point.right).min(axis=1)
+    )
+    reach = 1 / np.maximum(-nearest, 1e-12)[:, None]
+    step = np.minimum(1, _SHARE_OF_WAY * reach)
     moved = point.moved(step, move)
     # What is not finite shows in the step, or in the bias and the level.
     usable = going & np.isfinite(step[:, 0] + moved.free.sum(axis=1))
     if not usable.all():
         moved.overwrite(~usable, point.take(~usable))
     return moved
-
-
-def _reach(point: Point, move: Point) -> Floats:
-    """Return the longest step that keeps everything positive, (n_problems, 1)."""
-    left = (move.left / point.left).min(axis=1)
-    right = (move.right / point.right).min(axis=1)
-    return np.asarray((1 / np.maximum(-np.minimum(left, right), 1e-12))[:, None])
 
 
 def relative_gap(task: Task, point: Point, view: View) -> Floats:
@@ -373,13 +350,12 @@ class Best:
 
     def __init__(self, point: Point, tol: float) -> None:
         n_problems = len(point.free)
-        everywhere = np.arange(n_problems)
         self.point = point
         self.gap = np.full(n_problems, np.inf)
         self.n_iter = np.zeros(n_problems, dtype=np.int64)
         self._tol = tol
         self._found_at = np.zeros(n_problems, dtype=np.int64)
-        self.rows = everywhere  # of the problems that are not done
+        self.rows = np.arange(n_problems)  # of the problems that are not done
 
     def improve(self, task: Task, point: Point, view: View, *, last: bool) -> Bools:
         """Note what is better; return which problems should go on.

@@ -16,6 +16,7 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import (
     check_consistent_length,
     check_is_fitted,
+    column_or_1d,
     validate_data,
 )
 
@@ -29,7 +30,6 @@ from ..._checks import (
 )
 from ..._parallel import on_one_thread
 from ..._types import Array, Floats
-from .._touch_classifier import as_labels
 from . import _kernels, _pairs
 from ._kernels import (
     DenseBank,
@@ -348,7 +348,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         _checks.check_label_kinds(y)
         if self._is_given():
             touches = check_given(X)
-            labels = as_labels(y)
+            labels = np.asarray(column_or_1d(y, warn=True))
             check_consistent_length(touches, labels)
             self.n_features_in_ = len(touches)
         else:
