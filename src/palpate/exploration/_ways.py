@@ -39,35 +39,25 @@ _OUTSIDE_MM = 1.0
 ON_THE_WAY = "On the way to the start"
 
 
-class LoadOnWayError(RobotError):
-    """Something was met where nothing should be.
+class WayError(RobotError):
+    """A way ended: something was met, or the force sensor gave no number.
 
     Attributes
     ----------
+    outcome : str
+        As that of the `TouchRecord`.
     retracted : bool
-        Whether the arm is known to be clear of it again; else it was stopped.
+        Whether the arm is known to be clear again, or had not set out; else it was
+        stopped.
     force_n : float
-        The reading that ended the way.
+        The reading that ended the way, 0 where there is none.
     """
 
-    def __init__(self, message: str, force_n: float, *, retracted: bool) -> None:
+    def __init__(
+        self, message: str, outcome: str, *, retracted: bool, force_n: float = 0.0
+    ) -> None:
         super().__init__(message)
-        self.force_n, self.retracted = force_n, retracted
-
-
-class DeadForceError(RobotError):
-    """The force sensor gave no number where it was asked for one.
-
-    Attributes
-    ----------
-    retracted : bool
-        Whether it gives one again after the last step was taken back, and is clear;
-        else the arm was stopped. Before a way the arm stays as it is.
-    """
-
-    def __init__(self, message: str, *, retracted: bool = True) -> None:
-        super().__init__(message)
-        self.retracted = retracted
+        self.outcome, self.retracted, self.force_n = outcome, retracted, force_n
 
 
 @dataclass
@@ -103,23 +93,15 @@ def touch_from_hemisphere(
     how: dict[str, Any]
     try:
         follow(toucher.robot, hemisphere, pose, toucher.guard, toucher.wait_readings)
-    except LoadOnWayError as error:
-        return TouchRecord(
-            "limit exceeded",
-            pose,
-            tip_mm(pose),
-            peak_force_n=error.force_n,
-            message=str(error),
-            retracted=error.retracted,
-        )
-    except DeadForceError as error:
-        how = {"message": str(error), "retracted": error.retracted}
-        return TouchRecord("force sensor", pose, tip_mm(pose), **how)
+    except WayError as error:
+        outcome, how = error.outcome, {"peak_force_n": error.force_n}
+        how |= {"message": str(error), "retracted": error.retracted}
     except Exception as error:
-        message = f"{ON_THE_WAY}: {type(error).__name__}: {error}"
-        how = {"message": message, "retracted": is_out(toucher.robot, hemisphere)}
-        return TouchRecord("robot error", pose, tip_mm(pose), **how)
-    return toucher.touch(pose)
+        outcome, how = "robot error", {"retracted": is_out(toucher.robot, hemisphere)}
+        how["message"] = f"{ON_THE_WAY}: {type(error).__name__}: {error}"
+    else:
+        return toucher.touch(pose)
+    return TouchRecord(outcome, pose, tip_mm(pose), **how)
 
 
 def follow(
@@ -135,10 +117,8 @@ def follow(
 
     Raises
     ------
-    LoadOnWayError
-        A reading beyond `guard.limit_n` on the way.
-    DeadForceError
-        A reading that is no number.
+    WayError
+        A reading beyond `guard.limit_n` on the way, or one that is no number.
     """
     for _ in range(wait_readings):
         robot.read_force()
@@ -215,11 +195,12 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
                 robot.stop()
         if clear or not isinstance(error, Exception):
             raise
-        raise LoadOnWayError(
-            f"On the way to the start: {type(error).__name__}: {error} The force "
+        raise WayError(
+            f"{ON_THE_WAY}: {type(error).__name__}: {error} The force "
             f"sensor reads {force_n:.3f} N, so the arm was stopped. Free it by hand.",
-            0.0 if math.isnan(force_n) else force_n,
+            "limit exceeded",
             retracted=False,
+            force_n=0.0 if math.isnan(force_n) else force_n,
         ) from error
 
 
@@ -270,15 +251,17 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
     """Refuse to set out with a load on: the last touch is not over."""
     force_n = abs(_reading(robot))
     if math.isnan(force_n):
-        raise DeadForceError("The force sensor reads no number before the way.")
+        message = "The force sensor reads no number before the way."
+        raise WayError(message, "force sensor", retracted=True)
     if force_n > guard.limit_n:
         robot.stop()
-        raise LoadOnWayError(
+        raise WayError(
             f"{force_n:.3f} N before the arm sets out, beyond the limit of "
             f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
             "and was stopped. Free it by hand.",
-            force_n,
+            "limit exceeded",
             retracted=False,
+            force_n=force_n,
         )
 
 
@@ -296,15 +279,15 @@ def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
             robot.stop()
     where = "it went back one step" if clear else "it did not come free and was stopped"
     if math.isnan(force_n):
-        raise DeadForceError(
-            f"The force sensor reads no number on the way: {where}.", retracted=clear
-        )
-    raise LoadOnWayError(
+        message = f"The force sensor reads no number on the way: {where}."
+        raise WayError(message, "force sensor", retracted=clear)
+    raise WayError(
         f"{force_n:.3f} N on the way to the start, beyond the limit of "
         f"{guard.limit_n:g}: something stands where nothing should; {where}. Is the "
         "object where the hemisphere has its centre, and does it fit?",
-        abs(force_n),
+        "limit exceeded",
         retracted=clear,
+        force_n=abs(force_n),
     )
 
 
