@@ -335,7 +335,6 @@ class _Approach:
         if self.outcome == "touched" and moved_n > pressed_n:
             if (interrupt := self._stop()) is not None:
                 raise interrupt
-            self.outcome = "robot error"
             raise _Fault(
                 f"{moved_n:.3f} N of {self.force_n:.3f} are still there after the arm "
                 "was pulled back: it did not come out, whatever it says, and was "
