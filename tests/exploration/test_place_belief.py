@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from faulty_arms import Undecided
 from numpy.testing import assert_allclose
 
 from palpate import Touches
@@ -439,13 +440,6 @@ def test_without_places_it_is_said(recogniser, taught):
 
 
 def test_a_hemisphere_that_the_arm_cannot_reach_is_said_in_one_sentence(arm, sensor):
-    class Undecided:
-        def start(self):
-            return self
-
-        def decide(self, error, refusal):
-            return None
-
     class Short:
         def __getattr__(self, name):
             return getattr(arm, name)
