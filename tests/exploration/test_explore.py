@@ -287,14 +287,6 @@ def knows_the_ball(world):
     return ObjectRecogniser().fit(Touches(images, object=names, geometry="none"))
 
 
-def test_a_real_recogniser_decides(world, knows_the_ball):
-    sensor = world.BallSensor(world.BallArm())
-    end = explore(sensor.arm, sensor, knows_the_ball, STRATEGY, max_attempts=20)
-    assert end.decision == "ball"
-    assert end.belief.touches_used == end.n_touches
-    assert end.belief.best == "ball"
-
-
 def test_a_folder_that_holds_more_touches_gives_those_that_were_asked_for(
     world, tmp_path
 ):

@@ -365,16 +365,14 @@ def test_an_arm_that_is_not_where_it_was_sent_is_stopped(moved):
     assert isinstance(arm, Robot)
 
 
-def test_an_arm_that_went_too_far_is_pulled_back_all_of_it():
+def test_a_force_above_the_limit_counts_before_a_place_that_was_missed():
     class Overshoots(SpringWall):
         def move_to(self, pose):
             far = 9.0 if float(pose.position_mm[2]) == 5 else 0.0
             super().move_to(pose.advanced(far))
 
-    arm = Overshoots(stiffness=0.1)
-    assert touch(arm).outcome == "robot error"
-    hard = Overshoots(stiffness=20.0)
-    assert touch(hard).outcome == "limit exceeded"
+    assert touch(Overshoots(stiffness=0.1)).outcome == "robot error"
+    assert touch(Overshoots(stiffness=20.0)).outcome == "limit exceeded"
 
 
 @pytest.mark.parametrize(

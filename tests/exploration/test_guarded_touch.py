@@ -112,30 +112,3 @@ def test_whatever_a_driver_raises_the_arm_comes_back(arm, sensor, method, error)
     # The arm had moved when the driver raised: it is pulled back by that step too.
     assert np.linalg.norm(arm.pose.position_mm) >= 300 - 1e-9
     assert arm.force_n == 0
-
-
-def test_a_program_that_is_interrupted_pulls_the_arm_back(arm, sensor, monkeypatch):
-    def interrupted():
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(sensor, "read", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        guarded_touch(arm, sensor, START)
-    assert_allclose(arm.pose.position_mm, START.position_mm, atol=1e-9)
-
-
-def test_a_lost_retract_is_sent_again(arm, sensor):
-    plain, calls = arm.retract, []
-
-    def lost_once(way_mm):
-        calls.append(way_mm)
-        if len(calls) == 1:
-            raise RobotError("lost")
-        plain(way_mm)
-
-    arm.retract = lost_once
-    record = guarded_touch(arm, sensor, START)
-    assert record.outcome == "touched"
-    assert record.retracted
-    assert "lost" in record.message
-    assert not arm.stopped
