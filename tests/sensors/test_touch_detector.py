@@ -271,15 +271,6 @@ def test_which_limit_finds_more_touches_is_told():
     assert middle == pytest.approx(np.sqrt(low * high), rel=0.1)
 
 
-def test_no_other_limit_is_told_where_all_touches_were_found():
-    rest = np.full((4, 4), 100.0)
-    levels = [0, 0, 40, 40, 0, 0, 40, 40, 0]
-    stream = Touches(np.stack([rest + level for level in levels]), no_contact=rest)
-    detector = TouchDetector(begin=10.0)
-    assert len(detector.touches_in(stream)) == 2
-    assert detector.note == ""
-
-
 @pytest.mark.parametrize(("n_taxels", "asked"), [(3, False), (4, True)])
 def test_a_press_is_of_four_neighbours(n_taxels, asked, rng):
     rest = rng.uniform(99, 101, (10, 10))
