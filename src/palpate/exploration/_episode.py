@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -217,7 +218,12 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
     except Exception as error:
         why = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
         message = f"{record.message} {why}".strip()
-        return replace(record, outcome="no frame", message=message)
+        refused = replace(record, outcome="no frame", message=message)
+        if take_in is not None and record.touched:
+            # Its contact counts, as it does when the episode goes on another day.
+            with suppress(Exception):
+                take_in(refused)
+        return refused
     return record
 
 

@@ -162,7 +162,9 @@ class PlaceBelief(Belief):
         tip, way = np.asarray(record.position_mm) - self.centre_mm, record.direction
         if record.outcome in _CONTACTS:
             forces = np.array([record.force_n])
-            self._met(tip, way, self.map.middles(tip[None], way[None], forces)[0])
+            middles = self.map.middles(tip[None], way[None], forces)
+            self._refuse_far(np.linalg.norm(middles, axis=1))
+            self._met(tip, way, middles[0])
         elif record.outcome == "nothing":
             end = tip - self.map.tip_radius_mm * way
             reach = min(record.travel_mm, 2 * float(self.map.table_.mean_mm.max()))
