@@ -148,13 +148,17 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
     _refuse_way_inward(hemisphere, pose, way_mm)
     n_steps = math.ceil(way_mm / guard.way_step_mm)
     force_n = most_n = max(abs(_reading(robot)), guard.limit_n)
-    with _stopping(robot):
+    try:
         for _ in range(n_steps):
             robot.retract(way_mm / n_steps)
             force_n = abs(_reading(robot))
             if not force_n <= most_n:  # a load may be on at first, and goes
                 break
             most_n = max(force_n, guard.limit_n)
+    except BaseException:  # an interrupt too: it may press
+        with suppress(Exception):
+            robot.stop()
+        raise
     left_mm = hemisphere.way_out_mm(robot.read_pose())
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
@@ -202,17 +206,6 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
             retracted=False,
             force_n=0.0 if math.isnan(force_n) else force_n,
         ) from error
-
-
-@contextmanager
-def _stopping(robot: Robot) -> Iterator[None]:
-    """Stop the arm where anything is raised, an interrupt too: it may press."""
-    try:
-        yield
-    except BaseException:
-        with suppress(Exception):
-            robot.stop()
-        raise
 
 
 def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) -> None:
