@@ -89,15 +89,9 @@ class Looseness:
 class PlaceFilter:
     """What is believed of states and poses; updates return another one.
 
-    Attributes
-    ----------
-    states : ndarray of shape (n_hypotheses,)
-        State of each hypothesis.
-    mean : ndarray of shape (n_hypotheses, 4)
-        Turn (radians), x, y, z (mm) of the object.
-    covariance : ndarray of shape (n_hypotheses, 4, 4)
-    log_evidence : ndarray of shape (n_hypotheses,)
-        Of all that was met so far (nats).
+    Of each hypothesis its state; the mean (n_hypotheses, 4) and covariance
+    (n_hypotheses, 4, 4) of turn (radians), x, y, z (mm) of the object; and the log
+    evidence of all that was met so far (nats).
     """
 
     table: SurfaceTable
@@ -183,14 +177,9 @@ def with_unexplained(log_density: Floats) -> Floats:
 class UnlearntSurfaces:
     """What was met, were it of surfaces that were never learnt (immutable).
 
-    Attributes
-    ----------
-    means_mm : ndarray of shape (n_surfaces,)
-        Mean radius of each, known to `mean_sd_mm`.
-    middles_mm : ndarray of shape (n_contacts, 3)
-        Where the ball's middle was stopped.
-    log_evidence : ndarray of shape (n_surfaces,)
-        Of all that was met so far (nats).
+    The mean radius of each, (n_surfaces,), is known to `mean_sd_mm`; `middles_mm`,
+    (n_contacts, 3), are where the ball's middle was stopped, `log_evidence`,
+    (n_surfaces,), is of all that was met so far (nats).
     """
 
     looseness: Looseness

@@ -42,15 +42,8 @@ ON_THE_WAY = "On the way to the start"
 class WayError(RobotError):
     """A way ended: something was met, or the force sensor gave no number.
 
-    Attributes
-    ----------
-    outcome : str
-        As that of the `TouchRecord`.
-    retracted : bool
-        Whether the arm is known to be clear again, or had not set out; else it was
-        stopped.
-    force_n : float
-        The reading that ended the way, 0 where there is none.
+    `outcome` is that of the `TouchRecord`; where the arm is not known to be clear again
+    (`retracted`) it was stopped. `force_n` is the reading that ended the way, if any.
     """
 
     def __init__(
@@ -114,11 +107,7 @@ def follow(
     """Move round the object to a pose on the hemisphere, in guarded steps.
 
     First so many readings are passed over, which may still be of the last touch.
-
-    Raises
-    ------
-    WayError
-        A reading beyond `guard.limit_n` on the way, or one that is no number.
+    `WayError` says that one was beyond `guard.limit_n`, or no number.
     """
     for _ in range(wait_readings):
         robot.read_force()
@@ -135,11 +124,9 @@ def follow(
 def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
     """Pull an arm that stands inside the hemisphere straight out of it, and look.
 
-    Raises
-    ------
-    RobotError
-        It does not look at the object, or its way out does not lead outward: nothing
-        was moved. Or it did not come out, or met a load there, and was stopped.
+    `RobotError` says that it does not look at the object, or that its way out does not
+    lead outward, and nothing was moved; or that it did not come out, or met a load
+    there, and was stopped.
     """
     pose = robot.read_pose()
     way_mm = hemisphere.way_out_mm(pose)
