@@ -1,13 +1,10 @@
 """A world without a simulator: a springy ball before an exact arm.
 
 Everything about it is known on paper: the tip touches at `radius_mm` from the middle
-and meets `stiffness_n_mm` beyond. Run as a program it reads, line by line, how many
-touches to gather into which folder. A process of its own does each, and says each
-number once it is recorded, until it is killed.
+and meets `stiffness_n_mm` beyond. Run as a program it gathers touches into a folder,
+and says the number of each once it is recorded, until it is killed.
 """
 
-import json
-import os
 import sys
 import time
 
@@ -84,16 +81,5 @@ class Told(RandomHemisphere):
         return super().next_pose(belief, history)
 
 
-def serve():
-    """Do what lines of JSON ask, each in a process that need not import all again."""
-    for line in sys.stdin:
-        if (child := os.fork()) == 0:
-            print(os.getpid(), flush=True)
-            main(*json.loads(line))
-            os._exit(0)
-        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        print("ended", code, flush=True)
-
-
 if __name__ == "__main__":
-    serve()
+    main(*sys.argv[1:])

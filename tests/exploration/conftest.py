@@ -1,20 +1,13 @@
 """The ball world for every test of exploration."""
 
-import importlib.util
-from pathlib import Path
-
+import ball_world
 import pytest
-
-WORLD = Path(__file__).with_name("ball_world.py")
 
 
 @pytest.fixture(scope="session")
 def world():
     """The module `ball_world`."""
-    spec = importlib.util.spec_from_file_location("ball_world", WORLD)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return ball_world
 
 
 @pytest.fixture

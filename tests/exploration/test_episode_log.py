@@ -165,39 +165,28 @@ def test_leftovers_of_a_killed_program_are_swept(tmp_path):
     assert not list(tmp_path.glob(".partial*"))
 
 
-@pytest.fixture
-def program():
-    """The ball world as a program, which starts a process for each order."""
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    with subprocess.Popen([sys.executable, str(WORLD)], **pipes) as started:
-        yield started
-
-
-def _run_until_killed(program, folder, after):
-    """Give an order, kill its process once it says `after` touches.
+def _run_until_killed(folder, after):
+    """Gather in a process that is killed once it says `after` touches.
 
     Returns what it said, and with which code it ended.
     """
-    print(json.dumps([str(folder), N_TOUCHES, 1e-5]), file=program.stdin, flush=True)
-    process, said, killed = int(program.stdout.readline()), [], False
-    for line in program.stdout:
-        word, *code = line.split()
-        if word == "ended":
-            return said, int(code[0])
-        said.append(word)
-        if not killed and word.isdigit() and int(word) >= after:
-            # Into the approach, the writing, or the next choice: it varies.
-            time.sleep(0.002 * (after % 7))
-            os.kill(process, signal.SIGKILL)
-            killed = True
-    raise AssertionError("the program itself has ended")
+    command = [sys.executable, str(WORLD), str(folder), str(N_TOUCHES), "1e-5"]
+    said = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        for line in process.stdout:
+            said.append(line.strip())
+            if said[-1].isdigit() and int(said[-1]) >= after:
+                # Into the approach, the writing, or the next choice: it varies.
+                time.sleep(0.002 * (after % 7))
+                process.kill()
+    return said, process.returncode
 
 
 @pytest.mark.slow
-def test_killed_again_and_again_no_recorded_touch_is_lost(tmp_path, world, program):
+def test_killed_again_and_again_no_recorded_touch_is_lost(tmp_path, world):
     folder, n_recorded, seen = tmp_path / "killed", 0, {}
     for after in (1, 15):
-        said, code = _run_until_killed(program, folder, after)
+        said, code = _run_until_killed(folder, after)
         assert code == -signal.SIGKILL
         files = {p.name: p.read_bytes() for p in folder.glob("touch_*")}
         # Each number said is of attempts that were recorded by then.
@@ -205,7 +194,7 @@ def test_killed_again_and_again_no_recorded_touch_is_lost(tmp_path, world, progr
         assert all(files[name] == content for name, content in seen.items())
         assert len(read_episode(folder)) == len(files)
         n_recorded, seen = len(files), files
-    said, code = _run_until_killed(program, folder, N_TOUCHES + 1)
+    said, code = _run_until_killed(folder, N_TOUCHES + 1)
     assert (said[-1], code) == ("done", 0)
     arm = world.BallArm()
     strategy = world.Told(Hemisphere(radius_mm=100), 5)

@@ -3,12 +3,12 @@
 No force above what is promised goes untold, and no arm is said to be out that is not.
 """
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
+import faulty_arms
 import numpy as np
 import pytest
+from faulty_arms import NEAR, PATHS, FaultyArm, Undecided
 
 from palpate.exploration import (
     Guard,
@@ -22,13 +22,6 @@ from palpate.exploration import (
 )
 from palpate.simulation import SensorPose, find_object
 
-_SPEC = importlib.util.spec_from_file_location(
-    "faulty_arms", Path(__file__).with_name("faulty_arms.py")
-)
-faulty_arms = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(faulty_arms)
-FaultyArm, Undecided = faulty_arms.FaultyArm, faulty_arms.Undecided
-NEAR, PATHS = faulty_arms.NEAR, faulty_arms.PATHS
 # As long steps in the air as are usual: what is promised follows from them.
 GUARD = faulty_arms.GUARD = faulty_arms.guard_of(air_step_mm=1.0)
 # Met lightly between touches: below the limit a way goes on.

@@ -233,11 +233,6 @@ def test_without_the_image_a_dead_and_noisy_one_is_bounded_by_the_travel():
     assert arm.peak_n / arm.stiffness <= 40 - arm.wall_mm + 1e-9
 
 
-def test_the_image_is_looked_at_at_the_end_of_the_line_too():
-    arm = SpringWall(wall_mm=39.5, sticks_at_n=0, stuck_n=0.0, stuck_noise_n=0.01)
-    assert touch(arm, Guard(max_travel_mm=39.9, frame_change=1.0)).faulty
-
-
 def test_a_good_force_sensor_and_its_image_agree():
     arm = SpringWall(stiffness=0.5)
     record = touch(arm, Guard(max_travel_mm=40, frame_change=1.5))
@@ -348,35 +343,10 @@ def test_a_start_that_is_not_clear_is_refused(wall_mm):
     assert record.travel_mm <= 1
 
 
-def test_an_offset_that_moved_leaves_no_nothing_behind():
-    drifted = Scripted(lambda arm: 0.0 if "retract" not in arm.calls else -0.2)
-    record = touch(drifted)
-    assert record.outcome == "force sensor"
-    assert "moved by -0.200 N" in record.message
-
-
-def test_readings_that_lag_do_not_count_as_a_moved_offset():
-    assert touch(SpringWall(stiffness=0.5, delay=3)).outcome == "touched"
-
-
-def test_a_sensor_that_still_presses_when_taken_back_is_a_fault():
-    arm = SpringWall(
-        stiffness=2.0, sticks_at_n=0.8, stuck_n=1.0, stuck_noise_n=1e-3, wall_mm=10.5
-    )
-    record = touch(arm)
-    assert record.outcome == "force sensor"
-    assert "where it was air before" in record.message
-
-
 def test_a_light_load_at_the_end_of_the_line_is_not_nothing():
     record = touch(SpringWall(wall_mm=38.0, stiffness=0.2))
     assert record.outcome == "force not reached"
     assert "0.400 N at most on 40 mm" in record.message
-
-
-def test_one_brushed_on_the_way_is_not_nothing_either():
-    brush = Scripted(lambda arm: 0.3 if 10 <= arm.travel_mm < 11 else 0.0)
-    assert touch(brush).outcome == "force not reached"
 
 
 @pytest.mark.parametrize("moved", [0.0, 0.4, 2.0])
@@ -395,21 +365,20 @@ def test_an_arm_that_is_not_where_it_was_sent_is_stopped(moved):
     assert isinstance(arm, Robot)
 
 
-def test_an_arm_that_went_too_far_is_pulled_back_all_of_it():
+def test_a_force_above_the_limit_counts_before_a_place_that_was_missed():
     class Overshoots(SpringWall):
         def move_to(self, pose):
             far = 9.0 if float(pose.position_mm[2]) == 5 else 0.0
             super().move_to(pose.advanced(far))
 
-    arm = Overshoots(stiffness=0.1)
-    assert touch(arm).outcome == "robot error"
-    hard = Overshoots(stiffness=20.0)
-    assert touch(hard).outcome == "limit exceeded"
+    assert touch(Overshoots(stiffness=0.1)).outcome == "robot error"
+    assert touch(Overshoots(stiffness=20.0)).outcome == "limit exceeded"
 
 
 @pytest.mark.parametrize(
     ("parameters", "error", "message"),
     [
+        ({"force_n": 0.0}, ValueError, "force_n must be positive"),
         ({"limit_n": np.inf}, ValueError, "limit_n must be positive and finite"),
         ({"limit_n": "3"}, TypeError, "limit_n must be a number, got str"),
         ({"contact_step_mm": 2.0}, ValueError, r"at most air_step_mm \(1.0\), got 2.0"),
@@ -418,6 +387,10 @@ def test_an_arm_that_went_too_far_is_pulled_back_all_of_it():
         ({"max_miss_mm": 0.0}, ValueError, "max_miss_mm must be positive"),
         ({"frame_change": -1.0}, ValueError, "frame_change must be positive"),
         ({"n_tare": 1.5}, TypeError, "n_tare must be an integer"),
+        ({"n_readings": 0}, ValueError, "n_readings must be at least 1"),
+        ({"contact_n": 0.9}, ValueError, "contact_n must be .*between -inf and 0.735"),
+        ({"stuck_after": 2}, ValueError, "stuck_after must be at least 3, got 2"),
+        ({"limit_n": 0.735}, ValueError, r"above force_n \(0.735\), got 0.735"),
     ],
 )
 def test_bad_guards_are_refused(parameters, error, message):

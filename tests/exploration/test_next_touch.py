@@ -119,16 +119,6 @@ def test_a_place_tells_its_own_pattern_from_others(touch_map, recogniser):
     assert at_back < -2
 
 
-def test_closeness_adds_up_and_falls_with_distance(touch_map):
-    closeness = touch_map.closeness(_out(np.array([0.0, 1.0])))
-    for rows in touch_map.rows_of_object:
-        assert_allclose(closeness[:, rows].sum(axis=1), 1)
-        distance = np.linalg.norm(
-            touch_map.places_[rows] - _out(np.array([0.0])), axis=1
-        )
-        assert (np.diff(closeness[0, rows][np.argsort(distance)]) <= 0).all()
-
-
 def test_turning_the_world_turns_the_belief(touch_map):
     azimuths = [0.1, 1.6, 2.9]
     straight, turned = touch_map.start(), touch_map.start()

@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from faulty_arms import Undecided
 from numpy.testing import assert_allclose
 
 from palpate import Touches
@@ -363,6 +364,19 @@ def test_an_episode_with_the_arm_ends_with_a_pose(surface_map, tmp_path):
     assert again.belief.pose().object == "pen"
 
 
+def test_a_contact_whose_frame_cannot_be_taken_counts_at_once_and_when_read_again(
+    surface_map, tmp_path
+):
+    other = DomeCamera(image_shape=(32, 32), n_nodes=24)
+    stand = put_down(find_object("mug"), other, random_state=2)
+    arm = stand.robot, stand.sensor, surface_map, RandomHemisphere(stand.hemisphere)
+    options = {"guard": QUICK_GUARD, "clock": stand.robot.clock, "max_attempts": 2}
+    end, again = (explore(*arm, tmp_path / "mug", **options) for _ in range(2))
+    n_refused = sum(record.outcome == "no frame" for record in end.history)
+    assert end.belief.n_contacts == n_refused > 0 == end.belief.touches_used
+    assert again.belief.posterior == end.belief.posterior
+
+
 # --- bad input
 
 
@@ -410,14 +424,15 @@ def test_contacts_in_metres_are_told_from_the_third_on(surface_map):
     assert belief.n_contacts >= len(touches)
 
 
-def test_a_miss_far_from_the_object_is_refused(surface_map):
+def test_a_miss_or_contact_far_from_the_object_is_refused(surface_map):
     belief = surface_map.start()
     before = belief.posterior
     pose = Hemisphere().pose(0.3, 0.1)
     end = tuple(np.array(pose.position_mm) + 5000)
-    with pytest.raises(ValueError, match="Is it another unit or frame"):
-        belief.update(TouchRecord("nothing", pose, end, travel_mm=315.0))
-    assert belief.posterior == before
+    for outcome in ("nothing", "no frame"):
+        with pytest.raises(ValueError, match="Is it another unit or frame"):
+            belief.update(TouchRecord(outcome, pose, end, travel_mm=315.0))
+        assert belief.posterior == before
 
 
 def test_an_object_without_a_map_is_named(taught):
@@ -439,22 +454,12 @@ def test_without_places_it_is_said(recogniser, taught):
 
 
 def test_a_hemisphere_that_the_arm_cannot_reach_is_said_in_one_sentence(arm, sensor):
-    class Undecided:
-        def start(self):
-            return self
+    def short(pose):
+        raise RuntimeError("joint 3 at its limit")
 
-        def decide(self, error, refusal):
-            return None
-
-    class Short:
-        def __getattr__(self, name):
-            return getattr(arm, name)
-
-        def move_to(self, pose):
-            raise RuntimeError("joint 3 at its limit")
-
+    arm.move_to = short
     strategy = RandomHemisphere(Hemisphere(radius_mm=150), 1)
-    end = explore(Short(), sensor, Undecided(), strategy, max_attempts=9)
+    end = explore(arm, sensor, Undecided(), strategy, max_attempts=9)
     assert end.ended_by == "faults"
     assert "reached none of the last 3 places of the hemisphere of 150 mm" in end.reason
     assert "joint 3 at its limit" in end.reason

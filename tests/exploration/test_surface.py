@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from palpate import Touches
 from palpate.exploration._surface import (
     AZIMUTHS,
     HEIGHTS,
     RadialSurface,
     SurfaceTable,
     directions,
+    faces_of,
     learnt_surface,
     mesh_surface,
     met_along,
@@ -31,6 +33,18 @@ def _from_above(rng, count):
     outs = rng.standard_normal((count, 3))
     outs[:, 2] = np.abs(outs[:, 2])
     return outs / np.linalg.norm(outs, axis=1)[:, None]
+
+
+@pytest.mark.parametrize(
+    ("faces", "numbers"),
+    [
+        ({"face": ["top", "side", "top"]}, [1, 0, 1]),
+        ({"face": [2, 0, 2]}, [2, 0, 2]),
+        ({}, [0, 0, 0]),
+    ],
+)
+def test_faces_are_numbers_or_names(faces, numbers):
+    assert faces_of(Touches(np.ones((3, 2, 2)), **faces)).tolist() == numbers
 
 
 def test_a_ball_that_was_touched_is_round_and_the_place_of_each_recording_is_not_it():

@@ -71,38 +71,10 @@ def test_what_was_begun_goes_on(tmp_path):
     assert sum(record.touched for record in kept) == 4
 
 
-def test_a_folder_with_more_touches_gives_what_was_asked_for(tmp_path):
-    def run(n_touches, folder):
-        return explore_to_learn(
-            [PEN, BOX], n_touches, CAMERA, n_sessions=2, folder=folder
-        )
-
-    run(6, tmp_path)
-    fewer, anew = run(4, tmp_path), run(4, None)
-    assert np.array_equal(fewer.images, anew.images)
-    assert fewer.order.tolist() == anew.order.tolist()
-    kept = read_episode(tmp_path / "pen" / "1")
-    assert sum(record.touched for record in kept) == 3
-
-
-def test_pictures_of_another_size_do_not_go_on(tmp_path):
-    explore_to_learn([PEN], 1, CAMERA, n_sessions=1, folder=tmp_path)
-    other = DomeCamera(image_shape=(32, 32), n_nodes=20)
-    with pytest.raises(ValueError, match=r"of 32 x 32 taxels.*got \(24, 24\)"):
-        explore_to_learn([PEN], 2, other, n_sessions=1, folder=tmp_path)
-
-
 def test_two_objects_of_one_name_are_refused_before_any_touch(tmp_path):
     with pytest.raises(ValueError, match="names of their own, got 'pen' twice"):
         explore_to_learn([PEN, BOX, PEN], 2, CAMERA, folder=tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_is_no_folder(tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(ValueError, match=r"got the file '.*notes\.txt'\. Use anoth"):
-        explore_to_learn([PEN], 1, CAMERA, folder=tmp_path / "notes.txt")
-    assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 def test_frames_are_lost_and_objects_go_out_of_reach_when_asked():

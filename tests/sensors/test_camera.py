@@ -284,14 +284,6 @@ def test_an_unplugged_camera_is_found_again():
     assert capture.released >= 2
 
 
-def test_frames_nobody_reads_are_dropped_and_counted():
-    with camera(FakeCapture()) as sensor:
-        time.sleep(0.1)
-        old = sensor.read_next()
-        assert sensor.n_dropped > 0
-        assert time.monotonic() - old.time_s < 0.1  # two frames wait at most
-
-
 @pytest.mark.parametrize(
     ("capture", "message"),
     [

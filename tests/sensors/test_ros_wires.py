@@ -3,13 +3,16 @@
 Requests and frames are bytes written by hand, as clients of ROS put them there.
 """
 
+import itertools
 import struct
+import threading
 from contextlib import contextmanager
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from ros_network import NUMBER, eventually, router, variables
+from ros_robot import image_bytes
 
 from palpate.sensors import (
     SensorError,
@@ -34,14 +37,6 @@ needs_zenoh = pytest.mark.skipif(not find_spec("zenoh"), reason="no zenoh")
 def network(monkeypatch):
     for name, value in variables(ENDPOINT).items():
         monkeypatch.setenv(name, value)
-
-
-def image(level, side=6):
-    """Return a picture of one grey level in CDR, stamped with the level."""
-    raw = struct.pack("<4sIiI4s", b"\0\1\0\0", 100 + level, 5, 4, b"pad\0")
-    raw += struct.pack("<III8s", side, side, 6, b"mono8\0\0")
-    raw += b"\0" * (-len(raw) % 4) + struct.pack("<II", side, side * side)
-    return raw + bytes([level]) * side * side
 
 
 # Hashes that ROS publishes: of rmw_zenoh's design, and of std_srvs.
@@ -138,14 +133,18 @@ def test_a_sensor_over_zenoh_needs_no_token_and_survives_a_restart():
 
 @contextmanager
 def sending(session, topic, side=6):
-    """Put frames on a topic, 100 a second, without telling of a publisher."""
-    import threading
+    """Put frames on a topic, 100 a second, without telling of a publisher.
 
-    ended, level = threading.Event(), iter(range(10**6))
+    Each is of one grey level, and stamped with it.
+    """
+    ended, number = threading.Event(), itertools.count()
 
     def send():
         while not ended.wait(0.01):
-            session.put(f"{DOMAIN}{topic}/{IMAGE}", image(next(level) % 250, side))
+            level = next(number) % 250
+            image = np.full((side, side), level, np.uint8)
+            raw = image_bytes(image, 100 + level, 5)
+            session.put(f"{DOMAIN}{topic}/{IMAGE}", raw)
 
     thread = threading.Thread(target=send)
     thread.start()

@@ -239,6 +239,13 @@ def test_what_cannot_be_found_is_said(terminal, monkeypatch, written, message):
         open_sensor(f"serial:{terminal.port}", image_shape="auto")
 
 
+def test_an_array_that_goes_away_while_it_is_listened_to_is_said():
+    pulled = Terminal()
+    threading.Timer(0.3, pulled.close).start()
+    with pytest.raises(SensorError, match=r"went away\. Plug the array in again"):
+        open_sensor(f"serial:{pulled.port}", image_shape="auto")
+
+
 def test_lines_that_were_cut_are_counted_as_dropped(terminal):
     """Of every four lines one loses its end, and its line break with it."""
 

@@ -19,11 +19,11 @@ from palpate.sensors import (
 REST = np.full((4, 4), 100, np.uint8)
 
 
-def frames(levels, zero=REST, rate_hz=10.0):
+def frames(levels, zero=REST):
     """One frame per level, each `level` above the baseline everywhere."""
     for number, level in enumerate(levels):
         image = (zero.astype(float) + level).astype(zero.dtype)
-        yield Frame(image, number / rate_hz, number)
+        yield Frame(image, number / 10, number)
 
 
 def touches_of(detector, levels, zero=REST):
@@ -60,11 +60,11 @@ def test_a_change_that_wavers_about_the_limit_is_one_touch():
     assert len(touches_of(flat, [0, 12, 12, 6, 12, 12, 6, 12, 12, 0])) == 3
 
 
-def flickers(at=3, count=20, by=1.0):
+def flickers(count=20):
     """Frames of 16 x 16 counts as a line array gives them; one taxel flickers."""
     for number in range(count):
         image = np.zeros((16, 16), np.float32)
-        image[at, at] = by * (number % 4 > 1)
+        image[3, 3] = number % 4 > 1
         yield Frame(image, number / 10, number)
 
 
@@ -155,17 +155,14 @@ def test_noise_about_a_given_baseline_is_not_another_baseline(rng):
     for number, image in enumerate(images):
         assert detector.update(Frame(image, number / 10, number)) is None
     assert detector.baseline_offer(6.0) == ""
-    # Rounding to whole levels adds 1/12 to a variance of 1.
-    assert_allclose(detector.noise, np.sqrt(1 + 1 / 12), rtol=0.05)
-    taken = TouchDetector()
-    taken.take_baseline(list(images[:20]))
-    assert_allclose(detector.begin, taken.begin, rtol=0.1)
 
 
-def test_a_contact_without_end_is_questioned():
+def test_a_contact_of_over_20_s_that_does_not_change_is_questioned():
     detector = TouchDetector(REST)
-    touches_of(detector, [50] * 250)
-    assert "insist on a new baseline" in detector.baseline_offer(25.0)
+    touches_of(detector, [0] + [40] * 205)
+    assert detector.baseline_offer(20.0) == ""
+    offer = detector.baseline_offer(20.3)
+    assert "over 20 s: if nothing touches the sensor, insist on a new baseline" in offer
     moving = TouchDetector(REST)
     touches_of(moving, [50, 90] * 125)
     assert moving.baseline_offer(25.0) == ""
@@ -274,15 +271,6 @@ def test_which_limit_finds_more_touches_is_told():
     assert middle == pytest.approx(np.sqrt(low * high), rel=0.1)
 
 
-def test_no_other_limit_is_told_where_all_touches_were_found():
-    rest = np.full((4, 4), 100.0)
-    levels = [0, 0, 40, 40, 0, 0, 40, 40, 0]
-    stream = Touches(np.stack([rest + level for level in levels]), no_contact=rest)
-    detector = TouchDetector(begin=10.0)
-    assert len(detector.touches_in(stream)) == 2
-    assert detector.note == ""
-
-
 @pytest.mark.parametrize(("n_taxels", "asked"), [(3, False), (4, True)])
 def test_a_press_is_of_four_neighbours(n_taxels, asked, rng):
     rest = rng.uniform(99, 101, (10, 10))
@@ -293,14 +281,6 @@ def test_a_press_is_of_four_neighbours(n_taxels, asked, rng):
         return
     with pytest.raises(ContactError, match="where 4 neighbouring taxels"):
         detector.take_baseline([rest] * 3)
-
-
-def test_a_contact_of_a_moment_less_than_half_a_minute_is_not_questioned():
-    detector = TouchDetector(REST)
-    for frame in frames([0] + [40] * 205):
-        detector.update(frame)
-    assert detector.baseline_offer(20.0) == ""
-    assert "over 20 s" in detector.baseline_offer(20.3)
 
 
 def test_large_images_are_looked_at_in_part():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -55,7 +56,7 @@ class Exploration:
     @property
     def n_touches(self) -> int:
         """Number of attempts that were touches."""
-        return sum(record.touched for record in self.history)
+        return _n_touched(self.history)
 
 
 def explore(
@@ -149,10 +150,10 @@ def explore(
         if end is None:
             come_out(robot, hemisphere, toucher.guard)
         while end is None:
-            touch = _attempt(strategy, belief, log.history, toucher)
-            record = touch
+            pose = strategy.next_pose(belief, log.history)
+            record = touch_from_hemisphere(toucher, hemisphere, pose)
             try:
-                record = _taken_in(belief, touch)
+                record = _taken_in(belief, record)
             finally:  # It is recorded even if the program is interrupted.
                 log.append(record)
             if on_attempt is not None:
@@ -189,7 +190,8 @@ def gather(
         if n_wanted > 0:
             come_out(robot, strategy.hemisphere, toucher.guard)
         while _n_touched(log.history) < n_touches:
-            log.append(_attempt(strategy, None, log.history, toucher))
+            pose = strategy.next_pose(None, log.history)
+            log.append(touch_from_hemisphere(toucher, strategy.hemisphere, pose))
             attempts = log.history[n_before:]
             n_made = _n_touched(attempts)
             gave_up = _gave_up(attempts, max_faults, strategy.hemisphere)
@@ -201,17 +203,6 @@ def gather(
                 )
         counts = np.cumsum([record.touched for record in log.history])
         return log.history[: int(np.searchsorted(counts, n_touches)) + 1]
-
-
-def _attempt(
-    strategy: Strategy,
-    belief: Belief | None,
-    history: History,
-    toucher: Toucher,
-) -> TouchRecord:
-    """Choose, go there, touch; whatever goes wrong is in the record."""
-    pose = strategy.next_pose(belief, history)
-    return touch_from_hemisphere(toucher, strategy.hemisphere, pose)
 
 
 def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
@@ -227,7 +218,12 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
     except Exception as error:
         why = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
         message = f"{record.message} {why}".strip()
-        return replace(record, outcome="no frame", message=message)
+        refused = replace(record, outcome="no frame", message=message)
+        if take_in is not None and record.touched:
+            # Its contact counts, as it does when the episode goes on another day.
+            with suppress(Exception):
+                take_in(refused)
+        return refused
     return record
 
 

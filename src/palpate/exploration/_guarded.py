@@ -209,22 +209,19 @@ class _Fault(Exception):
         self.outcome = outcome
 
 
+@dataclass
 class _Approach:
     """One approach: its progress, its readings, its end."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        sensor: TouchSensor,
-        start: SensorPose,
-        guard: Guard,
-        clock: Clock,
-        wait_readings: int,
-    ) -> None:
-        self.robot, self.sensor, self.start = robot, sensor, start
-        self.wait_readings = wait_readings
+    robot: Robot
+    sensor: TouchSensor
+    start: SensorPose
+    guard: Guard
+    clock: Clock
+    wait_readings: int
+
+    def __post_init__(self) -> None:
         self.lag_readings: int | None = None
-        self.guard, self.clock = guard, clock
         self.outcome, self.message, self.retracted = "nothing", "", True
         self.travel_mm = self.farthest_mm = self._missed_mm = 0.0
         self.force_n = self.peak_force_n = self._most_n = 0.0
@@ -234,7 +231,7 @@ class _Approach:
         self._in_contact: list[tuple[float, float]] = []
         self._fine_until_mm = self._look_at_mm = 0.0
         self._last, self._n_equal = math.nan, 0
-        self._began = clock()
+        self._began = self.clock()
 
     def attempt(self, part: Callable[[], None]) -> None:
         """Do a part of the touch; what goes wrong in it is the outcome."""
@@ -335,7 +332,6 @@ class _Approach:
         if self.outcome == "touched" and moved_n > pressed_n:
             if (interrupt := self._stop()) is not None:
                 raise interrupt
-            self.outcome = "robot error"
             raise _Fault(
                 f"{moved_n:.3f} N of {self.force_n:.3f} are still there after the arm "
                 "was pulled back: it did not come out, whatever it says, and was "

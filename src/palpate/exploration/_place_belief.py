@@ -162,7 +162,9 @@ class PlaceBelief(Belief):
         tip, way = np.asarray(record.position_mm) - self.centre_mm, record.direction
         if record.outcome in _CONTACTS:
             forces = np.array([record.force_n])
-            self._met(tip, way, self.map.middles(tip[None], way[None], forces)[0])
+            middles = self.map.middles(tip[None], way[None], forces)
+            self._refuse_far(np.linalg.norm(middles, axis=1))
+            self._met(tip, way, middles[0])
         elif record.outcome == "nothing":
             end = tip - self.map.tip_radius_mm * way
             reach = min(record.travel_mm, 2 * float(self.map.table_.mean_mm.max()))
@@ -289,11 +291,6 @@ class PlaceBelief(Belief):
         """The object that is most probable by the pictures alone."""
         return str(self._model.classes[self._touch_log_posterior.argmax()])
 
-    @property
-    def _states_of_objects(self) -> list[Array]:
-        of_state = self.map.object_of_state_
-        return [np.flatnonzero(of_state == k) for k in range(len(self._model.classes))]
-
     def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
         prior = log_softmax(self._prior_and_senses())[self.map.object_of_state_]
         prior = prior + self.map.log_share_of_state
@@ -319,8 +316,9 @@ class PlaceBelief(Belief):
         """
         shares = np.exp(self.log_joint).reshape(self._pictures.shape)
         names = self._model.classes.tolist()
-        rows = self._states_of_objects[names.index(self.best if name is None else name)]
-        rows = rows[[self.map.states_[row][1] >= 0 for row in rows]]
+        code = names.index(self.best if name is None else name)
+        is_it = (self.map.object_of_state_ == code) & ~self.map.is_other_
+        rows = np.flatnonzero(is_it)
         state = int(rows[shares[rows].sum(axis=1).argmax()])
         share, order = shares[state], int(self.map.table_.symmetry[state])
         mean = self.filter.mean.reshape(*shares.shape, -1)[state]

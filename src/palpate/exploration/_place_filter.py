@@ -89,15 +89,9 @@ class Looseness:
 class PlaceFilter:
     """What is believed of states and poses; updates return another one.
 
-    Attributes
-    ----------
-    states : ndarray of shape (n_hypotheses,)
-        State of each hypothesis.
-    mean : ndarray of shape (n_hypotheses, 4)
-        Turn (radians), x, y, z (mm) of the object.
-    covariance : ndarray of shape (n_hypotheses, 4, 4)
-    log_evidence : ndarray of shape (n_hypotheses,)
-        Of all that was met so far (nats).
+    Of each hypothesis its state; the mean (n_hypotheses, 4) and covariance
+    (n_hypotheses, 4, 4) of turn (radians), x, y, z (mm) of the object; and the log
+    evidence of all that was met so far (nats).
     """
 
     table: SurfaceTable
@@ -134,7 +128,8 @@ class PlaceFilter:
         spread = outside - middle[:, None]
         touch_variance = variance.mean(axis=1) + self.looseness.sensor_mm**2
         total = (spread**2).mean(axis=1) + touch_variance
-        density = np.exp(_log_density(middle, total))
+        normal = -(middle**2 / total + np.log(2 * np.pi * total)) / 2
+        density = np.exp(with_unexplained(normal))
         explained = density - _UNEXPLAINED / _OVER_MM
         gain = np.einsum("hki,hk->hi", off, spread) / len(_CUBATURE)
         step = gain / total[:, None] * (explained / density)[:, None]
@@ -178,24 +173,13 @@ def with_unexplained(log_density: Floats) -> Floats:
     return np.asarray(np.logaddexp(np.log1p(-_UNEXPLAINED) + log_density, log_rest))
 
 
-def _log_density(outside_mm: Floats, variance_mm2: Floats) -> Floats:
-    """Return log p(met | hypothesis), above, of points so far outside."""
-    normal = -(outside_mm**2 / variance_mm2 + np.log(2 * np.pi * variance_mm2)) / 2
-    return with_unexplained(normal)
-
-
 @dataclass(frozen=True, eq=False)
 class UnlearntSurfaces:
     """What was met, were it of surfaces that were never learnt (immutable).
 
-    Attributes
-    ----------
-    means_mm : ndarray of shape (n_surfaces,)
-        Mean radius of each, known to `mean_sd_mm`.
-    middles_mm : ndarray of shape (n_contacts, 3)
-        Where the ball's middle was stopped.
-    log_evidence : ndarray of shape (n_surfaces,)
-        Of all that was met so far (nats).
+    The mean radius of each, (n_surfaces,), is known to `mean_sd_mm`; `middles_mm`,
+    (n_contacts, 3), are where the ball's middle was stopped, `log_evidence`,
+    (n_surfaces,), is of all that was met so far (nats).
     """
 
     looseness: Looseness
@@ -244,12 +228,7 @@ def out_of_frames(points_mm: Floats, poses: Floats) -> Floats:
 class PlaceGain:
     """Expected gains of candidate places on rings round the object.
 
-    Parameters
-    ----------
-    surface_map : SurfaceMap
-        Fitted.
-    candidates : ndarray of shape (n_rings, n_around, 3)
-        Unit vectors outward, each ring at one height.
+    `candidates` are unit vectors outward, (n_rings, n_around, 3).
     """
 
     def __init__(self, surface_map: SurfaceMap, candidates: Floats) -> None:
@@ -308,10 +287,8 @@ class PlaceGain:
         objects = self._map.object_of_state_[states]
         belongs = np.eye(int(objects.max()) + 1, dtype=np.float32)[objects]
         by_object = shares @ belongs
-        share_of_truth = np.take_along_axis(by_object, objects[None, :, None], axis=2)[
-            ..., 0
-        ]
-        after = np.log(np.maximum(share_of_truth, 1e-12) / by_object.sum(axis=2))
+        of_truth = np.take_along_axis(by_object, objects[None, :, None], axis=2)[..., 0]
+        after = np.log(np.maximum(of_truth, 1e-12) / by_object.sum(axis=2))
         before = np.log(belongs.mean(axis=0)[objects])
         return np.asarray((after - before).mean(axis=1), dtype=np.float64)
 

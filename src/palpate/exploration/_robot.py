@@ -267,9 +267,9 @@ def check_robot(
     _say(isinstance(robot, Robot), "it must have all methods of palpate's Robot")
     start = _pose(robot)
     _check_force(robot, max_offset_n)
+    back = start.advanced(-way_mm)
     robot.retract(way_mm)
     try:
-        back = start.advanced(-way_mm)
         _check_place(robot, back, max_miss_mm, f"retract({way_mm:g})")
         half = start.advanced(-way_mm / 2)
         robot.move_to(half)
@@ -280,8 +280,15 @@ def check_robot(
     finally:
         robot.move_to(start)
     _check_place(robot, start, max_miss_mm, "move_to, back to where it stood,")
-    if stop:
-        _check_stop(robot, start, way_mm, max_miss_mm)
+    if not stop:
+        return
+    robot.stop()
+    _check_place(robot, start, max_miss_mm, "stop()")
+    try:
+        robot.move_to(back)
+    except Exception:
+        return
+    _check_place(robot, start, max_miss_mm, "stop() and move_to, which must not move,")
 
 
 def _pose(robot: Robot) -> SensorPose:
@@ -324,18 +331,6 @@ def _check_force(robot: Robot, max_offset_n: float) -> None:
         f"read_force() must be a fresh reading, got {forces[0]:.4f} "
         f"{_N_READINGS} times: it is stuck, or too coarse (Guard.stuck_after=None)",
     )
-
-
-def _check_stop(
-    robot: Robot, start: SensorPose, way_mm: float, max_miss_mm: float
-) -> None:
-    robot.stop()
-    _check_place(robot, start, max_miss_mm, "stop()")
-    try:
-        robot.move_to(start.advanced(-way_mm))
-    except Exception:
-        return
-    _check_place(robot, start, max_miss_mm, "stop() and move_to, which must not move,")
 
 
 def _say(kept: bool, rule: str) -> None:

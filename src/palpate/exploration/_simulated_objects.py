@@ -17,7 +17,6 @@ import numpy as np
 
 from .._checks import check_count, check_number, check_option
 from .._parallel import in_parallel
-from .._types import Floats
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
     HOUSEHOLD,
@@ -38,7 +37,6 @@ from ._ways import Toucher, touch_from_hemisphere
 # Twice the default step in the air: half the time to simulate. The rigid edge met
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
 QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0, lag_readings=0)
-VECTORS = ("position_mm", "direction")
 # How high above the ground an arm aims that does not know how high the object is.
 _AIM_MM = 10.0
 
@@ -147,7 +145,8 @@ def put_down(
     bench = SimulatedBench(moved, camera, random_state=seeds[0])
     height_mm = middle_mm if known_height else _AIM_MM
     hemisphere = Hemisphere((x, y, height_mm))
-    reach = _reach_mm(placed, hemisphere)
+    from_centre = np.abs(placed.bounds_mm - np.asarray(hemisphere.centre_mm))
+    reach = float(np.linalg.norm(from_centre.max(axis=0)))  # of a corner of its box
     shift = float(np.linalg.norm(aside))
     if reach + shift >= hemisphere.radius_mm:  # the arm would begin inside it
         raise ValueError(
@@ -159,12 +158,6 @@ def put_down(
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
     sensor = SimulatedSensor(bench, random_state=seeds[2], missing=robot.missing_frames)
     return Stand(thing, hemisphere, robot, sensor, bench)
-
-
-def _reach_mm(placed: PlacedObject, hemisphere: Hemisphere) -> float:
-    """Return how far a corner of an object's box is from a hemisphere's centre."""
-    from_centre = np.abs(placed.bounds_mm - np.asarray(hemisphere.centre_mm))
-    return float(np.linalg.norm(from_centre.max(axis=0)))
 
 
 def explore_to_learn(
@@ -303,10 +296,15 @@ def _session(
         history = _gathered_at_once(stand, strategy, n_touches)
     named = {"object": thing.name, "category": thing.category}
     touches = as_touches(history, **named, geometry="dome")
-    vectors = _in_frame_of_object(touches, yaw)
+    # In the object's own frame: turned back about the vertical.
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    vectors = ("position_mm", "direction")
+    columns = {name: touches.columns[name] @ turn for name in vectors}
+    columns["session"] = np.full(len(touches), session)
     if every_face:
-        vectors["face"] = np.full(len(touches), face)
-    return touches.with_columns(session=np.full(len(touches), session), **vectors)
+        columns["face"] = np.full(len(touches), face)
+    return touches.with_columns(**columns)
 
 
 def _gathered_at_once(
@@ -323,10 +321,3 @@ def _gathered_at_once(
         pose = strategy.next_pose(None, history)
         history.append(stand.touch_at_once(pose, QUICK_GUARD))
     return history
-
-
-def _in_frame_of_object(touches: Touches, yaw_rad: float) -> dict[str, Floats]:
-    """Return places and directions, turned back about the vertical by its yaw."""
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-    return {name: touches.columns[name] @ turn for name in VECTORS}

@@ -97,13 +97,10 @@ class RadialSurface:
 
 def faces_of(touches: Touches) -> Indices:
     """Return the number of the face that the object stood on, 0 unless told."""
-    faces = touches.columns.get("face")
-    if faces is None:
-        return np.zeros(len(touches), int)
-    numbers = np.unique(np.asarray(faces), return_inverse=True)
-    if np.asarray(faces).dtype.kind in "iu":
-        return np.asarray(faces, int)
-    return np.asarray(numbers[1])
+    faces = np.asarray(touches.columns.get("face", np.zeros(len(touches), int)))
+    if faces.dtype.kind in "iu":
+        return faces.astype(int)
+    return np.unique(faces, return_inverse=True)[1]
 
 
 def contacts_of(touches: Touches) -> tuple[Floats, Floats]:
@@ -147,14 +144,8 @@ def learnt_surface(
 ) -> RadialSurface:
     """Return the surface that touches have met, from the middles of the tip's ball.
 
-    Parameters
-    ----------
-    middles_mm : ndarray of shape (n_touches, 3)
-        In the frame of the object.
-    recording : ndarray of shape (n_touches,)
-        Touches of one recording share the error of its place.
-    placement_mm : float
-        Standard deviation of that error, along x and y each.
+    These, (n_touches, 3), are in the frame of the object. Touches of one `recording`,
+    (n_touches,), share the error of its place, `placement_mm` (standard deviation).
     """
     radius = np.linalg.norm(middles_mm, axis=1)
     towards = middles_mm / np.maximum(radius, 1e-9)[:, None]
@@ -197,26 +188,13 @@ def last_log_density(
     placement_mm2: Floats,
     sensor_mm: float,
 ) -> Floats:
-    """Return how probable the last contact is after those before it.
+    """Return the log density (nats, per mm) of the last contact after those before it.
 
-    With surfaces that were never learnt: by the process of `learnt_surface` before any
-    training touch, so that what was met on one side says what is met beside it.
-
-    Parameters
-    ----------
-    middles_mm : ndarray of shape (n_contacts, 3)
-        Middles of the tip's ball about where the object is assumed.
-    means_mm : ndarray of shape (n_surfaces,)
-        Mean radius of each, with the standard deviation `mean_sd_mm`.
-    placement_mm2 : ndarray of shape (3,)
-        Variance of where the object is.
-    sensor_mm : float
-        Standard deviation of where the arm says that the tip is.
-
-    Returns
-    -------
-    ndarray of shape (n_surfaces,)
-        Log densities (nats, per mm).
+    With surfaces that were never learnt, (n_surfaces,): by the process of
+    `learnt_surface` before any training touch, so that what was met on one side says
+    what is met beside it. Of middles of the tip's ball (n_contacts, 3), mean radii
+    (n_surfaces,) known to `mean_sd_mm`, the variance of the place (3,), and the
+    standard deviation of where the arm says that the tip is.
     """
     radius = np.linalg.norm(middles_mm, axis=1)
     towards = middles_mm / np.maximum(radius, 1e-9)[:, None]
@@ -343,13 +321,7 @@ def directions() -> Floats:
 
 
 class SurfaceTable:
-    """Several surfaces in one table, looked up all together.
-
-    Parameters
-    ----------
-    surfaces : list of RadialSurface
-        One for each state: an object on one of its faces.
-    """
+    """Surfaces, one for each state, in one table that is looked up all together."""
 
     def __init__(self, surfaces: list[RadialSurface]) -> None:
         self.mean_mm = np.stack([surface.mean_mm for surface in surfaces])

@@ -16,12 +16,8 @@ from scipy.special import logsumexp
 
 from .._checks import check_count, check_number, check_positive
 from .._numbers import log_softmax
-from .._types import Array, Bools, Floats, Indices
-from ..recognition import (
-    STRANGERS,
-    ObjectRecogniser,
-    given_prior,
-)
+from .._types import Bools, Floats, Indices
+from ..recognition import STRANGERS, ObjectRecogniser, given_prior
 from ..simulation import DomeCamera, SimObject
 from ..touches import Touches
 from ._place_belief import PlaceBelief
@@ -166,7 +162,7 @@ class SurfaceMap:
             for face in range(len(thing.resting_rotations)):
                 surfaces[name, face] = mesh_surface(thing, face, dome, aim_mm)
         self._refuse_unmapped(surfaces)
-        self.other_share_ = self._other_share(touches, faces)
+        self.other_share_ = self._other_share(_recordings(touches), faces)
         # A mesh has all faces that it can rest on.
         self.other_share_[np.isin(recogniser.classes_, list(of_meshes))] = 0.0
         at_middles = aims_at_middles(bodies.values(), self.tip_radius_mm)
@@ -197,7 +193,7 @@ class SurfaceMap:
         And the bodies of all.
         """
         tips, ways = contacts_of(touches)
-        names, number = np.asarray(self._labels(touches)), _recordings(touches)
+        names, number = self.recogniser.memory_.labels, _recordings(touches)
         surfaces, bodies = {}, {}
         for name, face in sorted(set(zip(names.tolist(), faces.tolist(), strict=True))):
             rows = np.flatnonzero((names == name) & (faces == face))
@@ -209,7 +205,12 @@ class SurfaceMap:
             if name in skipped:
                 continue
             reach = float(np.linalg.norm(middles, axis=1).max()) - self.tip_radius_mm
-            _refuse_unit(name, reach)
+            if not _LEAST_MM <= reach <= _MOST_MM:
+                raise ValueError(
+                    "position_mm must be millimetres in the frame of the object, got "
+                    f"touches of {name!r} that reach {reach:.3g} mm from its middle. "
+                    "Is it metres, or another frame?"
+                )
             surfaces[name, face] = learnt_surface(middles, number[rows], _PLACEMENT_MM)
         return surfaces, bodies
 
@@ -234,25 +235,20 @@ class SurfaceMap:
                 others[name, OTHER_FACE - number] = surface
         return others
 
-    def _other_share(self, touches: Touches, faces: Indices) -> Floats:
+    def _other_share(self, recording: Indices, faces: Indices) -> Floats:
         """Return how often each object stands on a face that was never learnt."""
         n_objects = len(self.recogniser.classes_)
         if self.other_faces is not None or len(np.unique(faces)) == 1:
             rare = 0.5 if self.other_faces is None else self.other_faces
             return np.full(n_objects, rare)
         # The rule of Good and Turing, of one recording more.
-        labels = np.asarray(self._labels(touches))
-        recording, shares = _recordings(touches), []
+        shares = []
         for name in self.recogniser.classes_:
-            rows = labels == name
+            rows = self.recogniser.memory_.labels == name
             visits = np.unique(np.stack([faces[rows], recording[rows]]), axis=1)
             n_once = (np.unique(visits[0], return_counts=True)[1] == 1).sum()
             shares.append(min((n_once + 1) / (visits.shape[1] + 1), 0.5))
         return np.array(shares)
-
-    def _labels(self, touches: Touches) -> Array:
-        by_object = self.recogniser.label == "object"
-        return np.asarray(touches.object if by_object else touches.category)
 
     def _refuse_unmapped(self, surfaces: Mapping[tuple[str, int], object]) -> None:
         mapped = {name for name, _ in surfaces}
@@ -421,8 +417,7 @@ class FacedMap(TouchMap):
         )
         number = {state: k for k, state in enumerate(self.states)}
         of_touch = np.array([number[state] for state in state_of_touch])
-        n_states = range(len(self.states))
-        self.rows_of_object = [np.flatnonzero(of_touch == k) for k in n_states]
+        self.rows_of_object = [np.flatnonzero(of_touch == k) for k in number.values()]
         self.left_out_by_object = self.left_out_
         self.left_out_ = self.left_out_[:, self.object_of_state]
         super()._choose()
@@ -452,13 +447,3 @@ def _any_face(surfaces: Mapping[State, RadialSurface], name: str) -> RadialSurfa
     mean, variance = float(radii.mean()), float(radii.var()) + _OTHER_FACE_MM**2
     flat = np.ones(learnt[0].mean_mm.shape)
     return RadialSurface(mean * flat, variance * flat, learnt[0].noise_mm)
-
-
-def _refuse_unit(name: str, reach_mm: float) -> None:
-    if _LEAST_MM <= reach_mm <= _MOST_MM:
-        return
-    raise ValueError(
-        f"position_mm must be millimetres in the frame of the object, got touches of "
-        f"{name!r} that reach {reach_mm:.3g} mm from its middle. Is it metres, or "
-        "another frame?"
-    )

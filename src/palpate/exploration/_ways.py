@@ -39,35 +39,18 @@ _OUTSIDE_MM = 1.0
 ON_THE_WAY = "On the way to the start"
 
 
-class LoadOnWayError(RobotError):
-    """Something was met where nothing should be.
+class WayError(RobotError):
+    """A way ended: something was met, or the force sensor gave no number.
 
-    Attributes
-    ----------
-    retracted : bool
-        Whether the arm is known to be clear of it again; else it was stopped.
-    force_n : float
-        The reading that ended the way.
+    `outcome` is that of the `TouchRecord`; where the arm is not known to be clear again
+    (`retracted`) it was stopped. `force_n` is the reading that ended the way, if any.
     """
 
-    def __init__(self, message: str, force_n: float, *, retracted: bool) -> None:
+    def __init__(
+        self, message: str, outcome: str, *, retracted: bool, force_n: float = 0.0
+    ) -> None:
         super().__init__(message)
-        self.force_n, self.retracted = force_n, retracted
-
-
-class DeadForceError(RobotError):
-    """The force sensor gave no number where it was asked for one.
-
-    Attributes
-    ----------
-    retracted : bool
-        Whether it gives one again after the last step was taken back, and is clear;
-        else the arm was stopped. Before a way the arm stays as it is.
-    """
-
-    def __init__(self, message: str, *, retracted: bool = True) -> None:
-        super().__init__(message)
-        self.retracted = retracted
+        self.outcome, self.retracted, self.force_n = outcome, retracted, force_n
 
 
 @dataclass
@@ -103,23 +86,15 @@ def touch_from_hemisphere(
     how: dict[str, Any]
     try:
         follow(toucher.robot, hemisphere, pose, toucher.guard, toucher.wait_readings)
-    except LoadOnWayError as error:
-        return TouchRecord(
-            "limit exceeded",
-            pose,
-            tip_mm(pose),
-            peak_force_n=error.force_n,
-            message=str(error),
-            retracted=error.retracted,
-        )
-    except DeadForceError as error:
-        how = {"message": str(error), "retracted": error.retracted}
-        return TouchRecord("force sensor", pose, tip_mm(pose), **how)
+    except WayError as error:
+        outcome, how = error.outcome, {"peak_force_n": error.force_n}
+        how |= {"message": str(error), "retracted": error.retracted}
     except Exception as error:
-        message = f"{ON_THE_WAY}: {type(error).__name__}: {error}"
-        how = {"message": message, "retracted": is_out(toucher.robot, hemisphere)}
-        return TouchRecord("robot error", pose, tip_mm(pose), **how)
-    return toucher.touch(pose)
+        outcome, how = "robot error", {"retracted": is_out(toucher.robot, hemisphere)}
+        how["message"] = f"{ON_THE_WAY}: {type(error).__name__}: {error}"
+    else:
+        return toucher.touch(pose)
+    return TouchRecord(outcome, pose, tip_mm(pose), **how)
 
 
 def follow(
@@ -132,13 +107,7 @@ def follow(
     """Move round the object to a pose on the hemisphere, in guarded steps.
 
     First so many readings are passed over, which may still be of the last touch.
-
-    Raises
-    ------
-    LoadOnWayError
-        A reading beyond `guard.limit_n` on the way.
-    DeadForceError
-        A reading that is no number.
+    `WayError` says that one was beyond `guard.limit_n`, or no number.
     """
     for _ in range(wait_readings):
         robot.read_force()
@@ -155,11 +124,9 @@ def follow(
 def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
     """Pull an arm that stands inside the hemisphere straight out of it, and look.
 
-    Raises
-    ------
-    RobotError
-        It does not look at the object, or its way out does not lead outward: nothing
-        was moved. Or it did not come out, or met a load there, and was stopped.
+    `RobotError` says that it does not look at the object, or that its way out does not
+    lead outward, and nothing was moved; or that it did not come out, or met a load
+    there, and was stopped.
     """
     pose = robot.read_pose()
     way_mm = hemisphere.way_out_mm(pose)
@@ -168,13 +135,17 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
     _refuse_way_inward(hemisphere, pose, way_mm)
     n_steps = math.ceil(way_mm / guard.way_step_mm)
     force_n = most_n = max(abs(_reading(robot)), guard.limit_n)
-    with _stopping(robot):
+    try:
         for _ in range(n_steps):
             robot.retract(way_mm / n_steps)
             force_n = abs(_reading(robot))
             if not force_n <= most_n:  # a load may be on at first, and goes
                 break
             most_n = max(force_n, guard.limit_n)
+    except BaseException:  # an interrupt too: it may press
+        with suppress(Exception):
+            robot.stop()
+        raise
     left_mm = hemisphere.way_out_mm(robot.read_pose())
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
@@ -215,23 +186,13 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
                 robot.stop()
         if clear or not isinstance(error, Exception):
             raise
-        raise LoadOnWayError(
-            f"On the way to the start: {type(error).__name__}: {error} The force "
+        raise WayError(
+            f"{ON_THE_WAY}: {type(error).__name__}: {error} The force "
             f"sensor reads {force_n:.3f} N, so the arm was stopped. Free it by hand.",
-            0.0 if math.isnan(force_n) else force_n,
+            "limit exceeded",
             retracted=False,
+            force_n=0.0 if math.isnan(force_n) else force_n,
         ) from error
-
-
-@contextmanager
-def _stopping(robot: Robot) -> Iterator[None]:
-    """Stop the arm where anything is raised, an interrupt too: it may press."""
-    try:
-        yield
-    except BaseException:
-        with suppress(Exception):
-            robot.stop()
-        raise
 
 
 def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) -> None:
@@ -270,15 +231,17 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
     """Refuse to set out with a load on: the last touch is not over."""
     force_n = abs(_reading(robot))
     if math.isnan(force_n):
-        raise DeadForceError("The force sensor reads no number before the way.")
+        message = "The force sensor reads no number before the way."
+        raise WayError(message, "force sensor", retracted=True)
     if force_n > guard.limit_n:
         robot.stop()
-        raise LoadOnWayError(
+        raise WayError(
             f"{force_n:.3f} N before the arm sets out, beyond the limit of "
             f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
             "and was stopped. Free it by hand.",
-            force_n,
+            "limit exceeded",
             retracted=False,
+            force_n=force_n,
         )
 
 
@@ -296,15 +259,15 @@ def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
             robot.stop()
     where = "it went back one step" if clear else "it did not come free and was stopped"
     if math.isnan(force_n):
-        raise DeadForceError(
-            f"The force sensor reads no number on the way: {where}.", retracted=clear
-        )
-    raise LoadOnWayError(
+        message = f"The force sensor reads no number on the way: {where}."
+        raise WayError(message, "force sensor", retracted=clear)
+    raise WayError(
         f"{force_n:.3f} N on the way to the start, beyond the limit of "
         f"{guard.limit_n:g}: something stands where nothing should; {where}. Is the "
         "object where the hemisphere has its centre, and does it fit?",
-        abs(force_n),
+        "limit exceeded",
         retracted=clear,
+        force_n=abs(force_n),
     )
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from .._types import Array, Floats
 from ._camera import CameraSensor
-from ._contract import Frame, LiveSensor, Reading, SensorError
+from ._contract import LiveSensor, Reading, SensorError
 from ._played import PlayedSensor, ReplaySensor, SimulatedStream
 from ._ros import RosSensor
 from ._serial import SerialArraySensor, find_array
@@ -415,13 +415,10 @@ class CalibratedSensor(LiveSensor):
         except SensorError:
             self.lost = self.inner.lost
             return []
-        return [self._reading(frame)]
-
-    def _reading(self, frame: Frame) -> Reading:
         self._count_missed(max(0, frame.number - self._next_number))
         self._next_number = frame.number + 1
-        image = self._calibrated(frame.image)
-        return Reading(image, frame.time_s, frame.device_time_s, frame.columns)
+        about = frame.time_s, frame.device_time_s, frame.columns
+        return [Reading(self._calibrated(frame.image), *about)]
 
     def _close(self) -> None:
         self.inner.disconnect()

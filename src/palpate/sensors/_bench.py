@@ -93,10 +93,7 @@ class SimulatedBench:
             self.pose, self._line, self.force_n = pose, None, 0.0
             return
         if self._line is None or not self._line.holds(pose):
-            self._line = _Line(self.camera, self.target, pose)
-            can_slip = self._slide_mm > 0 or self._turn_rad > 0
-            most = self.camera.force_n if can_slip else np.inf
-            self._slip_at_n = float(self._rng.uniform(0, 1)) * most
+            self._line, self._slip_at_n = self._begun(pose)
         self.pose = pose
         self.force_n = self._force(self._line)
         if self.force_n > self._slip_at_n:
@@ -112,10 +109,8 @@ class SimulatedBench:
         the force where steps pass it: the way is shorter by up to one of them. None,
         and the tip at `reach_mm`, where the force is not met on the way.
         """
-        self._line = _Line(self.camera, self.target, start)
-        can_slip = self._slide_mm > 0 or self._turn_rad > 0
-        slip_at_n = float(self._rng.uniform(0, 1)) * self.camera.force_n
-        if can_slip and slip_at_n < force_n:
+        self._line, slip_at_n = self._begun(start)
+        if slip_at_n < force_n:
             way_mm, _ = self._line.pressed(slip_at_n, self._housing)
             if way_mm <= reach_mm:
                 slid, turned, target, line = self._offered_slip()
@@ -131,6 +126,12 @@ class SimulatedBench:
         self._line.keep(press)
         self.peak_force_n = max(self.peak_force_n, force_n)
         return way_mm
+
+    def _begun(self, pose: SensorPose) -> tuple["_Line", float]:
+        """Return a line from a pose, and the force at which the object slips on it."""
+        most_n = self.camera.force_n if self._turn_rad > 0 else np.inf
+        slip_at_n = float(self._rng.uniform(0, 1)) * most_n
+        return _Line(self.camera, self.target, pose), slip_at_n
 
     def _is_clear(self, pose: SensorPose) -> bool:
         """Whether nothing of the dome can meet the object, wherever it has slid."""

@@ -224,10 +224,7 @@ def _checked_crop(
 def camera_names() -> list[tuple[str, str]]:
     """Return (name, path) of every camera that is plugged in.
 
-    Raises
-    ------
-    ImportError
-        The package that knows names is missing; the message names the extra.
+    `ImportError` names the extra that is missing.
     """
     what = "Choosing a camera by its name (a path such as /dev/video0 needs nothing)"
     listed = needed("cv2_enumerate_cameras", "camera", what).enumerate_cameras()

@@ -17,16 +17,7 @@ from typing import Any
 
 from .._extras import needed
 from ._contract import SensorError
-from .ros import (
-    DEPTH,
-    WHAT,
-    Answer,
-    Endpoint,
-    answered,
-    ros_kind,
-    store,
-    wire_kind,
-)
+from .ros import DEPTH, WHAT, Answer, Endpoint, answered, ros_kind, store, wire_kind
 
 # What DDS calls the policies that keep a writer and a reader apart.
 _POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability"}

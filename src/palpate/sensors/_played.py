@@ -217,10 +217,7 @@ class ReplaySensor(PlayedSensor):
             recorded = touches
             if not isinstance(recorded, Touches):
                 recorded = Touches.load(
-                    recorded,
-                    name_pattern=name_pattern,
-                    no_contact=path,
-                    colour=colour,
+                    recorded, name_pattern=name_pattern, no_contact=path, colour=colour
                 )
             if frame is not None:
                 recorded = recorded.with_columns(no_contact=frame)

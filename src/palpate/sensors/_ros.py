@@ -139,10 +139,9 @@ class RosSensor(LiveSensor):
         """Return the frames that came together first, at least one."""
         self.lost = ""
         while True:
-            frames = [self._frame(raw) for raw in reader.take(_TICK_S)]
-            read = [frame for frame in frames if frame is not None]
-            if read:
-                return read
+            frames = [*filter(None, map(self._frame, reader.take(_TICK_S)))]
+            if frames:
+                return frames
             if time.monotonic() > end_s or self._stop.is_set():
                 raise SensorError(self.lost or self._silence(reader))
             waited_s = time.monotonic() - end_s + self._wait_s
@@ -177,11 +176,8 @@ class RosSensor(LiveSensor):
             first, self._first = self._first, []
             return first
         assert self._reader is not None
-        frames = []
-        for raw in self._reader.take(_TICK_S):
-            frame = self._frame(raw)
-            if frame is not None and self._is_alike(frame.image):
-                frames.append(frame)
+        read = filter(None, map(self._frame, self._reader.take(_TICK_S)))
+        frames = [frame for frame in read if self._is_alike(frame.image)]
         if not frames and not self._reader.n_publishers:
             self.lost = self._silence(self._reader)
         return frames

@@ -131,11 +131,7 @@ class SerialArraySensor(LiveSensor):
         self._unread, self._read_s, self._fresh = b"", time.monotonic(), True
 
     def _grab(self) -> Sequence[Array]:
-        try:
-            data = self._serial.read(max(1, self._serial.in_waiting))
-        except (OSError, TypeError) as error:  # TypeError: closed while it waited
-            gone = f"{self.port} went away. Plug the array in again."
-            raise SensorError(gone) from error
+        data = _read(self._serial, self.port)
         before = self._framing.n_damaged + self._framing.n_missed
         frames = self._framing.feed(self._whole(data))
         after = self._framing.n_damaged + self._framing.n_missed
@@ -175,7 +171,7 @@ def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
     try:
         end_s = time.monotonic() + _LISTEN_S
         while (looks is None or not looks.framing) and time.monotonic() < end_s:
-            data += opened.read(max(1, opened.in_waiting))
+            data += _read(opened, port)
             looks = layout_of(data[-_MOST_UNREAD:])
     finally:
         opened.close()
@@ -191,6 +187,15 @@ def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
     else:
         unclear = f"Its lines have {looks.n_values} values: {looks.shapes}."
     raise SensorError(f"shape=auto did not find what {port} writes. {unclear}")
+
+
+def _read(opened: Any, port: str) -> bytes:
+    """Return the bytes that have come, waiting a moment for the first."""
+    try:
+        return bytes(opened.read(max(1, opened.in_waiting)))
+    except (OSError, TypeError) as error:  # TypeError: closed while it waited
+        gone = f"{port} went away. Plug the array in again."
+        raise SensorError(gone) from error
 
 
 def _open_port(port: str, baud: int) -> Any:

@@ -19,16 +19,7 @@ from typing import Any
 
 from .._extras import needed
 from ._contract import SensorError
-from .ros import (
-    DEPTH,
-    WHAT,
-    Answer,
-    Endpoint,
-    answered,
-    ros_kind,
-    store,
-    wire_kind,
-)
+from .ros import DEPTH, WHAT, Answer, Endpoint, answered, ros_kind, store, wire_kind
 
 _ROUTER = "tcp/localhost:7447"
 _TOKENS = "@ros2_lv"

@@ -442,9 +442,7 @@ def _sessions_of(
             yield number, thing, session, of_part[start : start + _PER_TASK[0]]
 
 
-def _resolved(
-    objects: Iterable[SimObject | str] | SimObject | str,
-) -> list[SimObject]:
+def _resolved(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
     requested = [objects] if isinstance(objects, SimObject | str) else list(objects)
     if not requested:
         raise ValueError("objects must name at least one object, got none.")
