@@ -112,3 +112,36 @@ def test_whatever_a_driver_raises_the_arm_comes_back(arm, sensor, method, error)
     # The arm had moved when the driver raised: it is pulled back by that step too.
     assert np.linalg.norm(arm.pose.position_mm) >= 300 - 1e-9
     assert arm.force_n == 0
+
+
+def test_an_interrupt_at_every_retract_stops_the_arm_and_goes_on(arm, sensor):
+    def interrupted(way_mm):
+        raise KeyboardInterrupt
+
+    arm.retract = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        guarded_touch(arm, sensor, START)
+    assert arm.stopped
+
+
+def test_an_arm_that_only_says_that_it_came_out_is_stopped(arm, sensor):
+    places = []
+    arm.retract = lambda way_mm: places.append(arm.pose.advanced(-way_mm))
+    arm.read_pose = lambda: places[-1] if places else arm.pose
+    record = guarded_touch(arm, sensor, START)
+    assert record.outcome == "robot error"
+    assert "did not come out, whatever it says, and was stopped" in record.message
+    assert arm.stopped
+    assert not record.retracted
+    # Stopping it can be interrupted too: it is tried again, and the interrupt goes on.
+    arm.pose, arm.stopped, stop = START, False, arm.stop
+    places.clear()
+
+    def interrupted_once():
+        arm.stop = stop
+        raise KeyboardInterrupt
+
+    arm.stop = interrupted_once
+    with pytest.raises(KeyboardInterrupt):
+        guarded_touch(arm, sensor, START)
+    assert arm.stopped
