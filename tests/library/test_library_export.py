@@ -323,6 +323,11 @@ def test_damaged_and_empty_files_are_refused(library, tmp_path):
 
 
 def test_an_export_of_what_parquet_does_not_hold_leaves_nothing(library, tmp_path):
+    fsspec = pytest.importorskip("fsspec")
+    library.add(_presses(1))
+    library.export("memory://out/None.parquet")
+    store = fsspec.filesystem("memory")
+    before = store.cat("/out/None.parquet")
     library.add(_presses(1).with_columns(wave=np.full(6, 1j)))
     (tmp_path / "out").mkdir()
     for by in (None, "object"):
@@ -330,5 +335,7 @@ def test_an_export_of_what_parquet_does_not_hold_leaves_nothing(library, tmp_pat
             with pytest.raises(TouchesError, match="a type that Parquet holds"):
                 library.export(path, by=by)
     assert not [*(tmp_path / "out").iterdir()]
+    assert store.find("/out") == ["/out/None.parquet"]
+    assert store.cat("/out/None.parquet") == before
     with pytest.raises(LibraryError, match="by must be one of"):
         library.export(tmp_path / "x.npz", by="object")

@@ -113,11 +113,12 @@ def _to_store(picked: StoredTouches, url: str, by: str | None) -> int:
     _refuse_by(by, kind)
     try:
         system, place = fsspec.url_to_fs(url)
-        if by is None:
-            with system.open(place, "wb") as file:
-                _write_parquet(file, picked)
-        else:
-            _write_parts(picked, by, place, lambda name: system.open(name, "wb"))
+        with system.transaction:  # what fails leaves nothing, and what was there stays
+            if by is None:
+                with system.open(place, "wb") as file:
+                    _write_parquet(file, picked)
+            else:
+                _write_parts(picked, by, place, lambda name: system.open(name, "wb"))
     except (LibraryError, TouchesError):
         raise
     except (OSError, ImportError) as error:
