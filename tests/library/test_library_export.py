@@ -324,7 +324,7 @@ def test_damaged_and_empty_files_are_refused(library, tmp_path):
 
 def test_an_export_of_what_parquet_does_not_hold_leaves_nothing(library, tmp_path):
     fsspec = pytest.importorskip("fsspec")
-    library.add(_presses(1))
+    library.add(_presses(2))
     library.export("memory://out/None.parquet")
     store = fsspec.filesystem("memory")
     before = store.cat("/out/None.parquet")
