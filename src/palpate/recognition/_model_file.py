@@ -67,17 +67,14 @@ _OWN = (
 # What has less, or more, in a file than in memory.
 _STORED = (EncodingPool, KernelRidgeClassifier, NearbyTouches, OnnxEncoding)
 _ROOMS = (classifiers, encodings, images)
-# Made anew from a stored model; making one computes, which reading a file must not.
-_NEVER_STORED = ("TouchClassifier",)
-
 _PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
 # The classes that a model file may name: ours, and two of scikit-learn.
 KNOWN_CLASSES: dict[str, type] = {
     **{n: c for n, c in _PUBLIC.items() if isinstance(c, type)},
     **{kind.__name__: kind for kind in (*_OWN, PCA, StandardScaler)},
 }
-for _gone in _NEVER_STORED:
-    del KNOWN_CLASSES[_gone]
+# Made anew from a stored model; making one computes, which reading a file must not.
+del KNOWN_CLASSES["TouchClassifier"]
 
 
 class ModelFileError(ValueError):
@@ -185,9 +182,9 @@ def read_model(
                 f"{source} has model format {version!r}, this palpate reads 4 to "
                 f"{FORMAT}. Learn again, or use the palpate that wrote it."
             )
-        if version == 4 and isinstance(model, dict):
-            model["learnt"].pop("limits_", None)
         if isinstance(model, dict):
+            if version == 4:
+                model["learnt"].pop("limits_", None)
             _wrap_encoder(model["learnt"])
         return _unpack(model, budget)
     except ModelFileError:
