@@ -87,7 +87,8 @@ def check_mounting(
         return MountingCheck(False, -np.inf, np.inf, [*rim, "Nothing was touched."])
     usual, n_touches = _Usual.of(learnt), int(counts.sum())
     posterior = softmax(evidence.log_likelihood[counts], axis=1)
-    seen = np.column_stack([evidence.features, usual.as_known(evidence.looks)])[counts]
+    looks = evidence.looks if usual.has_looks else np.zeros_like(evidence.looks)
+    seen = np.column_stack([evidence.features, looks])[counts]
     away = (seen - posterior @ usual.means).mean(axis=0)
     draws = usual.draws(n_touches, effective_number(posterior.mean(axis=0)), seed)
     near = float(evidence.log_distances[counts].min(axis=1).mean())
@@ -171,16 +172,6 @@ class _Usual:
             has_looks=has_looks,
         )
 
-    @property
-    def objects(self) -> tuple[Indices, Indices]:
-        """The labels that were left out, and which of them each touch is."""
-        names, object_codes = np.unique(self.codes, return_inverse=True)
-        return names, object_codes
-
-    def as_known(self, looks: Floats) -> Floats:
-        """Return looks, or zeros where training touches kept none."""
-        return looks if self.has_looks else np.zeros_like(looks)
-
     def n_drawn(self, n_touches: int) -> int:
         """Return of how many touches a draw is, to compare so many touches with."""
         return min(n_touches, max(2, len(self.away) // MOST_OF_ALL))
@@ -232,7 +223,8 @@ class _Usual:
         beside it where it has too few touches. Rows (N_LIKE, n_drawn), and what each
         counts in the mean of its draw.
         """
-        rng, (names, object_codes) = np.random.default_rng(seed), self.objects
+        rng = np.random.default_rng(seed)
+        names, object_codes = np.unique(self.codes, return_inverse=True)
         count = np.exp(rng.uniform(0, np.log(len(names)), (N_DRAWS, 1))).round()
         chosen = (rng.random((N_DRAWS, len(names))).argsort(axis=1) < count)[
             :, object_codes
