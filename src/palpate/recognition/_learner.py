@@ -490,10 +490,13 @@ class Learner(BaseEstimator):
         )
         self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
+            rows = self.left_out_rows
+            left_out = left_out_log_likelihood(self.classifier_)
+            left_out = self._contact_only(left_out, memory.nothing[rows])
             self.sequence_calibration_ = fit_sequence_calibration(
-                _evidence.with_floor(self._left_out(), self.floor_),
-                np.searchsorted(self.classes_, memory.labels[self.left_out_rows]),
-                self._episodes_to_come(memory, memory.blocks[self.left_out_rows]),
+                _evidence.with_floor(left_out, self.floor_),
+                np.searchsorted(self.classes_, memory.labels[rows]),
+                self._episodes_to_come(memory, memory.blocks[rows]),
                 self._log_prior(memory),
             )
         self.strangers_ = self._learnt_strangers(before)
@@ -504,13 +507,6 @@ class Learner(BaseEstimator):
         """Return left-out touches such as an episode may have, of each object."""
         objects, n_known = memory.objects[self.left_out_rows], len(self.classes_)
         return draw_episodes(objects, self.random_state, n_known, blocks)
-
-    def _left_out(self) -> Floats:
-        """Return what counts of left-out training touches, (n_touches, n_objects)."""
-        log_likelihood = left_out_log_likelihood(self.classifier_)
-        return self._contact_only(
-            log_likelihood, self.memory_.nothing[self.left_out_rows]
-        )
 
     def _learnt_strangers(self, before: Nearest | None = None) -> StrangerModel:
         memory = self.memory_
