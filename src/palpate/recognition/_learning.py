@@ -134,11 +134,8 @@ def encoded(
         else:
             key = state_digest(encoder) + state_digest(contact) + "looks"
             table = touches.features(key, encode)
-    features, seen = (
-        np.ascontiguousarray(table[:, : -N_LOOKS - 1]),
-        table[:, -N_LOOKS - 1 :],
-    )
-    return Encoded(features, seen[:, -1] > 0, seen[:, :-1])
+    features, looks, nothing = np.split(table, [-N_LOOKS - 1, -1], axis=1)
+    return Encoded(np.ascontiguousarray(features), nothing[:, 0] > 0, looks)
 
 
 def memory_of(
@@ -346,6 +343,10 @@ def naming_empty(touches: Touches | TouchSource) -> Iterator[None]:
 
 
 def _is_empty(touches: Touches | TouchSource, row: int) -> bool:
-    rows = np.array([row])
-    touch = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
-    return bool(np.isnan(touch.images.astype(np.float64)).all())
+    images = touches_of(touches, np.array([row])).images
+    return bool(np.isnan(images.astype(np.float64)).all())
+
+
+def touches_of(touches: Touches | TouchSource, rows: Indices) -> Touches:
+    """Return some rows of touches, read where they are of a source."""
+    return touches[rows] if isinstance(touches, Touches) else touches.touches(rows)

@@ -431,11 +431,15 @@ def left_out_groups(
     for visits in (touches.subject, touches.session):
         if visits is None:
             continue
-        pairs = np.stack([objects.astype(str), visits.astype(str)], axis=1)
-        met = np.unique(np.unique(pairs, axis=0)[:, 0], return_counts=True)[1]
-        if met.min() > 1:
+        if n_met(objects, visits).min() > 1:
             return np.asarray(np.unique(visits, return_inverse=True)[1])
     return blocks_in_order(objects, touches.order)
+
+
+def n_met(objects: Array, visits: Array) -> Indices:
+    """Return in how many visits each object was met, the objects sorted as texts."""
+    pairs = np.stack([objects.astype(str), visits.astype(str)])
+    return np.unique(np.unique(pairs, axis=1)[0], return_counts=True)[1]
 
 
 def without_copies(features: Floats, objects: Array, blocks: Indices) -> Indices:

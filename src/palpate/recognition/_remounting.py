@@ -27,7 +27,7 @@ from ._contact import NO_CONTACT, ContactCheck
 from ._evidence import Evidence
 from ._learning import encoded, memory_of
 from ._learnt import Learnt, RemountedEncoder, wrapped
-from ._memory import Memory, blocks_in_order
+from ._memory import Memory, blocks_in_order, n_met
 from ._sessions import SessionSums, shift_unlabelled
 
 if TYPE_CHECKING:
@@ -80,22 +80,21 @@ def remounted(
         )
     features = encoding.features
     if labels is None:
-        sums = _sums(learnt, features[counts])
+        sums, left = _sums(learnt, features[counts]), learnt.classes
         report["objects"] = round(_sessions.effective_number(sums.shares), 1)
-    confirmed = None if labels is None else labels[counts]
-    shift = trust * _shift(learnt, features[counts], confirmed)
-    if labels is None and not report.get("centred", True):
-        shift = np.zeros_like(shift)
+        shift = shift_unlabelled(sums, learnt.taught)
+        if not report.get("centred", True):
+            shift = np.zeros_like(shift)
+    else:
+        left = learnt.classes[~np.isin(learnt.classes, labels[counts])]
+        shift = trust * _shift(learnt, features[counts], labels[counts])
     remounted_encoder = wrapped(learnt.encoder).shifted(shift)
     report |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
-    left = np.ones(len(learnt.classes), dtype=bool)
-    if confirmed is not None:
+    if labels is not None:
         report["trust"] = trust
-        left = ~np.isin(learnt.classes, confirmed)
-    report["confirm"] = learnt.classes[left].astype(str).tolist()
-    report["broken"] = (
-        0 if remounted_encoder.broken is None else int(remounted_encoder.broken.sum())
-    )
+    report["confirm"] = left.astype(str).tolist()
+    broken = remounted_encoder.broken
+    report["broken"] = 0 if broken is None else int(broken.sum())
     variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     report["moved"] = float((shift**2).sum() / variance)
     learnt = replace(learnt, encoder=remounted_encoder)
@@ -258,16 +257,12 @@ def _right_elsewhere(learnt: Learnt, met_elsewhere: Bools) -> Bools:
     for k in np.unique(turn[met_elsewhere]):
         labels, counts = np.unique(memory.labels[turn != k], return_counts=True)
         teachable = np.isin(memory.labels, labels[counts > 1])
-        others, tested = (
-            teachable & (turn != k),
-            teachable & (turn == k) & met_elsewhere,
-        )
+        others, tested = teachable & (turn != k), teachable & (turn == k)
+        tested &= met_elsewhere
         if not tested.any() or (counts > 1).sum() < 2:
             continue
         groups, objects = memory.blocks[others], memory.objects[others]
-        pairs = np.stack([objects.astype(str), groups.astype(str)])
-        met = np.unique(np.unique(pairs, axis=1)[0], return_counts=True)[1]
-        if met.min() < 2:  # one session is left: its blocks
+        if n_met(objects, groups).min() < 2:  # one session is left: its blocks
             groups = blocks_in_order(objects)
         classifier, taught = clone(learnt.classifier), memory.features[others]
         with on_one_thread():
