@@ -269,6 +269,7 @@ def with_nan(values):
         ("far", lambda v: 0 * v, "no spread"),
         ("high", lambda v: v[:, :1], "no such table"),
         ("high", lambda v: 0 * v, "no spread"),
+        ("high", with_nan, "NaN or infinity"),
         ("exceeded", with_nan, "NaN or infinity"),
         ("exceeded", lambda v: v[:0], "no such table"),
         ("low_curve", lambda v: replace(v, levels=v.levels[::-1]), "falls"),

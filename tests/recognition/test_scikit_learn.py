@@ -124,13 +124,9 @@ def test_groups_are_left_out_together(images_and_labels):
 
 def test_bad_input_is_refused(images_and_labels):
     images, labels = images_and_labels
-    with pytest.raises(ValueError, match=r"one label for each of 48 touches, got"):
-        ObjectRecogniser().fit(images, labels[:-1])
     with pytest.raises(ValueError, match="one entry per training touch"):
         ObjectRecogniser().fit(images, labels, groups=[1, 2])
     with pytest.raises(TypeError, match="labels of one kind, got text and numbers"):
         ObjectRecogniser().fit(images, [*labels[:-1], 3])
-    with pytest.raises(TypeError, match="got ndarray without labels"):
-        ObjectRecogniser().fit(images)
     with pytest.raises(ValueError, match="got an array of shape"):
         ObjectRecogniser().fit(images.reshape(48, -1, 1, 1), labels)
