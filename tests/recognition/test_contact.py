@@ -149,14 +149,3 @@ def test_the_recorded_frame_moves_nothing(data_folder):
     for image in (frame, moved):
         assert recogniser.evidence(Touches(image[np.newaxis])).flags == ["no contact"]
     assert np.mean([flag == "" for flag in recogniser.evidence(touches).flags]) > 0.8
-
-
-def test_two_regions_are_no_sign_where_most_training_touches_have_two():
-    rng = np.random.default_rng(0)
-    images = 0.01 * rng.random((40, 16, 16))
-    images[:, 2:5, 2:5] += 1
-    images[:20, 10:13, 10:13] += 1
-    images[20:, 10:13, 3:6] += 1
-    names = np.repeat(["left", "right"], 20)
-    learnt = ObjectRecogniser().fit(Touches(images, object=names, geometry="array"))
-    assert learnt.evidence(images).flags.count("double contact") == 0

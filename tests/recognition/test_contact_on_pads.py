@@ -270,6 +270,7 @@ def test_two_regions_are_a_sign_where_few_training_touches_have_them(
     images[:n_double, 7:9, 8:17] = 120
     learnt = check(images, geometry="array")
     assert learnt.tells_double_ == tells
+    assert flags(learnt, images[:1]) == ["double contact" if tells else ""]
 
 
 @pytest.mark.parametrize(("side", "tells"), [(8, True), (7, False)])

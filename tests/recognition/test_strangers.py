@@ -437,18 +437,6 @@ def test_a_promise_stands_for_the_touches_that_were_left_out(kinds):
     assert "recorded as when they were learnt" in promise.population
 
 
-def test_sessions_are_the_units_where_they_are_left_out():
-    rng = np.random.default_rng(0)
-    names = np.repeat(["a", "b", "c"], 20)
-    images = rng.normal(size=(60, 3, 8))
-    images += 5 * np.eye(3)[np.searchsorted(["a", "b", "c"], names)][:, :, None]
-    days = np.tile(np.repeat(["one", "two"], 10), 3)
-    touches = Touches(images, object=names, session=days, geometry="none")
-    promise = ObjectRecogniser().fit(touches).strangers_.promise(0.01)
-    assert promise.n_units == 6
-    assert "other sessions" in promise.population
-
-
 def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
     """Patterns of noise on 24 electrodes; twenty are met for the first time."""
     rng = np.random.default_rng(8)
