@@ -75,6 +75,7 @@ def test_drawn_touches(recordings):
         (lambda t: t.without("category"), "unseen-objects", "column 'category'"),
         (lambda t: t[:3], "last", "at least 4 touches to be split, got 3"),
         (lambda t: t[:8], "unseen-objects", "at least two objects"),
+        (lambda t: t, "subject", "must have a column 'subject'"),
     ],
 )
 def test_what_cannot_be_split_is_refused(recordings, change, split, message):
@@ -176,13 +177,16 @@ def test_folds_have_names_that_are_read(recordings):
 
 def test_blocks_and_halves_are_neighbours_in_each_recording():
     """Of ten touches in two recordings each: two in a run, five in a half."""
-    touches = row_of(20, object=["a"] * 10 + ["b"] * 10, order=np.tile(range(10), 2))
-    asked = [
-        rows.nonzero()[0].tolist() for _, rows in PROTOCOLS["blocks"](touches, 1, 0)
-    ]
-    assert asked == [[2 * k, 2 * k + 1, 2 * k + 10, 2 * k + 11] for k in range(5)]
-    ((_, half),) = PROTOCOLS["halves"](touches, 1, 0)
-    assert half.tolist() == ([False] * 5 + [True] * 5) * 2
+    order = np.tile(np.arange(10)[::-1], 2)
+    for recordings in (
+        {"object": ["a"] * 10 + ["b"] * 10},
+        {"object": ["a"] * 20, "session": ["mon"] * 10 + ["tue"] * 10},
+    ):
+        touches = row_of(20, **recordings, order=order)
+        asked = [sorted(order[r]) for _, r in PROTOCOLS["blocks"](touches, 1, 0)]
+        assert asked == [[k, k, k + 1, k + 1] for k in range(0, 10, 2)]
+        ((_, half),) = PROTOCOLS["halves"](touches, 1, 0)
+        assert half.tolist() == ([True] * 5 + [False] * 5) * 2
     odd = row_of(3, object=["a"] * 3)
     ((_, half),) = PROTOCOLS["halves"](odd, 1, 0)
     assert half.tolist() == [False, False, True]
