@@ -1,7 +1,6 @@
 """What kind of sensor it is, and which encoding is chosen for it."""
 
 import numpy as np
-import pytest
 
 from palpate import Touches
 from palpate.images import repose
@@ -70,11 +69,3 @@ def test_same_seed_same_choice(rng):
     touches = bars_and_discs(rng)
     first, second = (ObjectRecogniser(random_state=4).fit(touches) for _ in range(2))
     assert first.chosen_ == second.chosen_
-
-
-@pytest.mark.parametrize("side", [9, 60])
-def test_constant_images_give_a_belief(side):
-    flat = np.zeros((8, side, side))
-    touches = Touches(flat, object=["a", "b"] * 4)
-    belief = ObjectRecogniser().fit(touches).start(strangers=0).update(touches[0])
-    assert belief.posterior == pytest.approx({"a": 0.5, "b": 0.5})

@@ -439,21 +439,20 @@ def _beside(images):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    "change",
     [
-        (lambda images: 1.5 * images, "times stronger"),
-        (lambda images: 0.6 * images + 0.2 * _beside(images), "detail"),
+        lambda images: 1.5 * images,
+        lambda images: 0.6 * images + 0.2 * _beside(images),
     ],
     ids=["gain", "blurred"],
 )
-def test_another_gain_or_a_softer_rubber_raises_the_alarm(pressed, change, said):
+def test_another_gain_or_a_softer_rubber_raises_the_alarm(pressed, change):
     same = _presses(4, 1)
     assert not pressed.check_mounting(same).changed
     other = Touches(change(same.images), object=same.object, geometry="array")
     check = pressed.check_mounting(other)
     assert check.changed
     assert check.distance > check.usual
-    assert said in check.reasons[0]
     # Who got used to it is not warned again.
     pressed.remount(other.without("object"))
     assert not pressed.check_mounting(other).changed
