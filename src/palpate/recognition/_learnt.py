@@ -93,10 +93,6 @@ class RemountedEncoder(Encoder):
         before = self.offset
         return replace(self, offset=shift if before is None else shift + before)
 
-    def looking_like(self, change: Floats) -> Self:
-        """Return this with (7,) added to its looks, in place of what was before."""
-        return replace(self, look_offset=change)
-
     def clean(self, touches: Touches) -> Array:
         """Return the images as in the session of learning, after the clean-up."""
         images = touches.images

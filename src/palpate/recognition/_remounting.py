@@ -189,7 +189,8 @@ def _as_taught(
         better = near[0] - near[1]
         if better.mean() > better.std() / np.sqrt(len(better)):
             kept = other
-    return kept.looking_like(taught.mean(axis=0) - seen.mean(axis=0)), kept.gain
+    change = taught.mean(axis=0) - seen.mean(axis=0)
+    return replace(kept, look_offset=change), kept.gain
 
 
 def without_nuisance(learnt: Learnt, new: Touches) -> tuple[Learnt, int]:
