@@ -12,7 +12,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -275,35 +276,25 @@ def _is_known(value: object) -> bool:
 def _pack_user_encoding(value: UserEncoding, tensors: Tensors) -> dict[str, Any]:
     """Pack an encoding of the user's own, of foreign code only what it has learnt."""
 
-    def packed(steps: Sequence[Any]) -> dict[str, Any]:
-        packed_steps = [
-            _pack(step, tensors) if _is_known(step) else _pack_foreign(step, k)
-            for k, step in enumerate(steps)
-        ]
-        return {"list": packed_steps}
+    def packed(step: Any, number: int) -> Any:
+        if _is_known(step):
+            return _pack(step, tensors)
+        learnt = {}
+        for name, item in _state(step)[1].items():
+            with suppress(ModelFileError):
+                learnt[name] = _pack(item, tensors)
+        foreign = [value.name, number, type(step).__name__]
+        return {"foreign": foreign, "params": {}, "learnt": learnt}
 
-    def _pack_foreign(step: Any, number: int) -> dict[str, Any]:
-        learnt = {k: _pack_if(v) for k, v in _state(step)[1].items()}
-        return {
-            "foreign": [value.name, number, type(step).__name__],
-            "params": {},
-            "learnt": {k: v[0] for k, v in learnt.items() if v},
-        }
-
-    def _pack_if(item: object) -> list[Any]:
-        try:
-            return [_pack(item, tensors)]
-        except ModelFileError:
-            return []
-
-    params, learnt = _state(value)
-    steps = {"steps": packed(params.pop("steps"))}
-    steps_ = {"steps_": packed(learnt.pop("steps_"))} if "steps_" in learnt else {}
-    return {
-        "class": type(value).__name__,
-        "params": steps | {k: _pack(v, tensors) for k, v in params.items()},
-        "learnt": steps_ | {k: _pack(v, tensors) for k, v in learnt.items()},
-    }
+    node: dict[str, Any] = {"class": type(value).__name__}
+    for part, state in zip(("params", "learnt"), _state(value), strict=True):
+        node[part] = {}
+        for name in ("steps", "steps_"):
+            if name in state:
+                steps = enumerate(state.pop(name))
+                node[part][name] = {"list": [packed(step, k) for k, step in steps]}
+        node[part] |= {k: _pack(v, tensors) for k, v in state.items()}
+    return node
 
 
 def _pack_object(value: object, tensors: Tensors) -> dict[str, Any]:
