@@ -170,15 +170,12 @@ def _as_taught(
     if np.isnan(taught).any():
         return kept, 1.0
     if kept.clean_up_ is None:
-        labels_of = np.zeros(len(new)) if labels is None else labels
-        counted_labels = memory.labels[learnt.counted]
-        ratios = [
-            np.median(
-                taught[slice(None) if labels is None else counted_labels == name, -1]
-            )
-            - np.median(seen[labels_of == name, -1])
-            for name in np.unique(labels_of)
-        ]
+        loads, loads_now = taught[:, -1], seen[:, -1]
+        pairs = [(loads, loads_now)]
+        if labels is not None:
+            whose, names = memory.labels[learnt.counted], np.unique(labels)
+            pairs = [(loads[whose == n], loads_now[labels == n]) for n in names]
+        ratios = [np.median(before) - np.median(now) for before, now in pairs]
         gain = float(np.exp(trust * np.mean(ratios)))
         other = RemountedEncoder.of(learnt.encoder, new, gain)
         near = []
@@ -371,10 +368,8 @@ def _loss_weighed(learnt: Learnt, centred: Floats, met_elsewhere: Array) -> Floa
     half = np.unique(memory.subjects, return_inverse=True)[1] % 2
     for k in range(2):
         weighing_half = half != k
-        visits = memory.sessions[weighing_half], memory.subjects[weighing_half]
-        pairs = _sessions.between_sessions(
-            centred[weighing_half], codes[weighing_half], *visits
-        )
+        columns = centred, codes, memory.sessions, memory.subjects
+        pairs = _sessions.between_sessions(*(c[weighing_half] for c in columns))
         weighing = np.eye(centred.shape[1])
         if len(pairs):
             weighing = _sessions.weighed_down(pairs, centred, learnt.parts)
