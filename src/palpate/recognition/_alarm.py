@@ -267,14 +267,9 @@ def _sums(
 
 def _means(values: Floats, rows: Indices, counts: Floats) -> Floats:
     """Return the means of draws of rows (n_draws, n_drawn), (n_draws, n_values)."""
-    which = csr_array(
-        (
-            counts.ravel(),
-            rows.ravel(),
-            np.arange(0, rows.size + 1, rows.shape[1]),
-        ),
-        shape=(len(rows), len(values)),
-    )
+    starts = np.arange(0, rows.size + 1, rows.shape[1])
+    parts = counts.ravel(), rows.ravel(), starts
+    which = csr_array(parts, shape=(len(rows), len(values)))
     return np.asarray(which @ values)
 
 
