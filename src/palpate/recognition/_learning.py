@@ -299,7 +299,7 @@ def _left_out_scores(
 ) -> dict[str, float]:
     """Return log loss (nats) and accuracy of a recipe on the folds left out."""
     encoder = clone(encoder)
-    features = encoder.fit_transform(touches)
+    features = encoder.fit_encode(encoder.fit_clean(touches))[0]
     classes = np.unique(labels)
     log_posterior = np.full((len(labels), len(classes)), -np.log(len(classes)))
     for k in range(N_FOLDS):
