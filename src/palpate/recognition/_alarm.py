@@ -92,8 +92,7 @@ def check_mounting(
     away = (seen - posterior @ usual.means).mean(axis=0)
     draws = usual.draws(n_touches, effective_number(posterior.mean(axis=0)), seed)
     near = float(evidence.log_distances[counts].min(axis=1).mean())
-    kinds = np.column_stack([usual.distances, usual.looks])
-    drawn = _means(kinds, *draws)
+    drawn = _means(usual.kinds, *draws)
     lengths = usual.lengths(np.vstack([usual.drawn(*draws), away]))
     signs = np.column_stack([lengths, np.append(drawn[:, 0], near)])
     unlike = signs - signs[:-1].mean(axis=0)
@@ -102,7 +101,7 @@ def check_mounting(
     distance, limit = float(unlike_now.max()), usual.limit(of_draws, n_touches)
     if distance <= limit:
         return MountingCheck(False, distance, limit, rim)
-    change = np.append(near, seen[:, -N_LOOKS:].mean(axis=0)) - kinds.mean(axis=0)
+    change = np.append(near, seen[:, -N_LOOKS:].mean(axis=0)) - usual.kinds.mean(axis=0)
     beyond = change / np.maximum(drawn.std(axis=0), 1e-9)
     times = float(signs[-1, 0] / max(np.median(signs[:-1, 0]), 1e-9))
     by_features = bool(unlike_now[0] > unlike_now[1:].max())
@@ -117,17 +116,16 @@ class _Usual:
 
     `means` (n_objects, n_values) of features and looks; of each touch how far it is
     `away` from those of what it is taken for (`posterior`), the log distance to the
-    nearest touch of another block (`distances`), `looks`, its label's column (`codes`),
-    its block, and the place of that in the label's recordings (`runs`); sums and
-    numbers of touches by label and by block; `roots` of the covariances of features and
-    looks within objects; whether looks were kept (`has_looks`).
+    nearest touch of another block and its looks (`kinds`), its label's column
+    (`codes`), its block, and the place of that in the label's recordings (`runs`); sums
+    and numbers of touches by label and by block; `roots` of the covariances of features
+    and looks within objects; whether looks were kept (`has_looks`).
     """
 
     means: Floats
     away: Floats
     posterior: Floats
-    distances: Floats
-    looks: Floats
+    kinds: Floats
     codes: Indices
     blocks: Indices
     runs: Indices
@@ -158,8 +156,7 @@ class _Usual:
             means=means,
             away=values - posterior @ means,
             posterior=posterior,
-            distances=distances[rows],
-            looks=looks[rows],
+            kinds=np.column_stack([distances, looks])[rows],
             codes=codes,
             blocks=blocks[rows],
             runs=blocks[rows] - first[codes],
