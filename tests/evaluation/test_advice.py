@@ -95,7 +95,8 @@ NEVER_CONFUSED = np.eye(4)
 def trial_of(n_taught=20, confusion=NEVER_CONFUSED, names="abcd", elsewhere=False):
     """A trial in which each object was taught so often and was so confused."""
     memory = SimpleNamespace(labels=np.repeat(list(names), n_taught))
-    recogniser = SimpleNamespace(memory_=memory, classes_=np.array(list(names)))
+    classes = np.array(list(names))
+    recogniser = SimpleNamespace(memory_=memory, classes_=classes, chosen_={})
     scores = SimpleNamespace(confusion=np.asarray(confusion, float))
     return SimpleNamespace(
         recogniser=recogniser,

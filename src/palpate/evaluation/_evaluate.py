@@ -347,9 +347,7 @@ def _strangers_aside_message(figures: dict[str, Any]) -> str:
     right = max([0.0, *list(figures["accuracy"].values())[-1:]])
     if not ends or ends["right"] >= (right - _GAIN) * ends["n_episodes"]:
         return ""
-    n_episodes, n_named, n_wrong = (
-        ends[name] for name in ("n_episodes", "right", "wrong")
-    )
+    n_episodes, n_named, n_wrong = ends["n_episodes"], ends["right"], ends["wrong"]
     n_undecided = n_episodes - n_named - n_wrong - ends["refused"]
     return (
         "That counts the most probable object, strangers aside. To decide at an error "
@@ -547,7 +545,7 @@ def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str
     before, after = sessions["rehearsed"], sessions["confirmed"]
     if np.mean(after) - np.mean(before) < _GAIN:
         return ""
-    remount = getattr(trial.recogniser, "chosen_", {}).get("remount", {})
+    remount = trial.recogniser.chosen_.get("remount", {})
     left = remount.get("confirm") or trial.recogniser.classes_.tolist()
     low, high, low_after, high_after = (f"{100 * x:.0f}" for x in (*before, *after))
     confirm = (
