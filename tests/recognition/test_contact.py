@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
@@ -85,55 +84,6 @@ def test_the_paper_hears_everything(camera):
     recogniser = ObjectRecogniser("corradi2015").fit(touches)
     row = recogniser.log_likelihood(Touches(idle(touches)[np.newaxis]))
     assert np.ptp(row) > 0
-
-
-def test_without_a_frame_a_camera_is_always_heard(camera):
-    _, touches = camera
-    bare = Touches(touches.images, object=touches.object, geometry="plane")
-    recogniser = ObjectRecogniser().fit(bare)
-    row = recogniser.log_likelihood(Touches(idle(touches)[np.newaxis]))
-    assert np.ptp(row) > 0
-
-
-@pytest.fixture(scope="module")
-def array():
-    rng = np.random.default_rng(0)
-    images = np.zeros((24, 10, 10), np.uint8)
-    images[:12, 3:7, 4:6] = 120
-    images[12:, 4:6, 1:9] = 60
-    images += rng.integers(0, 4, images.shape, dtype=np.uint8)
-    names = ["block"] * 12 + ["bar"] * 12
-    touches = Touches(images, object=names, geometry="array")
-    return ObjectRecogniser().fit(touches), touches
-
-
-def test_an_array_without_load_says_nothing(array):
-    recogniser, _ = array
-    faint = np.zeros((10, 10), np.uint8)
-    faint[2, 2] = 2
-    belief = recogniser.start(strangers=0).update(faint)
-    assert belief.flags == ["no contact"]
-    assert list(belief.posterior.values()) == pytest.approx([0.5, 0.5])
-
-
-def test_saturated_and_double_presses_are_marked(array):
-    recogniser, touches = array
-    full = touches.images[0].copy()
-    full[2:8, 2:8] = 255
-    double = np.zeros((10, 10), np.uint8)
-    double[1:4, 1:4] = double[6:9, 6:9] = 100
-    both = Touches(np.stack([full, double, touches.images[0]]))
-    assert recogniser.evidence(both).flags == ["saturated", "double contact", ""]
-
-
-def test_model_file_keeps_what_contact_is(array, tmp_path):
-    recogniser, touches = array
-    again = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
-    empty = Touches(np.zeros((1, 10, 10), np.uint8))
-    assert again.evidence(empty).flags == ["no contact"]
-    assert_array_equal(
-        again.log_likelihood(touches), recogniser.log_likelihood(touches)
-    )
 
 
 @pytest.mark.realdata

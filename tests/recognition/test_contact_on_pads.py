@@ -121,18 +121,13 @@ def test_models_of_hands_keep_their_pads(tmp_path):
     learnt = ObjectRecogniser().fit(touches)
     again = ObjectRecogniser.load(learnt.save(tmp_path / "hand.palpate"))
     np.testing.assert_array_equal(again.contact_.pads_, PADS)
-    pinch = np.zeros((9, 20))
+    pinch, double, empty = np.zeros((3, 9, 20))
     pinch[3:6, 3:6] = pinch[3:6, 14:17] = 120
+    double[0:3, 0:3] = double[6:9, 6:9] = 120
     for model in (learnt, again):
-        assert model.evidence(Touches(pinch[np.newaxis])).flags == [""]
-
-
-def test_images_with_channels_must_be_named():
-    learnt = ObjectRecogniser().fit(
-        Touches(pressed(), object=NAMES, geometry="array"),
-    )
-    with pytest.raises(ValueError, match=r"shape \(1, 9, 20, 3\). Name its channels"):
-        learnt.evidence(np.zeros((1, 9, 20, 3)))
+        told = model.evidence(Touches(np.stack([pinch, double, empty])))
+        assert told.flags == ["", "double contact", "no contact"]
+        assert not told.log_likelihood[2].any()
 
 
 def mixed(share, frame, other):
