@@ -47,37 +47,6 @@ def test_sight_and_touch_add_up_in_any_order(recogniser):
     assert one.posterior["pen"] < alone.posterior["pen"]
 
 
-def test_a_sense_says_nothing_about_what_it_never_saw(recogniser):
-    model, touches = recogniser
-    X, y = clouds(2, 20)
-    some = y != "pen"
-    model.learn_modality("place", X[some], y[some])
-    before = model.start().update(touches[:1]).posterior["pen"]
-    # A place between the two that it knows tells neither from the third.
-    after = model.start().update(touches[:1]).update_sense("place", [0.4, 0.0])
-    assert after.posterior["pen"] == pytest.approx(before, abs=0.15)
-
-
-def test_labels_foreign_to_touch_do_not_favour_what_the_sense_never_saw(recogniser):
-    touches = recogniser[1]
-    model = ObjectRecogniser().fit(touches)
-    X, labels = clouds(2, 30)
-    # The sense knows a cup, which touch does not, and no pen.
-    model.learn_modality("sight", X, np.where(labels == "pen", "cup", labels))
-    belief = model.start().update_sense("sight", [4.0, 4.0])
-    assert belief.posterior["pen"] < 0.4
-
-
-def test_examples_that_are_all_told_apart_cannot_undo_the_floor(recogniser):
-    touches = recogniser[1]
-    model = ObjectRecogniser().fit(touches)
-    model.learn_modality("sight", *clouds(2, 30, spread=0.01))
-    assert model.modalities_["sight"].sequence_calibration_.strength <= 1
-    belief = model.start().update_sense("sight", [0.0, 0.0])
-    # The floor of 1 % is shared by three objects.
-    assert belief.posterior["pen"] > 0.9 * 0.01 / 3
-
-
 def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
     model, _ = recogniser
     model.learn_modality("guess", *clouds(3, 30), classifier=LogisticRegression())

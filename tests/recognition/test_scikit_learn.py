@@ -27,13 +27,6 @@ def images_and_labels():
     return patterns[codes] + 0.6 * rng.normal(size=(48, 3, 24)), labels
 
 
-def test_images_with_labels_are_learnt_as_touches(images_and_labels):
-    images, labels = images_and_labels
-    plain = ObjectRecogniser().fit(images, labels)
-    named = ObjectRecogniser().fit(Touches(images, object=labels))
-    assert_array_equal(plain.predict_proba(images), named.predict_proba(images))
-
-
 def test_single_touches_are_what_a_belief_says_after_one(images_and_labels):
     images, labels = images_and_labels
     learnt = ObjectRecogniser().fit(images, labels)

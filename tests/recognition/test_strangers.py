@@ -384,8 +384,6 @@ def test_levels_that_do_not_exist_are_refused(kinds):
     belief = recogniser.start().update(touches[:2])
     with pytest.raises(ValueError, match="level must be one of"):
         belief.decide(level="kind")
-    with pytest.raises(ValueError, match="refusal must be"):
-        belief.decide(refusal=0)
     bare = Touches(touches.images, object=touches.object, geometry="none")
     without = ObjectRecogniser().fit(bare).start().update(bare[:2])
     assert without.categories == {}
@@ -405,17 +403,6 @@ def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
     mug = touches[touches.object == "mug 2"]
     again.add_object("mug 3", Touches(mug.images + 5, category=["mug"] * 10))
     assert again.belief_model().categories.tolist()[-1] == "mug"
-
-
-def test_what_encodings_say_of_no_contact_is_not_heeded(kinds):
-    recogniser, touches = kinds
-    belief = recogniser.start().update(touches[:2])
-    before, n_objects = belief.unknown, len(recogniser.classes_)
-    n_encodings = len(recogniser.strangers_.weights)
-    loud = np.zeros((1, n_encodings, n_objects))
-    loud[:, :, -1] = 20.0
-    belief.update_from_log_likelihood(np.zeros((1, n_objects)), by_encoding=loud)
-    assert belief.unknown == pytest.approx(before, abs=1e-12)
 
 
 def test_touches_without_contact_change_no_probability(kinds):
