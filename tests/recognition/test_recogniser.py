@@ -10,7 +10,12 @@ from joblib import parallel_config
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.recognition import ModelFileError, ObjectRecogniser, left_out_groups
+from palpate.recognition import (
+    Evidence,
+    ModelFileError,
+    ObjectRecogniser,
+    left_out_groups,
+)
 
 NAMES = ("ball", "mug", "pen")
 
@@ -386,15 +391,13 @@ def test_many_touches_are_encoded_in_shards_as_all_at_once(recogniser):
     many = drawn(np.random.default_rng(3), n_each=400)
     with parallel_config("threading", n_jobs=2):
         shards = recogniser.evidence(many)
-    parts = [recogniser.evidence(many[start : start + 400]) for start in (0, 400, 800)]
+    starts = 0, 400, 800
+    parts = Evidence.together([recogniser.evidence(many[k : k + 400]) for k in starts])
+    assert shards.flags == parts.flags
     # Products of other numbers of rows round differently in the last digit.
-    features = np.concatenate([part.features for part in parts])
-    assert_allclose(shards.features, features, rtol=1e-9, atol=1e-12)
-    likelihood = np.concatenate([part.log_likelihood for part in parts])
-    assert_allclose(shards.log_likelihood, likelihood, rtol=1e-9, atol=1e-12)
-    assert shards.flags == [flag for part in parts for flag in part.flags]
-    apart = np.concatenate([part.by_encoding for part in parts])
-    assert_allclose(shards.by_encoding, apart, rtol=1e-9, atol=1e-12)
+    for name in ("features", "log_likelihood", "by_encoding"):
+        pair = getattr(shards, name), getattr(parts, name)
+        assert_allclose(*pair, rtol=1e-9, atol=1e-12)
 
 
 def test_a_belief_shows_itself_in_one_line_and_as_bars():
