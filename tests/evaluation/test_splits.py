@@ -134,16 +134,6 @@ def test_a_recording_of_one_press_teaches_and_is_never_drawn():
         assert (asked[:10].sum(), asked[10:20].sum()) == (2, 2)
 
 
-def test_a_session_that_teaches_one_object_alone_asks_nobody():
-    touches = Touches(
-        np.arange(6.0)[:, None, None] * np.ones((1, 3, 3)),
-        object=["a", "a", "a", "a", "b", "b"],
-        session=["mon", "mon", "tue", "tue", "tue", "tue"],
-    )
-    (fold,) = split_touches(touches, "session")
-    assert {*fold.test.session.tolist()} == {"mon"}
-
-
 @pytest.mark.parametrize("name", ["order", "time_s"])
 def test_touches_are_split_in_the_order_in_which_they_were_made(name):
     images = np.arange(8.0).reshape(8, 1, 1)
