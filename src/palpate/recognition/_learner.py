@@ -204,11 +204,8 @@ class Learner(BaseEstimator):
         """
         self._check_fitted()
         memory = self.memory_.without(forget)
-        if touches is not None:
-            labels = _memory.named_labels(touches, self.label)
-            for name in np.unique(labels).tolist():
-                of_object = touches[np.flatnonzero(labels == name)]
-                memory = memory.replaced(self._memory_of(name, of_object, 2))
+        for name, of_object in _memory.by_label(touches, self.label):
+            memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
 
     def learn_beside(self, kept: Memory, touches: Touches | TouchSource | None) -> Self:
@@ -224,12 +221,9 @@ class Learner(BaseEstimator):
         """
         self._check_fitted()
         memory = kept
-        if touches is not None:
-            labels = _memory.named_labels(touches, self.label)
-            for name in np.unique(labels).tolist():
-                of_object = touches[np.flatnonzero(labels == name)]
-                least = 1 if name in memory.labels.astype(str) else 2
-                memory = memory.plus_once(self._memory_of(name, of_object, least))
+        for name, of_object in _memory.by_label(touches, self.label):
+            least = 1 if name in memory.labels.astype(str) else 2
+            memory = memory.plus_once(self._memory_of(name, of_object, least))
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:

@@ -223,9 +223,5 @@ class Learnt:
     @cached_property
     def taught(self) -> _sessions.Taught:
         """The training touches that count, for comparing a session with them."""
-        memory, counts = self.memory, self.counted
-        return _sessions.Taught(
-            memory.features[counts],
-            self.codes[counts],
-            self.parts,
-        )
+        features, counts = self.memory.features, self.counted
+        return _sessions.Taught(features[counts], self.codes[counts], self.parts)

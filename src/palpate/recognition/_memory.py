@@ -7,7 +7,7 @@ learning.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import repeat
@@ -404,6 +404,16 @@ def named_labels(touches: Touches | TouchSource, label: str) -> Array:
             "archive."
         )
     return labels
+
+
+def by_label(
+    touches: Touches | TouchSource | None, label: str
+) -> Iterator[tuple[str, Touches | TouchSource]]:
+    """Yield each name in the column `label`, and its touches; nothing of None."""
+    if touches is not None:
+        labels = named_labels(touches, label)
+        for name in np.unique(labels).tolist():
+            yield name, touches[np.flatnonzero(labels == name)]
 
 
 def left_out_groups(
