@@ -385,10 +385,7 @@ def _error(folds: Sequence[Array]) -> float:
 def _behind(
     answers: dict[str, list[Answers] | str], rows: list[dict[str, Any]]
 ) -> dict[str, Any] | None:
-    """Compare default with the best simple recogniser in the same folds.
-
-    In points, positive where default is behind.
-    """
+    """Compare default with the best simple recogniser, in points that it is behind."""
     simple = [r for r in rows if r["recogniser"] in SIMPLE and r["reason"] is None]
     default = answers.get("default", "")
     if isinstance(default, str) or not simple:

@@ -206,10 +206,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
 def _remounted(
     recogniser: ObjectRecogniser, test: Touches, plan: Plan
 ) -> tuple[ObjectRecogniser, Touches, Evidence]:
-    """Let a recogniser get used to the sessions it is asked in, as the plan says.
-
-    Returns it, the touches it is asked about, and what they tell.
-    """
+    """Return what got used to the test sessions, what is asked, and what that tells."""
     way, number = plan.remounting
     if way == "none":
         return recogniser, test, recogniser.evidence(test)

@@ -240,10 +240,7 @@ def _figure_lines(figures: dict[str, Any]) -> list[list[str]]:
 
 
 def _decision_table(figures: dict[str, Any]) -> TextTable:
-    """Return title, columns and lines of how many episodes ended how.
-
-    One line is of known objects, another of strangers, where there are any.
-    """
+    """Return how many episodes of known objects, and of strangers, ended how."""
     decision = figures["decision"]
     title = (
         f"Stopping at an error of {decision['error']:g}, a refusal of "
@@ -515,10 +512,7 @@ def _images(trial: Trial, touches: Touches, name: str) -> list[str]:
 
 
 def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
-    """Return the touches that moved some decisions most, as HTML.
-
-    Wrong decisions come first, of as many objects as there are, then right ones.
-    """
+    """Return the touches that moved some decisions most, wrong ones first, as HTML."""
     ends = figures["decision"]
     shown = "".join(
         _episode(episode, ends) for episode in explained_episodes(figures, trials)

@@ -230,11 +230,7 @@ class Belief:
         self._track_strangers(logs[0], logs[1:])
 
     def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
-        """Keep what speaks for a stranger, or against one, after this touch.
-
-        By log posteriors (n_objects,), and those of each encoding (n_encodings,
-        n_objects).
-        """
+        """Keep what speaks for a stranger, or against one, by the posteriors now."""
         self._log_shares = None
         if not self._n_informative:
             return
