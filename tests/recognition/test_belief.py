@@ -587,6 +587,18 @@ def test_unknown_is_withdrawn_when_it_is_less_probable_than_its_refusal(start, m
     ]
 
 
+def test_several_images_are_as_many_touches_of_an_episode(model):
+    images = drawn(3).images[:3]
+    together, alone = Episode(model.start()), Episode(model.start())
+    said = together.add(images)
+    assert said == [alone.add(image) for image in images][-1]
+    assert [touch.touch for touch in together.touches] == [1, 2, 3]
+    assert together.n_counted == 3
+    for one, other in zip(together.touches, alone.touches, strict=True):
+        # Products of one row and of several round differently.
+        assert one.posterior == pytest.approx(other.posterior, abs=1e-9)
+
+
 def test_an_episode_shows_its_sentence(start, model):
     episode = Episode(start(), error=0.05)
     assert repr(episode) == "<Episode: no touch yet: touch it>"

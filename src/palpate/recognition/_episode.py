@@ -111,6 +111,8 @@ class Episode:
         ValueError
             As `Belief.update` does; the episode is then as it was before that touch.
         """
+        if type(self.belief) is Belief and not isinstance(touch, Touches | Evidence):
+            touch = self.belief._evidence_of(touch)  # of one image, or of several
         if isinstance(touch, Evidence):
             for number in range(len(touch.flags)):
                 self._add(touch.of_touch(number), options)
