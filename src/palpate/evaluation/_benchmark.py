@@ -310,10 +310,8 @@ def _entries(
     idle, values = without_contact(touches), _nuisances(touches) if tasks else {}
     entries = []
     for i, task in enumerate(tasks):
-        rows = [
-            _row(method, of_tasks[i], task, idle)
-            for method, of_tasks in answers.items()
-        ]
+        of_task = {method: of_tasks[i] for method, of_tasks in answers.items()}
+        rows = [_row(method, given, task, idle) for method, given in of_task.items()]
         majority = float(np.mean([_majority(task.labels, fold) for fold in task.folds]))
         alone = {method: _alone(value, task) for method, value in values.items()}
         entries.append(
@@ -328,9 +326,7 @@ def _entries(
                 "left_out": task.left_out,
                 "rows": rows,
                 "controls": {"majority": majority, **alone},
-                "behind": _behind(
-                    {method: of[i] for method, of in answers.items()}, rows
-                ),
+                "behind": _behind(of_task, rows),
             }
         )
     return entries
