@@ -324,12 +324,8 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
     in_order = array.T if turned else array
     stored = np.ascontiguousarray(in_order)
     # A network, which its recipe holds too, is stored once.
-    again = [
-        n
-        for n, tensor in tensors.items()
-        if tensor is stored and tensor.dtype == np.uint8
-    ]
-    name = again[0] if again else f"t{len(tensors)}"
+    again = (n for n, t in tensors.items() if t is stored and t.dtype == np.uint8)
+    name = next(again, f"t{len(tensors)}")
     tensors[name] = stored
     return {"array": name, "shape": list(in_order.shape), "turned": turned}
 
@@ -419,9 +415,8 @@ def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
 def _unpack_state(node: dict[str, Any], budget: Budget) -> tuple[Any, Any]:
     """Return parameters and learnt attributes of one object, both by name."""
     for attribute in node["learnt"]:
-        if not (
-            attribute.isidentifier() and attribute.endswith("_")
-        ) or attribute.startswith("_"):
+        is_learnt = attribute.isidentifier() and attribute.endswith("_")
+        if not is_learnt or attribute.startswith("_"):
             raise ModelFileError(f"{attribute!r} is not a learnt attribute")
     params, learnt = (
         {k: _unpack(v, budget) for k, v in node[part].items()}
