@@ -405,17 +405,6 @@ def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
     assert again.belief_model().categories.tolist()[-1] == "mug"
 
 
-def test_touches_without_contact_change_no_probability(kinds):
-    recogniser, touches = kinds
-    silent = np.zeros((5, len(recogniser.classes_)))
-    plain = recogniser.start().update(touches[:3])
-    padded = recogniser.start().update_from_log_likelihood(silent)
-    assert padded.unknown == pytest.approx(0.05)
-    assert padded.decide() is None
-    padded.update(touches[:3]).update_from_log_likelihood(silent)
-    assert padded.unknown == pytest.approx(plain.unknown)
-
-
 def test_a_promise_stands_for_the_touches_that_were_left_out(kinds):
     recogniser, touches = kinds
     promise = recogniser.start().update(touches[:3]).promise(0.2)
