@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.recognition import (
+    EmptyTouchError,
     Memory,
     ObjectRecogniser,
     left_out_groups,
@@ -422,6 +423,19 @@ def test_of_categories_whole_objects_are_left_out_where_there_are_several():
 def test_labels_that_teach_nothing_are_refused(labels, error, message):
     with pytest.raises(error, match=message):
         ObjectRecogniser().fit(np.zeros((3, 2, 2)), labels)
+
+
+def test_a_touch_without_a_living_taxel_in_one_channel_is_named_by_its_id(rng):
+    images, ids = rng.random((12, 9, 9, 2)), [f"{k:032x}" for k in range(12)]
+    about = {"channels": ["x", "y"], "geometry": "array", "touch_id": ids}
+    about["object"] = ["pen", "mug"] * 6
+    dead = np.full((9, 9, 2), np.nan)
+    with pytest.raises(ValueError, match="living taxel"):
+        ObjectRecogniser().fit(Touches(images, **about, no_contact=dead))
+    images[5, :, :, 1] = np.nan
+    with pytest.raises(EmptyTouchError, match=f"only NaN in touch '?{ids[5]}") as told:
+        ObjectRecogniser().fit(Touches(images, **about))
+    assert told.value.touch_ids == [ids[5]]
 
 
 def test_senses_and_objects_must_have_names(learnt):

@@ -339,12 +339,15 @@ def naming_empty(touches: Touches | TouchSource) -> Iterator[None]:
         if ids is None:
             raise
         empty = [row for row in range(len(ids)) if _is_empty(touches, row)]
+        if not empty:  # the frame of no contact
+            raise
         raise EmptyTouchError(ids[empty].tolist()) from None
 
 
 def _is_empty(touches: Touches | TouchSource, row: int) -> bool:
+    """Whether a touch, or one channel of it, is nothing but NaN."""
     images = touches_of(touches, np.array([row])).images
-    return bool(np.isnan(images.astype(np.float64)).all())
+    return bool(np.isnan(images.astype(np.float64)).all(axis=(1, 2)).any())
 
 
 def touches_of(touches: Touches | TouchSource, rows: Indices) -> Touches:
