@@ -311,7 +311,7 @@ def _entries(
     entries = []
     for i, task in enumerate(tasks):
         of_task = {method: of_tasks[i] for method, of_tasks in answers.items()}
-        rows = [_row(method, given, task, idle) for method, given in of_task.items()]
+        rows = [_row(method, part, task, idle) for method, part in of_task.items()]
         majority = float(np.mean([_majority(task.labels, fold) for fold in task.folds]))
         alone = {method: _alone(value, task) for method, value in values.items()}
         entries.append(

@@ -119,8 +119,8 @@ def _joined(encoder: TouchEncoder, of_user: Mapping[str, UserEncoding]) -> Touch
             f"encodings must have names of their own, got {taken[0]!r}, which is one "
             "of the preset's. Choose another name."
         )
-    own = {name: [encoding] for name, encoding in of_user.items()}
-    encodings = {**encoder.encodings, **own}
+    chains = {name: [encoding] for name, encoding in of_user.items()}
+    encodings = {**encoder.encodings, **chains}
     return TouchEncoder(encoder.clean_up, encodings, channels=encoder.channels)
 
 
