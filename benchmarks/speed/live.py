@@ -76,7 +76,7 @@ def _stage_seconds(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
     cleaned = encoder.clean(touch)
     recogniser.contact_.flags(touch, cleaned)
     times.append(clock())
-    features = encoder.encode(cleaned)
+    features = encoder.encode_fully(cleaned)[0]
     times.append(clock())
     log_likelihood = recogniser.classifier_.log_likelihood(features)
     times.append(clock())

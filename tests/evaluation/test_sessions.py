@@ -46,13 +46,6 @@ def test_each_session_or_person_is_asked_and_the_others_teach(week, split):
     assert figures["left_out"] == ["e"]
 
 
-def test_one_session_cannot_be_split():
-    with pytest.raises(ValueError, match="at least two values of 'session', got 1"):
-        split_touches(visited("mon", 4, 0), "session")
-    with pytest.raises(ValueError, match="must have a column 'subject'"):
-        split_touches(visited("mon", 4, 0).without("subject"), "subject")
-
-
 def test_using_the_touches_of_a_session_without_labels_helps():
     train, test = visited("mon", 12, 0), visited("tue", 12, 1)
     as_it_is, _ = evaluate(train, test, plan=PLAN)

@@ -162,12 +162,14 @@ def test_touches_come_one_by_one_or_together(start, model):
     touches = drawn(3)[::4]
     given = model.evidence(touches)
     weights = model.strangers_.weights
-    beliefs = [start(floor=0.01, weights=weights, strangers=0.1) for _ in "1234"]
+    beliefs = [start(floor=0.01, weights=weights, strangers=0.1) for _ in "12345"]
     beliefs[0].update(touches)
     beliefs[1].update(given)
     for k in range(len(touches)):
         beliefs[2].update(given.of_touch(k))
         beliefs[3].update(touches.images[k])
+        beliefs[4].update(touches[k])
+    assert beliefs[3].posterior == beliefs[4].posterior
     for belief in beliefs[1:]:
         # Products of one row and of several round differently.
         assert belief.posterior == pytest.approx(beliefs[0].posterior, abs=1e-9)
@@ -500,12 +502,18 @@ def test_bars_are_as_long_as_their_shares(start):
 
 
 @pytest.mark.parametrize(
-    "rows",
-    [np.zeros((1, 1, 5)), np.zeros(4), np.zeros((2, 6)), np.full(5, -np.inf)],
+    ("rows", "message"),
+    [
+        (np.zeros((1, 1, 5)), r"got \(1, 1, 5\)"),
+        (np.zeros(4), r"shape \(n_touches, 5\), got \(1, 4\)"),
+        (np.zeros((2, 6)), r"got \(2, 6\)"),
+        (np.full(5, -np.inf), "for touch 0"),
+        ([[0.0, 0.0, 1.0, 0.0, 0.0], [-np.inf] * 5], "for touch 1"),
+    ],
 )
-def test_evidence_of_another_shape_or_none_is_refused(start, rows):
+def test_evidence_of_another_shape_or_none_is_refused(start, rows, message):
     belief = start()
-    with pytest.raises(ValueError, match="log_likelihood must"):
+    with pytest.raises(ValueError, match=f"log_likelihood must .*{message}"):
         belief.update_from_log_likelihood(rows)
     assert belief.touches_used == 0
 
@@ -520,18 +528,6 @@ def test_only_a_touch_that_rules_all_out_or_is_no_number_is_refused(start):
         rows[1, 2] = bad
         with pytest.raises(ValueError, match=f"{bad}.* for touch 1. Leave that touch"):
             belief.update_from_log_likelihood(rows)
-
-
-def test_evidence_names_what_is_wrong_with_it(start, model):
-    belief = start()
-    given = model.evidence(drawn(1)[:2])
-    with pytest.raises(ValueError, match="by_encoding must have shape"):
-        belief.update(given._replace(by_encoding=given.by_encoding[:, :, :4]))
-    with pytest.raises(ValueError, match="features must have shape"):
-        belief.update(given._replace(features=given.features[:, :-1]))
-    whole = Evidence.together([given.of_touch(0), given.of_touch(1)])
-    for one, other in zip(whole, given, strict=True):
-        assert np.array_equal(one, other)
 
 
 def touch_evidence(model, *odds):
@@ -589,6 +585,18 @@ def test_unknown_is_withdrawn_when_it_is_less_probable_than_its_refusal(start, m
     assert episode.withdrawn == [
         "nothing I know was withdrawn after touch 1, when cup was more probable"
     ]
+
+
+def test_several_images_are_as_many_touches_of_an_episode(model):
+    images = drawn(3).images[:3]
+    together, alone = Episode(model.start()), Episode(model.start())
+    said = together.add(images)
+    assert said == [alone.add(image) for image in images][-1]
+    assert [touch.touch for touch in together.touches] == [1, 2, 3]
+    assert together.n_counted == 3
+    for one, other in zip(together.touches, alone.touches, strict=True):
+        # Products of one row and of several round differently.
+        assert one.posterior == pytest.approx(other.posterior, abs=1e-9)
 
 
 def test_an_episode_shows_its_sentence(start, model):

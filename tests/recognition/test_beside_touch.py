@@ -47,44 +47,6 @@ def test_sight_and_touch_add_up_in_any_order(recogniser):
     assert one.posterior["pen"] < alone.posterior["pen"]
 
 
-def test_agreeing_senses_are_surer_than_each(recogniser):
-    model, touches = recogniser
-    touch = model.start().update(touches[40:41])
-    both = model.start().update(touches[40:41]).update_sense("sight", [4.0, 4.0])
-    assert both.posterior["pen"] > touch.posterior["pen"]
-
-
-def test_a_sense_says_nothing_about_what_it_never_saw(recogniser):
-    model, touches = recogniser
-    X, y = clouds(2, 20)
-    some = y != "pen"
-    model.learn_modality("place", X[some], y[some])
-    before = model.start().update(touches[:1]).posterior["pen"]
-    # A place between the two that it knows tells neither from the third.
-    after = model.start().update(touches[:1]).update_sense("place", [0.4, 0.0])
-    assert after.posterior["pen"] == pytest.approx(before, abs=0.15)
-
-
-def test_labels_foreign_to_touch_do_not_favour_what_the_sense_never_saw(recogniser):
-    touches = recogniser[1]
-    model = ObjectRecogniser().fit(touches)
-    X, labels = clouds(2, 30)
-    # The sense knows a cup, which touch does not, and no pen.
-    model.learn_modality("sight", X, np.where(labels == "pen", "cup", labels))
-    belief = model.start().update_sense("sight", [4.0, 4.0])
-    assert belief.posterior["pen"] < 0.4
-
-
-def test_examples_that_are_all_told_apart_cannot_undo_the_floor(recogniser):
-    touches = recogniser[1]
-    model = ObjectRecogniser().fit(touches)
-    model.learn_modality("sight", *clouds(2, 30, spread=0.01))
-    assert model.modalities_["sight"].sequence_calibration_.strength <= 1
-    belief = model.start().update_sense("sight", [0.0, 0.0])
-    # The floor of 1 % is shared by three objects.
-    assert belief.posterior["pen"] > 0.9 * 0.01 / 3
-
-
 def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
     model, _ = recogniser
     model.learn_modality("guess", *clouds(3, 30), classifier=LogisticRegression())
@@ -99,10 +61,6 @@ def test_refusals(recogniser):
         ObjectRecogniser().fit(recogniser[1]).start().update_sense("sight", [1.0])
     with pytest.raises(TypeError, match="predict_proba"):
         model.learn_modality("x", *clouds(0, 5), classifier=RidgeClassifier())
-    with pytest.raises(ValueError, match="two examples each"):
-        model.learn_modality("x", [[0.0], [1.0], [2.0]], ["a", "b", "b"])
-    with pytest.raises(ValueError, match="one label for each of 15"):
-        model.learn_modality("x", clouds(0, 5)[0], ["a", "b"])
 
 
 def test_model_file_keeps_sight_and_refuses_foreign_classifiers(tmp_path, recogniser):
@@ -125,14 +83,8 @@ def test_a_given_prior_is_where_the_belief_starts(recogniser):
     assert belief.posterior == pytest.approx({"ball": 0.5, "mug": 0.25, "pen": 0.25})
     shares = model.start(prior, strangers=0.2).posterior
     assert shares == pytest.approx({"ball": 0.4, "mug": 0.2, "pen": 0.2})
-    with pytest.raises(ValueError, match="pen"):
-        model.start({"ball": 1.0, "mug": 1.0})
-    with pytest.raises(ValueError, match="positive"):
-        model.start({"ball": 1.0, "mug": 0.0, "pen": 1.0})
-    with pytest.raises(ValueError, match=r"1e-308 for 'pen'"):
+    with pytest.raises(ValueError, match=r"prior must not .* 1e-308 for 'pen'"):
         model.start({"ball": 1.0, "mug": 1.0, "pen": 1e-308})
-    with pytest.raises(TypeError, match="got list"):
-        model.start([1.0, 1.0, 1.0])
     huge = model.start(dict.fromkeys(NAMES, 1e308), strangers=0).posterior
     assert huge == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
 
@@ -146,6 +98,10 @@ def test_costs_choose_the_cheaper_mistake(recogniser):
     # To take a mug for a ball would be very expensive, the other way round is free.
     costs = {"mug": {"ball": 50.0}, "ball": {"mug": 0.0}, "pen": {"mug": 0.0}}
     assert belief.decide(error=0.3, costs=costs) == "mug"
+    assert belief.reason(0.3).startswith("ball, ")
+    assert belief.reason(0.3, costs).startswith("mug, ")
+    dear = {a: {b: 9.0 for b in NAMES if b != a} for a in NAMES}
+    assert belief.decide(0.01, dear) is None
     with pytest.raises(ValueError, match="costs"):
         belief.decide(costs={"mug": {"ball": -1.0}})
     with pytest.raises(ValueError, match="costs"):
@@ -156,17 +112,6 @@ def test_costs_choose_the_cheaper_mistake(recogniser):
         belief.decide(costs={"mug": 5})
     with pytest.raises(ValueError, match="0 for the right name"):
         belief.decide(costs={"mug": {"mug": 1.0}})
-
-
-def test_the_reason_speaks_of_costs_where_they_decide(recogniser):
-    model, _ = recogniser
-    belief = model.start({"ball": 0.9, "mug": 0.05, "pen": 0.05})
-    belief.update_sense("sight", [0.4, 0.0])
-    costs = {"mug": {"ball": 50.0}, "ball": {"mug": 0.0}, "pen": {"mug": 0.0}}
-    assert belief.reason(0.3).startswith("ball, ")
-    assert belief.reason(0.3, costs).startswith("mug, ")
-    dear = {a: {b: 9.0 for b in NAMES if b != a} for a in NAMES}
-    assert belief.decide(0.01, dear) is None
 
 
 def test_explanation_names_the_touch_that_decided(recogniser):

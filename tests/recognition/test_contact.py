@@ -1,11 +1,341 @@
-"""Touches without contact say nothing; others that are spoilt are marked."""
+"""When touches count as contact, saturated or double, and that others say nothing."""
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser
+from palpate._numbers import correlation
+from palpate.recognition import ObjectRecogniser, _contact
+
+NAMES = ["block"] * 12 + ["bar"] * 12
+PADS = [[0, 0, 9, 9], [0, 11, 9, 9]]
+
+
+def pressed(shape=(9, 20), seed=0):
+    """Two shapes on the left of a quiet picture of taxels."""
+    images = np.random.default_rng(seed).integers(0, 4, (24, *shape)).astype(float)
+    images[:12, 3:7, 3:6] += 120
+    images[12:, 3:5, 1:8] += 60
+    return images
+
+
+def hand_of(images):
+    """Two pads with a gap of two columns between them."""
+    gapped = images.copy()
+    gapped[:, :, 9:11] = np.nan
+    return gapped
+
+
+class AsTheyAre:
+    """Leaves images as they are, for a check that looks at them after clean-up."""
+
+    def clean(self, touches):
+        return touches.images
+
+
+@pytest.fixture
+def check(monkeypatch):
+    """Fit a contact check to touches whose geometry is what they say."""
+    monkeypatch.setattr(_contact, "find_geometry", lambda touches: touches.geometry)
+
+    def fit(images, **about):
+        names = np.resize(NAMES, len(images))
+        touches = Touches(images, object=names, **about)
+        return _contact.ContactCheck().fit(touches, AsTheyAre())
+
+    return fit
+
+
+def flags(check, images, every=None, **about):
+    touches = Touches(np.asarray(images), **about)
+    return check.flags(touches, touches.images, every)
+
+
+def test_taxels_outside_every_pad_do_not_count(check):
+    images = hand_of(pressed())
+    hand = check(images, geometry="array", pads=PADS)
+    change = images[:, :, np.r_[:9, 11:20]].reshape(24, -1)
+    assert hand.typical_ == pytest.approx(np.median(np.sqrt((change**2).mean(axis=1))))
+    dirt = np.zeros((2, 9, 20))
+    dirt[0, :, 9:11] = 500
+    dirt[1, 3:7, 3:6] = 120
+    assert flags(hand, dirt) == ["no contact", ""]
+
+
+def test_two_fingers_are_no_double_contact(check):
+    hand = check(hand_of(pressed()), geometry="array", pads=PADS)
+    pinch, double = np.zeros((2, 9, 20))
+    pinch[3:6, 3:6] = pinch[3:6, 14:17] = 120
+    double[0:3, 0:3] = double[6:9, 6:9] = 120
+    assert flags(hand, hand_of(np.stack([pinch, double]))) == ["", "double contact"]
+    whole = check(pressed(), geometry="array")
+    assert flags(whole, [pinch]) == ["double contact"]
+
+
+def test_small_pads_are_never_double(check):
+    small = check(pressed(), geometry="array", pads=[[0, 0, 9, 7]])
+    double = np.zeros((1, 9, 20))
+    double[:, 0:3, 0:3] = double[:, 6:9, 4:7] = 120
+    assert flags(small, double) == [""]
+
+
+def test_channels_count_together(check):
+    images = np.stack([pressed(), -0.5 * pressed(seed=1)], axis=-1)
+    about = {"channels": ["x", "y"], "geometry": "array"}
+    both = check(images, **about, no_contact=np.zeros((9, 20, 2)))
+    assert both.idle_.shape == (9, 20, 2)
+    size = np.sqrt((images**2).mean(axis=(1, 2, 3)))
+    assert both.typical_ == pytest.approx(np.median(size))
+    faint, one, two = np.zeros((3, 9, 20, 2))
+    faint[2, 2] = 2
+    one[3:7, 3:6, 1] = 120
+    two[1:4, 1:4, 0] = two[5:8, 12:16, 1] = 100
+    said = flags(both, np.stack([faint, one, two]), channels=["x", "y"])
+    assert said == ["no contact", "", "double contact"]
+
+
+def test_a_colour_camera_is_compared_with_its_frame_of_no_contact(check):
+    rng = np.random.default_rng(2)
+    frame = rng.uniform(50, 200, (9, 20, 3))
+    dents = frame + rng.normal(scale=60, size=(24, 9, 20, 3))
+    about = {"channels": ["r", "g", "b"]}
+    camera = check(dents, geometry="plane", no_contact=frame, **about)
+    rest = frame * 1.1 + rng.normal(size=frame.shape)
+    said = flags(camera, np.stack([rest, dents[0]]), **about)
+    assert said == ["no contact", ""]
+
+
+def test_a_plane_of_pads_is_compared_on_them_alone(check):
+    rng = np.random.default_rng(3)
+    frame = rng.uniform(50, 60, (9, 20))
+    frame[:, 9:11] = 5000  # the same in every picture, and so no sign of anything
+    dents = frame + rng.normal(scale=30, size=(24, 9, 20)) * (frame < 5000)
+    about = {"geometry": "plane", "no_contact": frame}
+    for pads in ({}, {"pads": PADS}):
+        learnt = check(dents, **about, **pads)
+        assert flags(learnt, dents[:1]) == [""]
+        assert flags(learnt, frame[np.newaxis]) == ["no contact"]
+
+
+def test_models_of_hands_keep_their_pads(tmp_path):
+    touches = Touches(hand_of(pressed()), object=NAMES, geometry="array", pads=PADS)
+    learnt = ObjectRecogniser().fit(touches)
+    again = ObjectRecogniser.load(learnt.save(tmp_path / "hand.palpate"))
+    np.testing.assert_array_equal(again.contact_.pads_, PADS)
+    pinch, double, empty = np.zeros((3, 9, 20))
+    pinch[3:6, 3:6] = pinch[3:6, 14:17] = 120
+    double[0:3, 0:3] = double[6:9, 6:9] = 120
+    for model in (learnt, again):
+        told = model.evidence(Touches(np.stack([pinch, double, empty])))
+        assert told.flags == ["", "double contact", "no contact"]
+        assert not told.log_likelihood[2].any()
+
+
+def mixed(share, frame, other):
+    """Return an image whose correlation with a frame is given."""
+    one, two = (image - image.mean() for image in (frame, other))
+    two -= (one * two).sum() / (one**2).sum() * one
+    two *= np.linalg.norm(one) / np.linalg.norm(two)
+    return 50 + 7 * (share * one + np.sqrt(1 - share**2) * two)
+
+
+def test_correlation_is_that_of_statistics():
+    images = np.random.default_rng(0).integers(0, 255, (4, 5, 6), dtype=np.uint8)
+    images[3] = 9  # an even image is like nothing
+    found = correlation(images, images[1])
+    expected = np.corrcoef(images[:3].reshape(3, -1))[1]
+    assert found == pytest.approx([*expected, 0])
+    assert correlation(images, images[3]).tolist() == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "typical", "limit"),
+    [
+        # Those of a middling touch or not, a camera has one limit.
+        ("dome", 0.5, 0.985),
+        ("dome", 0.99, 0.985),
+        ("plane", 0.5, 0.985),
+        # A quarter of what a middling touch is unlike the frame.
+        ("plane", 0.98, 0.995),
+    ],
+)
+def test_a_camera_sees_no_contact_where_it_sees_the_frame(
+    check, geometry, typical, limit
+):
+    rng = np.random.default_rng(1)
+    frame, others = rng.random((9, 20)), rng.random((24, 9, 20))
+    taught = [mixed(typical, frame, other) for other in others]
+    camera = check(np.stack(taught), geometry=geometry, no_contact=frame)
+    near = [mixed(limit + step, frame, others[0]) for step in (5e-4, -5e-4, 0.004)]
+    assert flags(camera, np.stack(near)) == ["no contact", "", "no contact"]
+
+
+@pytest.mark.parametrize("geometry", ["dome", "plane", "none"])
+def test_without_a_frame_only_arrays_tell_no_contact(check, geometry):
+    blind = check(pressed(), geometry=geometry)
+    assert blind.kind_ == ""
+    assert flags(blind, np.zeros((2, 9, 20))) == ["", ""]
+    assert check(pressed(), geometry="array").kind_ == "array"
+
+
+@pytest.mark.parametrize("rest", [0.0, 30.0])
+def test_an_array_is_pressed_from_three_hundredths_of_a_middling_touch(check, rest):
+    frame = rest + np.random.default_rng(2).random((9, 20))
+    images = frame + pressed()
+    about = {"no_contact": frame} if rest else {}
+    array = check(images if rest else pressed(), geometry="array", **about)
+    size = np.median(np.sqrt((pressed() ** 2).mean(axis=(1, 2))))
+    assert array.typical_ == pytest.approx(size)
+    # Up or down: a change is a change.
+    asked = [frame * bool(rest) + share * size for share in (0.029, 0.031, -0.031)]
+    said = flags(array, np.stack(asked), **about)
+    assert said == ["no contact", "", ""]
+
+
+def test_touches_that_never_change_leave_a_unit_of_one(check):
+    assert check(np.zeros((24, 9, 20)), geometry="array").typical_ == 1
+
+
+@pytest.mark.parametrize(
+    ("dtype", "geometry", "low", "high"),
+    [
+        # An array at rest is full of taxels at the lowest level.
+        (np.uint8, "array", False, True),
+        (np.uint8, "plane", True, True),
+        (np.int16, "plane", True, True),
+        (np.float64, "plane", False, False),
+    ],
+)
+def test_saturated_is_more_at_the_limit_than_in_training(
+    check, dtype, geometry, low, high
+):
+    limits = np.iinfo(dtype if dtype != np.float64 else np.uint8)
+    images = np.random.default_rng(0).integers(100, 150, (24, 10, 10)).astype(dtype)
+    ends = {"low": (limits.min, low), "high": (limits.max, high)}
+    for level, is_limit in ends.values():
+        for usual in (0, 3):
+            taught = images.copy()
+            taught.reshape(24, -1)[:, :usual] = level
+            learnt = check(taught, geometry=geometry, no_contact=np.full((10, 10), 90))
+            # Five in a hundred taxels more are still as in training.
+            touches = images[:2].copy()
+            for touch, count in zip(touches, (5, 6), strict=True):
+                touch.reshape(-1)[: usual + count] = level
+            expected = ["", "saturated" if is_limit else ""]
+            assert flags(learnt, touches) == expected
+
+
+def test_what_one_in_a_hundred_training_touches_shows_is_no_measure(check):
+    images = np.full((24, 10, 10), 100, np.uint8) + np.eye(10, dtype=np.uint8)
+    images[0, :5] = 255
+    learnt = check(images, geometry="plane")
+    # The 99 % quantile of 23 zeros and 0.5 lies 0.77 of the way to the last.
+    assert learnt.at_limit_ == pytest.approx(0.5 * (0.99 * 23 - 22))
+
+
+@pytest.mark.parametrize(
+    ("regions", "said"),
+    [
+        ([(0, 0, 2, 8), (5, 2, 2, 2)], "double contact"),  # 16 and 4 taxels
+        ([(0, 0, 2, 8), (5, 2, 1, 4)], "double contact"),
+        ([(0, 0, 2, 8), (5, 2, 4, 1)], "double contact"),
+        ([(0, 0, 2, 8), (5, 2, 1, 3)], ""),  # 16 and 3
+        ([(0, 0, 2, 8), (5, 2, 3, 1)], ""),
+        ([(0, 0, 8, 2), (0, 5, 1, 3)], ""),
+        ([(0, 0, 8, 2), (0, 5, 1, 4)], "double contact"),
+        ([(0, 0, 2, 8), (5, 0, 1, 3), (5, 5, 1, 3), (7, 8, 1, 3)], ""),
+        ([(0, 0, 2, 8), (2, 8, 2, 8)], ""),  # corner to corner is one
+        ([(0, 0, 2, 8), (3, 8, 2, 8)], "double contact"),
+        ([(3, 3, 4, 4)], ""),
+    ],
+)
+def test_double_is_a_second_region_of_a_quarter_of_the_first(check, regions, said):
+    image = np.zeros((1, 9, 20))
+    for row, col, n_rows, n_cols in regions:
+        image[0, row : row + n_rows, col : col + n_cols] = 100
+    array = check(pressed(), geometry="array")
+    for sign in (1, -1):  # a change is a change
+        assert flags(array, sign * image) == [said]
+
+
+@pytest.mark.parametrize(("n_double", "tells"), [(4, True), (5, False)])
+def test_two_regions_are_a_sign_where_few_training_touches_have_them(
+    check, n_double, tells
+):
+    images = np.concatenate([pressed(), pressed()])[:25]
+    images[:n_double, 7:9, 8:17] = 120
+    learnt = check(images, geometry="array")
+    assert learnt.tells_double_ == tells
+    assert flags(learnt, images[:1]) == ["double contact" if tells else ""]
+
+
+@pytest.mark.parametrize(("side", "tells"), [(8, True), (7, False)])
+def test_fewer_than_eight_taxels_a_side_show_no_two_things(check, side, tells):
+    images = np.zeros((24, 20, side))
+    images[:, 2:5, 2:5] = 100 + np.arange(24)[:, None, None]
+    for turned in (images, np.swapaxes(images, 1, 2)):
+        assert check(turned, geometry="array").tells_double_ == tells
+        assert not check(turned, geometry="plane").tells_double_
+
+
+class Sighted:
+    """Four encodings, of which two are blind to how a thing lies."""
+
+    def __init__(self):
+        self.parts_ = dict.fromkeys(["a", "b", "c", "d"], 3)
+
+    def blind_to(self, name):
+        return {"a": set(), "b": {"turns"}, "c": {"light"}, "d": {"shifts"}}[name]
+
+
+def test_turned_is_new_to_encodings_that_see_it_and_known_to_the_others(check):
+    rng = np.random.default_rng(3)
+    array = check(pressed(), geometry="array")
+    left_out = rng.random((500, 4))
+    assert flags(array, pressed()[:1], every=np.full((1, 4), 9.0)) == [""]
+    array.learn_poses(Sighted(), left_out)
+    assert array.blind_.tolist() == [False, True, False, True]
+    means = left_out[:, [0, 2]].mean(axis=1), left_out[:, [1, 3]].mean(axis=1)
+    assert array.usual_ == pytest.approx([np.quantile(m, 0.99) for m in means])
+    sees, blind = array.usual_
+    step = 1e-9
+    every = [
+        ([sees + step, blind, sees + step, blind], "turned or shifted"),
+        ([sees, blind, sees, blind], ""),
+        ([sees + step, blind + step, sees + step, blind + step], ""),
+        # What does not tell is left out of the mean; where nothing does, none is new.
+        ([np.nan, blind - 1, sees + step, np.nan], "turned or shifted"),
+        ([np.nan, 0, np.nan, 0], ""),
+        ([9, np.nan, 9, np.nan], ""),
+        ([9 - 2 * step, -9, sees - 9 + step, 9], ""),
+    ]
+    touches = np.repeat(pressed()[:1], len(every), axis=0)
+    said = flags(array, touches, every=np.array([row for row, _ in every]))
+    assert said == [expected for _, expected in every]
+    left_out[7, 0] = left_out[7, 2] = np.nan
+    array.learn_poses(Sighted(), left_out)
+    assert np.isnan(array.usual_).tolist() == [True, False]
+    assert set(flags(array, touches, every=np.full((7, 4), 9.0))) == {""}
+
+
+def test_the_gravest_reason_is_told_first(check):
+    array = check(pressed().astype(np.uint8), geometry="array")
+    array.learn_poses(Sighted(), np.zeros((9, 4)))
+    new = np.array([[1.0, 0, 1, 0]] * 4)
+    touches = np.zeros((4, 9, 20), np.uint8)
+    touches[1:, 0:3, 0:6] = touches[1:, 6:9, 0:6] = 120
+    touches[2, 0:3, 0:6] = 255
+    told = flags(array, touches, every=new)
+    assert told[:3] == ["no contact", "turned or shifted", "saturated"]
+    assert flags(array, touches)[1] == "double contact"
+
+
+def test_a_label_consists_of_nothing_where_most_of_its_touches_do():
+    labels = np.repeat(["a", "b"], 4)
+    half = np.array([1, 1, 0, 0, 0, 0, 0, 0], dtype=bool)
+    more = np.array([0, 0, 0, 0, 1, 1, 1, 0], dtype=bool)
+    assert not _contact.consists_of_nothing(labels, half)
+    assert _contact.consists_of_nothing(labels, more)
 
 
 def pictures(seed, n_touches, side=40, frequency=2):
@@ -39,26 +369,17 @@ def idle(touches, seed=3, noise=0.05):
 def test_no_contact_leaves_the_belief_and_counts_as_a_touch(camera):
     recogniser, touches = camera
     belief = recogniser.start().update(touches[:2])
-    before = dict(belief.posterior)
+    before = belief.posterior
     belief.update(idle(touches))
     assert belief.posterior == before
     assert belief.touches_used == 3
     assert belief.flags == ["", "", "no contact"]
-
-
-def test_only_no_contact_leaves_the_prior(camera):
-    recogniser, touches = camera
-    belief = recogniser.start(strangers=0).update(idle(touches))
-    belief.update(idle(touches, seed=4))
-    assert list(belief.posterior.values()) == pytest.approx([0.5, 0.5])
-    assert belief.decide() is None
-
-
-def test_order_of_silent_touches_does_not_matter(camera):
-    recogniser, touches = camera
-    early = recogniser.start().update(idle(touches)).update(touches[:2])
-    late = recogniser.start().update(touches[:2]).update(idle(touches))
-    assert early.posterior == late.posterior
+    # So it does before any other.
+    first = recogniser.start().update(idle(touches)).update(idle(touches, seed=4))
+    assert list(first.posterior.values()) == pytest.approx([0.95 / 2] * 2)
+    assert first.unknown == pytest.approx(0.05)
+    assert first.decide() is None
+    assert first.update(touches[:2]).posterior == before
 
 
 def test_touches_in_contact_are_heard(camera):
@@ -87,55 +408,6 @@ def test_the_paper_hears_everything(camera):
     assert np.ptp(row) > 0
 
 
-def test_without_a_frame_a_camera_is_always_heard(camera):
-    _, touches = camera
-    bare = Touches(touches.images, object=touches.object, geometry="plane")
-    recogniser = ObjectRecogniser().fit(bare)
-    row = recogniser.log_likelihood(Touches(idle(touches)[np.newaxis]))
-    assert np.ptp(row) > 0
-
-
-@pytest.fixture(scope="module")
-def array():
-    rng = np.random.default_rng(0)
-    images = np.zeros((24, 10, 10), np.uint8)
-    images[:12, 3:7, 4:6] = 120
-    images[12:, 4:6, 1:9] = 60
-    images += rng.integers(0, 4, images.shape, dtype=np.uint8)
-    names = ["block"] * 12 + ["bar"] * 12
-    touches = Touches(images, object=names, geometry="array")
-    return ObjectRecogniser().fit(touches), touches
-
-
-def test_an_array_without_load_says_nothing(array):
-    recogniser, _ = array
-    faint = np.zeros((10, 10), np.uint8)
-    faint[2, 2] = 2
-    belief = recogniser.start(strangers=0).update(faint)
-    assert belief.flags == ["no contact"]
-    assert list(belief.posterior.values()) == pytest.approx([0.5, 0.5])
-
-
-def test_saturated_and_double_presses_are_marked(array):
-    recogniser, touches = array
-    full = touches.images[0].copy()
-    full[2:8, 2:8] = 255
-    double = np.zeros((10, 10), np.uint8)
-    double[1:4, 1:4] = double[6:9, 6:9] = 100
-    both = Touches(np.stack([full, double, touches.images[0]]))
-    assert recogniser.evidence(both).flags == ["saturated", "double contact", ""]
-
-
-def test_model_file_keeps_what_contact_is(array, tmp_path):
-    recogniser, touches = array
-    again = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
-    empty = Touches(np.zeros((1, 10, 10), np.uint8))
-    assert again.evidence(empty).flags == ["no contact"]
-    assert_array_equal(
-        again.log_likelihood(touches), recogniser.log_likelihood(touches)
-    )
-
-
 @pytest.mark.realdata
 @pytest.mark.slow
 def test_the_recorded_frame_moves_nothing(data_folder):
@@ -149,14 +421,3 @@ def test_the_recorded_frame_moves_nothing(data_folder):
     for image in (frame, moved):
         assert recogniser.evidence(Touches(image[np.newaxis])).flags == ["no contact"]
     assert np.mean([flag == "" for flag in recogniser.evidence(touches).flags]) > 0.8
-
-
-def test_two_regions_are_no_sign_where_most_training_touches_have_two():
-    rng = np.random.default_rng(0)
-    images = 0.01 * rng.random((40, 16, 16))
-    images[:, 2:5, 2:5] += 1
-    images[:20, 10:13, 10:13] += 1
-    images[20:, 10:13, 3:6] += 1
-    names = np.repeat(["left", "right"], 20)
-    learnt = ObjectRecogniser().fit(Touches(images, object=names, geometry="array"))
-    assert learnt.evidence(images).flags.count("double contact") == 0

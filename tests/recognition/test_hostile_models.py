@@ -18,53 +18,6 @@ HANG_S = 2.0
 MB = 2**20
 
 
-def told(path):
-    """Load a model; return what it was refused with, seconds, and the peak in bytes."""
-    tracemalloc.start()
-    start, refusal = time.process_time(), None
-    try:
-        ObjectRecogniser.load(path)
-    except ModelFileError as error:
-        refusal = str(error)
-    seconds = time.process_time() - start
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return refusal, seconds, peak
-
-
-def check_bounded(path):
-    refusal, seconds, peak = told(path)
-    assert seconds < HANG_S, refusal
-    assert peak < 4 * path.stat().st_size + 200 * MB, refusal
-    return refusal
-
-
-def campaign(folder, seeds):
-    saved = [
-        opened(model.save(folder / f"{number}.palpate"))
-        for number, model in enumerate(models())
-    ]
-    refused = 0
-    for seed in seeds:
-        document, tensors = mutated(*saved[seed % len(saved)], seed)
-        path = forged(folder / "forged.palpate", document, tensors)
-        try:
-            refused += check_bounded(path) is not None
-        except Exception as error:
-            raise AssertionError(f"seed {seed}: {error!r}") from error
-    return refused
-
-
-@pytest.mark.slow
-def test_a_hundred_mutated_models_are_bounded(tmp_path):
-    assert campaign(tmp_path, range(100)) > 30
-
-
-@pytest.mark.slow
-def test_ten_thousand_mutated_models_are_bounded(tmp_path):
-    assert campaign(tmp_path, range(10_000)) > 3000
-
-
 def refusal_of(path):
     """Return what a model is refused with, "" where it is read."""
     try:
@@ -72,6 +25,37 @@ def refusal_of(path):
     except ModelFileError as error:
         return str(error)
     return ""
+
+
+def check_bounded(path):
+    """Load a model in bounded time and memory; return what it is refused with."""
+    tracemalloc.start()
+    start = time.process_time()
+    refusal = refusal_of(path)
+    seconds = time.process_time() - start
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < HANG_S, refusal
+    assert peak < 4 * path.stat().st_size + 200 * MB, refusal
+    return refusal
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n_seeds", "least"), [(100, 30), (10_000, 3000)])
+def test_mutated_models_are_bounded(tmp_path, n_seeds, least):
+    saved = [
+        opened(model.save(tmp_path / f"{number}.palpate"))
+        for number, model in enumerate(models())
+    ]
+    refused = 0
+    for seed in range(n_seeds):
+        document, tensors = mutated(*saved[seed % len(saved)], seed)
+        path = forged(tmp_path / "forged.palpate", document, tensors)
+        try:
+            refused += bool(check_bounded(path))
+        except Exception as error:
+            raise AssertionError(f"seed {seed}: {error!r}") from error
+    assert refused > least
 
 
 def changed(folder, number, change):
@@ -138,7 +122,7 @@ def with_array_again(learnt, tensors):
 )
 def test_what_would_hang_or_fill_memory_is_refused(tmp_path, number, change, message):
     path = changed(tmp_path, number, change)
-    assert message in (check_bounded(path) or "")
+    assert message in check_bounded(path)
 
 
 def test_a_disc_as_large_as_its_frame_is_read(tmp_path):
@@ -150,9 +134,7 @@ def test_nan_among_the_features_is_refused(tmp_path):
     def spoil(learnt, tensors):
         tensors[learnt["memory_"]["params"]["features"]["array"]][3] = np.nan
 
-    path = changed(tmp_path, 1, spoil)
-    with pytest.raises(ModelFileError, match="features hold NaN"):
-        ObjectRecogniser.load(path)
+    assert "features hold NaN" in refusal_of(changed(tmp_path, 1, spoil))
 
 
 def test_the_checksum_is_compared(tmp_path):
@@ -160,8 +142,7 @@ def test_the_checksum_is_compared(tmp_path):
     content = bytearray(path.read_bytes())
     content[-5] ^= 1
     path.write_bytes(content)
-    with pytest.raises(ModelFileError, match="checksum does not match"):
-        ObjectRecogniser.load(path)
+    assert "checksum does not match" in refusal_of(path)
 
 
 def test_a_document_of_millions_of_values_is_refused(tmp_path):
@@ -173,8 +154,7 @@ def test_a_document_of_millions_of_values_is_refused(tmp_path):
 def test_a_larger_file_than_asked_for_is_refused_unread(tmp_path, monkeypatch):
     path = models()[0].save(tmp_path / "a.palpate")
     monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "0.001")
-    with pytest.raises(ModelFileError, match="PALPATE_MAX_MODEL_MB"):
-        ObjectRecogniser.load(path)
+    assert "PALPATE_MAX_MODEL_MB" in refusal_of(path)
 
 
 def test_what_could_not_be_read_is_not_written(tmp_path):
@@ -211,15 +191,15 @@ def test_what_is_added_to_a_touch_must_be_as_large_as_it(tmp_path, name):
     model = remounted() if name == "still_" else remounted(**{name: small})
     if name == "still_":
         model.encoder_.encoder.still_ = small
-    with pytest.raises(ModelFileError, match=f"its {name} has shape"):
-        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    said = refusal_of(model.save(tmp_path / "m.palpate"))
+    assert f"its {name} has shape" in said
 
 
 def test_an_encoder_wrapped_twice_is_refused(tmp_path):
     model = remounted()
     model.encoder_ = replace(model.encoder_, encoder=model.encoder_)
-    with pytest.raises(ModelFileError, match="encoder_ is a RemountedEncoder"):
-        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    said = refusal_of(model.save(tmp_path / "m.palpate"))
+    assert "encoder_ is a RemountedEncoder" in said
 
 
 def test_a_gain_is_read_up_to_its_bounds(tmp_path):
@@ -269,6 +249,7 @@ def with_nan(values):
         ("far", lambda v: 0 * v, "no spread"),
         ("high", lambda v: v[:, :1], "no such table"),
         ("high", lambda v: 0 * v, "no spread"),
+        ("high", with_nan, "NaN or infinity"),
         ("exceeded", with_nan, "NaN or infinity"),
         ("exceeded", lambda v: v[:0], "no such table"),
         ("low_curve", lambda v: replace(v, levels=v.levels[::-1]), "falls"),
@@ -288,40 +269,33 @@ def test_parts_that_do_not_fit_are_refused(tmp_path, name, change, message):
     part = "memory_" if name == "looks" else "strangers_"
     before = getattr(model, part)
     setattr(model, part, replace(before, **{name: change(getattr(before, name))}))
-    with pytest.raises(ModelFileError, match=message):
-        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    assert message in refusal_of(model.save(tmp_path / "m.palpate"))
 
 
 @pytest.mark.parametrize(
-    ("part", "name", "values", "message"),
+    ("name", "bounds", "beyond"),
     [
-        ("", "floor_", (0.0, 0.5), "floor_"),
-        ("sequence_calibration_", "strength", (0.0, 100.0), "strength"),
-        ("sequence_calibration_", "correlation", (0.0, 1.0), "correlation"),
+        ("floor_", (0.0, 0.5), (-1e-3, 0.501)),
+        ("strength", (0.0, 100.0), (-1e-3, 100.1)),
+        ("correlation", (0.0, 1.0), (-1e-3, 1.001)),
     ],
 )
-def test_numbers_are_read_up_to_their_bounds(tmp_path, part, name, values, message):
-    for value, step in zip(values, (-1e-3, 1e-3), strict=True):
-        for beyond in (False, True):
-            model = deepcopy(models()[0])
-            holder = getattr(model, part) if part else model
-            number = value * (1 + 2 * np.sign(step) * 0.1) + step if beyond else value
-            if part == "sequence_calibration_":
-                model.sequence_calibration_ = replace(holder, **{name: number})
-            else:
-                setattr(holder, name, number)
-            if beyond:
-                with pytest.raises(ModelFileError, match=message):
-                    ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
-            else:
-                ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+def test_numbers_are_read_up_to_their_bounds(tmp_path, name, bounds, beyond):
+    for number in (*bounds, *beyond):
+        model = deepcopy(models()[0])
+        if name == "floor_":
+            model.floor_ = number
+        else:
+            before = model.sequence_calibration_
+            model.sequence_calibration_ = replace(before, **{name: number})
+        said = refusal_of(model.save(tmp_path / "m.palpate"))
+        assert (f"{name} must be" in said) == (number in beyond) == bool(said)
 
 
 def test_a_pose_of_another_kind_is_refused(tmp_path):
     model = deepcopy(models()[0])
     model.pose_ = model.memory_
-    with pytest.raises(ModelFileError, match="pose_ is a Memory"):
-        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    assert "pose_ is a Memory" in refusal_of(model.save(tmp_path / "m.palpate"))
 
 
 def with_texts(first, others):
@@ -348,7 +322,7 @@ def test_texts_of_a_model_are_bounded(tmp_path, n_letters, n_others, told):
     """To 1,000 letters; in an array each letter of the longest takes four bytes."""
     path = changed(tmp_path, 0, with_texts("x" * n_letters, ["y"] * n_others))
     refusal = f"{n_others + 1} texts of up to {n_letters} letters"
-    assert (refusal in (check_bounded(path) or "")) == told
+    assert (refusal in check_bounded(path)) == told
 
 
 def node(name="SequenceCalibration", params=None, **learnt):
@@ -454,24 +428,23 @@ def test_touches_are_counted_from_none_to_all(tmp_path, counts, refused):
     assert ("more touches than there are" in said) == refused
 
 
-@pytest.mark.parametrize(("n_uses", "refused"), [(4, False), (5, True)])
-def test_an_array_is_used_four_times_at_most(tmp_path, n_uses, refused):
-    def change(learnt, tensors):
-        tensors["t900"] = np.zeros((2, 3))
-        one = {"array": "t900", "shape": [2, 3], "turned": False}
-        beside(*[one] * n_uses)(learnt, tensors)
-
-    said = refusal_of(changed(tmp_path, 0, change))
-    assert ("the array t900 has shape" in said) == refused
-
-
 @pytest.mark.parametrize(
-    ("shape", "refused"), [([2, 3], False), ([3, 2], True), ([6], True), ([], True)]
+    ("shapes", "refused"),
+    [
+        ([[2, 3]] * 4, False),
+        ([[2, 3]] * 5, True),
+        ([[3, 2]], True),
+        ([[6]], True),
+        ([[]], True),
+    ],
 )
-def test_an_array_has_its_own_shape(tmp_path, shape, refused):
+def test_an_array_is_used_four_times_at_most_in_its_own_shape(
+    tmp_path, shapes, refused
+):
     def change(learnt, tensors):
         tensors["t900"] = np.zeros((2, 3))
-        beside({"array": "t900", "shape": shape, "turned": False})(learnt, tensors)
+        uses = [{"array": "t900", "shape": some, "turned": False} for some in shapes]
+        beside(*uses)(learnt, tensors)
 
     said = refusal_of(changed(tmp_path, 0, change))
     assert ("the array t900 has shape (2, 3)" in said) == refused
@@ -558,11 +531,7 @@ def test_what_is_as_large_as_a_touch_is_read(tmp_path):
     whole |= {"offset": np.zeros(n), "weighing": np.eye(n), "look_offset": np.zeros(7)}
     model = remounted(**whole)
     model.encoder_.encoder.still_ = np.zeros(shape)
-    path = model.save(tmp_path / "m.palpate")
-    assert refusal_of(path) == ""
-    for name in ("offset", "look_offset", "weighing"):
-        said = refusal_of(remounted(**{**whole, name: whole[name][:-1]}).save(path))
-        assert f"its {name} has shape" in said
+    assert refusal_of(model.save(tmp_path / "m.palpate")) == ""
 
 
 def test_a_memory_of_nothing_is_refused(tmp_path):

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.recognition import (
+    EmptyTouchError,
     Memory,
     ObjectRecogniser,
     left_out_groups,
@@ -116,7 +117,7 @@ def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
         learnt.extend_object("pen", np.zeros((4, 5, 5)))
     with pytest.raises(ValueError, match="must be one of 'ball', 'mug', 'pen'"):
         learnt.extend_object("cup", test)
-    with pytest.raises(ValueError, match="known already"):
+    with pytest.raises(ValueError, match=r"known already\. Add touches"):
         learnt.add_object("pen", test)
     with pytest.raises(ValueError, match="at least 2 touches, got 1"):
         learnt.add_object("cup", test[0])
@@ -410,18 +411,31 @@ def test_of_categories_whole_objects_are_left_out_where_there_are_several():
 
 
 @pytest.mark.parametrize(
-    ("given", "error", "message"),
+    ("labels", "error", "message"),
     [
-        ((np.zeros((3, 2, 2)),), TypeError, "must be Touches, got ndarray without"),
-        ((np.zeros((3, 2, 2)), ["a", "b"]), ValueError, "each of 3 touches, got shape"),
-        ((np.zeros((3, 2, 2)), ["a", "a", "a"]), ValueError, "got only 'a'"),
-        ((np.zeros((3, 2, 2)), ["a", "a", "b"]), ValueError, "got 1 of 'b'"),
-        ((np.zeros((3, 2, 2)), ["b", "b", "a"]), ValueError, "got 1 of 'a'"),
+        (None, TypeError, "must be Touches, got ndarray without labels"),
+        (["a", "b"], ValueError, "one label for each of 3 touches, got shape"),
+        (["a", "a", "a"], ValueError, "at least two object labels, got only 'a'"),
+        (["a", "a", "b"], ValueError, "at least 2 touches, got 1 of 'b'"),
+        (["b", "b", "a"], ValueError, "at least 2 touches, got 1 of 'a'"),
     ],
 )
-def test_labels_that_teach_nothing_are_refused(given, error, message):
+def test_labels_that_teach_nothing_are_refused(labels, error, message):
     with pytest.raises(error, match=message):
-        ObjectRecogniser().fit(*given)
+        ObjectRecogniser().fit(np.zeros((3, 2, 2)), labels)
+
+
+def test_a_touch_without_a_living_taxel_in_one_channel_is_named_by_its_id(rng):
+    images, ids = rng.random((12, 9, 9, 2)), [f"{k:032x}" for k in range(12)]
+    about = {"channels": ["x", "y"], "geometry": "array", "touch_id": ids}
+    about["object"] = ["pen", "mug"] * 6
+    dead = np.full((9, 9, 2), np.nan)
+    with pytest.raises(ValueError, match="living taxel"):
+        ObjectRecogniser().fit(Touches(images, **about, no_contact=dead))
+    images[5, :, :, 1] = np.nan
+    with pytest.raises(EmptyTouchError, match=f"only NaN in touch '?{ids[5]}") as told:
+        ObjectRecogniser().fit(Touches(images, **about))
+    assert told.value.touch_ids == [ids[5]]
 
 
 def test_senses_and_objects_must_have_names(learnt):

@@ -1,14 +1,12 @@
 """Model files: what they hold, and that a hostile one executes nothing."""
 
-import json
 import pickle
 from dataclasses import dataclass
-from hashlib import sha256
 
 import numpy as np
 import pytest
+from forged_models import forged
 from numpy.testing import assert_array_equal
-from safetensors.numpy import save_file
 
 from palpate.recognition import (
     ModelFileError,
@@ -21,9 +19,6 @@ from palpate.recognition import (
 @dataclass
 class Box:
     value: object = None
-
-
-FORMAT = 4
 
 
 @pytest.mark.parametrize(
@@ -87,18 +82,6 @@ def test_writing_replaces_in_one_step(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["b.palpate"]
 
 
-def forged(path, model, version=FORMAT):
-    """A file with a right checksum and any content."""
-    document = json.dumps({"format": version, "model": model})
-    digest = sha256(document.encode())
-    save_file(
-        {"empty": np.zeros(1)},
-        path,
-        metadata={"palpate": document, "sha256": digest.hexdigest()},
-    )
-    return path
-
-
 HOSTILE = {"class": "Box", "params": {"value": 1}, "learnt": {}}
 
 
@@ -118,25 +101,21 @@ HOSTILE = {"class": "Box", "params": {"value": 1}, "learnt": {}}
     ],
 )
 def test_forged_content_is_refused(tmp_path, model, message):
+    path = tmp_path / "b.palpate"
     with pytest.raises(ModelFileError, match=message):
-        read_model(forged(tmp_path / "b.palpate", model), Box)
+        read_model(forged(path, {"format": 4, "model": model}, {}), Box)
 
 
 def test_another_version_is_named(tmp_path):
-    path = forged(tmp_path / "b.palpate", HOSTILE, version=99)
+    path = forged(tmp_path / "b.palpate", {"format": 99, "model": HOSTILE}, {})
     with pytest.raises(ModelFileError, match="format 99, this palpate reads 4 to 6"):
         read_model(path, Box)
 
 
 def test_a_deep_document_is_refused(tmp_path):
     nested = "[" * 100_000 + "]" * 100_000
-    save_file(
-        {"empty": np.zeros(1)},
-        tmp_path / "b.palpate",
-        metadata={"palpate": nested, "sha256": sha256(nested.encode()).hexdigest()},
-    )
     with pytest.raises(ModelFileError, match="damaged"):
-        read_model(tmp_path / "b.palpate", Box)
+        read_model(forged(tmp_path / "b.palpate", nested, {}), Box)
 
 
 @pytest.mark.parametrize(

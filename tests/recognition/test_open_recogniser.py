@@ -181,13 +181,14 @@ def test_an_encoding_of_foreign_code_is_given_again(alone, tmp_path):
     some = drawn(seed=1)
     assert_array_equal(again.predict_log_proba(some), alone.predict_log_proba(some))
     clone(again).fit(drawn())
+    # Steps that the file holds itself are not needed, and may be given.
+    ObjectRecogniser.load(path, encodings=given | {"means": [Means(2.0), PCA(2)]})
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"means": Means(3.0)}, "as it did when it was learnt"),
-        ({"means": [Means(2.0), PCA(2)]}, None),
         ({"means": PCA(2)}, "must have a Means as step 1.* got PCA"),
     ],
 )
@@ -196,9 +197,6 @@ def test_another_encoding_than_the_learnt_one_is_refused(
 ):
     path = alone.save(tmp_path / "m.palpate")
     levels = {"levels": [Means(), StandardScaler(), PCA(3)]}
-    if message is None:
-        ObjectRecogniser.load(path, encodings=given | levels)
-        return
     with pytest.raises(ModelFileError, match=message):
         ObjectRecogniser.load(path, encodings=given | levels)
 

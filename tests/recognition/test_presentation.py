@@ -1,11 +1,11 @@
-"""How objects come: what is found out, what is said, and what is noticed."""
+"""How objects come, and to what sensor: what is found out, said and noticed."""
 
 import numpy as np
 import pytest
 
 from palpate import Touches
 from palpate.images import repose
-from palpate.recognition import ObjectRecogniser
+from palpate.recognition import ObjectRecogniser, find_geometry
 from palpate.recognition._learning import what_matters
 
 
@@ -21,9 +21,10 @@ def bars(rng, angles, n_each=30, side=16, place=0.5):
     return Touches(images, object=np.repeat([f"at {a}" for a in angles], n_each))
 
 
-def turned_anyhow(touches, rng):
-    angles = rng.uniform(0, 360, len(touches))
-    return Touches(repose(touches.images, angles), **touches.columns)
+def turned_anyhow(touches, rng, shift=0):
+    angles, places = rng.uniform(0, 360, len(touches)), (len(touches), 2)
+    images = repose(touches.images, angles, rng.uniform(-shift, shift, places))
+    return Touches(images, **touches.columns)
 
 
 def two_shapes(rng, n_each=30, side=16):
@@ -136,6 +137,50 @@ def test_what_no_encoding_is_blind_to_is_said(presentation, rng):
     changes = "shifts and turns" if presentation == "any" else "turns"
     expected = f"no encoding for this sensor is blind to {changes}"
     assert learnt.chosen_["found"][0] == expected
+
+
+def dome(rng, n=6, side=120):
+    row, col = np.mgrid[:side, :side]
+    images = []
+    for _ in range(n):
+        away = np.hypot(row - 60 - rng.normal(), col - 60 - rng.normal())
+        images.append(np.where(away < 45, 120 + 0.5 * row, 10))
+    return np.array(images) + rng.normal(size=(n, side, side))
+
+
+def test_geometry_is_found(rng):
+    assert find_geometry(Touches(dome(rng))) == "dome"
+    assert find_geometry(Touches(rng.random((4, 10, 10)))) == "array"
+    assert find_geometry(Touches(rng.random((4, 120, 160)))) == "plane"
+    assert find_geometry(Touches(rng.random((4, 3, 24)))) == "none"
+
+
+def test_what_touches_say_of_themselves_holds(rng):
+    assert find_geometry(Touches(dome(rng), geometry="plane")) == "plane"
+    assert find_geometry(Touches(rng.random((4, 20, 20)), geometry="none")) == "none"
+
+
+def test_presses_at_any_angle_are_recognised(rng):
+    learnt = ObjectRecogniser().fit(turned_anyhow(two_shapes(rng), rng, shift=1))
+    chosen = learnt.chosen_
+    assert chosen["geometry"] == "array"
+    assert set(chosen["candidates"]) >= {"moments about the centroid"}
+    losses = {name: c["log_loss"] for name, c in chosen["candidates"].items()}
+    kept = [name for name in losses if name in chosen["encoding"]]
+    # Several tell all left-out touches apart: less than this is rounding.
+    assert min(losses[name] for name in kept) < min(losses.values()) + 1e-6
+    test = turned_anyhow(two_shapes(rng), rng, shift=1)
+    # A bar and a disc differ far beyond the noise.
+    assert learnt.score(test) > 0.95
+
+
+def test_dead_taxels_are_no_obstacle(rng):
+    touches = turned_anyhow(two_shapes(rng), rng, shift=1)
+    images = touches.images.copy()
+    images[:, 3, 5] = np.nan
+    dead = Touches(images, object=touches.object)
+    learnt = ObjectRecogniser().fit(dead)
+    assert np.isfinite(learnt.log_likelihood(dead)).all()
 
 
 @pytest.mark.slow

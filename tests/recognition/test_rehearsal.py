@@ -93,6 +93,7 @@ def test_the_same_seed_gives_the_same_to_the_bit(both):
     again = ObjectRecogniser().fit(_presses(12, 0))
     there = _presses(3, 9)
     assert_array_equal(again.log_likelihood(there), both[1].log_likelihood(there))
+    assert again.chosen_ == both[1].chosen_
 
 
 def test_vectors_are_not_rehearsed():

@@ -60,10 +60,8 @@ def test_a_camera_that_sees_the_dome_elsewhere_is_found_again(recogniser, elsewh
     )
     assert after.rim_radius_ == pytest.approx(0.45 * 72, abs=1.5)
     assert after.size_ == before.size_
-    best = adapted.log_likelihood(elsewhere).argmax(axis=1)
-    right = (adapted.classes_[best] == elsewhere.object).mean()
     # Chance is 1/3; three standard errors of 24 touches above it are 0.62.
-    assert right > 0.62
+    assert adapted.score(elsewhere) > 0.62
 
 
 def test_the_old_recogniser_stays_as_it_is(recogniser, elsewhere):
@@ -92,14 +90,10 @@ def test_what_a_device_does_to_touches_is_learnt():
     old, new, test = _vectors(0.0, 20, 0), _vectors(6.0, 10, 1), _vectors(6.0, 50, 2)
     recogniser = ObjectRecogniser().fit(old)
 
-    def right(one):
-        best = one.log_likelihood(test).argmax(axis=1)
-        return (one.classes_[best] == test.object).mean()
-
     # Before, all are taken for "b"; after, the few new touches stand against the many
     # old ones, and most are told apart.
-    assert right(recogniser) < 0.6
-    assert right(adapt(recogniser, new)) > 0.85
+    assert recogniser.score(test) < 0.6
+    assert adapt(recogniser, new).score(test) > 0.85
 
 
 def test_a_model_that_was_adapted_is_saved(recogniser, elsewhere, tmp_path):
@@ -108,13 +102,6 @@ def test_a_model_that_was_adapted_is_saved(recogniser, elsewhere, tmp_path):
     assert np.array_equal(
         loaded.log_likelihood(elsewhere), adapted.log_likelihood(elsewhere)
     )
-
-
-def test_an_object_that_was_never_learnt_is_refused(recogniser, elsewhere):
-    names = np.where(elsewhere.object == "pen", "spoon", elsewhere.object)
-    strange = elsewhere.with_columns(object=names)
-    with pytest.raises(ValueError, match="known objects, got 'spoon'"):
-        adapt(recogniser, strange)
 
 
 def test_one_touch_of_one_object_is_enough_to_be_taken_in():
@@ -151,17 +138,13 @@ def taught(_taught):
     return deepcopy(_taught)
 
 
-def _right(recogniser, touches):
-    return recogniser.score(touches)
-
-
 def test_a_session_is_taken_off_without_labels(taught):
     there = _session(OFFSET, 12, 1, "two")
-    before = _right(taught, there)
+    before = taught.score(there)
     taught.remount(_session(OFFSET, 5, 2, "two", labels=False))
     found = taught.chosen_["remount"]
     assert before < 0.9
-    assert _right(taught, there) > 0.95
+    assert taught.score(there) > 0.95
     assert not found["labelled"]
     assert found["n_touches"] == 30
     assert found["moved"] > 0.1
@@ -171,7 +154,7 @@ def test_a_session_of_few_objects_is_not_centred_onto_others(taught):
     same = _session(0, 12, 1, "two", "ab")
     taught.remount(_session(0, 10, 2, "two", "ab", labels=False))
     assert taught.chosen_["remount"]["objects"] < 4
-    assert _right(taught, same) > 0.95
+    assert taught.score(same) > 0.95
 
 
 def test_a_session_like_those_of_training_is_left_alone(taught):
@@ -181,9 +164,9 @@ def test_a_session_like_those_of_training_is_left_alone(taught):
 
 def test_confirmed_touches_of_two_objects_tell_the_others_too(taught):
     others = _session(OFFSET, 12, 1, "two", "cdef")
-    before = _right(taught, others)
+    before = taught.score(others)
     taught.remount(_session(OFFSET, 2, 2, "two", "ab"))
-    assert _right(taught, others) > max(before, 0.9)
+    assert taught.score(others) > max(before, 0.9)
     assert len(taught.memory_) == 76
     assert set(taught.memory_.sessions) == {"one", "two"}
 
@@ -214,7 +197,7 @@ def test_confirmed_touches_that_mislead_count_less(monkeypatch, tmp_path, seed):
     now = adapt(learnt, there[confirmed])
     monkeypatch.setattr("palpate.recognition._remounting.N_WEIGHTS", 1)
     before = adapt(learnt, there[confirmed])
-    assert _right(now, there[~confirmed]) > _right(before, there[~confirmed])
+    assert now.score(there[~confirmed]) > before.score(there[~confirmed])
     weight = now.chosen_["remount"]["weight"]
     assert weight < 1 == before.chosen_["remount"]["weight"]
     assert_allclose(now.memory_.weights, np.repeat([1, weight], [48, 12]))
@@ -241,7 +224,7 @@ def test_what_training_sessions_add_is_taken_off_where_that_helps():
     found = recogniser.chosen_["remount"]
     assert found["centred"]
     assert found["log_loss"]["centred"] < found["log_loss"]["plain"]
-    assert _right(recogniser, _session(far, 8, 3, "three")) > 0.95
+    assert recogniser.score(_session(far, 8, 3, "three")) > 0.95
     assert expected < 0.9
 
 
@@ -270,9 +253,9 @@ def test_nuisance_of_other_objects_is_weighed_down():
 
     recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one", "abc"))
     asked = met(50, "abc", 12, "asked")
-    before = _right(recogniser, asked)
+    before = recogniser.score(asked)
     assert recogniser.learn_nuisance(met(20, "def", 8, "told")) == 24
-    assert _right(recogniser, asked) > before + 0.1
+    assert recogniser.score(asked) > before + 0.1
     with pytest.raises(ValueError, match="columns 'object' and 'session'"):
         recogniser.learn_nuisance(_vectors(0, 3, 0))
     with pytest.raises(ValueError, match="at least 20 things"):
@@ -299,7 +282,7 @@ def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
 def test_remounting_goes_wrong_as_a_whole_or_not_at_all(taught):
     state = taught.log_likelihood(_session(0, 2, 5, "x"))
     strange = _session(0, 2, 1, "two").with_columns(object=["spoon"] * 12)
-    with pytest.raises(ValueError, match="'spoon', which was not learnt"):
+    with pytest.raises(ValueError, match="known objects, got 'spoon', which was not"):
         taught.remount(strange)
     again = taught.log_likelihood(_session(0, 2, 5, "x"))
     assert np.array_equal(state, again)
@@ -324,7 +307,7 @@ def test_a_remounted_model_is_saved_and_adds_objects_in_the_new_session(tmp_path
     assert np.array_equal(
         loaded.log_likelihood(there), recogniser.log_likelihood(there)
     )
-    assert _right(loaded, there) > 0.95
+    assert loaded.score(there) > 0.95
 
 
 def test_an_object_met_every_day_keeps_some_of_each_day():
@@ -369,9 +352,9 @@ def test_a_session_of_one_object_is_not_centred_onto_another(taught, moved, at_m
     for name in "abcdef":
         again = deepcopy(taught)
         there = _session(0.3 * moved * OFFSET, 15, 3, "two", name)
-        before = _right(again, there)
+        before = again.score(there)
         again.remount(there.without("object"))
-        lost += _right(again, there) < before - 0.1
+        lost += again.score(there) < before - 0.1
     assert lost <= at_most
 
 
@@ -450,21 +433,20 @@ def _beside(images):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    "change",
     [
-        (lambda images: 1.5 * images, "times stronger"),
-        (lambda images: 0.6 * images + 0.2 * _beside(images), "detail"),
+        lambda images: 1.5 * images,
+        lambda images: 0.6 * images + 0.2 * _beside(images),
     ],
     ids=["gain", "blurred"],
 )
-def test_another_gain_or_a_softer_rubber_raises_the_alarm(pressed, change, said):
+def test_another_gain_or_a_softer_rubber_raises_the_alarm(pressed, change):
     same = _presses(4, 1)
     assert not pressed.check_mounting(same).changed
     other = Touches(change(same.images), object=same.object, geometry="array")
     check = pressed.check_mounting(other)
     assert check.changed
     assert check.distance > check.usual
-    assert said in check.reasons[0]
     # Who got used to it is not warned again.
     pressed.remount(other.without("object"))
     assert not pressed.check_mounting(other).changed
@@ -517,7 +499,7 @@ def test_remounting_again_begins_where_the_first_one_ended(taught):
     assert moved == pytest.approx((from_start**2).sum() / variance)
     # Back over the middle to the other side: twice as far as the first time.
     assert np.linalg.norm(from_start + 2 * there) < 0.6 * np.linalg.norm(there)
-    assert _right(twice, _session(-OFFSET, 10, 4, "three")) > 0.95
+    assert twice.score(_session(-OFFSET, 10, 4, "three")) > 0.95
 
 
 def test_touches_without_contact_are_no_part_of_a_session():

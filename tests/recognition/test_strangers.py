@@ -384,8 +384,6 @@ def test_levels_that_do_not_exist_are_refused(kinds):
     belief = recogniser.start().update(touches[:2])
     with pytest.raises(ValueError, match="level must be one of"):
         belief.decide(level="kind")
-    with pytest.raises(ValueError, match="refusal must be"):
-        belief.decide(refusal=0)
     bare = Touches(touches.images, object=touches.object, geometry="none")
     without = ObjectRecogniser().fit(bare).start().update(bare[:2])
     assert without.categories == {}
@@ -407,46 +405,12 @@ def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
     assert again.belief_model().categories.tolist()[-1] == "mug"
 
 
-def test_what_encodings_say_of_no_contact_is_not_heeded(kinds):
-    recogniser, touches = kinds
-    belief = recogniser.start().update(touches[:2])
-    before, n_objects = belief.unknown, len(recogniser.classes_)
-    n_encodings = len(recogniser.strangers_.weights)
-    loud = np.zeros((1, n_encodings, n_objects))
-    loud[:, :, -1] = 20.0
-    belief.update_from_log_likelihood(np.zeros((1, n_objects)), by_encoding=loud)
-    assert belief.unknown == pytest.approx(before, abs=1e-12)
-
-
-def test_touches_without_contact_change_no_probability(kinds):
-    recogniser, touches = kinds
-    silent = np.zeros((5, len(recogniser.classes_)))
-    plain = recogniser.start().update(touches[:3])
-    padded = recogniser.start().update_from_log_likelihood(silent)
-    assert padded.unknown == pytest.approx(0.05)
-    assert padded.decide() is None
-    padded.update(touches[:3]).update_from_log_likelihood(silent)
-    assert padded.unknown == pytest.approx(plain.unknown)
-
-
 def test_a_promise_stands_for_the_touches_that_were_left_out(kinds):
     recogniser, touches = kinds
     promise = recogniser.start().update(touches[:3]).promise(0.2)
     assert promise == recogniser.strangers_.promise(0.2)
     assert promise.n_units == 6
     assert "recorded as when they were learnt" in promise.population
-
-
-def test_sessions_are_the_units_where_they_are_left_out():
-    rng = np.random.default_rng(0)
-    names = np.repeat(["a", "b", "c"], 20)
-    images = rng.normal(size=(60, 3, 8))
-    images += 5 * np.eye(3)[np.searchsorted(["a", "b", "c"], names)][:, :, None]
-    days = np.tile(np.repeat(["one", "two"], 10), 3)
-    touches = Touches(images, object=names, session=days, geometry="none")
-    promise = ObjectRecogniser().fit(touches).strangers_.promise(0.01)
-    assert promise.n_units == 6
-    assert "other sessions" in promise.population
 
 
 def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():

@@ -304,10 +304,8 @@ def _entries(
     idle, values = without_contact(touches), _nuisances(touches) if tasks else {}
     entries = []
     for i, task in enumerate(tasks):
-        rows = [
-            _row(method, of_tasks[i], task, idle)
-            for method, of_tasks in answers.items()
-        ]
+        of_task = {method: of_tasks[i] for method, of_tasks in answers.items()}
+        rows = [_row(method, part, task, idle) for method, part in of_task.items()]
         majority = float(np.mean([_majority(task.labels, fold) for fold in task.folds]))
         alone = {method: _alone(value, task) for method, value in values.items()}
         entries.append(
@@ -322,9 +320,7 @@ def _entries(
                 "left_out": task.left_out,
                 "rows": rows,
                 "controls": {"majority": majority, **alone},
-                "behind": _behind(
-                    {method: of[i] for method, of in answers.items()}, rows
-                ),
+                "behind": _behind(of_task, rows),
             }
         )
     return entries
@@ -379,10 +375,7 @@ def _error(folds: Sequence[Array]) -> float:
 def _behind(
     answers: dict[str, list[Answers] | str], rows: list[dict[str, Any]]
 ) -> dict[str, Any] | None:
-    """Compare default with the best simple recogniser in the same folds.
-
-    In points, positive where default is behind.
-    """
+    """Compare default with the best simple recogniser, in points that it is behind."""
     simple = [r for r in rows if r["recogniser"] in SIMPLE and r["reason"] is None]
     default = answers.get("default", "")
     if isinstance(default, str) or not simple:

@@ -24,7 +24,6 @@ class Episodes:
     truth: list[int]  # column of the true label; -1 for an unknown object
     rows: list[Array]  # (n_orders, n_touches): numbers of the touches
     beliefs: list[Floats]  # (n_orders, n_touches, n_labels): log posteriors
-    n_informative: list[Array]  # (n_orders, n_touches): those with contact so far
     unknown: list[Floats]  # (n_orders, n_touches): evidence for a stranger (nats)
     singles: Episodes | None = None
 
@@ -123,12 +122,9 @@ def run_episodes(
         each, distances = evidence.by_encoding, evidence.log_distances
     each = recognition.with_floor(each, recogniser.floor_)
 
-    def after_each(rows: Array) -> tuple[Floats, Array, Floats]:
+    def after_each(rows: Array) -> tuple[Floats, Floats]:
         tables = floored[rows], each[rows], distances[rows]
-        beliefs, unknown = recognition.episode_evidence(
-            *tables, prior, calibration, model
-        )
-        return beliefs, recognition.n_informative(floored[rows]), unknown
+        return recognition.episode_evidence(*tables, prior, calibration, model)
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
     first = [rows[0] for rows in of_each]
@@ -139,11 +135,11 @@ def run_episodes(
         np.stack([rng.permutation(rows) for _ in range(n_orders)]) for rows in of_each
     ]
     alone = after_each(np.arange(len(objects))[:, np.newaxis])
-    beliefs, counts, unknown = ([v[rows] for rows in of_each] for v in alone)
+    beliefs, unknown = ([v[rows] for rows in of_each] for v in alone)
     rows = [rows[:, np.newaxis] for rows in of_each]
-    singles = Episodes(names, truth, rows, beliefs, counts, unknown)
-    beliefs, counts, unknown = map(list, zip(*map(after_each, orders), strict=True))
-    return Episodes(names, truth, orders, beliefs, counts, unknown, singles)
+    singles = Episodes(names, truth, rows, beliefs, unknown)
+    beliefs, unknown = map(list, zip(*map(after_each, orders), strict=True))
+    return Episodes(names, truth, orders, beliefs, unknown, singles)
 
 
 @dataclass(frozen=True)

@@ -206,10 +206,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
 def _remounted(
     recogniser: ObjectRecogniser, test: Touches, plan: Plan
 ) -> tuple[ObjectRecogniser, Touches, Evidence]:
-    """Let a recogniser get used to the sessions it is asked in, as the plan says.
-
-    Returns it, the touches it is asked about, and what they tell.
-    """
+    """Return what got used to the test sessions, what is asked, and what that tells."""
     way, number = plan.remounting
     if way == "none":
         return recogniser, test, recogniser.evidence(test)
@@ -347,9 +344,7 @@ def _strangers_aside_message(figures: dict[str, Any]) -> str:
     right = max([0.0, *list(figures["accuracy"].values())[-1:]])
     if not ends or ends["right"] >= (right - _GAIN) * ends["n_episodes"]:
         return ""
-    n_episodes, n_named, n_wrong = (
-        ends[name] for name in ("n_episodes", "right", "wrong")
-    )
+    n_episodes, n_named, n_wrong = ends["n_episodes"], ends["right"], ends["wrong"]
     n_undecided = n_episodes - n_named - n_wrong - ends["refused"]
     return (
         "That counts the most probable object, strangers aside. To decide at an error "
@@ -547,7 +542,7 @@ def _confirming(figures: dict[str, Any], trial: Trial, *, measured: bool) -> str
     before, after = sessions["rehearsed"], sessions["confirmed"]
     if np.mean(after) - np.mean(before) < _GAIN:
         return ""
-    remount = getattr(trial.recogniser, "chosen_", {}).get("remount", {})
+    remount = trial.recogniser.chosen_.get("remount", {})
     left = remount.get("confirm") or trial.recogniser.classes_.tolist()
     low, high, low_after, high_after = (f"{100 * x:.0f}" for x in (*before, *after))
     confirm = (

@@ -20,7 +20,7 @@ from ..recognition import about, sessions_message
 from ..touches import Touches, as_shown
 from . import plots
 from ._comparisons import as_good_alone
-from ._episodes import Decisions, Episodes, answers_of, decide_episodes
+from ._episodes import Decisions, answers_of, decide_episodes
 from ._trial import Trial, calibration_bins, confusion_of, scored, spread
 
 EXAMPLES = 6
@@ -169,10 +169,7 @@ def _figure_lines(figures: dict[str, Any]) -> list[list[str]]:
 
 
 def _decision_table(figures: dict[str, Any]) -> TextTable:
-    """Return title, columns and lines of how many episodes ended how.
-
-    One line is of known objects, another of strangers, where there are any.
-    """
+    """Return how many episodes of known objects, and of strangers, ended how."""
     decision = figures["decision"]
     title = (
         f"Stopping at an error of {decision['error']:g}, a refusal of "
@@ -296,17 +293,14 @@ def explained_episodes(
     n_wrong = max(WRONG, EPISODES - len(right))
     n_wrong = min(n_wrong, len(named) + len(wrong), EPISODES)
     n_right = min(EPISODES - n_wrong, len(right))
-    places = evenly_spaced(len(right), n_right)
+    wrong = wrong[: max(0, n_wrong - len(named))]
+    shown = wrong + [right[place] for place in evenly_spaced(len(right), n_right)]
     return [
-        *(_stranger(trials[f], strange[f], number) for f, number in named[:n_wrong]),
         *(
-            _explained(trials[f], ends[f], number)
-            for f, number in wrong[: max(0, n_wrong - len(named))]
+            _explained(trials[f], strange[f], number, is_stranger=True)
+            for f, number in named[:n_wrong]
         ),
-        *(
-            _explained(trials[f], ends[f], number)
-            for f, number in (right[p] for p in places)
-        ),
+        *(_explained(trials[f], ends[f], number) for f, number in shown),
     ]
 
 
@@ -447,10 +441,7 @@ def _images(trial: Trial, touches: Touches, name: str) -> list[str]:
 
 
 def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
-    """Return the touches that moved some decisions most, as HTML.
-
-    Wrong decisions come first, of as many objects as there are, then right ones.
-    """
+    """Return the touches that moved some decisions most, wrong ones first, as HTML."""
     ends = figures["decision"]
     shown = "".join(
         _episode(episode, ends) for episode in explained_episodes(figures, trials)
@@ -479,28 +470,20 @@ def _first_of_each(
     return list(first_of.values())
 
 
-def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
-    classes = trial.recogniser.classes_
-    name, rows = _touches_of(trial.episodes, end, number)
-    truth = trial.episodes.truth[trial.episodes.objects.index(name)]
-    answer = answers_of(trial.episodes, end, classes)[number]
+def _explained(
+    trial: Trial, end: Decisions, number: int, *, is_stranger: bool = False
+) -> Explained:
+    """Return an episode with the touches up to its end, and its answer."""
+    episodes = trial.unknown_episodes if is_stranger else trial.episodes
+    assert episodes is not None
+    name, classes = str(end.objects[number]), trial.recogniser.classes_
+    place = episodes.objects.index(name)
+    truth = name if is_stranger else str(classes[episodes.truth[place]])
+    orders = episodes.rows[place]
+    rows = orders[number % len(orders), : int(end.touches[number])]
+    answer = str(answers_of(episodes, end, classes)[number])
     right = bool(end.right[number])
-    return Explained(trial, name, str(classes[truth]), rows, str(answer), right)
-
-
-def _stranger(trial: Trial, end: Decisions, number: int) -> Explained:
-    assert trial.unknown_episodes is not None
-    name, rows = _touches_of(trial.unknown_episodes, end, number)
-    classes = trial.recogniser.classes_
-    answer = answers_of(trial.unknown_episodes, end, classes)[number]
-    return Explained(trial, name, name, rows, str(answer), False, is_stranger=True)
-
-
-def _touches_of(episodes: Episodes, end: Decisions, number: int) -> tuple[str, Indices]:
-    """Return whose episode it is, and the numbers of the touches up to its end."""
-    name = str(end.objects[number])
-    rows = episodes.rows[episodes.objects.index(name)]
-    return name, rows[number % len(rows), : int(end.touches[number])]
+    return Explained(trial, name, truth, rows, answer, right, is_stranger)
 
 
 def _episode(explained: Explained, decision: dict[str, Any]) -> str:

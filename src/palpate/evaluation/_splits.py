@@ -134,10 +134,8 @@ def protocol_folds(
     for name, is_test in PROTOCOLS[protocol](touches, repeats, seed):
         taught, counts = np.unique(labels[~is_test], return_counts=True)
         teachable = np.isin(labels, taught[counts > 1])
-        train, test = (
-            np.flatnonzero(teachable & ~is_test),
-            np.flatnonzero(teachable & is_test),
-        )
+        train = np.flatnonzero(teachable & ~is_test)
+        test = np.flatnonzero(teachable & is_test)
         if len(test) and len(np.unique(labels[train])) > 1:
             folds.append(RowFold(name, train, test))
     if not folds:
@@ -276,10 +274,7 @@ def _codes(touches: Touches, *names: str) -> Rows:
     """Number the touches by what these columns hold together, where there are any."""
     codes = np.zeros(len(touches), dtype=np.intp)
     for name in filter(touches.columns.__contains__, names):
-        codes_of_column = np.unique(touches.columns[name], return_inverse=True)[
-            1
-        ].ravel()
-        codes = np.unique(
-            codes * (codes_of_column.max() + 1) + codes_of_column, return_inverse=True
-        )[1]
+        values, of_column = np.unique(touches.columns[name], return_inverse=True)
+        codes = codes * len(values) + of_column.ravel()
+        codes = np.unique(codes, return_inverse=True)[1]
     return codes

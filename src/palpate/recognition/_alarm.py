@@ -87,12 +87,12 @@ def check_mounting(
         return MountingCheck(False, -np.inf, np.inf, [*rim, "Nothing was touched."])
     usual, n_touches = _Usual.of(learnt), int(counts.sum())
     posterior = softmax(evidence.log_likelihood[counts], axis=1)
-    seen = np.column_stack([evidence.features, usual.as_known(evidence.looks)])[counts]
+    looks = evidence.looks if usual.has_looks else np.zeros_like(evidence.looks)
+    seen = np.column_stack([evidence.features, looks])[counts]
     away = (seen - posterior @ usual.means).mean(axis=0)
     draws = usual.draws(n_touches, effective_number(posterior.mean(axis=0)), seed)
     near = float(evidence.log_distances[counts].min(axis=1).mean())
-    kinds = np.column_stack([usual.distances, usual.looks])
-    drawn = _means(kinds, *draws)
+    drawn = _means(usual.kinds, *draws)
     lengths = usual.lengths(np.vstack([usual.drawn(*draws), away]))
     signs = np.column_stack([lengths, np.append(drawn[:, 0], near)])
     unlike = signs - signs[:-1].mean(axis=0)
@@ -101,7 +101,7 @@ def check_mounting(
     distance, limit = float(unlike_now.max()), usual.limit(of_draws, n_touches)
     if distance <= limit:
         return MountingCheck(False, distance, limit, rim)
-    change = np.append(near, seen[:, -N_LOOKS:].mean(axis=0)) - kinds.mean(axis=0)
+    change = np.append(near, seen[:, -N_LOOKS:].mean(axis=0)) - usual.kinds.mean(axis=0)
     beyond = change / np.maximum(drawn.std(axis=0), 1e-9)
     times = float(signs[-1, 0] / max(np.median(signs[:-1, 0]), 1e-9))
     by_features = bool(unlike_now[0] > unlike_now[1:].max())
@@ -116,17 +116,16 @@ class _Usual:
 
     `means` (n_objects, n_values) of features and looks; of each touch how far it is
     `away` from those of what it is taken for (`posterior`), the log distance to the
-    nearest touch of another block (`distances`), `looks`, its label's column (`codes`),
-    its block, and the place of that in the label's recordings (`runs`); sums and
-    numbers of touches by label and by block; `roots` of the covariances of features and
-    looks within objects; whether looks were kept (`has_looks`).
+    nearest touch of another block and its looks (`kinds`), its label's column
+    (`codes`), its block, and the place of that in the label's recordings (`runs`); sums
+    and numbers of touches by label and by block; `roots` of the covariances of features
+    and looks within objects; whether looks were kept (`has_looks`).
     """
 
     means: Floats
     away: Floats
     posterior: Floats
-    distances: Floats
-    looks: Floats
+    kinds: Floats
     codes: Indices
     blocks: Indices
     runs: Indices
@@ -157,8 +156,7 @@ class _Usual:
             means=means,
             away=values - posterior @ means,
             posterior=posterior,
-            distances=distances[rows],
-            looks=looks[rows],
+            kinds=np.column_stack([distances, looks])[rows],
             codes=codes,
             blocks=blocks[rows],
             runs=blocks[rows] - first[codes],
@@ -170,16 +168,6 @@ class _Usual:
             ),
             has_looks=has_looks,
         )
-
-    @property
-    def objects(self) -> tuple[Indices, Indices]:
-        """The labels that were left out, and which of them each touch is."""
-        names, object_codes = np.unique(self.codes, return_inverse=True)
-        return names, object_codes
-
-    def as_known(self, looks: Floats) -> Floats:
-        """Return looks, or zeros where training touches kept none."""
-        return looks if self.has_looks else np.zeros_like(looks)
 
     def n_drawn(self, n_touches: int) -> int:
         """Return of how many touches a draw is, to compare so many touches with."""
@@ -232,7 +220,8 @@ class _Usual:
         beside it where it has too few touches. Rows (N_LIKE, n_drawn), and what each
         counts in the mean of its draw.
         """
-        rng, (names, object_codes) = np.random.default_rng(seed), self.objects
+        rng = np.random.default_rng(seed)
+        names, object_codes = np.unique(self.codes, return_inverse=True)
         count = np.exp(rng.uniform(0, np.log(len(names)), (N_DRAWS, 1))).round()
         chosen = (rng.random((N_DRAWS, len(names))).argsort(axis=1) < count)[
             :, object_codes
@@ -275,14 +264,9 @@ def _sums(
 
 def _means(values: Floats, rows: Indices, counts: Floats) -> Floats:
     """Return the means of draws of rows (n_draws, n_drawn), (n_draws, n_values)."""
-    which = csr_array(
-        (
-            counts.ravel(),
-            rows.ravel(),
-            np.arange(0, rows.size + 1, rows.shape[1]),
-        ),
-        shape=(len(rows), len(values)),
-    )
+    starts = np.arange(0, rows.size + 1, rows.shape[1])
+    parts = counts.ravel(), rows.ravel(), starts
+    which = csr_array(parts, shape=(len(rows), len(values)))
     return np.asarray(which @ values)
 
 

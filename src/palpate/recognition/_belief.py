@@ -230,11 +230,7 @@ class Belief:
         self._track_strangers(logs[0], logs[1:])
 
     def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
-        """Keep what speaks for a stranger, or against one, after this touch.
-
-        By log posteriors (n_objects,), and those of each encoding (n_encodings,
-        n_objects).
-        """
+        """Keep what speaks for a stranger, or against one, by the posteriors now."""
         self._log_shares = None
         if not self._n_informative:
             return
@@ -444,7 +440,9 @@ class Belief:
         """Return the object that may be named at an error, or None."""
         if costs is None:
             return self.best if self.doubt <= error else None
-        expected = self._expected_costs(costs)
+        log_known, log_unknown = self._log_known_and_unknown()
+        of_learnt = np.exp(self.log_posterior + log_known) @ self._cost_table(costs)
+        expected = of_learnt + np.exp(log_unknown)
         affordable = expected.min() <= error
         return str(self._model.classes[expected.argmin()]) if affordable else None
 
@@ -454,13 +452,8 @@ class Belief:
         best = max(shares, key=lambda name: shares[name], default=None)
         return best if best is not None and 1 - shares[best] <= error else None
 
-    def _expected_costs(self, costs: Costs) -> Floats:
-        """Return what naming each object is expected to cost, (n_objects,)."""
-        log_known, log_unknown = self._log_known_and_unknown()
-        of_learnt = np.exp(self.log_posterior + log_known) @ self._cost_table(costs)
-        return np.asarray(of_learnt + np.exp(log_unknown))
-
     def _cost_table(self, costs: Costs) -> Floats:
+        """Return what naming each object (columns) costs, by the truth (rows)."""
         names = self._model.classes.tolist()
         table = 1.0 - np.eye(len(names))
         if not isinstance(costs, Mapping):
@@ -553,7 +546,8 @@ class Belief:
     def why(self, error: float = 0.01) -> list[str]:
         """Return the figures behind `reason`, a sentence each."""
         nats, expected = self.unknown_evidence, self.strangers
-        best, rival = self._two_best()
+        order = np.argsort(-self.log_posterior, kind="stable")
+        best, rival = self._model.classes[order[:2]].tolist()
         leaders = (
             f"{best} has probability {share_of(self.posterior[best])}, {rival} "
             f"{share_of(self.posterior[rival])}; {share_of(1 - error)} was asked for."
@@ -573,11 +567,6 @@ class Belief:
         if n_silent:
             sentences.append(f"{n_touches_of(n_silent)} said nothing.")
         return sentences
-
-    def _two_best(self) -> tuple[str, str]:
-        order = np.argsort(-self.log_posterior, kind="stable")[:2]
-        best, rival = self._model.classes[order].tolist()
-        return best, rival
 
     def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:
         """Return the touches that moved the belief most, and what they resemble.

@@ -95,9 +95,8 @@ def draw_episodes(
         if blocks is not None:
             block_codes = np.unique(blocks[rows], return_inverse=True)[1]
             n_blocks = block_codes.max() + 1
-            place += (
-                block_codes - rng.integers(n_blocks, size=(len(place), 1))
-            ) % n_blocks
+            begin = rng.integers(n_blocks, size=(len(place), 1))
+            place += (block_codes - begin) % n_blocks
         order = rows[np.argsort(place, axis=1)[:, :longest]]
         over = ((0, 0), (0, longest - order.shape[1]))
         drawn.append(np.pad(order, over, constant_values=-1))
@@ -276,11 +275,7 @@ def _named_at(level: Floats, best: Indices, levels: Floats, n_names: int) -> Flo
     first = reached.argmax(axis=1)
     names = np.take_along_axis(best, first, axis=1) if n_names > 1 else 0 * first
     counts = np.zeros((n_names, len(levels)))
-    np.add.at(
-        counts,
-        (names, np.broadcast_to(np.arange(len(levels)), names.shape)),
-        reached[:, -1],
-    )
+    np.add.at(counts, (names, np.arange(len(levels))), reached[:, -1])
     share_of_all = counts.sum(axis=0)
     together = n_names * counts + share_of_all + 1
     return np.asarray(together / (2 * len(level) + 1))
@@ -309,16 +304,13 @@ def _log_share(heights: Floats, levels: Floats) -> Floats:
 
 def _usual(left_out: LeftOut) -> Floats:
     """Return the mean log distance of each object's touches to its nearest other."""
-    own_distances = left_out.log_distances[
-        np.arange(len(left_out.codes)), left_out.codes
-    ]
+    codes, n_objects = left_out.codes, len(left_out.log_prior)
+    own_distances = left_out.log_distances[np.arange(len(codes)), codes]
     is_known = ~np.isnan(own_distances)
-    everywhere = own_distances[is_known].mean() if is_known.any() else 0.0
-    n_objects = len(left_out.log_prior)
-    counts = np.bincount(left_out.codes[is_known], minlength=n_objects)
-    sums = np.bincount(
-        left_out.codes[is_known], own_distances[is_known], minlength=n_objects
-    )
+    codes, own_distances = codes[is_known], own_distances[is_known]
+    everywhere = own_distances.mean() if len(codes) else 0.0
+    counts = np.bincount(codes, minlength=n_objects)
+    sums = np.bincount(codes, own_distances, minlength=n_objects)
     return np.where(counts > 0, sums / np.maximum(counts, 1), everywhere)
 
 

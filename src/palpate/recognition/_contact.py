@@ -147,13 +147,6 @@ class ContactCheck(BaseEstimator):
         self.blind_, self.usual_ = other.blind_, other.usual_
         return self
 
-    def _reposed(self, novelty: Floats) -> Bools:
-        """Return which touches are new to encodings that see their pose alone."""
-        if self.blind_ is None or self.usual_ is None:
-            return np.zeros(len(novelty), dtype=bool)
-        seeing, blind = _by_sight(novelty, self.blind_)
-        return np.asarray((seeing > self.usual_[0]) & (blind <= self.usual_[1]))
-
     def flags(
         self, touches: Touches, cleaned: Array, novelty: Floats | None = None
     ) -> list[str]:
@@ -170,8 +163,9 @@ class ContactCheck(BaseEstimator):
         double = turned = np.zeros(len(cleaned), dtype=bool)
         if self.tells_double_:
             double = self._double(touches)
-        if novelty is not None:
-            turned = self._reposed(novelty)
+        if novelty is not None and self.blind_ is not None and self.usual_ is not None:
+            seeing, blind = _by_sight(novelty, self.blind_)
+            turned = (seeing > self.usual_[0]) & (blind <= self.usual_[1])
         reasons = [NO_CONTACT, "saturated", TURNED, "double contact"]
         return list(map(str, np.select([nothing, full, turned, double], reasons, "")))
 

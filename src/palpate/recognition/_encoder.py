@@ -54,15 +54,10 @@ class Encoder(ABC):
     def look(self, touches: Touches) -> Floats:
         """Return what tells of light, rubber and gain, (n_touches, 7); see `looks`."""
 
-    def encode(self, cleaned: Array) -> Floats:
-        """Return the features of images that were cleaned already."""
-        return self.encode_fully(cleaned)[0]
-
     def transform(self, touches: Touches) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        return np.concatenate(
-            [self.encode(self.clean(batch)) for batch in in_batches(touches)]
-        )
+        cleaned = (self.clean(batch) for batch in in_batches(touches))
+        return np.concatenate([self.encode_fully(batch)[0] for batch in cleaned])
 
 
 class TouchEncoder(Encoder, BaseEstimator):
@@ -94,7 +89,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         What the features of each encoding are multiplied by: side by side all have
         total variance 1; one alone is as it is.
     image_shape_ : tuple of int
-        (n_rows, n_cols) or (n_rows, n_cols, n_channels) of the touches seen by `fit`.
+        (n_rows, n_cols) or (n_rows, n_cols, n_channels) of the touches it learnt.
     pads_ : ndarray of shape (n_pads, 4) or None
         Where the touches' pads lie.
     channels_ : tuple of str or None
@@ -121,15 +116,6 @@ class TouchEncoder(Encoder, BaseEstimator):
     ) -> None:
         self.clean_up, self.encodings = clean_up, encodings
         self.channels = channels
-
-    def fit(self, touches: Touches) -> Self:
-        """Learn every step from `touches`."""
-        self.fit_transform(touches)
-        return self
-
-    def fit_transform(self, touches: Touches) -> Floats:
-        """Learn every step and return the features, (n_touches, n_features)."""
-        return self.fit_encode(self.fit_clean(touches))[0]
 
     def fit_clean(self, touches: Touches) -> Array:
         """Learn the clean-up and return the cleaned images."""
@@ -272,7 +258,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         return looks(grey(self.living(touches.images, broken)), rest)
 
     def blank_touch(self) -> Touches:
-        """Return one touch of zeros such as `fit` saw."""
+        """Return one touch of zeros such as it learnt."""
         return Touches(
             np.zeros((1, *self.image_shape_)), channels=self.channels_, pads=self.pads_
         )

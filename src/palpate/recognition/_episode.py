@@ -111,6 +111,8 @@ class Episode:
         ValueError
             As `Belief.update` does; the episode is then as it was before that touch.
         """
+        if type(self.belief) is Belief and not isinstance(touch, Touches | Evidence):
+            touch = self.belief._evidence_of(touch)  # of one image, or of several
         if isinstance(touch, Evidence):
             for number in range(len(touch.flags)):
                 self._add(touch.of_touch(number), options)
@@ -139,7 +141,8 @@ class Episode:
 
     def _decide(self) -> None:
         """Keep, take or withdraw a decision after a touch."""
-        before, now = self._named, self._answer()
+        before, belief, level = self._named, self.belief, self.decision_level
+        now = belief.named(self.error, refusal=self.refusal, level=level)
         if before is not None and not self._is_over(before):
             # A category may become one object of it; anything else stays as it is.
             if not (before.level == "category" and now and now.level == "object"):
@@ -152,12 +155,6 @@ class Episode:
             )
         self._named = now
         self.decided_at = len(self.touches) if now is not None else None
-
-    def _answer(self) -> Named | None:
-        """Return what the belief decides now, with its level."""
-        return self.belief.named(
-            self.error, refusal=self.refusal, level=self.decision_level
-        )
 
     def _is_over(self, named: Named) -> bool:
         """Whether it is as sure now that it is something else as naming it had to be.

@@ -203,11 +203,8 @@ class Learner(BaseEstimator):
         """
         self._check_fitted()
         memory = self.memory_.without(forget)
-        if touches is not None:
-            labels = _memory.named_labels(touches, self.label)
-            for name in np.unique(labels).tolist():
-                of_object = touches[np.flatnonzero(labels == name)]
-                memory = memory.replaced(self._memory_of(name, of_object, 2))
+        for name, of_object in _memory.by_label(touches, self.label):
+            memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
 
     def learn_beside(self, kept: Memory, touches: Touches | TouchSource | None) -> Self:
@@ -223,12 +220,9 @@ class Learner(BaseEstimator):
         """
         self._check_fitted()
         memory = kept
-        if touches is not None:
-            labels = _memory.named_labels(touches, self.label)
-            for name in np.unique(labels).tolist():
-                of_object = touches[np.flatnonzero(labels == name)]
-                least = 1 if name in memory.labels.astype(str) else 2
-                memory = memory.plus_once(self._memory_of(name, of_object, least))
+        for name, of_object in _memory.by_label(touches, self.label):
+            least = 1 if name in memory.labels.astype(str) else 2
+            memory = memory.plus_once(self._memory_of(name, of_object, least))
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
@@ -489,10 +483,13 @@ class Learner(BaseEstimator):
         )
         self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
+            rows = self.left_out_rows
+            left_out = left_out_log_likelihood(self.classifier_)
+            left_out = self._contact_only(left_out, memory.nothing[rows])
             self.sequence_calibration_ = fit_sequence_calibration(
-                _evidence.with_floor(self._left_out(), self.floor_),
-                np.searchsorted(self.classes_, memory.labels[self.left_out_rows]),
-                self._episodes_to_come(memory, memory.blocks[self.left_out_rows]),
+                _evidence.with_floor(left_out, self.floor_),
+                np.searchsorted(self.classes_, memory.labels[rows]),
+                self._episodes_to_come(memory, memory.blocks[rows]),
                 self._log_prior(memory),
             )
         self.strangers_ = self._learnt_strangers(before)
@@ -503,13 +500,6 @@ class Learner(BaseEstimator):
         """Return left-out touches such as an episode may have, of each object."""
         objects, n_known = memory.objects[self.left_out_rows], len(self.classes_)
         return draw_episodes(objects, self.random_state, n_known, blocks)
-
-    def _left_out(self) -> Floats:
-        """Return what counts of left-out training touches, (n_touches, n_objects)."""
-        log_likelihood = left_out_log_likelihood(self.classifier_)
-        return self._contact_only(
-            log_likelihood, self.memory_.nothing[self.left_out_rows]
-        )
 
     def _learnt_strangers(self, before: Nearest | None = None) -> StrangerModel:
         memory = self.memory_

@@ -134,11 +134,8 @@ def encoded(
         else:
             key = state_digest(encoder) + state_digest(contact) + "looks"
             table = touches.features(key, encode)
-    features, seen = (
-        np.ascontiguousarray(table[:, : -N_LOOKS - 1]),
-        table[:, -N_LOOKS - 1 :],
-    )
-    return Encoded(features, seen[:, -1] > 0, seen[:, :-1])
+    features, looks, nothing = np.split(table, [-N_LOOKS - 1, -1], axis=1)
+    return Encoded(np.ascontiguousarray(features), nothing[:, 0] > 0, looks)
 
 
 def memory_of(
@@ -302,7 +299,7 @@ def _left_out_scores(
 ) -> dict[str, float]:
     """Return log loss (nats) and accuracy of a recipe on the folds left out."""
     encoder = clone(encoder)
-    features = encoder.fit_transform(touches)
+    features = encoder.fit_encode(encoder.fit_clean(touches))[0]
     classes = np.unique(labels)
     log_posterior = np.full((len(labels), len(classes)), -np.log(len(classes)))
     for k in range(N_FOLDS):
@@ -342,10 +339,17 @@ def naming_empty(touches: Touches | TouchSource) -> Iterator[None]:
         if ids is None:
             raise
         empty = [row for row in range(len(ids)) if _is_empty(touches, row)]
+        if not empty:  # the frame of no contact
+            raise
         raise EmptyTouchError(ids[empty].tolist()) from None
 
 
 def _is_empty(touches: Touches | TouchSource, row: int) -> bool:
-    rows = np.array([row])
-    touch = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
-    return bool(np.isnan(touch.images.astype(np.float64)).all())
+    """Whether a touch, or one channel of it, is nothing but NaN."""
+    images = touches_of(touches, np.array([row])).images
+    return bool(np.isnan(images.astype(np.float64)).all(axis=(1, 2)).any())
+
+
+def touches_of(touches: Touches | TouchSource, rows: Indices) -> Touches:
+    """Return some rows of touches, read where they are of a source."""
+    return touches[rows] if isinstance(touches, Touches) else touches.touches(rows)

@@ -93,10 +93,6 @@ class RemountedEncoder(Encoder):
         before = self.offset
         return replace(self, offset=shift if before is None else shift + before)
 
-    def looking_like(self, change: Floats) -> Self:
-        """Return this with (7,) added to its looks, in place of what was before."""
-        return replace(self, look_offset=change)
-
     def clean(self, touches: Touches) -> Array:
         """Return the images as in the session of learning, after the clean-up."""
         images = touches.images
@@ -227,9 +223,5 @@ class Learnt:
     @cached_property
     def taught(self) -> _sessions.Taught:
         """The training touches that count, for comparing a session with them."""
-        memory, counts = self.memory, self.counted
-        return _sessions.Taught(
-            memory.features[counts],
-            self.codes[counts],
-            self.parts,
-        )
+        features, counts = self.memory.features, self.counted
+        return _sessions.Taught(features[counts], self.codes[counts], self.parts)

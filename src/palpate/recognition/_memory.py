@@ -7,7 +7,7 @@ learning.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import repeat
@@ -241,24 +241,21 @@ class Nearest:
         Of all of them or some rows. Those that were asked for `before` more touches
         came are not sought again, if all are asked.
         """
-        memory = self._memory
-        if len(rows) < len(memory):
-            return self.log_distances(memory.features[rows], memory.blocks[rows])
-        earlier = (
-            before._answered if before is not None and self._goes_on(before) else None
-        )
-        n_known = 0 if earlier is None else len(earlier)
-        distances = self.log_distances(
-            memory.features[n_known:], memory.blocks[n_known:]
-        )
-        if before is not None and earlier is not None:
-            again = memory.features[:n_known], memory.blocks[:n_known]
-            nearer = self.log_distances(*again, since=n_known)
-            columns = np.searchsorted(memory.classes, before._memory.classes)
-            nearer[:, columns] = np.fmin(nearer[:, columns], earlier)
-            distances = np.concatenate([nearer, distances])
-        self._answered = distances
-        return distances
+        classes, features = self._memory.classes, self._memory.features
+        blocks = self._memory.blocks
+        if len(rows) < len(features):
+            return self.log_distances(features[rows], blocks[rows])
+        earlier = None if before is None else before._answered
+        if before is None or earlier is None or not self._goes_on(before):
+            self._answered = self.log_distances(features, blocks)
+            return self._answered
+        n = len(earlier)
+        nearer = self.log_distances(features[:n], blocks[:n], since=n)
+        columns = np.searchsorted(classes, before._memory.classes)
+        nearer[:, columns] = np.fmin(nearer[:, columns], earlier)
+        later = self.log_distances(features[n:], blocks[n:])
+        self._answered = np.concatenate([nearer, later])
+        return self._answered
 
     def _goes_on(self, before: Nearest) -> bool:
         """Whether more touches come after those of another, with the same marks."""
@@ -316,10 +313,8 @@ def nearest_touches(
     Distances are told in units of the median among up to `N_PAIRED` training touches.
     """
     sampled = memory.features[:: -(-len(memory) // N_PAIRED)]
-    squared_distances = pdist(sampled, "sqeuclidean")
-    unit = (
-        float(np.sqrt(np.median(squared_distances))) if squared_distances.any() else 1.0
-    )
+    squared = pdist(sampled, "sqeuclidean")
+    unit = float(np.sqrt(np.median(squared))) if squared.any() else 1.0
     nearest: list[list[dict[str, Any]]] = []
     for vector in features:
         distance = np.linalg.norm(memory.features - vector, axis=1)
@@ -411,6 +406,16 @@ def named_labels(touches: Touches | TouchSource, label: str) -> Array:
     return labels
 
 
+def by_label(
+    touches: Touches | TouchSource | None, label: str
+) -> Iterator[tuple[str, Touches | TouchSource]]:
+    """Yield each name in the column `label`, and its touches; nothing of None."""
+    if touches is not None:
+        labels = named_labels(touches, label)
+        for name in np.unique(labels).tolist():
+            yield name, touches[np.flatnonzero(labels == name)]
+
+
 def left_out_groups(
     touches: Touches | TouchSource, labels: Array, objects: Array, label: str
 ) -> Indices:
@@ -431,11 +436,15 @@ def left_out_groups(
     for visits in (touches.subject, touches.session):
         if visits is None:
             continue
-        pairs = np.stack([objects.astype(str), visits.astype(str)], axis=1)
-        met = np.unique(np.unique(pairs, axis=0)[:, 0], return_counts=True)[1]
-        if met.min() > 1:
+        if n_met(objects, visits).min() > 1:
             return np.asarray(np.unique(visits, return_inverse=True)[1])
     return blocks_in_order(objects, touches.order)
+
+
+def n_met(objects: Array, visits: Array) -> Indices:
+    """Return in how many visits each object was met, the objects sorted as texts."""
+    pairs = np.stack([objects.astype(str), visits.astype(str)])
+    return np.unique(np.unique(pairs, axis=1)[0], return_counts=True)[1]
 
 
 def without_copies(features: Floats, objects: Array, blocks: Indices) -> Indices:
@@ -475,9 +484,8 @@ def _copies(features: Floats) -> csr_array:
         near, far = np.nonzero(squared <= limit)
         pairs.append(np.stack([near, far]) + start)
     near, far = np.concatenate(pairs, axis=1)
-    return csr_array(
-        (np.ones(len(near), dtype=bool), (near, far)), (len(features),) * 2
-    )
+    are_copies = np.ones(len(near), dtype=bool)
+    return csr_array((are_copies, (near, far)), (len(features),) * 2)
 
 
 def blocks_in_order(objects: Array, order: Array | None = None) -> Indices:

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from math import prod
+from types import UnionType
 from typing import Any
 
 import numpy as np
@@ -100,9 +101,8 @@ def check_parts(model: BeliefModel, encoder: AnyEncoder, pose: object) -> None:
     image_shape = encoder.image_shape_
     if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MAX_PIXELS:
         raise ValueError(f"images of {' x '.join(map(str, image_shape))} are none")
-    memory: object = model.memory
-    if not isinstance(memory, Memory):
-        raise TypeError(f"memory_ is a {type(memory).__name__}")
+    memory = model.memory
+    _check_kind("memory_", memory, Memory)
     columns = [getattr(memory, f.name) for f in fields(memory) if f.name != "sensor"]
     if {len(column) for column in columns} != {len(memory)} or not len(memory):
         raise ValueError("its sizes do not agree")
@@ -110,18 +110,21 @@ def check_parts(model: BeliefModel, encoder: AnyEncoder, pose: object) -> None:
         raise ValueError(f"its looks have {memory.looks.shape[1:]} values")
     if not np.isfinite(memory.features).all():
         raise ValueError("its features hold NaN or infinity")
-    _check_encoder(encoder, model.memory.features.shape[1])
-    if not np.array_equal(model.classes, model.memory.classes.astype(str)):
+    _check_encoder(encoder, memory.features.shape[1])
+    if not np.array_equal(model.classes, memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")
     _check_calibration(model.sequence_calibration)
     _check_strangers(model.strangers, len(model.classes))
     check_number("floor_", model.floor, low=0, high=0.5)
-    if not isinstance(pose, PressPose | None):
-        raise TypeError(f"pose_ is a {type(pose).__name__}")
+    _check_kind("pose_", pose, PressPose | None)
     for name, sense in model.senses.items():
-        if not isinstance(sense, Modality):
-            raise TypeError(f"{name} is a {type(sense).__name__}")
+        _check_kind(name, sense, Modality)
         _check_calibration(sense.sequence_calibration_)
+
+
+def _check_kind(name: str, part: object, kind: type | UnionType) -> None:
+    if not isinstance(part, kind):
+        raise TypeError(f"{name} is a {type(part).__name__}")
 
 
 def _check_encoder(encoder: AnyEncoder, n_features: int) -> None:
@@ -136,8 +139,7 @@ def _check_encoder(encoder: AnyEncoder, n_features: int) -> None:
         _check_shape("weighing", encoder.weighing, (n_features, n_features))
         _check_shape("look_offset", encoder.look_offset, (N_LOOKS,))
         encoder = encoder.encoder
-    if not isinstance(encoder, TouchEncoder):
-        raise TypeError(f"encoder_ is a {type(encoder).__name__}")
+    _check_kind("encoder_", encoder, TouchEncoder)
     _check_shape("still_", encoder.still_, image_shape)
 
 
@@ -162,16 +164,14 @@ def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> No
     belief.explain()
 
 
-def _check_calibration(calibration: object) -> None:
-    if not isinstance(calibration, SequenceCalibration):
-        raise TypeError(f"a sequence calibration is a {type(calibration).__name__}")
+def _check_calibration(calibration: SequenceCalibration) -> None:
+    _check_kind("a sequence calibration", calibration, SequenceCalibration)
     check_number("strength", calibration.strength, low=0, high=100)
     check_number("correlation", calibration.correlation, low=0, high=1)
 
 
-def _check_strangers(model: object, n_objects: int) -> None:
-    if not isinstance(model, StrangerModel):
-        raise TypeError(f"strangers_ is a {type(model).__name__}")
+def _check_strangers(model: StrangerModel, n_objects: int) -> None:
+    _check_kind("strangers_", model, StrangerModel)
     shapes = {
         "weights": model.weights.shape[:1],
         "usual": (n_objects,),
@@ -186,8 +186,7 @@ def _check_strangers(model: object, n_objects: int) -> None:
     if not ((model.far[:, 1] > 0).all() and (model.high[:, 1] > 0).all()):
         raise ValueError("far and high of its strangers_ have no spread")
     for curve in (model.low_curve, model.low_category_curve, model.high_curve):
-        if not isinstance(curve, Curve):
-            raise TypeError(f"a curve of its strangers_ is a {type(curve).__name__}")
+        _check_kind("a curve of its strangers_", curve, Curve)
         n_levels = curve.levels.shape[:1]
         _check_table("a curve of its strangers_", curve.levels, n_levels)
         n_names = curve.log_ratios.shape[:1]

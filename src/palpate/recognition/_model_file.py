@@ -12,7 +12,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -67,17 +68,14 @@ _OWN = (
 # What has less, or more, in a file than in memory.
 _STORED = (EncodingPool, KernelRidgeClassifier, NearbyTouches, OnnxEncoding)
 _ROOMS = (classifiers, encodings, images)
-# Made anew from a stored model; making one computes, which reading a file must not.
-_NEVER_STORED = ("TouchClassifier",)
-
 _PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
 # The classes that a model file may name: ours, and two of scikit-learn.
 KNOWN_CLASSES: dict[str, type] = {
     **{n: c for n, c in _PUBLIC.items() if isinstance(c, type)},
     **{kind.__name__: kind for kind in (*_OWN, PCA, StandardScaler)},
 }
-for _gone in _NEVER_STORED:
-    del KNOWN_CLASSES[_gone]
+# Made anew from a stored model; making one computes, which reading a file must not.
+del KNOWN_CLASSES["TouchClassifier"]
 
 
 class ModelFileError(ValueError):
@@ -185,9 +183,9 @@ def read_model(
                 f"{source} has model format {version!r}, this palpate reads 4 to "
                 f"{FORMAT}. Learn again, or use the palpate that wrote it."
             )
-        if version == 4 and isinstance(model, dict):
-            model["learnt"].pop("limits_", None)
         if isinstance(model, dict):
+            if version == 4:
+                model["learnt"].pop("limits_", None)
             _wrap_encoder(model["learnt"])
         return _unpack(model, budget)
     except ModelFileError:
@@ -278,35 +276,25 @@ def _is_known(value: object) -> bool:
 def _pack_user_encoding(value: UserEncoding, tensors: Tensors) -> dict[str, Any]:
     """Pack an encoding of the user's own, of foreign code only what it has learnt."""
 
-    def packed(steps: Sequence[Any]) -> dict[str, Any]:
-        packed_steps = [
-            _pack(step, tensors) if _is_known(step) else _pack_foreign(step, k)
-            for k, step in enumerate(steps)
-        ]
-        return {"list": packed_steps}
+    def packed(step: Any, number: int) -> Any:
+        if _is_known(step):
+            return _pack(step, tensors)
+        learnt = {}
+        for name, item in _state(step)[1].items():
+            with suppress(ModelFileError):
+                learnt[name] = _pack(item, tensors)
+        foreign = [value.name, number, type(step).__name__]
+        return {"foreign": foreign, "params": {}, "learnt": learnt}
 
-    def _pack_foreign(step: Any, number: int) -> dict[str, Any]:
-        learnt = {k: _pack_if(v) for k, v in _state(step)[1].items()}
-        return {
-            "foreign": [value.name, number, type(step).__name__],
-            "params": {},
-            "learnt": {k: v[0] for k, v in learnt.items() if v},
-        }
-
-    def _pack_if(item: object) -> list[Any]:
-        try:
-            return [_pack(item, tensors)]
-        except ModelFileError:
-            return []
-
-    params, learnt = _state(value)
-    steps = {"steps": packed(params.pop("steps"))}
-    steps_ = {"steps_": packed(learnt.pop("steps_"))} if "steps_" in learnt else {}
-    return {
-        "class": type(value).__name__,
-        "params": steps | {k: _pack(v, tensors) for k, v in params.items()},
-        "learnt": steps_ | {k: _pack(v, tensors) for k, v in learnt.items()},
-    }
+    node: dict[str, Any] = {"class": type(value).__name__}
+    for part, state in zip(("params", "learnt"), _state(value), strict=True):
+        node[part] = {}
+        for name in ("steps", "steps_"):
+            if name in state:
+                steps = enumerate(state.pop(name))
+                node[part][name] = {"list": [packed(step, k) for k, step in steps]}
+        node[part] |= {k: _pack(v, tensors) for k, v in state.items()}
+    return node
 
 
 def _pack_object(value: object, tensors: Tensors) -> dict[str, Any]:
@@ -336,12 +324,8 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
     in_order = array.T if turned else array
     stored = np.ascontiguousarray(in_order)
     # A network, which its recipe holds too, is stored once.
-    again = [
-        n
-        for n, tensor in tensors.items()
-        if tensor is stored and tensor.dtype == np.uint8
-    ]
-    name = again[0] if again else f"t{len(tensors)}"
+    again = (n for n, t in tensors.items() if t is stored and t.dtype == np.uint8)
+    name = next(again, f"t{len(tensors)}")
     tensors[name] = stored
     return {"array": name, "shape": list(in_order.shape), "turned": turned}
 
@@ -431,9 +415,8 @@ def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
 def _unpack_state(node: dict[str, Any], budget: Budget) -> tuple[Any, Any]:
     """Return parameters and learnt attributes of one object, both by name."""
     for attribute in node["learnt"]:
-        if not (
-            attribute.isidentifier() and attribute.endswith("_")
-        ) or attribute.startswith("_"):
+        is_learnt = attribute.isidentifier() and attribute.endswith("_")
+        if not is_learnt or attribute.startswith("_"):
             raise ModelFileError(f"{attribute!r} is not a learnt attribute")
     params, learnt = (
         {k: _unpack(v, budget) for k, v in node[part].items()}

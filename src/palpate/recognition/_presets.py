@@ -115,11 +115,9 @@ def _joined(encoder: TouchEncoder, of_user: Mapping[str, UserEncoding]) -> Touch
             f"encodings must have names of their own, got {taken[0]!r}, which is one "
             "of the preset's. Choose another name."
         )
-    all_encodings = {
-        **encoder.encodings,
-        **{name: [encoding] for name, encoding in of_user.items()},
-    }
-    return TouchEncoder(encoder.clean_up, all_encodings, channels=encoder.channels)
+    chains = {name: [encoding] for name, encoding in of_user.items()}
+    encodings = {**encoder.encodings, **chains}
+    return TouchEncoder(encoder.clean_up, encodings, channels=encoder.channels)
 
 
 def _no_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
@@ -178,22 +176,20 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
             quantiles = [RingQuantiles(), StandardScaler(), principal]
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
-        return {
-            "disc about the rim": candidates.only(_allowed(candidates, presentation))
-        }
+        return {"disc about the rim": _allowed(candidates, presentation)}
     candidates = TouchEncoder(None, _plane_encodings(touches))
-    return {"whole picture": candidates.only(_allowed(candidates, presentation))}
+    return {"whole picture": _allowed(candidates, presentation)}
 
 
-def _allowed(encoder: TouchEncoder, presentation: str) -> list[str]:
-    """Return the encodings that are blind to what a presentation changes.
+def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
+    """Return an encoder by what is blind to what a presentation changes.
 
     Where none is blind to all of it (a dome's know no shifts), those that are blind to
     most.
     """
     changes = PRESENTATIONS[presentation]
     blind = {name: len(encoder.blind_to(name) & changes) for name in encoder.encodings}
-    return [name for name in blind if blind[name] == max(blind.values())]
+    return encoder.only(n for n in blind if blind[n] == max(blind.values()))
 
 
 def _plane_encodings(touches: Touches) -> dict[str, list[Any]]:

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import ClassifierMixin
+from sklearn.metrics import confusion_matrix
 from sklearn.utils import Tags
 
 from .._parallel import opencv_on_one_thread, results_of
-from .._types import Array, Floats, Indices, Label, Presentation, PresetName
+from .._types import Array, Floats, Label, Presentation, PresetName
 from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..images import Poses
 from ..touches import Touches
@@ -333,8 +334,13 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         contact, one at a time. Returns matplotlib's axes (extra `plot`), `ax` or new
         ones.
         """
-        self._check_fitted()
-        return draw_confusion(self._confusion(), self._names(), ax)
+        rows = self.left_out_rows
+        counted = ~self.memory_.nothing[rows] | self.uses_no_contact_
+        best = self.left_out_log_likelihood()[counted].argmax(axis=1)
+        truth = np.searchsorted(self.classes_, self.memory_.labels[rows[counted]])
+        columns = np.arange(len(self.classes_))
+        counts = confusion_matrix(truth, best, labels=columns)
+        return draw_confusion(counts, self._names(), ax)
 
     def save(self, path: str | Path) -> Path:
         """Write the recogniser to a `.palpate` file, all or nothing."""
@@ -385,18 +391,6 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
-
-    def _confusion(self) -> Indices:
-        """Return how many left-out touches of each object are taken for each."""
-        rows = self.left_out_rows
-        counted = ~self.memory_.nothing[rows] | self.uses_no_contact_
-        best = self.left_out_log_likelihood()[counted].argmax(axis=1)
-        true_columns = np.searchsorted(
-            self.classes_, self.memory_.labels[rows[counted]]
-        )
-        counts = np.zeros((len(self.classes_),) * 2, dtype=np.intp)
-        np.add.at(counts, (true_columns, best), 1)
-        return counts
 
     def _user_encodings(self) -> dict[str, UserEncoding]:
         """Return the encodings of the user's own that are in use, as learnt."""

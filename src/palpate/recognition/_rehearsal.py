@@ -7,7 +7,7 @@ how far those count is found out (`classifiers.rehearsed`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,7 +20,7 @@ from ..classifiers import Drawn, EncodingPool, halves, learns_by_landmarks, rehe
 from ..touches import Touches, TouchSource
 from . import _sessions
 from ._encoder import Encoder, TouchEncoder
-from ._learning import shown_rows
+from ._learning import shown_rows, touches_of
 from ._memory import Memory
 
 # At most so many touches are seen again in so many invented sessions, of few as many as
@@ -86,9 +86,11 @@ def rehearse(
         why = "too much was taught at once" if ranges else unknown
         return pool, {"share": 0.0, "why": why}
     rows = _rows(memory)
-    shown = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
+    shown = touches_of(touches, rows)
     drawn = draw_sessions(encoder, shown, ranges, memory, rows, seed)
-    differences = _differences(drawn.features)
+    n_drawn, _, n_features = drawn.features.shape
+    away = drawn.features - drawn.features.mean(axis=0)
+    differences = (away * np.sqrt(n_drawn / (n_drawn - 1))).reshape(-1, n_features)
     parts = _sessions.Parts(np.cumsum([0, *encoder.parts_.values()]))
     weighing = _sessions.weighed_down(differences, memory.features, parts)
     sessions_known = "sessions" in memory.units[1]
@@ -263,9 +265,11 @@ def draw_sessions(
     as_recorded = memory.features[rows]
     spread = FARTHEST * memory.features.std(axis=0)
     sessions, rest = [as_recorded], at_rest(touches)
+    # Encoding looks at nothing else.
+    looked_at = {n: getattr(touches, n) for n in ("channels", "pads", "geometry")}
     for _ in range(N_SESSIONS):
         images = in_another_session(touches, ranges, rng, rest)
-        moved = encoder.transform(with_images(touches, images)) - as_recorded
+        moved = encoder.transform(Touches(images, **looked_at)) - as_recorded
         sessions.append(as_recorded + np.clip(moved, -spread, spread))
     return Drawn(np.stack(sessions), rows)
 
@@ -296,7 +300,9 @@ def in_another_session(
     shape, colours = images.shape[1:3], images.shape[3:]
     still, signal = at_rest(touches) if rest is None else rest
     gains = np.exp(rng.normal(0, ranges.gain) + rng.normal(0, ranges.taxels, shape))
-    light = gains * _falling_off(shape, rng.normal(0, 1, 2) * ranges.slope)
+    slope = rng.normal(0, 1, 2) * ranges.slope
+    down, across = (np.linspace(-1, 1, n) for n in shape)
+    light = gains * (1 + slope[0] * down[:, np.newaxis] + slope[1] * across)
     zero = ranges.zero * signal * _smooth(shape, rng)
     where = rng.normal(0, ranges.shift, 2)
     if colours:
@@ -313,25 +319,6 @@ def in_another_session(
     if dead is None or not dead.any():
         return images
     return np.where(dead, np.nan, images)
-
-
-def with_images(touches: Touches, images: Array) -> Touches:
-    """Return touches with other images, and nothing but what encoding looks at."""
-    channels, pads, geometry = touches.channels, touches.pads, touches.geometry
-    return Touches(images, channels=channels, pads=pads, geometry=geometry)
-
-
-def _differences(features: Floats) -> Floats:
-    """Return how each touch differs between sessions, (n_sessions * n_touches, ...)."""
-    n = len(features)
-    away = (features - features.mean(axis=0)) * np.sqrt(n / (n - 1))
-    return np.asarray(away.reshape(-1, features.shape[2]))
-
-
-def _falling_off(shape: Iterable[int], slope: Floats) -> Floats:
-    axes = [np.linspace(-1, 1, n) for n in shape]
-    falls: Floats = 1 + slope[0] * axes[0][:, np.newaxis] + slope[1] * axes[1]
-    return falls
 
 
 def _smooth(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:

@@ -27,7 +27,7 @@ from ._contact import NO_CONTACT, ContactCheck
 from ._evidence import Evidence
 from ._learning import encoded, memory_of
 from ._learnt import Learnt, RemountedEncoder, wrapped
-from ._memory import Memory, blocks_in_order
+from ._memory import Memory, blocks_in_order, n_met
 from ._sessions import SessionSums, shift_unlabelled
 
 if TYPE_CHECKING:
@@ -80,22 +80,21 @@ def remounted(
         )
     features = encoding.features
     if labels is None:
-        sums = _sums(learnt, features[counts])
+        sums, left = _sums(learnt, features[counts]), learnt.classes
         report["objects"] = round(_sessions.effective_number(sums.shares), 1)
-    confirmed = None if labels is None else labels[counts]
-    shift = trust * _shift(learnt, features[counts], confirmed)
-    if labels is None and not report.get("centred", True):
-        shift = np.zeros_like(shift)
+        shift = shift_unlabelled(sums, learnt.taught)
+        if not report.get("centred", True):
+            shift = np.zeros_like(shift)
+    else:
+        left = learnt.classes[~np.isin(learnt.classes, labels[counts])]
+        shift = trust * _shift(learnt, features[counts], labels[counts])
     remounted_encoder = wrapped(learnt.encoder).shifted(shift)
     report |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
-    left = np.ones(len(learnt.classes), dtype=bool)
-    if confirmed is not None:
+    if labels is not None:
         report["trust"] = trust
-        left = ~np.isin(learnt.classes, confirmed)
-    report["confirm"] = learnt.classes[left].astype(str).tolist()
-    report["broken"] = (
-        0 if remounted_encoder.broken is None else int(remounted_encoder.broken.sum())
-    )
+    report["confirm"] = left.astype(str).tolist()
+    broken = remounted_encoder.broken
+    report["broken"] = 0 if broken is None else int(broken.sum())
     variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     report["moved"] = float((shift**2).sum() / variance)
     learnt = replace(learnt, encoder=remounted_encoder)
@@ -171,15 +170,12 @@ def _as_taught(
     if np.isnan(taught).any():
         return kept, 1.0
     if kept.clean_up_ is None:
-        labels_of = np.zeros(len(new)) if labels is None else labels
-        counted_labels = memory.labels[learnt.counted]
-        ratios = [
-            np.median(
-                taught[slice(None) if labels is None else counted_labels == name, -1]
-            )
-            - np.median(seen[labels_of == name, -1])
-            for name in np.unique(labels_of)
-        ]
+        loads, loads_now = taught[:, -1], seen[:, -1]
+        pairs = [(loads, loads_now)]
+        if labels is not None:
+            whose, names = memory.labels[learnt.counted], np.unique(labels)
+            pairs = [(loads[whose == n], loads_now[labels == n]) for n in names]
+        ratios = [np.median(before) - np.median(now) for before, now in pairs]
         gain = float(np.exp(trust * np.mean(ratios)))
         other = RemountedEncoder.of(learnt.encoder, new, gain)
         near = []
@@ -190,7 +186,8 @@ def _as_taught(
         better = near[0] - near[1]
         if better.mean() > better.std() / np.sqrt(len(better)):
             kept = other
-    return kept.looking_like(taught.mean(axis=0) - seen.mean(axis=0)), kept.gain
+    change = taught.mean(axis=0) - seen.mean(axis=0)
+    return replace(kept, look_offset=change), kept.gain
 
 
 def without_nuisance(learnt: Learnt, new: Touches) -> tuple[Learnt, int]:
@@ -258,16 +255,12 @@ def _right_elsewhere(learnt: Learnt, met_elsewhere: Bools) -> Bools:
     for k in np.unique(turn[met_elsewhere]):
         labels, counts = np.unique(memory.labels[turn != k], return_counts=True)
         teachable = np.isin(memory.labels, labels[counts > 1])
-        others, tested = (
-            teachable & (turn != k),
-            teachable & (turn == k) & met_elsewhere,
-        )
+        others, tested = teachable & (turn != k), teachable & (turn == k)
+        tested &= met_elsewhere
         if not tested.any() or (counts > 1).sum() < 2:
             continue
         groups, objects = memory.blocks[others], memory.objects[others]
-        pairs = np.stack([objects.astype(str), groups.astype(str)])
-        met = np.unique(np.unique(pairs, axis=1)[0], return_counts=True)[1]
-        if met.min() < 2:  # one session is left: its blocks
+        if n_met(objects, groups).min() < 2:  # one session is left: its blocks
             groups = blocks_in_order(objects)
         classifier, taught = clone(learnt.classifier), memory.features[others]
         with on_one_thread():
@@ -375,10 +368,8 @@ def _loss_weighed(learnt: Learnt, centred: Floats, met_elsewhere: Array) -> Floa
     half = np.unique(memory.subjects, return_inverse=True)[1] % 2
     for k in range(2):
         weighing_half = half != k
-        visits = memory.sessions[weighing_half], memory.subjects[weighing_half]
-        pairs = _sessions.between_sessions(
-            centred[weighing_half], codes[weighing_half], *visits
-        )
+        columns = centred, codes, memory.sessions, memory.subjects
+        pairs = _sessions.between_sessions(*(c[weighing_half] for c in columns))
         weighing = np.eye(centred.shape[1])
         if len(pairs):
             weighing = _sessions.weighed_down(pairs, centred, learnt.parts)

@@ -228,10 +228,7 @@ def draw_belief(
     shares: Mapping[str, float], unknown: float, title: str, ax: Axes | None
 ) -> Axes:
     """Draw a bar for each object's probability, the first one on top, and for none."""
-    pyplot = needed("matplotlib.pyplot", "plot", "A picture of a belief")
-    axes = ax
-    if axes is None:
-        axes = pyplot.subplots(figsize=(5, 3), layout="constrained")[1]
+    axes = _axes("A picture of a belief", ax, (5, 3))
     bars = {**shares, _NOTHING: unknown}
     names = [*bars][::-1]
     colours = [_GREY, *["#4c78a8"] * len(shares)]
@@ -266,10 +263,7 @@ def draw_episode(
     ax: Axes | None,
 ) -> Axes:
     """Draw probabilities touch by touch, and the limit from which one is named."""
-    pyplot = needed("matplotlib.pyplot", "plot", "A picture of an episode")
-    axes = ax
-    if axes is None:
-        axes = pyplot.subplots(figsize=(6, 3), layout="constrained")[1]
+    axes = _axes("A picture of an episode", ax, (6, 3))
     numbers = range(1, len(unknown) + 1)
     for name, of_object in shares.items():
         axes.plot(numbers, of_object, marker="o", label=name)
@@ -285,12 +279,9 @@ def draw_confusion(counts: Indices, names: Sequence[str], ax: Axes | None) -> Ax
 
     Of the numbers of touches `counts` (n_objects, n_objects).
     """
-    pyplot = needed("matplotlib.pyplot", "plot", "A picture of confusions")
     shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    axes = ax
-    if axes is None:
-        side = float(np.clip(1.5 + 0.3 * len(shares), 3.5, 9))
-        axes = pyplot.subplots(figsize=(side, side), layout="constrained")[1]
+    side = float(np.clip(1.5 + 0.3 * len(shares), 3.5, 9))
+    axes = _axes("A picture of confusions", ax, (side, side))
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
     right = np.trace(counts) / max(counts.sum(), 1)
     title = f"Touches left out, one at a time: {right:.0%} right"
@@ -303,6 +294,12 @@ def draw_confusion(counts: Indices, names: Sequence[str], ax: Axes | None) -> Ax
         label = f"{shares[row, col]:.0f}"
         axes.text(col, row, label, ha="center", va="center", color=colour, size=7)
     return axes
+
+
+def _axes(what: str, ax: Axes | None, size: tuple[float, float]) -> Axes:
+    """Return `ax`, or new axes of a size in inches, for `what` needs matplotlib."""
+    pyplot = needed("matplotlib.pyplot", "plot", what)
+    return ax or pyplot.subplots(figsize=size, layout="constrained")[1]
 
 
 def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:

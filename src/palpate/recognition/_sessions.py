@@ -224,10 +224,7 @@ def shift_unlabelled(sums: SessionSums, taught: Taught) -> Floats:
     all_alike = (ALL_ALIKE + (n - 1) * evidence) / (ALL_ALIKE + n - 1)
     of_few = FARTHER**2 * parts.sums((taken_for - middle) ** 2)
     noise = (between + within) / n + (1 - all_alike) * of_few
-    away = middle - mean
-    squared = np.maximum(parts.sums(away**2), 1e-300)
-    left = np.maximum(0, 1 - noise / squared)
-    return np.asarray(away * parts.spread(left))
+    return _less_noise(middle - mean, noise, parts)
 
 
 def effective_number(shares: Floats) -> float:
@@ -274,5 +271,6 @@ def _window_and_octaves(n_rows: int, n_cols: int) -> tuple[Floats, Floats]:
 
 
 def _less_noise(shift: Floats, noise: Floats, parts: Parts) -> Floats:
+    """Return a shift less what chance would move, part by part."""
     squared = np.maximum(parts.sums(shift**2), 1e-300)
     return shift * parts.spread(np.maximum(0, 1 - noise / squared))
