@@ -24,7 +24,6 @@ from palpate._types import Floats
 from palpate.evaluation import (
     Plan,
     calibration_error,
-    decide_episodes,
     evaluate,
     roc_area,
     split_by_count,
@@ -213,7 +212,7 @@ def figures(
 
 def ended(trial: Trial, error: float, strangers: float) -> dict[str, float]:
     """Return how the episodes of known and of unknown objects end."""
-    ends = decide_episodes(trial.episodes, error, strangers=strangers)
+    ends = trial.episodes.decide(error, strangers=strangers)
     row = {
         "wrong": float((ends.decided & ~ends.refused & ~ends.right).mean()),
         "refused": float(ends.refused.mean()),
@@ -221,7 +220,7 @@ def ended(trial: Trial, error: float, strangers: float) -> dict[str, float]:
         "touches": float(ends.touches.mean()),
     } | withdrawn(trial, error, strangers)
     if trial.unknown_episodes is not None:
-        new = decide_episodes(trial.unknown_episodes, error, strangers=strangers)
+        new = trial.unknown_episodes.decide(error, strangers=strangers)
         row["unknown named"] = float((new.decided & ~new.refused).mean())
         row["unknown refused"] = float(new.refused.mean())
     return row

@@ -12,7 +12,6 @@ from palpate import Touches
 from palpate.cli.evaluate import print_figures
 from palpate.evaluation import (
     Plan,
-    decide_episodes,
     evaluate,
     explained_episodes,
     plots,
@@ -154,7 +153,7 @@ def test_every_episode_ends_as_a_belief_asked_after_each_touch_does():
     plan = Plan(touches=(1, 3), orders=3, error=0.05, refusal=0.2)
     figures, (trial,) = evaluate(train, test, plan=plan)
     assert figures["decision"]["refusal"] == 0.2
-    ends = decide_episodes(trial.episodes, 0.05, 0.2)
+    ends = trial.episodes.decide(0.05, 0.2)
     rows = np.concatenate(trial.episodes.rows)
     assert ends.decided.sum() > 0
     for number, touches in enumerate(rows):

@@ -11,7 +11,6 @@ from palpate import Touches
 from palpate._page import png_address
 from palpate.evaluation import (
     Plan,
-    decide_episodes,
     evaluate,
     explained_episodes,
     summary,
@@ -61,7 +60,7 @@ def test_wrong_decisions_come_first_and_right_ones_follow(result):
     assert 1 < len(shown) <= 6
     rights = [one.right for one in shown]
     assert rights == sorted(rights)
-    end = decide_episodes(trials[0].episodes, PLAN.error)
+    end = trials[0].episodes.decide(PLAN.error)
     assert (end.decided & ~end.right).any()
     assert end.right.any()
     assert set(rights) == {False, True}

@@ -19,7 +19,12 @@ from palpate.recognition._calibration import (
     draw_episodes,
     fit_sequence_calibration,
 )
-from palpate.recognition._evidence import doubts, log_posteriors, n_informative
+from palpate.recognition._evidence import (
+    beliefs_after,
+    doubts,
+    is_informative,
+    log_posteriors,
+)
 from palpate.recognition._memory import blocks_in_order
 
 
@@ -293,8 +298,8 @@ def test_posteriors_of_many_episodes_are_those_of_each(rng):
     steps = np.log(rng.dirichlet(np.ones(3), size=(4, 2, 6)))
     steps[1, :, 3] = steps[2, 1, 0] = 0.5  # no contact
     prior, calibration = np.log([0.5, 0.3, 0.2]), SequenceCalibration(0.8, 0.2)
-    together = log_posteriors(steps, prior, calibration)
-    counts = n_informative(steps)
+    used = is_informative(steps)
+    together, counts = beliefs_after(used, steps, prior, calibration)
     assert together.shape == steps.shape
     for episode in np.ndindex(4, 2):
         total, count = np.zeros(3), 0

@@ -9,7 +9,6 @@ from ._comparisons import brightness as brightness
 from ._comparisons import control_log_likelihood as control_log_likelihood
 from ._comparisons import named_alone as named_alone
 from ._comparisons import without_contact as without_contact
-from ._episodes import decide_episodes as decide_episodes
 from ._evaluate import evaluate
 from ._evaluate import few_touches as few_touches
 from ._report import explained_episodes as explained_episodes

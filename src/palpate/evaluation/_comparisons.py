@@ -269,11 +269,13 @@ class SmallCNN(ClassifierMixin, BaseEstimator):
         self.sd_[self.sd_ == 0] = 1
         n_threads = torch.get_num_threads()
         torch.set_num_threads(1)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(0)
-            self.net_ = _net(torch.nn, X.shape[1], len(self.classes_))
-            self._learn(torch, self._standardised(X), codes)
-        torch.set_num_threads(n_threads)
+        try:
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(0)
+                self.net_ = _net(torch.nn, X.shape[1], len(self.classes_))
+                self._learn(torch, self._standardised(X), codes)
+        finally:
+            torch.set_num_threads(n_threads)
         return self
 
     def predict(self, X: Array) -> Array:

@@ -75,6 +75,34 @@ class Episodes:
             confusion=confusion / answered,
         )
 
+    def decide(
+        self,
+        error: float,
+        refusal: float | None = None,
+        strangers: float = recognition.STRANGERS,
+    ) -> Decisions:
+        """Return where each episode stops, as `Belief.decide` would have it."""
+        parts = []
+        refusal = error if refusal is None else refusal
+        of_each = zip(self.objects, self.truth, self.beliefs, self.unknown, strict=True)
+        for name, truth, log_posterior, evidence in of_each:
+            n_orders, n_touches, _ = log_posterior.shape
+            log_known, log_unknown = recognition.stranger_log_shares(
+                evidence, strangers
+            )
+            doubt = np.exp(log_known) * recognition.doubts(log_posterior)
+            refuse = 1 - np.exp(log_unknown) <= refusal
+            stop = refuse | (doubt + np.exp(log_unknown) <= error)
+            decided = np.asarray(stop.any(axis=1))
+            last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
+            rows = np.arange(n_orders)
+            refused = decided & refuse[rows, last]
+            right = log_posterior[rows, last].argmax(axis=1) == truth
+            right &= decided & ~refused
+            objects = np.full(n_orders, name)
+            parts.append(Decisions(last + 1, decided, right, refused, objects))
+        return Decisions.pooled(parts)
+
 
 @dataclass(frozen=True)
 class Scores:
@@ -215,32 +243,3 @@ def answers_of(episodes: Episodes, ends: Decisions, classes: Array) -> NDArray[n
         named = np.where(ends.refused[rows], "unknown", classes[best].astype(str))
         answers.append(np.where(ends.decided[rows], named, "undecided"))
     return np.concatenate(answers)
-
-
-def decide_episodes(
-    episodes: Episodes,
-    error: float,
-    refusal: float | None = None,
-    strangers: float = recognition.STRANGERS,
-) -> Decisions:
-    """Stop each episode where `Belief.decide` would."""
-    parts = []
-    refusal = error if refusal is None else refusal
-    of_each = zip(episodes.objects, episodes.truth, episodes.beliefs, strict=True)
-    for i, (name, truth, log_posterior) in enumerate(of_each):
-        n_orders, n_touches, _ = log_posterior.shape
-        log_known, log_unknown = recognition.stranger_log_shares(
-            episodes.unknown[i], strangers
-        )
-        doubt = np.exp(log_known) * recognition.doubts(log_posterior)
-        refuse = 1 - np.exp(log_unknown) <= refusal
-        stop = refuse | (doubt + np.exp(log_unknown) <= error)
-        decided = np.asarray(stop.any(axis=1))
-        last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
-        rows = np.arange(n_orders)
-        refused = decided & refuse[rows, last]
-        right = log_posterior[rows, last].argmax(axis=1) == truth
-        right &= decided & ~refused
-        whose = np.full(n_orders, name)
-        parts.append(Decisions(last + 1, decided, right, refused, whose))
-    return Decisions.pooled(parts)

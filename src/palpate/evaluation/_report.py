@@ -20,7 +20,7 @@ from ..recognition import about, sessions_message
 from ..touches import Touches, as_shown
 from . import plots
 from ._comparisons import as_good_alone
-from ._episodes import Decisions, answers_of, decide_episodes
+from ._episodes import Decisions, answers_of
 from ._trial import Trial, calibration_bins, confusion_of, scored, spread
 
 EXAMPLES = 6
@@ -281,9 +281,9 @@ def explained_episodes(
     Names given to strangers come first.
     """
     accepted = [figures["decision"][k] for k in ("error", "refusal", "strangers")]
-    ends = [decide_episodes(t.episodes, *accepted) for t in trials]
+    ends = [t.episodes.decide(*accepted) for t in trials]
     strange = [
-        decide_episodes(t.unknown_episodes, *accepted)
+        t.unknown_episodes.decide(*accepted)
         for t in trials
         if t.unknown_episodes is not None and t.unknown is not None
     ]

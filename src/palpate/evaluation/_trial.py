@@ -23,7 +23,7 @@ from ..recognition import (
     check_strangers,
 )
 from ..touches import Touches
-from ._episodes import Decisions, Episodes, Scores, answers_of, decide_episodes
+from ._episodes import Decisions, Episodes, Scores, answers_of
 from ._splits import VISITS, Fold
 
 # Distances of centroids below this share of the touches' extent are rounding.
@@ -194,7 +194,7 @@ def figures_of(
         of_strangers = "unknown_auroc", "unknown_refused", "known_refused"
         figures.update(zip(of_strangers, _unknown(trials, plan), strict=True))
     accepted = *plan.accepted, plan.strangers
-    ends = [decide_episodes(t.episodes, *accepted) for t in trials]
+    ends = [t.episodes.decide(*accepted) for t in trials]
     figures["decision"] = Decisions.pooled(ends).to_dict(*accepted)
     if trials[0].unknown_episodes is not None:
         figures["unknown_decision"] = _strangers_ends(trials, *accepted)
@@ -268,7 +268,7 @@ def _strangers_ends(trials: Sequence[Trial], *accepted: float) -> dict[str, Any]
     answers: dict[str, Counter[str]] = {}
     for trial in trials:
         assert trial.unknown_episodes is not None
-        ends = decide_episodes(trial.unknown_episodes, *accepted)
+        ends = trial.unknown_episodes.decide(*accepted)
         parts.append(ends)
         each = answers_of(trial.unknown_episodes, ends, trial.recogniser.classes_)
         for name in trial.unknown_episodes.objects:

@@ -12,7 +12,6 @@ from ._evidence import SequenceCalibration as SequenceCalibration
 from ._evidence import as_touches as as_touches
 from ._evidence import doubts as doubts
 from ._evidence import given_prior as given_prior
-from ._evidence import n_informative as n_informative
 from ._evidence import with_floor as with_floor
 from ._learning import EmptyTouchError as EmptyTouchError
 from ._memory import Memory as Memory

@@ -197,17 +197,12 @@ def summed_up(values: Floats, axis: int) -> Floats:
     return values
 
 
-def n_informative(floored: Floats) -> Floats:
-    """Return how many touches so far said anything, shape (..., n_touches).
+def is_informative(floored: Floats) -> Bools:
+    """Return which touches tell objects apart, shape (..., n_touches).
 
     A touch without contact has one likelihood for all objects; it leaves the belief
     exactly where it was.
     """
-    return np.cumsum(is_informative(floored), axis=-1)
-
-
-def is_informative(floored: Floats) -> Bools:
-    """Return which touches tell objects apart, shape (..., n_touches)."""
     return np.asarray(floored.max(axis=-1) > floored.min(axis=-1))
 
 

@@ -115,8 +115,8 @@ def _teach_again(names: Sequence[str]) -> str:
     """Return what to teach so that touches tell which of these names it is."""
     learnt = [name for name in names if name != NOTHING]
     last = learnt[-1:] if len(learnt) < 2 else [f"{learnt[-2]} and {learnt[-1]}"]
-    listed = ", ".join([*learnt[:-2], *last])
-    ways = [f"{listed} again, at other places"] * bool(learnt)
+    objects = ", ".join([*learnt[:-2], *last])
+    ways = [f"{objects} again, at other places"] * bool(learnt)
     ways += ["this, if it is new"] * (len(learnt) < len(names))
     return f"more touches will not tell; teach {', or '.join(ways)}"
 
