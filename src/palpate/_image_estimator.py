@@ -34,8 +34,9 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
     """
 
     image_shape_: tuple[int, ...]
-    # Whether NaN is taken, and whether sums must stay finite in single precision.
-    _by_channel, _allow_nan, _bounded = True, False, False
+    _by_channel = True  # whether channels are transformed one by one
+    _allow_nan = False  # whether NaN, a dead taxel, is taken
+    _bounded = False  # whether sums must stay finite in single precision
 
     def __init_subclass__(cls, by_channel: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

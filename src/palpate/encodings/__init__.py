@@ -1,6 +1,6 @@
 """Image -> vector: encoders of images, and what puts features on one scale."""
 
-from ._canvas import EdgeHistograms, RingPatterns, RingQuantiles
+from ._edges_and_rings import EdgeHistograms, RingPatterns, RingQuantiles
 from ._moments import CentroidMoments, HuMoments, PadShapes
 from ._moments import sorted_taxels as sorted_taxels
 from ._named import EncodingUnion, RootScaler, encoder_named

@@ -17,7 +17,7 @@ from .._checks import check_count, check_image_shape, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from . import _principal
-from ._canvas import EdgeHistograms, RingPatterns, RingQuantiles
+from ._edges_and_rings import EdgeHistograms, RingPatterns, RingQuantiles
 from ._moments import N_MOMENTS, CentroidMoments, HuMoments, PadShapes
 from ._pixels import (
     PAPER_SIDE,
@@ -66,8 +66,8 @@ def encoder_named(
     n_components : int, float or sequence of these, optional
         How many features, or as many as there are: principal components (or the
         share of the variance), moments from the first, or pixels, of which there
-        must be a square number, at most 13 x 13. By default what the encoder itself
-        does. Of a union a sequence gives one for each part (None for its default); one
+        must be a square number, at most 13 x 13. None keeps the encoder's own number.
+        Of a union a sequence gives one for each part (None for its default); one
         number holds for each part as far as it can: pixels are the largest square
         number below, and of a share of the variance parts without principal
         components take no notice.

@@ -21,7 +21,7 @@ from .._image_estimator import ImageEstimator, by_channel
 from .._numbers import evenly_spaced
 from .._types import Array, Complexes, Floats, Singles
 from ..images import OrientationRegulariser
-from ._canvas import lengths
+from ._edges_and_rings import lengths
 from ._moments import size_of
 
 PAPER_SIDE = 13  # 169 values, as in the paper
