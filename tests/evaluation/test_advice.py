@@ -203,7 +203,7 @@ def figured(right, control, chance=0.25):
     return {"accuracy": after, "controls": controls, "chance": chance}
 
 
-def test_one_sentence_says_whether_it_is_good_and_why():
+def test_the_verdict_is_one_sentence_on_how_good_and_why():
     beside = "where chance is 25 %, and brightness alone, which is no touch, 40 %."
     assert verdict(figured(0.97, 0.4)) == f"Good: 97 % right after 5 touches, {beside}"
     as_good = verdict(figured(0.97, 0.98))

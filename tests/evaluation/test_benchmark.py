@@ -56,7 +56,7 @@ def test_where_only_the_load_tells_objects_apart_its_control_is_right():
     assert entry["controls"]["disc centre"] is None
 
 
-def test_each_person_is_asked_by_what_the_others_teach():
+def test_each_person_is_tested_on_what_the_others_taught():
     """Each person presses in their own way, so that nothing carries over."""
     person = np.tile(["p", "q"], 30)
     images = np.zeros((60, 3, 8))

@@ -101,7 +101,7 @@ def test_rims_are_found_beside_a_frame_of_no_contact():
 
 
 def test_only_a_correlation_above_098_is_like_no_contact():
-    """Images of known correlation with the frame: c times it, the rest beside it."""
+    """An image is a share of the frame and an orthogonal part, of known correlation."""
     frame, beside = np.array([1.0, -1, 0, 0]), np.array([0.0, 0, 1, -1])
     shares = np.array([1.0, 0.99, 0.981, 0.979, 0.97, -1.0])
     images = shares[:, None] * frame + np.sqrt(1 - shares**2)[:, None] * beside
