@@ -1,4 +1,4 @@
-"""What is recommended after an evaluation, from touches made so that it is true."""
+"""Recommendations after an evaluation of touches drawn so that they are right."""
 
 from types import SimpleNamespace
 
@@ -22,50 +22,57 @@ def touches(n=24, names="abc", noise=0.5, alike=(), **more):
     return Touches(images, object=objects, geometry="none", **more)
 
 
-def said(found, **more):
+def advice_on(recording, **options):
     plan = Plan(touches=(1, 3), orders=5)
-    return evaluate(found, split=more.pop("split", "last"), plan=plan, **more)[0][
-        "recommendations"
-    ]
+    return evaluate(
+        recording, split=options.pop("split", "last"), plan=plan, **options
+    )[0]["recommendations"]
 
 
-def test_no_more_than_three_and_each_a_sentence():
-    found = said(touches(6, noise=9))
-    assert 1 <= len(found) <= 3
-    assert all(one.endswith(".") for one in found)
+def test_advice_is_of_one_to_three_sentences():
+    advice = advice_on(touches(6, noise=9))
+    assert 1 <= len(advice) <= 3
+    assert all(sentence.endswith(".") for sentence in advice)
 
 
 def test_few_touches_are_named():
-    (few,) = (one for one in said(touches(6, noise=9)) if "Taught with few" in one)
+    (few,) = (
+        sentence
+        for sentence in advice_on(touches(6, noise=9))
+        if "Taught with few" in sentence
+    )
     assert few == (
         "Taught with few touches of a (5), b (5), c (5): 20 are a start, 60 are good."
     )
-    assert not any("Taught with" in one for one in said(touches(32)))
+    assert not any("Taught with" in sentence for sentence in advice_on(touches(32)))
 
 
-def test_what_is_alike_is_named():
-    found = said(touches(names="abcd", alike="ab", noise=1))
-    assert any("a taken for b" in one or "b taken for a" in one for one in found)
+def test_objects_that_are_alike_are_named():
+    advice = advice_on(touches(names="abcd", alike="ab", noise=1))
+    assert any(
+        "a taken for b" in sentence or "b taken for a" in sentence
+        for sentence in advice
+    )
 
 
 def test_one_session_is_named_and_two_are_not():
-    assert any("one session" in one for one in said(touches()))
+    assert any("one session" in sentence for sentence in advice_on(touches()))
     twice = touches(40, session=np.tile(["mon", "tue"], 60))
-    assert not any("one session" in one for one in said(twice))
-    assert said(twice, split="session") == []  # all is right: nothing to do
+    assert not any("one session" in sentence for sentence in advice_on(twice))
+    assert advice_on(twice, split="session") == []  # all is right: nothing to do
 
 
-def test_a_recording_that_gives_it_away_is_named():
+def test_a_control_that_names_the_objects_is_said_first():
     """Two objects of noise alone, one of them brighter."""
     rng = np.random.default_rng(1)
     images = rng.normal(size=(48, 3, 24)) + np.repeat([0, 8], 24)[:, None, None]
     recorded = Touches(images, object=np.repeat(["a", "b"], 24), geometry="none")
-    assert "no touch" in said(recorded)[0]
+    assert "no touch" in advice_on(recorded)[0]
 
 
 def test_more_touches_are_recommended_where_they_help():
-    found = said(touches(40, noise=4))
-    assert any(one.startswith("More touches help") for one in found)
+    advice = advice_on(touches(40, noise=4))
+    assert any(sentence.startswith("More touches help") for sentence in advice)
 
 
 def test_of_many_sentences_the_first_three_are_said(monkeypatch):
@@ -75,7 +82,7 @@ def test_of_many_sentences_the_first_three_are_said(monkeypatch):
 
 
 def figures_of(accuracy=(0.5, 0.6), **more):
-    """Figures of an evaluation of which nothing is to be said but what is asked."""
+    """Return figures that call for no advice, except by what `more` changes."""
     usual = {
         "accuracy": dict(zip(("1", "3"), accuracy, strict=True)),
         "flags": {},
@@ -93,7 +100,7 @@ NEVER_CONFUSED = np.eye(4)
 
 
 def trial_of(n_taught=20, confusion=NEVER_CONFUSED, names="abcd", elsewhere=False):
-    """A trial in which each object was taught so often and was so confused."""
+    """Return a trial with `n_taught` touches an object and this confusion."""
     memory = SimpleNamespace(labels=np.repeat(list(names), n_taught))
     classes = np.array(list(names))
     recogniser = SimpleNamespace(memory_=memory, classes_=classes, chosen_={})
@@ -107,8 +114,8 @@ def trial_of(n_taught=20, confusion=NEVER_CONFUSED, names="abcd", elsewhere=Fals
 
 @pytest.mark.parametrize(("share", "is_said"), [(0.09, False), (0.1, True)])
 def test_a_tenth_without_contact_is_worth_saying(share, is_said):
-    said = recommendations(figures_of(flags={"no contact": share}), [trial_of()])
-    assert any("without contact" in one for one in said) == is_said
+    advice = recommendations(figures_of(flags={"no contact": share}), [trial_of()])
+    assert any("without contact" in sentence for sentence in advice) == is_said
 
 
 @pytest.mark.parametrize(
@@ -116,9 +123,13 @@ def test_a_tenth_without_contact_is_worth_saying(share, is_said):
     [(19, 0.94, True), (20, 0.94, False), (19, 0.95, True)],
 )
 def test_fewer_than_twenty_touches_are_few(n_taught, best, is_said):
-    said = recommendations(figures_of((best, best)), [trial_of(n_taught)])
+    advice = recommendations(figures_of((best, best)), [trial_of(n_taught)])
     assert (
-        any(f"Taught with few touches of a ({n_taught})" in s for s in said) == is_said
+        any(
+            f"Taught with few touches of a ({n_taught})" in sentence
+            for sentence in advice
+        )
+        == is_said
     )
 
 
@@ -128,24 +139,28 @@ def test_fewer_than_twenty_touches_are_few(n_taught, best, is_said):
 )
 def test_another_mounting_is_helped_by_remounting(best, remount, is_said):
     figures = figures_of((best, best), split="session", remount=remount)
-    said = recommendations(figures, [trial_of()])
-    assert any("`remount=recentre:10`" in one for one in said) == is_said
+    advice = recommendations(figures, [trial_of()])
+    assert any("`remount=recentre:10`" in sentence for sentence in advice) == is_said
 
 
 @pytest.mark.parametrize("split", ["last", "session"])
-def test_what_was_done_already_is_not_advised(split):
-    """Sessions that were left out are not to be left out once more."""
+def test_a_split_by_session_is_not_advised_once_more(split):
+    """Where sessions were left out already, other advice takes its place."""
     controls = {"brightness": {"1": 0.5, "3": 0.6}}
     figures = figures_of(controls=controls, split=split)
-    (said,) = (s for s in recommendations(figures, [trial_of()]) if "no touch" in s)
-    assert ("split=session" in said) == (split == "last")
-    assert ("met in every session" in said) == (split == "session")
+    advice = recommendations(figures, [trial_of()])
+    (sentence,) = (text for text in advice if "no touch" in text)
+    assert ("split=session" in sentence) == (split == "last")
+    assert ("met in every session" in sentence) == (split == "session")
 
 
 @pytest.mark.parametrize(("after", "is_said"), [(0.54, False), (0.55, True)])
 def test_five_points_more_are_worth_more_touches(after, is_said):
-    said = recommendations(figures_of((0.5, after)), [trial_of()])
-    assert any(one.startswith("More touches help: 50 %") for one in said) == is_said
+    advice = recommendations(figures_of((0.5, after)), [trial_of()])
+    assert (
+        any(sentence.startswith("More touches help: 50 %") for sentence in advice)
+        == is_said
+    )
 
 
 @pytest.mark.parametrize(
@@ -157,11 +172,14 @@ def test_a_third_of_all_mistakes_is_a_pair(of_pair, of_others, is_said):
     mistakes[0, 1] = of_pair
     mistakes[1, 2] = mistakes[2, 3] = mistakes[3, 0] = mistakes[2, 0] = of_others
     confusion = mistakes / 10 + np.diag(1 - mistakes.sum(axis=1) / 10)
-    said = recommendations(figures_of(), [trial_of(confusion=confusion)])
+    advice = recommendations(figures_of(), [trial_of(confusion=confusion)])
     share = of_pair / (of_pair + 4 * of_others)
     assert (share >= 1 / 3) == is_said
     assert (
-        any(f"{100 * share:.0f} % of the mistakes are a taken" in s for s in said)
+        any(
+            f"{100 * share:.0f} % of the mistakes are a taken" in sentence
+            for sentence in advice
+        )
         == is_said
     )
 
@@ -185,7 +203,7 @@ def figured(right, control, chance=0.25):
     return {"accuracy": after, "controls": controls, "chance": chance}
 
 
-def test_one_sentence_says_whether_it_is_good_and_why():
+def test_the_verdict_is_one_sentence_on_how_good_and_why():
     beside = "where chance is 25 %, and brightness alone, which is no touch, 40 %."
     assert verdict(figured(0.97, 0.4)) == f"Good: 97 % right after 5 touches, {beside}"
     as_good = verdict(figured(0.97, 0.98))
@@ -212,8 +230,8 @@ def test_the_sentence_stands_in_the_figures():
 def test_of_three_objects_a_pair_is_told():
     confusion = [[0.7, 0.3, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     trial = trial_of(confusion=confusion, names="abc")
-    found = recommendations(figures_of((0.5, 0.5)), [trial])
-    assert [one.split(":")[0] for one in found] == [
+    advice = recommendations(figures_of((0.5, 0.5)), [trial])
+    assert [sentence.split(":")[0] for sentence in advice] == [
         "After 3 touches 100 % of the mistakes are a taken for b"
     ]
 
@@ -222,10 +240,10 @@ def test_mistakes_are_shares_over_objects_and_trials():
     """Less than a fortieth of all answers is not worth a sentence."""
     confusion = np.eye(4)
     confusion[0, :2] = 0.84, 0.16  # of four objects a twenty-fifth
-    one = trial_of(confusion=confusion)
-    assert recommendations(figures_of((0.5, 0.5)), [one])
-    none = trial_of()
-    assert recommendations(figures_of((0.5, 0.5)), [one, none]) == []
+    confused = trial_of(confusion=confusion)
+    assert recommendations(figures_of((0.5, 0.5)), [confused])
+    faultless = trial_of()
+    assert recommendations(figures_of((0.5, 0.5)), [confused, faultless]) == []
 
 
 @pytest.mark.parametrize(
@@ -242,11 +260,11 @@ def test_confirming_is_recommended_where_it_is_expected_to_help(after, is_said):
         ("last", "none"),
     ):
         figures = figures_of((0.5, 0.5), split=split, remount=remount)
-        said = recommendations(figures | {"sessions": sessions}, [trial_of()])
+        advice = recommendations(figures | {"sessions": sessions}, [trial_of()])
         promised = wanted
         if split == "session":  # what was measured stands instead
             promised = wanted.split(":")[0] + "."
-        assert any(promised in one for one in said) == is_said
+        assert any(promised in sentence for sentence in advice) == is_said
     done = figures_of((0.5, 0.5), remount="confirm:1", sessions=sessions)
     assert recommendations(done, [trial_of()]) == []
 
@@ -288,11 +306,11 @@ def test_after_one_touch_the_sentences_are_in_the_singular():
 
 
 @pytest.mark.parametrize("split", ["session", "subject"])
-def test_what_was_asked_elsewhere_is_told_of_mountings(split):
+def test_advice_on_mountings_needs_a_split_by_session_or_person(split):
     figures = figures_of((0.5, 0.5), split=split, sessions={"asked": 0})
-    said = recommendations(figures, [trial_of()])
-    assert len(said) == 1
-    assert said[0].startswith("Another mounting costs accuracy")
+    advice = recommendations(figures, [trial_of()])
+    assert len(advice) == 1
+    assert advice[0].startswith("Another mounting costs accuracy")
     here = figures_of((0.5, 0.5), sessions={"asked": 0})
     assert "one session" in recommendations(here, [trial_of()])[0]
 
@@ -317,8 +335,8 @@ def with_strangers(n_named, n_labels=5, expected=0.05):
 
 def test_strangers_that_were_named_are_said_first_and_what_to_do():
     figures = with_strangers(20)
-    (said,) = recommendations(figures, [trial_of()])  # and not to touch on
-    assert said == (
+    (sentence,) = recommendations(figures, [trial_of()])  # and not to touch on
+    assert sentence == (
         "In 20 of 20 episodes a stranger was given a name: teach at least 6 things, "
         "not 5; expect more strangers (`strangers=0.2`); accept fewer wrong names "
         "(`error=0.005`). Each makes that rarer, none impossible, and takes more "
@@ -329,11 +347,11 @@ def test_strangers_that_were_named_are_said_first_and_what_to_do():
         "25 %. Things that were never learnt, in 20 episodes: 20 got a name, 0 were "
         "called unknown, 0 stayed undecided."
     )
-    (other,) = recommendations(with_strangers(2, 6, 0.2), [trial_of()])
-    assert "name: accept fewer" in other
+    (other_sentence,) = recommendations(with_strangers(2, 6, 0.2), [trial_of()])
+    assert "name: accept fewer" in other_sentence
 
 
-def test_of_strangers_that_were_told_it_is_said_and_more_touches_may_help():
+def test_where_no_stranger_ended_as_unknown_more_touches_may_help():
     figures = with_strangers(1)  # as often as was accepted
     assert verdict(figures).startswith("Good: 97 %")
     assert verdict(figures).endswith(
@@ -358,10 +376,12 @@ def test_known_objects_called_unknown_are_said_and_what_to_do(split):
     ends = {"error": 0.01, "strangers": 0.05, "n_episodes": 160, "refused": 160}
     ends |= {"right": 0, "wrong": 0}
     figures = figures_of((1.0, 1.0), decision=ends, split=split)
-    (said,) = recommendations(figures, [trial_of()])
-    assert said.startswith("In 160 of 160 episodes a known object was called unknown")
-    assert said.endswith("where nothing else can come, say `strangers=0`.")
-    assert ("remount=recentre:10" in said) == (split == "session")
+    (sentence,) = recommendations(figures, [trial_of()])
+    assert sentence.startswith(
+        "In 160 of 160 episodes a known object was called unknown"
+    )
+    assert sentence.endswith("where nothing else can come, say `strangers=0`.")
+    assert ("remount=recentre:10" in sentence) == (split == "session")
     assert verdict(figures).endswith(
         "That counts the most probable object, strangers aside. To decide at an error "
         "of 0.01, with 5 % strangers expected: of 160 episodes with known objects 0 "

@@ -37,12 +37,12 @@ def folds_of(touches, protocol, label="object", repeats=2):
 
 
 def entry_of(touches, protocol="blocks", recognisers=("3-NN",), **more):
-    ways = {"protocols": [protocol], "recognisers": recognisers, **more}
-    (entry,) = benchmark({"set": touches}, **ways)["benchmark"]
+    options = {"protocols": [protocol], "recognisers": recognisers, **more}
+    (entry,) = benchmark({"set": touches}, **options)["benchmark"]
     return entry
 
 
-def test_where_only_load_tells_the_control_says_so():
+def test_where_only_the_load_tells_objects_apart_its_control_is_right():
     rng = np.random.default_rng(0)
     weight = {"a": 1.0, "b": 10.0, "c": 100.0}
     images = rng.random((60, 3, 8))
@@ -56,7 +56,7 @@ def test_where_only_load_tells_the_control_says_so():
     assert entry["controls"]["disc centre"] is None
 
 
-def test_each_person_is_asked_by_what_the_others_teach():
+def test_each_person_is_tested_on_what_the_others_taught():
     """Each person presses in their own way, so that nothing carries over."""
     person = np.tile(["p", "q"], 30)
     images = np.zeros((60, 3, 8))
@@ -67,7 +67,7 @@ def test_each_person_is_asked_by_what_the_others_teach():
     assert entry_of(touches, "subjects")["rows"][0]["accuracy"] < 0.5
 
 
-def test_a_press_never_leaks():
+def test_touches_of_one_press_are_never_on_both_sides():
     """Noise that is copied within a press is told apart only through the copies."""
     once = np.random.default_rng(0).normal(size=(12, 3, 8))
     images, press = np.repeat(once, 5, axis=0), np.tile(np.repeat(range(4), 5), 3)
@@ -94,8 +94,8 @@ def test_the_protocol_of_categories_recognises_them():
 
 def test_idle_frames_that_name_the_object_are_a_control():
     frames = np.arange(12).reshape(12, 1, 1) // 4 * np.ones((12, 3, 8))
-    of = np.repeat(np.arange(12), 5)
-    entry = entry_of(drawn(set_idle=frames, idle_of=of))
+    frame_rows = np.repeat(np.arange(12), 5)
+    entry = entry_of(drawn(set_idle=frames, idle_of=frame_rows))
     assert entry["controls"]["idle frame"] == 1
     assert entry_of(drawn())["controls"]["idle frame"] is None
 
@@ -169,11 +169,11 @@ def test_an_error_becomes_a_row_and_a_bad_archive_a_reason(tmp_path):
     assert "at least 8 taxels" in reasons[0] or "palpate[bench]" in reasons[0]
     assert "for a sensor 'dome', got 'none'" in reasons[1]
     assert reasons[2] is None
-    left = {(s["archive"], s["protocol"]): s["reason"] for s in result["skipped"]}
-    assert "images" in left["bad.npz", None]
-    assert "'subject'" in left["deep.npz", "subjects"]
-    said = " ".join(p for p in benchmark_summary(result) if isinstance(p, str))
-    assert all(reason in said for reason in [*reasons[:2], *left.values()])
+    skipped = {(s["archive"], s["protocol"]): s["reason"] for s in result["skipped"]}
+    assert "images" in skipped["bad.npz", None]
+    assert "'subject'" in skipped["deep.npz", "subjects"]
+    text = " ".join(part for part in benchmark_summary(result) if isinstance(part, str))
+    assert all(reason in text for reason in [*reasons[:2], *skipped.values()])
 
 
 @pytest.mark.parametrize(
@@ -203,9 +203,9 @@ def test_without_its_package_the_row_says_what_to_install(
     ids=["averaged", "dead", "colour"],
 )
 def test_a_cnn_sees_pictures_of_at_most_64_pixels_a_side(images, expected):
-    found = SIMPLE["small CNN"][0](images)
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, np.broadcast_to(expected, found.shape))
+    pictures = SIMPLE["small CNN"][0](images)
+    assert pictures.dtype == np.float32
+    np.testing.assert_array_equal(pictures, np.broadcast_to(expected, pictures.shape))
 
 
 def test_a_cnn_learns_the_same_each_time_and_leaves_random_numbers_alone():
@@ -214,15 +214,17 @@ def test_a_cnn_learns_the_same_each_time_and_leaves_random_numbers_alone():
     encode, learner = SIMPLE["small CNN"]
     pictures, train = encode(touches.images), np.arange(60) % 5 == 0
     state, n_threads = torch.get_rng_state(), torch.get_num_threads()
-    one, two = (clone(learner).fit(pictures[train], NAMES[train]) for _ in range(2))
+    first, second = (
+        clone(learner).fit(pictures[train], NAMES[train]) for _ in range(2)
+    )
     assert (torch.get_rng_state() == state).all()
     assert torch.get_num_threads() == n_threads
-    pairs = zip(one.net_.parameters(), two.net_.parameters(), strict=True)
-    assert all(bool((a == b).all()) for a, b in pairs)
-    assert (one.predict(pictures[~train]) == two.predict(pictures[~train])).all()
+    parameters = zip(first.net_.parameters(), second.net_.parameters(), strict=True)
+    assert all(bool((a == b).all()) for a, b in parameters)
+    assert (first.predict(pictures[~train]) == second.predict(pictures[~train])).all()
 
 
-def test_a_cnn_tells_stripes_from_stripes_the_other_way():
+def test_a_cnn_tells_stripes_by_their_direction():
     pytest.importorskip("torch", reason='needs the extra "cnn"')
     rng = np.random.default_rng(0)
     wave = np.sin(np.arange(16) + rng.uniform(0, 6, (60, 1)))[:, :, None]
@@ -236,12 +238,15 @@ def test_a_cnn_tells_stripes_from_stripes_the_other_way():
 
 @pytest.fixture(scope="module")
 def learnt():
-    """The default on patterns that everything tells, with and without its own fault."""
+    """Benchmark the default on patterns that every recogniser tells apart."""
     rng = np.random.default_rng(0)
     images = np.repeat(rng.normal(size=(3, 3, 8)), 20, axis=0)
     touches = drawn(images + 0.05 * rng.normal(size=(60, 3, 8)))
-    ways = {"recognisers": ["default", "roots SVM"], "protocols": ["blocks", "halves"]}
-    return benchmark({"set <1>": touches}, **ways, touches=(1, 3))
+    options = {
+        "recognisers": ["default", "roots SVM"],
+        "protocols": ["blocks", "halves"],
+    }
+    return benchmark({"set <1>": touches}, **options, touches=(1, 3))
 
 
 def test_default_is_not_behind_where_all_are_right(learnt):
@@ -277,7 +282,7 @@ def test_default_sees_the_place_where_only_the_place_tells():
     assert entry["behind"]["verdict"] == "not behind"
 
 
-def test_who_is_blind_to_turns_is_behind_where_only_turns_tell():
+def test_a_default_blind_to_turns_is_behind_where_only_turns_tell():
     # Three places on one ring of a dome, which is never looked at upright.
     touches = marked([[5, 10], [10, 5], [15, 10]], 21, "dome")
     entry = entry_of(touches, "halves", ("default", "taxels SVM"))
@@ -308,7 +313,7 @@ def test_the_same_seed_draws_the_same_folds():
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"recognisers": ["CNN"]}, "recognisers must be one of 'default'"),
         ({"protocols": ["thirds"]}, "protocols must be one of 'subjects'"),
@@ -317,9 +322,9 @@ def test_the_same_seed_draws_the_same_folds():
         ({"seed": -1}, "seed must be at least 0, got -1"),
     ],
 )
-def test_refusals(given, message):
+def test_arguments_that_cannot_be_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        benchmark({"set": drawn()}, **given)
+        benchmark({"set": drawn()}, **arguments)
 
 
 def test_an_empty_folder_names_the_fix(tmp_path):

@@ -49,18 +49,18 @@ def test_rims_are_found_in_the_mean_over_channels(monkeypatch):
     colour = Touches(grey.images[..., np.newaxis] * shares, **names)
     module = "palpate.evaluation._comparisons.find_geometry"
     monkeypatch.setattr(module, lambda touches: touches.geometry)
-    found = disc_centres(colour)
-    assert_allclose(found, disc_centres(grey))
+    centres = disc_centres(colour)
+    assert_allclose(centres, disc_centres(grey))
 
 
 def test_sorted_pixels_are_shares_of_the_mean_level():
-    """In order of size, each over the total, times the number of taxels."""
+    """Levels rise; each is over the total, times the number of taxels."""
     touches = Touches(np.array([[[6.0, 1.0], [3.0, 2.0]], [[0.0, 0.0], [0.0, 0.0]]]))
     assert_allclose(sorted_pixels(touches), [[1 / 3, 2 / 3, 1, 2], [0, 0, 0, 0]])
 
 
 def test_sorted_pixels_of_many_touches_are_those_of_each(rng):
-    """Touches are taken by 256; above 64 a side every second row and column."""
+    """Touches are taken by 256, and above 64 a side every second row and column."""
     images = rng.uniform(1, 9, (259, 5, 5))
     values = sorted_pixels(Touches(images))
     expected = np.sort(images.reshape(259, 25), axis=1)
@@ -79,13 +79,13 @@ def test_sorted_pixels_of_many_touches_are_those_of_each(rng):
 def test_brightness_is_mean_and_spread(rng):
     images = rng.uniform(0, 9, (3, 4, 4))
     images[1, 0, 0] = np.nan
-    found = brightness(Touches(images))
+    values = brightness(Touches(images))
     flat = images.reshape(3, -1)
-    assert_allclose(found, np.c_[np.nanmean(flat, axis=1), np.nanstd(flat, axis=1)])
+    assert_allclose(values, np.c_[np.nanmean(flat, axis=1), np.nanstd(flat, axis=1)])
 
 
-def test_what_brightness_alone_names_is_told(rng):
-    """Noise alone, of which one object is brighter by far."""
+def test_the_share_that_brightness_alone_names_is_given(rng):
+    """Images are noise alone; one object is brighter by far."""
     images = rng.normal(size=(48, 4, 4)) + np.repeat([0, 50], 24)[:, None, None]
     shares = named_alone(Touches(images, object=np.repeat(["a", "b"], 24)))
     assert shares["brightness"] == {"right": 1.0, "chance": 0.5}
@@ -100,8 +100,8 @@ def test_rims_are_found_beside_a_frame_of_no_contact():
     assert_allclose(centres, [[52, 61]] * 3, atol=1)
 
 
-def test_only_what_is_above_098_is_like_no_contact():
-    """Images of known correlation with the frame: c times it, the rest beside it."""
+def test_only_a_correlation_above_098_is_like_no_contact():
+    """An image is a share of the frame and an orthogonal part, of known correlation."""
     frame, beside = np.array([1.0, -1, 0, 0]), np.array([0.0, 0, 1, -1])
     shares = np.array([1.0, 0.99, 0.981, 0.979, 0.97, -1.0])
     images = shares[:, None] * frame + np.sqrt(1 - shares**2)[:, None] * beside
@@ -113,7 +113,7 @@ def test_only_what_is_above_098_is_like_no_contact():
 
 
 def test_sorted_pixels_end_with_the_least_and_the_most(rng):
-    """At most 64 levels, of every second row and column above 64 a side."""
+    """Of 81 taxels 64 levels are kept, with the least and the most."""
     images = rng.uniform(1, 9, (2, 9, 9))
     values = sorted_pixels(Touches(images))
     assert values.shape == (2, 64)
@@ -142,6 +142,6 @@ def test_four_touches_of_two_objects_are_split(n_touches, counts, rng):
     names = ["a"] * n_touches + ["b"] * 12
     images = rng.normal(size=(len(names), 4, 4))
     images[:n_touches] += 50
-    found = named_alone(Touches(images, object=names))
-    assert bool(found) is counts
-    assert "disc centre" not in found
+    shares = named_alone(Touches(images, object=names))
+    assert bool(shares) is counts
+    assert "disc centre" not in shares

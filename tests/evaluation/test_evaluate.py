@@ -41,7 +41,7 @@ NAMES = ("mug_a", "mug_b", "pen_a", "pen_b")
 
 @pytest.fixture(scope="module")
 def result():
-    # An unknown thing that feels like one known object here, like another there.
+    # Each of two strangers has eight touches like those of each known object.
     parts = drawn(3, NAMES)
     mixed = np.tile(["key_a", "key_b"], 32)
     unknown = Touches(parts.images, object=mixed, geometry="none")
@@ -80,7 +80,7 @@ def test_decisions_are_right_and_use_few_touches(result):
     assert not decision["can_be_verified"]
 
 
-def test_what_becomes_of_strangers_is_told_as_they_are_decided(result):
+def test_ends_of_episodes_with_strangers_are_those_of_the_figures(result):
     figures, trials = result
     decision = figures["unknown_decision"]
     n_episodes = sum(len(b) for b in trials[0].unknown_episodes.beliefs)
@@ -89,15 +89,21 @@ def test_what_becomes_of_strangers_is_told_as_they_are_decided(result):
     assert decision["right"] == 0
     assert decision["wrong"] + decision["refused"] + undecided == n_episodes
     parts = [*summary(figures)]
-    *_, (_, columns, (known, strangers)) = (p for p in parts if not isinstance(p, str))
-    assert (columns[0], known[0], strangers[0]) == ("objects", "known", "strangers")
-    assert strangers[3].startswith(f"{decision['refused']} (")
+    *_, (_, columns, (known_row, stranger_row)) = (
+        part for part in parts if not isinstance(part, str)
+    )
+    assert (columns[0], known_row[0], stranger_row[0]) == (
+        "objects",
+        "known",
+        "strangers",
+    )
+    assert stranger_row[3].startswith(f"{decision['refused']} (")
     answers = decision["answers"]
     assert {*answers} == {*trials[0].unknown_episodes.objects}
-    of_all = sum((Counter(each) for each in answers.values()), Counter())
-    assert of_all.total() == n_episodes
-    assert of_all["unknown"] == decision["refused"]
-    assert of_all["undecided"] == undecided
+    all_answers = sum((Counter(each) for each in answers.values()), Counter())
+    assert all_answers.total() == n_episodes
+    assert all_answers["unknown"] == decision["refused"]
+    assert all_answers["undecided"] == undecided
     assert sum(", never learnt: " in part for part in parts) == len(answers)
 
 
@@ -148,7 +154,7 @@ def test_shares_above_the_learnt_limit_are_of_both_kinds(result):
         assert figures[key]["3"] == pytest.approx(share)
 
 
-def test_every_episode_ends_as_a_belief_asked_after_each_touch_does():
+def test_every_episode_ends_as_a_belief_that_decides_after_each_touch():
     train, test = drawn(0, NAMES, noise=1.5), drawn(1, NAMES, noise=1.5)
     plan = Plan(touches=(1, 3), orders=3, error=0.05, refusal=0.2)
     figures, (trial,) = evaluate(train, test, plan=plan)
@@ -157,14 +163,14 @@ def test_every_episode_ends_as_a_belief_asked_after_each_touch_does():
     rows = np.concatenate(trial.episodes.rows)
     assert ends.decided.sum() > 0
     for number, touches in enumerate(rows):
-        belief, used, said = trial.recogniser.start(), 0, None
-        while said is None and used < len(touches):
+        belief, used, decision = trial.recogniser.start(), 0, None
+        while decision is None and used < len(touches):
             belief.update(test[touches[used : used + 1]])
-            said, used = belief.decide(0.05, refusal=0.2), used + 1
+            decision, used = belief.decide(0.05, refusal=0.2), used + 1
         assert ends.touches[number] == used
-        assert ends.decided[number] == (said is not None)
-        assert ends.refused[number] == (said == "unknown")
-        assert ends.right[number] == (said == ends.objects[number])
+        assert ends.decided[number] == (decision is not None)
+        assert ends.refused[number] == (decision == "unknown")
+        assert ends.right[number] == (decision == ends.objects[number])
 
 
 def test_how_episodes_end_is_in_the_report(result, tmp_path):
@@ -220,7 +226,7 @@ def test_of_unseen_objects_categories_are_recognised(tmp_path, capsys):
     assert "none in two" in capsys.readouterr().out
 
 
-def test_drawn_training_touches_and_same_seed_same_figures():
+def test_training_touches_drawn_with_the_same_seed_give_the_same_figures():
     plan = Plan(touches=(1, 3), orders=3, train_touches=8, seed=5)
     first, _ = evaluate(drawn(0, NAMES), split="last", plan=plan)
     second, _ = evaluate(drawn(0, NAMES), split="last", plan=plan)
@@ -260,12 +266,15 @@ def test_controls_are_named_as_such(result):
     ]
 
 
-def test_what_is_to_be_typed_is_code_in_a_report(result, tmp_path):
+def test_text_in_backticks_is_code_in_a_report(result, tmp_path):
     figures, trials = result
-    typed = "palpate evaluate --split session"
-    told = {"recommendations": [f"Say `{typed}` & --seed."], "notes": ["No `order`."]}
-    page = write_report(tmp_path / "r.html", figures | told, trials).read_text()
-    assert f"Say <code>{typed}</code> &amp; <code>--seed</code>." in page
+    command = "palpate evaluate --split session"
+    texts = {
+        "recommendations": [f"Say `{command}` & --seed."],
+        "notes": ["No `order`."],
+    }
+    page = write_report(tmp_path / "r.html", figures | texts, trials).read_text()
+    assert f"Say <code>{command}</code> &amp; <code>--seed</code>." in page
     assert "No <code>order</code>." in page
     assert "`" not in page
 
@@ -280,7 +289,7 @@ def test_what_is_to_be_typed_is_code_in_a_report(result, tmp_path):
         ({"split": "last", "unknown": drawn(1, ("mug_a",))}, "got 'mug_a'"),
     ],
 )
-def test_refusals(arguments, message):
+def test_arguments_that_cannot_be_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         evaluate(drawn(0, NAMES), **arguments)
 
@@ -302,7 +311,7 @@ def test_a_plan_is_checked_before_anything_is_read(values, message):
 
 
 def test_calibration_is_told_before_and_after():
-    # Touches of one episode that share what moved them are not as many as they seem.
+    # Neighbouring touches that are moved alike count for fewer than they are.
     rng = np.random.default_rng(0)
     parts = [drawn(seed, NAMES, noise=2.5) for seed in (0, 1)]
     moved = [p.images + 3 * np.repeat(rng.normal(size=(8, 3, 24)), 8, 0) for p in parts]
@@ -326,10 +335,10 @@ def test_ticks_are_whole_round_and_few():
 def test_how_often_an_object_was_taught_is_no_nuisance_of_the_sensor(
     monkeypatch, tmp_path
 ):
-    """Noise of three parts an object: each fold asks one object, then taught less.
+    """Each object has three parts of noise; a fold tests one part of one object.
 
     Nothing tells the objects apart, so no control may name more than chance and a
-    chance of the draw. Rows of the matrix of names are of the folds that ask.
+    chance of the draw. Rows of the matrix of names are of the folds that test them.
     """
     rng = np.random.default_rng(5)
     names = np.repeat(["mug", "box", "pen"], 24)
@@ -362,9 +371,11 @@ def test_controls_that_do_as_well_are_named_with_the_touches(result):
             "absent": None,
         },
     }
-    sentences = [p for p in summary(figures | curves) if "alone does as well" in p]
+    sentences = [
+        part for part in summary(figures | curves) if "alone does as well" in part
+    ]
     assert [sentence.split(":")[0] for sentence in sentences] == [
         "brightness alone does as well after 1 touch",
         "disc centre alone does as well after 1, 5 touches",
     ]
-    assert all("may have learnt the recording" in one for one in sentences)
+    assert all("may have learnt the recording" in sentence for sentence in sentences)

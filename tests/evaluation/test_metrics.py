@@ -43,10 +43,10 @@ def test_calibrated_draws_have_a_small_error(rng):
 
 
 def test_roc_area_agrees_with_scikit_learn(rng):
-    known, unknown = rng.integers(0, 9, 50), rng.integers(3, 12, 40)
+    known_scores, unknown_scores = rng.integers(0, 9, 50), rng.integers(3, 12, 40)
     truth = np.repeat([0, 1], [50, 40])
-    expected = roc_auc_score(truth, np.r_[known, unknown])
-    assert roc_area(known, unknown) == pytest.approx(expected)
+    expected = roc_auc_score(truth, np.r_[known_scores, unknown_scores])
+    assert roc_area(known_scores, unknown_scores) == pytest.approx(expected)
 
 
 def test_there_are_ten_bins_unless_another_number_is_asked_for():

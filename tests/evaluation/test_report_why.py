@@ -56,78 +56,78 @@ def section(page):
 
 def test_wrong_decisions_come_first_and_right_ones_follow(result):
     figures, trials = result
-    shown = explained_episodes(figures, trials)
-    assert 1 < len(shown) <= 6
-    rights = [one.right for one in shown]
+    explained = explained_episodes(figures, trials)
+    assert 1 < len(explained) <= 6
+    rights = [episode.right for episode in explained]
     assert rights == sorted(rights)
     end = trials[0].episodes.decide(PLAN.error)
     assert (end.decided & ~end.right).any()
     assert end.right.any()
     assert set(rights) == {False, True}
-    for one in shown:
-        assert (one.label == one.truth) == one.right
+    for episode in explained:
+        assert (episode.label == episode.truth) == episode.right
 
 
 def test_an_explained_episode_has_the_touches_of_the_figures(result):
     figures, trials = result
     episodes = trials[0].episodes
-    for one in explained_episodes(figures, trials):
-        test = trials[0].fold.test[one.rows]
-        assert set(test.object) == {one.name}
+    for episode in explained_episodes(figures, trials):
+        test = trials[0].fold.test[episode.rows]
+        assert set(test.object) == {episode.name}
         belief = trials[0].recogniser.start(strangers=0).update(test)
-        after = np.exp(episodes.beliefs[episodes.objects.index(one.name)])
-        same = after[:, len(one.rows) - 1]
+        after = np.exp(episodes.beliefs[episodes.objects.index(episode.name)])
+        same = after[:, len(episode.rows) - 1]
         # One of the six orders led to this belief, up to rounding of sums.
         gap = np.abs(same - list(belief.posterior.values())).max(axis=1).min()
         assert_allclose(gap, 0, atol=1e-9)
-        assert one.label in (belief.best, "unknown")
+        assert episode.label in (belief.best, "unknown")
 
 
 def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):
     figures, trials = result
     page = section(write_report(tmp_path / "r.html", figures, trials).read_text())
     recogniser, fold = trials[0].recogniser, trials[0].fold
-    shown = explained_episodes(figures, trials)
+    explained = explained_episodes(figures, trials)
     steps = [
-        (one, step)
-        for one in shown
-        for step in recogniser.start().update(fold.test[one.rows]).explain()
+        (episode, step)
+        for episode in explained
+        for step in recogniser.start().update(fold.test[episode.rows]).explain()
     ]
-    told = re.findall(r"touch (\d+):<br>([\d.]+) nats for (\w+)<br>over (\w+)", page)
-    assert len(told) == len(steps)
-    for (touch, nats, more, less), (_, step) in zip(told, steps, strict=True):
+    lines = re.findall(r"touch (\d+):<br>([\d.]+) nats for (\w+)<br>over (\w+)", page)
+    assert len(lines) == len(steps)
+    for (touch, nats, more, less), (_, step) in zip(lines, steps, strict=True):
         assert int(touch) == step["touch"]
         assert float(nats) == pytest.approx(abs(step["nats"]), abs=0.051)  # 1 decimal
         assert {more, less} == {step["best"], step["rival"]}
         assert (more == step["best"]) == (step["nats"] > 0)
-    for one in shown:
-        belief = recogniser.start().update(fold.test[one.rows])
+    for episode in explained:
+        belief = recogniser.start().update(fold.test[episode.rows])
         assert belief.reason(PLAN.error) in page
     pictures = page.count("<img")
     if recogniser.chosen_["geometry"] == "none":
         assert pictures == 0
         return
     assert pictures == sum(1 + len(step["nearest"]) for _, step in steps)
-    one, step = steps[0]
-    felt = fold.test[one.rows[[step["touch"] - 1]]]
-    near = fold.train[np.array([step["nearest"][0]["row"]])]
-    assert near.object[0] == step["nearest"][0]["object"]
-    for touch in (felt, near):
+    episode, step = steps[0]
+    test_touch = fold.test[episode.rows[[step["touch"] - 1]]]
+    nearest = fold.train[np.array([step["nearest"][0]["row"]])]
+    assert nearest.object[0] == step["nearest"][0]["object"]
+    for touch in (test_touch, nearest):
         (cleaned,) = recogniser.encoder_.clean(touch)
         assert png_address(cleaned, 72) in page
 
 
 def test_confused_pairs_are_of_two_objects_the_most_confused_first(result, tmp_path):
     page = write_report(tmp_path / "r.html", *result).read_text()
-    told = page[page.index("<h2>Most confused pairs") :]
-    pairs = re.findall(r"<b>(\w+)</b> taken for <b>(\w+)</b>: (\d+) %", told)
-    assert pairs
-    shares = [int(share) for *_, share in pairs]
+    part = page[page.index("<h2>Most confused pairs") :]
+    confused = re.findall(r"<b>(\w+)</b> taken for <b>(\w+)</b>: (\d+) %", part)
+    assert confused
+    shares = [int(share) for *_, share in confused]
     assert shares == sorted(shares, reverse=True)
-    assert all(true != taken for true, taken, _ in pairs)
+    assert all(true != taken for true, taken, _ in confused)
     confusion = np.mean([t.episodes.scores(3).confusion for t in result[1]], axis=0)
     names = result[1][0].recogniser.classes_.tolist()
-    for true, taken, share in pairs:
+    for true, taken, share in confused:
         row, col = names.index(true), names.index(taken)
         assert int(share) == pytest.approx(100 * confusion[row, col], abs=0.51)
 
@@ -147,7 +147,7 @@ def test_a_pair_without_a_confused_touch_left_has_a_report_too(result, tmp_path)
 
 
 def first_right(trial):
-    """The beliefs of a trial, where all are sure of the truth after one touch."""
+    """Return the beliefs of a trial, made sure of the truth after one touch."""
     return [
         np.concatenate([0 * b[:, :1] + np.eye(b.shape[2])[truth], b[:, 1:]], axis=1)
         for truth, b in zip(trial.episodes.truth, trial.episodes.beliefs, strict=True)
@@ -161,10 +161,10 @@ def first_right(trial):
         (40, 2, "0 of 40 names were wrong; 2 named objects cannot prove"),
     ],
 )
-def test_what_the_episodes_say_of_new_objects_is_a_sentence(
+def test_what_episodes_show_of_new_objects_is_a_sentence(
     result, right, n_objects, sentence
 ):
-    """Where log(0.05) / log(0.99) = 299 objects without a mistake would show 1 %."""
+    """An error of 1 % needs log(0.05) / log(0.99) = 299 objects without a mistake."""
     decision = {"right": right, "wrong": 0, "error": 0.01, "n_objects": n_objects}
     decision |= {"can_be_verified": False}
     whole = f"{sentence} an error of 1 %, about 300 would."
@@ -172,7 +172,7 @@ def test_what_the_episodes_say_of_new_objects_is_a_sentence(
 
 
 def ended(result, decision, strangers=None):
-    """What a summary says where episodes ended so."""
+    """Return the summary of a result whose episodes ended so."""
     figures, _ = result
     decision = figures["decision"] | decision
     ends = {"decision": decision}

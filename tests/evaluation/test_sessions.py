@@ -1,4 +1,4 @@
-"""Sessions and persons left out, and what a recogniser does with one it is asked in."""
+"""Sessions and persons left out, and remounting to the session that is tested."""
 
 import numpy as np
 import pytest
@@ -17,9 +17,11 @@ def visited(session, n, seed, objects="abcde", subject="ann"):
     names = np.repeat(list(objects), n)
     images = CENTRES[["abcde".index(name) for name in names]] + MOVES[session]
     images = images + rng.normal(size=images.shape)
-    told = {"session": [session] * len(names), "subject": [subject] * len(names)}
+    columns = {"session": [session] * len(names), "subject": [subject] * len(names)}
     order = np.tile(np.arange(n), len(objects))
-    return Touches(images[:, None], object=names, order=order, geometry="none", **told)
+    return Touches(
+        images[:, None], object=names, order=order, geometry="none", **columns
+    )
 
 
 @pytest.fixture(scope="module")
@@ -30,13 +32,15 @@ def week():
 
 
 @pytest.mark.parametrize("split", ["session", "subject"])
-def test_each_session_or_person_is_asked_and_the_others_teach(week, split):
+def test_each_session_or_person_is_tested_and_the_others_teach(week, split):
     folds = split_touches(week, split)
     column = "session" if split == "session" else "subject"
     for fold in folds:
-        asked, taught = (set(one.columns[column]) for one in (fold.test, fold.train))
-        assert len(asked) == 1
-        assert not asked & taught
+        tested, taught = (
+            set(touches.columns[column]) for touches in (fold.test, fold.train)
+        )
+        assert len(tested) == 1
+        assert not tested & taught
         assert set(fold.test.object) == set("abcd")
         assert fold.left_out == ("e",)
     assert sum(len(fold.test) for fold in folds) == 32 + 24
@@ -49,24 +53,24 @@ def test_each_session_or_person_is_asked_and_the_others_teach(week, split):
 def test_using_the_touches_of_a_session_without_labels_helps():
     train, test = visited("mon", 12, 0), visited("tue", 12, 1)
     as_it_is, _ = evaluate(train, test, plan=PLAN)
-    every = Plan(touches=(1, 3), orders=4, remount="recentre")
-    used, (trial,) = evaluate(train, test, plan=every)
-    assert used["accuracy"]["1"] > as_it_is["accuracy"]["1"] + 0.1
-    assert used["n_test_touches"] == 60
-    assert used["remount"] == "recentre"
+    recentring = Plan(touches=(1, 3), orders=4, remount="recentre")
+    recentred, (trial,) = evaluate(train, test, plan=recentring)
+    assert recentred["accuracy"]["1"] > as_it_is["accuracy"]["1"] + 0.1
+    assert recentred["n_test_touches"] == 60
+    assert recentred["remount"] == "recentre"
     assert not trial.recogniser.chosen_["remount"]["labelled"]
-    first = Plan(touches=(1, 3), orders=4, remount="recentre:10")
-    _, (trial,) = evaluate(train, test, plan=first)
+    recentring_on_ten = Plan(touches=(1, 3), orders=4, remount="recentre:10")
+    _, (trial,) = evaluate(train, test, plan=recentring_on_ten)
     assert trial.recogniser.chosen_["remount"]["n_touches"] == 10
 
 
-def test_asked_in_another_session_remounting_is_recommended():
+def test_for_test_touches_of_another_session_remounting_is_recommended():
     train, test = visited("mon", 12, 0), visited("tue", 12, 1)
     figures, (trial,) = evaluate(train, test, plan=PLAN)
     assert trial.fold.elsewhere
-    said = " ".join(figures["recommendations"])
-    assert "try `remount=recentre:10`" in said
-    assert "All was taught in one session" not in said
+    advice = " ".join(figures["recommendations"])
+    assert "try `remount=recentre:10`" in advice
+    assert "All was taught in one session" not in advice
     for same in (test.with_columns(session=["mon"] * 60), test.without("session")):
         figures, (trial,) = evaluate(train, same, plan=PLAN)
         assert not trial.fold.elsewhere
@@ -79,8 +83,8 @@ def test_labels_of_the_test_touches_tell_recentring_nothing():
     _, (trial,) = evaluate(train, test, plan=plan)
     mixed = np.random.default_rng(0).permutation(test.object)
     _, (other,) = evaluate(train, test.with_columns(object=mixed), plan=plan)
-    told = trial.recogniser.encoder_.offset, other.recogniser.encoder_.offset
-    assert np.array_equal(*told)
+    offsets = trial.recogniser.encoder_.offset, other.recogniser.encoder_.offset
+    assert np.array_equal(*offsets)
 
 
 def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch):
@@ -91,7 +95,7 @@ def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch):
     assert evaluate(train, test, plan=plan)[0]["accuracy"]["1"] > 0.9
 
 
-def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked():
+def test_confirmed_touches_are_the_first_of_each_object_and_not_tested():
     train, test = visited("mon", 12, 0), visited("tue", 5, 1)
     plan = Plan(touches=(1, 3), orders=4, remount="confirm:2")
     figures, (trial,) = evaluate(train, test, plan=plan)
@@ -106,12 +110,12 @@ def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked():
 @pytest.mark.parametrize(
     "words", ["twice", "confirm", "recentre:0", "confirm:-1", "none:3", "recentre:x"]
 )
-def test_what_remounting_cannot_be_is_refused(words):
+def test_another_word_for_remounting_is_refused(words):
     with pytest.raises(ValueError, match=f"remount must.*{words}"):
         Plan(remount=words)
 
 
-def test_what_is_expected_of_another_session_is_told(week):
+def test_the_accuracy_expected_in_another_session_is_in_the_figures(week):
     figures, _ = evaluate(week, split="between", plan=Plan(touches=(1,), orders=2))
     sessions = figures["sessions"]
     assert sessions["least"] == 1
@@ -119,14 +123,14 @@ def test_what_is_expected_of_another_session_is_told(week):
     assert 0 < sessions["expected"] < figures["accuracy"]["1"]
 
 
-def test_where_sessions_were_asked_what_was_measured_is_expected(week):
+def test_where_sessions_were_tested_the_measured_accuracy_is_expected(week):
     figures, _ = evaluate(week, split="session", plan=PLAN)
     right = 100 * figures["accuracy"]["1"]
     assert (
         "Each session was left out of learning in turn: "
         f"{right:.1f} % right after 1 touch is what to expect of another session."
     ) in summary(figures)
-    assert figures["n_objects"] == {"1": 4, "3": 4}  # asked in two folds
+    assert figures["n_objects"] == {"1": 4, "3": 4}  # tested in two folds
     train, test = visited("mon", 8, 0), visited("tue", 8, 1)
     plan = Plan(touches=(3,), orders=4, remount="recentre")
     elsewhere, _ = evaluate(train, test, plan=plan)

@@ -57,7 +57,7 @@ def test_a_category_of_one_object_only_trains(recordings):
     assert [sorted(set(f.test.object)) for f in folds] == [["mug_a"], ["mug_b"]]
 
 
-def test_drawn_touches(recordings):
+def test_as_many_touches_of_each_object_are_drawn_as_asked_for(recordings):
     few, _ = split_by_count(recordings, 3, seed=1)
     assert np.unique(few.object, return_counts=True)[1].tolist() == [3] * 4
     again, _ = split_by_count(recordings, 3, seed=1)
@@ -78,13 +78,13 @@ def test_drawn_touches(recordings):
         (lambda t: t, "subject", "must have a column 'subject'"),
     ],
 )
-def test_what_cannot_be_split_is_refused(recordings, change, split, message):
+def test_touches_that_cannot_be_split_are_refused(recordings, change, split, message):
     with pytest.raises(ValueError, match=message):
         split_touches(change(recordings), split)
 
 
 @pytest.mark.parametrize(("n_people", "n_folds"), [(20, 20), (21, 20), (45, 20)])
-def test_more_than_twenty_people_are_asked_several_at_a_time(n_people, n_folds):
+def test_more_than_twenty_people_are_tested_several_at_a_time(n_people, n_folds):
     people = np.repeat([f"p{n:02d}" for n in range(n_people)], 2)
     touches = Touches(
         np.arange(2.0 * n_people)[:, None, None] * np.ones((1, 3, 3)),
@@ -93,11 +93,13 @@ def test_more_than_twenty_people_are_asked_several_at_a_time(n_people, n_folds):
     )
     folds = split_touches(touches, "subject")
     assert len(folds) == n_folds
-    asked = [set(fold.test.subject.tolist()) for fold in folds]
-    assert sorted(name for some in asked for name in some) == sorted({*people.tolist()})
-    for fold, some in zip(folds, asked, strict=True):
-        assert not some & {*fold.train.subject.tolist()}
-        assert len(some) in (n_people // n_folds, n_people // n_folds + 1)
+    tested = [set(fold.test.subject.tolist()) for fold in folds]
+    assert sorted(name for group in tested for name in group) == sorted(
+        {*people.tolist()}
+    )
+    for fold, group in zip(folds, tested, strict=True):
+        assert not group & {*fold.train.subject.tolist()}
+        assert len(group) in (n_people // n_folds, n_people // n_folds + 1)
 
 
 def test_two_touches_of_each_may_be_drawn_and_one_may_not(recordings):
@@ -108,7 +110,7 @@ def test_two_touches_of_each_may_be_drawn_and_one_may_not(recordings):
         split_by_count(recordings, 8, seed=0)
 
 
-def test_what_one_session_has_once_or_not_is_left_out_of_that_split():
+def test_objects_touched_once_or_never_in_a_session_are_left_out():
     touches = Touches(
         np.arange(12.0)[:, None, None] * np.ones((1, 3, 3)),
         object=["a", "a", "b", "b", "c", "e", "a", "a", "b", "b", "d", "e"],
@@ -126,12 +128,12 @@ def test_a_recording_of_one_press_teaches_and_is_never_drawn():
         np.arange(21.0)[:, None, None] * np.ones((1, 3, 3)),
         object=["a"] * 10 + ["b"] * 10 + ["c"],
     )
-    drawn = [asked for _, asked in PROTOCOLS["random"](touches, 8, 0)]
+    drawn = [is_test for _, is_test in PROTOCOLS["random"](touches, 8, 0)]
     assert len(drawn) == 8
-    for asked in drawn:
-        assert not asked[-1]
+    for is_test in drawn:
+        assert not is_test[-1]
         # A fifth of ten presses of each.
-        assert (asked[:10].sum(), asked[10:20].sum()) == (2, 2)
+        assert (is_test[:10].sum(), is_test[10:20].sum()) == (2, 2)
 
 
 @pytest.mark.parametrize("name", ["order", "time_s"])
@@ -148,7 +150,7 @@ def row_of(n_touches, **columns):
     return Touches(np.zeros((n_touches, 1, 1)), **columns)
 
 
-def test_folds_have_names_that_are_read(recordings):
+def test_folds_are_named_by_number_session_or_split(recordings):
     folds = split_touches(recordings, "unseen-objects")
     assert [fold.name for fold in folds] == ["fold 1 of 2", "fold 2 of 2"]
     assert [name for name, _ in PROTOCOLS["blocks"](recordings, 1, 0)] == [
@@ -166,15 +168,17 @@ def test_folds_have_names_that_are_read(recordings):
 
 
 def test_blocks_and_halves_are_neighbours_in_each_recording():
-    """Of ten touches in two recordings each: two in a run, five in a half."""
+    """Of ten touches in each of two recordings, two are in a run, five in a half."""
     order = np.tile(np.arange(10)[::-1], 2)
     for recordings in (
         {"object": ["a"] * 10 + ["b"] * 10},
         {"object": ["a"] * 20, "session": ["mon"] * 10 + ["tue"] * 10},
     ):
         touches = row_of(20, **recordings, order=order)
-        asked = [sorted(order[r]) for _, r in PROTOCOLS["blocks"](touches, 1, 0)]
-        assert asked == [[k, k, k + 1, k + 1] for k in range(0, 10, 2)]
+        tested = [
+            sorted(order[is_test]) for _, is_test in PROTOCOLS["blocks"](touches, 1, 0)
+        ]
+        assert tested == [[k, k, k + 1, k + 1] for k in range(0, 10, 2)]
         ((_, half),) = PROTOCOLS["halves"](touches, 1, 0)
         assert half.tolist() == ([True] * 5 + [False] * 5) * 2
     odd = row_of(3, object=["a"] * 3)
@@ -183,12 +187,13 @@ def test_blocks_and_halves_are_neighbours_in_each_recording():
 
 
 @pytest.mark.parametrize(
-    ("n_touches", "n_asked"), [(1, 0), (2, 1), (4, 1), (7, 1), (8, 2), (12, 2), (13, 3)]
+    ("n_touches", "n_tested"),
+    [(1, 0), (2, 1), (4, 1), (7, 1), (8, 2), (12, 2), (13, 3)],
 )
-def test_a_fifth_is_drawn_one_at_least(n_touches, n_asked):
+def test_a_fifth_is_drawn_and_at_least_one_touch_of_two(n_touches, n_tested):
     touches = row_of(n_touches, object=["a"] * n_touches)
-    for _, asked in PROTOCOLS["random"](touches, 3, 0):
-        assert asked.sum() == n_asked
+    for _, is_test in PROTOCOLS["random"](touches, 3, 0):
+        assert is_test.sum() == n_tested
 
 
 @pytest.mark.parametrize("name", ["press", "episode", "squeeze", "idle_of"])
@@ -196,10 +201,10 @@ def test_touches_of_one_press_stay_on_one_side(name):
     presses = np.repeat(np.arange(10), 3)
     touches = row_of(30, object=["a"] * 30, **{name: presses})
     for protocol in ("blocks", "halves", "random"):
-        for _, asked in PROTOCOLS[protocol](touches, 3, 1):
-            sides = [set(asked[presses == press].tolist()) for press in range(10)]
+        for _, is_test in PROTOCOLS[protocol](touches, 3, 1):
+            sides = [set(is_test[presses == press].tolist()) for press in range(10)]
             assert all(len(side) == 1 for side in sides)
-            assert asked.any()
+            assert is_test.any()
 
 
 def test_two_touches_of_a_label_teach_it_and_one_does_not():
@@ -216,7 +221,7 @@ def test_two_touches_of_a_label_teach_it_and_one_does_not():
     assert left_out == ["c"]
 
 
-def test_what_cannot_make_two_labels_is_refused():
+def test_sessions_that_share_no_two_labels_are_refused():
     touches = row_of(
         4, object=["a", "a", "b", "b"], session=["mon", "mon", "tue", "tue"]
     )
@@ -228,12 +233,12 @@ def test_what_cannot_make_two_labels_is_refused():
         )
 
 
-@pytest.mark.parametrize(("n_touches", "n_asked"), [(4, 1), (7, 1), (8, 2)])
-def test_a_quarter_is_asked_rounded_down(n_touches, n_asked):
+@pytest.mark.parametrize(("n_touches", "n_tested"), [(4, 1), (7, 1), (8, 2)])
+def test_a_quarter_is_tested_rounded_down(n_touches, n_tested):
     touches = row_of(n_touches, object=["a"] * n_touches)
     for split in ("last", "between"):
         (fold,) = split_touches(touches, split)
-        assert len(fold.test) == n_asked
+        assert len(fold.test) == n_tested
 
 
 def test_times_that_are_not_all_known_are_no_order():
@@ -244,9 +249,9 @@ def test_times_that_are_not_all_known_are_no_order():
     assert fold.test.images.ravel().tolist() == [6, 7]
 
 
-def test_what_was_drawn_depends_on_the_seed_and_keeps_its_order(recordings):
-    one, other = (
+def test_drawn_touches_depend_on_the_seed_and_keep_their_order(recordings):
+    first, second = (
         split_by_count(recordings, 4, seed)[0].images[:, 0, 0] for seed in (0, 1)
     )
-    assert (np.diff(one) > 0).all()
-    assert one.tolist() != other.tolist()
+    assert (np.diff(first) > 0).all()
+    assert first.tolist() != second.tolist()

@@ -1,4 +1,4 @@
-"""A belief beside what it says worked out by hand: numbers, decisions, sentences."""
+"""Numbers, decisions and sentences of a belief, beside those worked out by hand."""
 
 import copy
 from dataclasses import replace
@@ -23,7 +23,7 @@ N_EACH, SHAPE = 6, (2, 4)
 
 
 def drawn(seed):
-    """Touches of five things, each of a pattern of its own."""
+    """Return touches of five objects, each with a pattern of its own."""
     rng = np.random.default_rng(seed)
     images = np.repeat(3 * np.eye(8)[:5].reshape(5, *SHAPE), N_EACH, axis=0)
     return Touches(
@@ -43,7 +43,7 @@ def model():
 
 @pytest.fixture
 def start(model):
-    """Begin a belief whose parts are given, in a closed world unless one is asked for.
+    """Return a function that begins a belief of these parts, with no stranger expected.
 
     Its score is evidence for a stranger as `stranger_model` says.
     """
@@ -53,16 +53,16 @@ def start(model):
         *,
         floor=0.0,
         calibration=(1.0, 0.0),
-        judged=None,
+        model_parts=None,
         strangers=0.0,
-        **parts,
+        **stranger_parts,
     ):
         belief_model = replace(
             model.belief_model(),
-            strangers=replace(stranger_model(model), **parts),
+            strangers=replace(stranger_model(model), **stranger_parts),
             floor=floor,
             sequence_calibration=SequenceCalibration(*calibration),
-            **({"categories": np.array(KINDS)} | (judged or {})),
+            **({"categories": np.array(KINDS)} | (model_parts or {})),
         )
         logs = None if prior is None else np.log(prior)
         return Belief(belief_model, model.evidence, logs, strangers)
@@ -71,7 +71,7 @@ def start(model):
 
 
 def stranger_model(model):
-    """Evidence for a stranger of log(score / 0.1), and of one nat a deviation above 1.
+    """Give evidence for a stranger of log(score / 0.1), and a nat a deviation above 1.
 
     The score's logarithm in nats is compared with 0, its deviation being 1.
     """
@@ -94,7 +94,7 @@ def stranger_model(model):
 
 
 def posed(belief, *shares, **more):
-    """Take in one touch after which a belief without prior has these shares."""
+    """Update with one touch, after which a belief without prior has these shares."""
     return belief.update_from_log_likelihood(np.log(shares), **more)
 
 
@@ -104,7 +104,9 @@ TORN = 0.01, 0.5, 0.47, 0.01, 0.01
 
 @pytest.mark.parametrize("floor", [0.0, 0.02, 0.5])
 @pytest.mark.parametrize("calibration", [(1.0, 0.0), (0.7, 0.2)])
-def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
+def test_belief_and_unknown_are_those_summed_by_hand_after_each_touch(
+    start, floor, calibration
+):
     rng = np.random.default_rng(1)
     rows = 2 * rng.normal(size=(5, 5))
     rows[2] = 7.0  # says nothing
@@ -125,8 +127,8 @@ def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
         n = len(used)
         weight = calibration[0] / (1 + (n - 1) * calibration[1])
 
-        def summed(said, used=used, weight=weight):
-            mixed = (1 - floor) * softmax(said, axis=-1) + floor / 5
+        def summed(log_likelihood, used=used, weight=weight):
+            mixed = (1 - floor) * softmax(log_likelihood, axis=-1) + floor / 5
             total = weight * np.log(mixed[used]).sum(axis=0) + np.log(prior)
             return log_softmax(total, axis=-1)
 
@@ -134,9 +136,9 @@ def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
         assert_allclose(belief.log_posterior, logs, atol=1e-12)
         assert belief.best == NAMES[logs.argmax()]
         agreed = np.array([0.7, 0.3]) @ summed(each)
-        apart = (distances[used].mean(axis=0) - usual)[agreed.argmax()]
+        excess_distance = (distances[used].mean(axis=0) - usual)[agreed.argmax()]
         mean, spread = far[min(n, 3) - 1]
-        nats = max(0, (apart - mean) / spread - 1.645) - agreed.max()
+        nats = max(0, (excess_distance - mean) / spread - 1.645) - agreed.max()
         level = max(1 - np.exp(-nats), 1 - np.exp(logs.max()))
         above = np.log(nats + 1e-6)
         level = lowest[belief.best] = min(level, lowest.get(belief.best, 1.0))
@@ -151,7 +153,7 @@ def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
         kinds = np.exp(logs) @ np.eye(3)[[0, 1, 1, 2, 2]]
         named = [belief.categories[name] for name in ("ball", "vessel", "tool")]
         ratios = np.array(named) / kinds
-        # All alike, less the probability of none of them.
+        # All categories are less by the same factor, for the probability of unknown.
         assert ratios == pytest.approx(np.full(3, ratios[0]))
         assert ratios[0] < 1
         assert belief.touches_used == k + 1
@@ -160,13 +162,13 @@ def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
 
 def test_touches_come_one_by_one_or_together(start, model):
     touches = drawn(3)[::4]
-    given = model.evidence(touches)
+    evidence = model.evidence(touches)
     weights = model.strangers_.weights
     beliefs = [start(floor=0.01, weights=weights, strangers=0.1) for _ in "12345"]
     beliefs[0].update(touches)
-    beliefs[1].update(given)
+    beliefs[1].update(evidence)
     for k in range(len(touches)):
-        beliefs[2].update(given.of_touch(k))
+        beliefs[2].update(evidence.of_touch(k))
         beliefs[3].update(touches.images[k])
         beliefs[4].update(touches[k])
     assert beliefs[3].posterior == beliefs[4].posterior
@@ -174,8 +176,10 @@ def test_touches_come_one_by_one_or_together(start, model):
         # Products of one row and of several round differently.
         assert belief.posterior == pytest.approx(beliefs[0].posterior, abs=1e-9)
         assert belief.unknown == pytest.approx(beliefs[0].unknown, abs=1e-9)
-        told = [one["touch"] for one in belief.explain()]
-        assert told == [one["touch"] for one in beliefs[0].explain()]
+        touch_numbers = [explanation["touch"] for explanation in belief.explain()]
+        assert touch_numbers == [
+            explanation["touch"] for explanation in beliefs[0].explain()
+        ]
 
 
 def test_before_the_first_touch_nothing_is_decided_however_sure_the_prior(start):
@@ -195,25 +199,27 @@ def test_a_decision_is_for_an_error_of_one_in_a_hundred_unless_another_is_given(
     belief = posed(start(), 0.9895, *[0.0105 / 4] * 4)
     assert belief.promise().level == 0.01
     assert belief.decide() is None
-    # Rounded down: it would read as if it had reached what was asked for.
+    # Rounded down: 99 % would read as if the belief had reached what was asked for.
     assert belief.reason() == "probably ball (98 %): touch again"
 
 
-@pytest.mark.parametrize("asked", [{}, {"costs": {}}, {"level": "category"}])
-def test_shares_and_scores_at_their_limit_are_accepted(start, asked):
+@pytest.mark.parametrize("arguments", [{}, {"costs": {}}, {"level": "category"}])
+def test_shares_and_scores_at_their_limit_are_accepted(start, arguments):
     belief = posed(start(), *SURE)
     doubt = belief.doubt
-    if "costs" in asked:
+    if "costs" in arguments:
         doubt = float((np.exp(belief.log_posterior) @ (1 - np.eye(5))).min())
-    if "level" in asked:
+    if "level" in arguments:
         shares = belief.categories
         doubt = 1 - shares["vessel"]
-    assert belief.decide(doubt, **asked) is not None
-    assert belief.decide(np.nextafter(doubt, 0), **asked) is None
+    assert belief.decide(doubt, **arguments) is not None
+    assert belief.decide(np.nextafter(doubt, 0), **arguments) is None
 
 
 @pytest.mark.parametrize("strangers", [0.0, 0.05, 0.3])
-def test_an_object_is_named_when_its_own_probability_reaches_it(start, strangers):
+def test_an_object_is_named_when_its_probability_is_one_less_the_error(
+    start, strangers
+):
     for share in (0.6, 0.9, 0.99, 0.9999):
         belief = posed(start(strangers=strangers), share, *[(1 - share) / 4] * 4)
         doubt = 1 - belief.posterior["ball"]
@@ -223,7 +229,7 @@ def test_an_object_is_named_when_its_own_probability_reaches_it(start, strangers
             assert belief.decide(belief.doubt * 0.999) is None
 
 
-def test_a_stranger_is_named_when_its_probability_reaches_it(start):
+def test_unknown_is_named_when_its_probability_is_one_less_the_refusal(start):
     torn = np.log([[(0.96, 0.01, 0.01, 0.01, 0.01), (0.01, 0.01, 0.01, 0.96, 0.01)]])
     belief = posed(start(strangers=0.3), *SURE, by_encoding=torn)
     assert belief.unknown > 0.7
@@ -302,7 +308,7 @@ def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
 
 
 @pytest.mark.parametrize(
-    ("shares", "strangers", "asked", "sentence"),
+    ("shares", "strangers", "arguments", "sentence"),
     [
         (SURE, 0.0, {"error": 0.06}, "cup, 95 % after 1 touch"),
         (SURE, 0.0, {"error": 0.02}, "probably cup (95 %): touch again"),
@@ -324,17 +330,17 @@ def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
         ),
     ],
 )
-def test_a_reason_is_one_sentence(start, shares, strangers, asked, sentence):
+def test_a_reason_is_one_sentence(start, shares, strangers, arguments, sentence):
     belief = posed(start(strangers=strangers), *shares)
-    assert belief.reason(**asked) == sentence
+    assert belief.reason(**arguments) == sentence
     # A touch that says nothing is counted, and changes nothing else.
     belief.update_from_log_likelihood(np.zeros(5))
-    assert belief.reason(**asked) == sentence.replace("1 touch", "2 touches")
+    assert belief.reason(**arguments) == sentence.replace("1 touch", "2 touches")
     assert "said nothing." in belief.why()[-1]
 
 
-def test_where_touches_are_worth_one_more_of_them_are_not_asked_for(start, model):
-    """After six touches, as many as each object was taught with."""
+def test_more_touches_are_not_asked_for_where_all_are_worth_one(start, model):
+    """A belief says so after six touches, as many as each object was taught with."""
     odds = touch_evidence(model, 1, 90, 80, 1, 1)
     for calibration, words in (
         # However many there are, the cup has 90 : 80 at most, to the power of 1.
@@ -345,29 +351,29 @@ def test_where_touches_are_worth_one_more_of_them_are_not_asked_for(start, model
         episode = Episode(start(calibration=calibration))
         for _ in range(5):
             assert episode.add(odds) == "cup or mug: touch again"
-        said = episode.add(odds)
-        assert said.startswith(f"cup or mug: {words}")
-        assert said == episode.belief.reason()
+        sentence = episode.add(odds)
+        assert sentence.startswith(f"cup or mug: {words}")
+        assert sentence == episode.belief.reason()
     # Only doubt about a stranger is left, and touches that add up may still end it.
     assert (
         not start(strangers=0.9)
         .update(Evidence.together([touch_evidence(model, 1, 9e9, 1, 1, 1)] * 6))
         .is_stuck(1e-6)
     )
-    # Where that never tells, twenty touches are enough.
+    # Where no score is evidence for or against a stranger, twenty touches are enough.
     curve = type(model.strangers_.low_curve)(np.zeros(1), np.zeros((1, 1)))
     flat = start(strangers=0.9, low_curve=curve, high_curve=curve)
     cup = touch_evidence(model, 1, 9e9, 1, 1, 1)
     assert not flat.update(Evidence.together([cup] * 19)).is_stuck()
     assert flat.update(cup).is_stuck()
-    # What goes on to be decided is not touched: the projection is of a copy.
+    # The belief of the episode is unchanged: a copy of it is projected.
     for _ in range(60):
         episode.add(odds)
     assert episode.decision == "cup"
 
 
 @pytest.mark.parametrize(
-    ("shares", "strangers", "words", "ways"),
+    ("shares", "strangers", "words", "advice"),
     [
         (SURE, 0.0, "probably cup (95 %)", "cup again, at other places"),
         (TORN, 0.0, "cup or mug", "cup and mug again, at other places"),
@@ -385,22 +391,26 @@ def test_where_touches_are_worth_one_more_of_them_are_not_asked_for(start, model
         ),
     ],
 )
-def test_what_to_teach_where_touches_do_not_tell(start, shares, strangers, words, ways):
+def test_a_belief_that_is_stuck_names_the_objects_to_teach_again(
+    start, shares, strangers, words, advice
+):
     belief = start(calibration=(1.0, 1.0), strangers=strangers)
     for _ in range(6):
         assert not belief.is_stuck(0.02)
         posed(belief, *shares)
-    said = f"{words}: more touches will not tell; teach {ways}"
-    assert belief.reason(error=0.02) == said
+    sentence = f"{words}: more touches will not tell; teach {advice}"
+    assert belief.reason(error=0.02) == sentence
 
 
 def test_why_tells_the_figures_behind_a_sentence(start):
     belief = posed(start(strangers=0.1), *SURE)
-    known, none, promise = belief.why(0.02)
-    assert known.startswith("cup has probability 90 %, ball 1 %; 98 % was asked for.")
-    assert "A share of 0.1 strangers was expected" in none
-    assert "against one by 0.7 nats" in none
-    assert promise == str(belief.promise(0.02))
+    object_sentence, stranger_sentence, promise_sentence = belief.why(0.02)
+    assert object_sentence.startswith(
+        "cup has probability 90 %, ball 1 %; 98 % was asked for."
+    )
+    assert "A share of 0.1 strangers was expected" in stranger_sentence
+    assert "against one by 0.7 nats" in stranger_sentence
+    assert promise_sentence == str(belief.promise(0.02))
     assert "closed world" in posed(start(), *SURE).why()[1]
 
 
@@ -420,7 +430,7 @@ def test_another_sense_adds_its_examples_by_its_own_calibration(start, model):
     posed(together, *SURE)
     both = softmax(np.log(SURE) + np.log(list(belief.posterior.values())))
     assert list(together.posterior.values()) == pytest.approx(list(both))
-    # The score is of what all senses tell: each encoding counts with the others.
+    # The score is of all senses: each encoding counts with the other sense.
     score = 1 - both.max()
     above = np.log(-np.log1p(-score) + 1e-6)
     nats = np.log(score / 0.1) + max(above - 1, 0) + 1e-3 * above
@@ -445,32 +455,46 @@ def test_explanations_weigh_each_touch_between_the_two_best(start, model):
     best, rival = np.argsort(-total)[:2]
     nats = 0.8 / 1.2 * (rows[:, best] - rows[:, rival])
     order = np.argsort(-np.abs(nats))
-    told = belief.explain(n_touches=9, n_nearest=30)
-    assert [one["touch"] for one in told] == (order + 1).tolist()
-    assert [one["flag"] for one in told] == [flags[k] for k in order]
-    assert {one["best"] for one in told} == {NAMES[best]} == {"cup"}
-    assert {one["rival"] for one in told} == {NAMES[rival]} == {"mug"}
-    assert [one["nats"] for one in told] == pytest.approx(nats[order].tolist())
-    pairs = np.linalg.norm(
+    explanations = belief.explain(n_touches=9, n_nearest=30)
+    assert [explanation["touch"] for explanation in explanations] == (
+        order + 1
+    ).tolist()
+    assert [explanation["flag"] for explanation in explanations] == [
+        flags[k] for k in order
+    ]
+    assert (
+        {explanation["best"] for explanation in explanations}
+        == {NAMES[best]}
+        == {"cup"}
+    )
+    assert (
+        {explanation["rival"] for explanation in explanations}
+        == {NAMES[rival]}
+        == {"mug"}
+    )
+    assert [explanation["nats"] for explanation in explanations] == pytest.approx(
+        nats[order].tolist()
+    )
+    pair_distances = np.linalg.norm(
         model.memory_.features[:, None] - model.memory_.features, axis=2
     )
-    unit = np.median(pairs[np.triu_indices(len(pairs), 1)])
-    for one, k in zip(told, order, strict=True):
-        away = np.linalg.norm(model.memory_.features - features[k], axis=1) / unit
-        rows_there = [near["row"] for near in one["nearest"]]
-        assert rows_there == np.argsort(away).tolist()
-        assert [near["distance"] for near in one["nearest"]] == pytest.approx(
-            np.sort(away).tolist()
+    unit = np.median(pair_distances[np.triu_indices(len(pair_distances), 1)])
+    for explanation, k in zip(explanations, order, strict=True):
+        distances = np.linalg.norm(model.memory_.features - features[k], axis=1) / unit
+        rows_there = [near["row"] for near in explanation["nearest"]]
+        assert rows_there == np.argsort(distances).tolist()
+        assert [near["distance"] for near in explanation["nearest"]] == pytest.approx(
+            np.sort(distances).tolist()
         )
-        assert [near["object"] for near in one["nearest"]] == [
+        assert [near["object"] for near in explanation["nearest"]] == [
             NAMES[row // N_EACH] for row in rows_there
         ]
     shortest = belief.explain()
     assert len(shortest) == 3
-    assert [len(one["nearest"]) for one in shortest] == [3] * 3
+    assert [len(explanation["nearest"]) for explanation in shortest] == [3] * 3
     # Without features there is nothing that a touch resembles.
     bare = posed(start(), *SURE).explain()
-    assert [one["nearest"] for one in bare] == [[]]
+    assert [explanation["nearest"] for explanation in bare] == [[]]
 
 
 def test_a_belief_shows_the_three_most_probable(start):
@@ -480,8 +504,8 @@ def test_a_belief_shows_the_three_most_probable(start):
 
 
 def test_names_are_shown_up_to_24_letters(start):
-    judged = {"classes": np.array(["a" * 24, "b" * 25, "c", "d", "e"])}
-    belief = posed(start(judged=judged), 0.6, 0.3, 0.08, 0.01, 0.01)
+    model_parts = {"classes": np.array(["a" * 24, "b" * 25, "c", "d", "e"])}
+    belief = posed(start(model_parts=model_parts), 0.6, 0.3, 0.08, 0.01, 0.01)
     listed = f"{'a' * 24} 0.60, {'b' * 21}... 0.30, c 0.08, unknown 0.00"
     assert repr(belief) == f"<Belief after 1 touch: {listed}>"
 
@@ -590,13 +614,13 @@ def test_unknown_is_withdrawn_when_it_is_less_probable_than_its_refusal(start, m
 def test_several_images_are_as_many_touches_of_an_episode(model):
     images = drawn(3).images[:3]
     together, alone = Episode(model.start()), Episode(model.start())
-    said = together.add(images)
-    assert said == [alone.add(image) for image in images][-1]
+    sentence = together.add(images)
+    assert sentence == [alone.add(image) for image in images][-1]
     assert [touch.touch for touch in together.touches] == [1, 2, 3]
     assert together.n_counted == 3
-    for one, other in zip(together.touches, alone.touches, strict=True):
+    for joint, single in zip(together.touches, alone.touches, strict=True):
         # Products of one row and of several round differently.
-        assert one.posterior == pytest.approx(other.posterior, abs=1e-9)
+        assert joint.posterior == pytest.approx(single.posterior, abs=1e-9)
 
 
 def test_an_episode_shows_its_sentence(start, model):

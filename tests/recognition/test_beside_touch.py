@@ -40,11 +40,11 @@ def test_sight_alone_moves_the_belief(recogniser):
 
 def test_sight_and_touch_add_up_in_any_order(recogniser):
     model, touches = recogniser
-    one = model.start().update_sense("sight", [0.4, 0.0]).update(touches[:2])
-    other = model.start().update(touches[:2]).update_sense("sight", [0.4, 0.0])
-    assert one.posterior == pytest.approx(other.posterior)
-    alone = model.start().update(touches[:2])
-    assert one.posterior["pen"] < alone.posterior["pen"]
+    sight_first = model.start().update_sense("sight", [0.4, 0.0]).update(touches[:2])
+    touch_first = model.start().update(touches[:2]).update_sense("sight", [0.4, 0.0])
+    assert sight_first.posterior == pytest.approx(touch_first.posterior)
+    touch_alone = model.start().update(touches[:2])
+    assert sight_first.posterior["pen"] < touch_alone.posterior["pen"]
 
 
 def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
@@ -53,7 +53,7 @@ def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
     assert model.start().update_sense("guess", [[4.0, 4.0]] * 2).best == "pen"
 
 
-def test_refusals(recogniser):
+def test_unlearnt_senses_and_classifiers_without_probabilities_are_refused(recogniser):
     model, _ = recogniser
     with pytest.raises(ValueError, match="sight"):
         model.start().update_sense("smell", [1.0, 2.0])
@@ -67,9 +67,9 @@ def test_model_file_keeps_sight_and_refuses_foreign_classifiers(tmp_path, recogn
     touches = recogniser[1]
     model = ObjectRecogniser().fit(touches).learn_modality("sight", *clouds(1, 30))
     again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
-    ask = [1.0, 1.0]
-    assert again.start().update_sense("sight", ask).posterior == pytest.approx(
-        model.start().update_sense("sight", ask).posterior, abs=1e-12
+    example = [1.0, 1.0]
+    assert again.start().update_sense("sight", example).posterior == pytest.approx(
+        model.start().update_sense("sight", example).posterior, abs=1e-12
     )
     model.learn_modality("guess", *clouds(3, 9), classifier=LogisticRegression())
     with pytest.raises(ModelFileError, match="LogisticRegression"):
@@ -95,7 +95,7 @@ def test_costs_choose_the_cheaper_mistake(recogniser):
     belief.update_sense("sight", [0.4, 0.0])
     assert belief.best == "ball"
     assert belief.decide(error=0.3) == "ball"
-    # To take a mug for a ball would be very expensive, the other way round is free.
+    # To take a mug for a ball costs very much, to take a ball for a mug nothing.
     costs = {"mug": {"ball": 50.0}, "ball": {"mug": 0.0}, "pen": {"mug": 0.0}}
     assert belief.decide(error=0.3, costs=costs) == "mug"
     assert belief.reason(0.3).startswith("ball, ")

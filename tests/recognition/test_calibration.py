@@ -63,11 +63,11 @@ def test_touches_that_share_what_their_block_adds_weigh_less(rng):
     def calibrated(share):
         noise = rng.normal(size=(len(codes), 4))
         shared = np.repeat(rng.normal(size=(80, 4)), 10, axis=0)
-        said = np.sqrt(share) * shared + np.sqrt(1 - share) * noise
-        said[np.arange(len(codes)), codes] += 1.0
+        log_likelihood = np.sqrt(share) * shared + np.sqrt(1 - share) * noise
+        log_likelihood[np.arange(len(codes)), codes] += 1.0
         episodes = [rows[:, :10] for rows in draw_episodes(codes, 0, blocks=blocks)]
         prior = np.full(4, -np.log(4))
-        return fit_sequence_calibration(said, codes, episodes, prior)
+        return fit_sequence_calibration(log_likelihood, codes, episodes, prior)
 
     # N(c, 1) evidence with a gap of 1 is a proper likelihood: weight 1.
     independent, repeated = calibrated(0.0), calibrated(0.8)
@@ -79,7 +79,7 @@ def test_touches_that_share_what_their_block_adds_weigh_less(rng):
 
 @pytest.mark.parametrize("n_touches", [1, 3, 4, 5, 8, 9, 12, 19, 20])
 def test_a_visit_lies_in_as_few_neighbouring_blocks_as_hold_it(n_touches):
-    """Blocks of four touches, in a ring: after the last comes the first."""
+    """Blocks of four touches form a ring: after the last comes the first."""
     objects, group = np.repeat(["a", "b"], 20), np.repeat(np.arange(10), 4)[::-1]
     drawn = np.concatenate(draw_episodes(objects, 0, blocks=group))[:, :n_touches]
     for episode in drawn:
@@ -92,7 +92,7 @@ def test_a_visit_lies_in_as_few_neighbouring_blocks_as_hold_it(n_touches):
     # All places of the ring are begun at; without blocks they are mixed.
     assert len(np.unique(group[drawn[:, 0]])) == 10
     mixed = np.concatenate(draw_episodes(objects, 0))[:, :4]
-    assert np.mean([len(set(group[one])) for one in mixed]) > 2
+    assert np.mean([len(set(group[visit])) for visit in mixed]) > 2
 
 
 @pytest.mark.parametrize(
@@ -102,23 +102,25 @@ def test_a_thousand_long_episodes_at_most_are_drawn(n_objects, n_each):
     objects = np.repeat(np.arange(n_objects), 3)
     drawn = draw_episodes(objects, seed=0)
     assert {rows.shape for rows in drawn} == {(n_each, 3)}
-    whose = [int(objects[rows[0, 0]]) for rows in drawn]
-    assert len(set(whose)) == len(whose) == min(n_objects, 1000)
-    # Of very many some are asked, spread over all.
-    assert (whose[0], whose[-1]) == (0, n_objects - 1)
-    assert np.diff(whose).max() <= 2
+    drawn_objects = [int(objects[rows[0, 0]]) for rows in drawn]
+    assert len(set(drawn_objects)) == len(drawn_objects) == min(n_objects, 1000)
+    # Of very many objects a thousand have an episode, spread over all.
+    assert (drawn_objects[0], drawn_objects[-1]) == (0, n_objects - 1)
+    assert np.diff(drawn_objects).max() <= 2
     again = draw_episodes(objects, seed=0)
     assert all(np.array_equal(a, b) for a, b in zip(again, drawn, strict=True))
 
 
 def loss_of(calibration, floored, codes, episodes, prior):
-    """Return the log loss after each number of touches, all alike, one by one."""
+    """Return the log loss episode by episode; each number of touches counts alike."""
     losses = []
     for length in LENGTHS:
         ends = [
-            log_posteriors(floored[one[:length]], prior, calibration)[-1][codes[one[0]]]
-            for one in np.concatenate(episodes)
-            if len(one) >= length
+            log_posteriors(floored[episode[:length]], prior, calibration)[-1][
+                codes[episode[0]]
+            ]
+            for episode in np.concatenate(episodes)
+            if len(episode) >= length
         ]
         if ends:
             losses.append(-np.mean(ends))
@@ -131,37 +133,38 @@ def repeated():
     rng = np.random.default_rng(8)
     codes = np.repeat(np.arange(3), 40)
     shared = np.repeat(rng.normal(size=(12, 3)), 10, axis=0)
-    said = 1.6 * (rng.normal(size=(120, 3)) / 2 + shared + np.eye(3)[codes])
-    said[::9] = 0.0  # no contact
+    log_likelihood = 1.6 * (rng.normal(size=(120, 3)) / 2 + shared + np.eye(3)[codes])
+    log_likelihood[::9] = 0.0  # no contact
     blocks = np.repeat(np.arange(12), 10)
     episodes = [rows[:30, :8] for rows in draw_episodes(codes, 0, blocks=blocks)]
-    return with_floor(said, 0.01), codes, episodes, np.log([0.5, 0.3, 0.2])
+    return with_floor(log_likelihood, 0.01), codes, episodes, np.log([0.5, 0.3, 0.2])
 
 
-def test_the_calibration_found_is_of_least_loss(repeated):
-    found = fit_sequence_calibration(*repeated)
-    assert 0.1 < found.strength < 0.95
-    assert 0.1 < found.correlation < 0.9
-    least = loss_of(found, *repeated)
+def test_the_fitted_calibration_is_of_least_loss(repeated):
+    calibration = fit_sequence_calibration(*repeated)
+    assert 0.1 < calibration.strength < 0.95
+    assert 0.1 < calibration.correlation < 0.9
+    least = loss_of(calibration, *repeated)
     for strength, correlation in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         beside = SequenceCalibration(
-            found.strength + 1e-3 * strength, found.correlation + 1e-3 * correlation
+            calibration.strength + 1e-3 * strength,
+            calibration.correlation + 1e-3 * correlation,
         )
         assert loss_of(beside, *repeated) > least
 
 
 def test_calibrations_stay_within_their_bounds(repeated):
     floored, codes, episodes, prior = repeated
-    # What always misleads keeps a twentieth of its weight.
+    # Evidence that always misleads keeps a twentieth of its weight.
     wrong = fit_sequence_calibration(floored, (codes + 1) % 3, episodes, prior)
     assert wrong.strength == pytest.approx(0.05)
-    # What never misleads is taken at its word, and as if no touch were like another.
+    # Evidence that never misleads has its full weight, as of independent touches.
     sure = fit_sequence_calibration(
         with_floor(9.0 * np.eye(3)[codes], 0.01), codes, episodes, prior
     )
     assert (sure.strength, sure.correlation) == pytest.approx((1, 0), abs=1e-5)
     assert sure.correlation > 0
-    # Touches that repeat the first one's word are worth one.
+    # Touches that repeat the evidence of the first are worth one.
     first = np.repeat(floored[1::10], 10, axis=0)
     blocks = np.repeat(np.arange(12), 10)
     same = [rows[:, :5] for rows in draw_episodes(codes, 0, blocks=blocks)]
@@ -170,7 +173,7 @@ def test_calibrations_stay_within_their_bounds(repeated):
     assert alike.correlation < 1
 
 
-def seen(seed=0, n_each=10, spread=1.0):
+def examples(seed=0, n_each=10, spread=1.0):
     """Examples of three things in a plane, and their names."""
     rng = np.random.default_rng(seed)
     labels = np.repeat(["ball", "mug", "pen"], n_each)
@@ -180,47 +183,51 @@ def seen(seed=0, n_each=10, spread=1.0):
     ), labels
 
 
-def test_a_sense_says_what_its_classifier_says_with_the_floor():
-    X, y = seen()
+def test_a_sense_gives_the_probabilities_of_its_classifier_with_the_floor():
+    X, y = examples()
     sense = Modality(floor=0.2).fit(X, y)
     assert sense.classes_.tolist() == ["ball", "mug", "pen"]
-    asked = seen(1, 2)[0]
-    scaled = (asked - X.mean(axis=0)) / X.std(axis=0)
+    new_examples = examples(1, 2)[0]
+    scaled = (new_examples - X.mean(axis=0)) / X.std(axis=0)
     shares = np.exp(sense.classifier_.log_likelihood(scaled))
     shares = 0.8 * shares / shares.sum(axis=1, keepdims=True) + 0.2 / 3
-    said = np.exp(sense.log_likelihood(asked, np.array(["pen", "ball", "mug"])))
-    assert said == pytest.approx(shares[:, [2, 0, 1]])
-    # What it does not know gets the mean of what it knows among those asked about.
-    some = np.exp(sense.log_likelihood(asked, np.array(["box", "mug", "pen"])))
+    probabilities = np.exp(
+        sense.log_likelihood(new_examples, np.array(["pen", "ball", "mug"]))
+    )
+    assert probabilities == pytest.approx(shares[:, [2, 0, 1]])
+    # A name that it never learnt gets the mean of the learnt ones among the names.
+    with_box = np.exp(
+        sense.log_likelihood(new_examples, np.array(["box", "mug", "pen"]))
+    )
     middle = shares[:, 1:].mean(axis=1)
-    assert some == pytest.approx(np.column_stack([middle, shares[:, 1:]]))
-    none = sense.log_likelihood(asked, np.array(["box", "cup"]))
-    assert none.tolist() == [[0.0, 0.0]] * 6
+    assert with_box == pytest.approx(np.column_stack([middle, shares[:, 1:]]))
+    unlearnt = sense.log_likelihood(new_examples, np.array(["box", "cup"]))
+    assert unlearnt.tolist() == [[0.0, 0.0]] * 6
 
 
 def test_examples_that_resemble_each_other_are_left_out_together():
-    X, y = seen(spread=3.0)
+    X, y = examples(spread=3.0)
     alone = Modality().fit(X, y).sequence_calibration_
     assert alone == Modality().fit(X, y, groups=np.arange(30)).sequence_calibration_
-    # At its bounds the seed is no matter; of examples that overlap it is.
-    overlap = seen(n_each=40, spread=4.0)
+    # The seed changes no calibration at its bounds, but that of overlapping examples.
+    overlap = examples(n_each=40, spread=4.0)
     drawn = [Modality(random_state=k).fit(*overlap) for k in (0, 1)]
     assert drawn[0].sequence_calibration_ != drawn[1].sequence_calibration_
-    # Copies that are met in training are surer of themselves.
+    # A copy whose original is in training makes a sense look surer than it is.
     rng = np.random.default_rng(2)
     copies = np.repeat(X, 4, axis=0) + 1e-3 * rng.normal(size=(120, 2))
     names, visit = np.repeat(y, 4), np.repeat(np.arange(30), 4)
-    told = Modality().fit(copies, names, groups=visit).sequence_calibration_
-    untold = Modality().fit(copies, names).sequence_calibration_
-    assert told.strength < untold.strength - 0.2
+    grouped = Modality().fit(copies, names, groups=visit).sequence_calibration_
+    ungrouped = Modality().fit(copies, names).sequence_calibration_
+    assert grouped.strength < ungrouped.strength - 0.2
 
 
 @pytest.mark.parametrize("floor", [0, 0.5])
 def test_a_floor_of_a_sense_is_at_most_a_half(floor):
-    assert Modality(floor=floor).fit(*seen()).floor == floor
+    assert Modality(floor=floor).fit(*examples()).floor == floor
     for beyond in (-0.01, 0.51):
         with pytest.raises(ValueError, match="floor must be"):
-            Modality(floor=beyond).fit(*seen())
+            Modality(floor=beyond).fit(*examples())
 
 
 @pytest.mark.parametrize(
@@ -237,16 +244,16 @@ def test_a_sense_needs_two_labels_of_two_examples(y, message):
     Modality().fit(np.eye(4), ["a", "b", "b", "a"])
 
 
-def test_a_label_left_out_whole_gets_the_least_that_any_got(rng):
+def test_a_label_left_out_whole_gets_the_least_likelihood_of_the_others(rng):
     images = rng.normal(size=(24, 2, 4)) + 3 * np.repeat(np.eye(8)[:3], 8, 0).reshape(
         24, 2, 4
     )
     labels = np.repeat(["a", "b", "c"], 8)
     groups = np.where(labels == "c", 9, np.arange(24) % 4)
     learnt = ObjectRecogniser("corradi2015").fit(images, labels, groups)
-    said = learnt.left_out_log_likelihood()
-    assert np.isfinite(said).all()
-    assert (said[16:, 2] == said[16:, :2].min(axis=1)).all()
+    log_likelihood = learnt.left_out_log_likelihood()
+    assert np.isfinite(log_likelihood).all()
+    assert (log_likelihood[16:, 2] == log_likelihood[16:, :2].min(axis=1)).all()
 
 
 def test_one_impossible_touch_does_not_rule_an_object_out():
@@ -334,7 +341,9 @@ def test_a_prior_is_brought_to_sum_one_in_the_order_of_the_objects():
         ({"a": 0.9e-12, "b": 1.0}, ValueError, "got 9e-13 for 'a'. Give it at least"),
     ],
 )
-def test_a_prior_that_is_none_is_refused(prior, error, message):
+def test_a_prior_without_a_positive_number_for_each_object_is_refused(
+    prior, error, message
+):
     with pytest.raises(error, match=message):
         given_prior(prior, np.array(["a", "b"]))
     assert given_prior({"a": 1e-12, "b": 1.0}, np.array(["a", "b"]))[0] < -27.6
@@ -342,12 +351,12 @@ def test_a_prior_that_is_none_is_refused(prior, error, message):
 
 def test_images_lists_and_touches_are_touches():
     image = np.arange(6.0).reshape(2, 3)
-    one, three = as_touches(image), as_touches([image] * 3)
-    assert one.images.shape == (1, 2, 3)
+    touch, three = as_touches(image), as_touches([image] * 3)
+    assert touch.images.shape == (1, 2, 3)
     assert three.images.shape == (3, 2, 3)
-    assert as_touches(one) is one
-    assert len(as_touches([one, three])) == 4
-    assert isinstance(as_touches([one]), Touches)
+    assert as_touches(touch) is touch
+    assert len(as_touches([touch, three])) == 4
+    assert isinstance(as_touches([touch]), Touches)
     for bad in ([], np.zeros(3), np.zeros((1, 2, 2, 2, 3))):
         shape = np.asarray(bad).shape
         with pytest.raises(ValueError, match="touch must be") as refused:
@@ -359,11 +368,13 @@ def test_images_lists_and_touches_are_touches():
 
 def test_evidence_taken_apart_is_put_together_again(rng):
     parts = [rng.normal(size=shape) for shape in ((5, 2), (5, 3), (5, 2, 3), (5, 3))]
-    features, said, each, far = parts
+    features, log_likelihood, each, far = parts
     flags = ["", "double contact", "", "saturated", ""]
-    whole = Evidence(features, said, flags, each, far, rng.normal(size=(5, 7)))
+    whole = Evidence(
+        features, log_likelihood, flags, each, far, rng.normal(size=(5, 7))
+    )
     alone = [whole.of_touch(k) for k in range(5)]
     assert [part.flags for part in alone] == [[flag] for flag in flags]
     assert {len(array) for part in alone for array in part} == {1}
-    for one, other in zip(Evidence.together(alone), whole, strict=True):
-        assert np.array_equal(one, other)
+    for joined, original in zip(Evidence.together(alone), whole, strict=True):
+        assert np.array_equal(joined, original)

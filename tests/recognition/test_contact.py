@@ -1,4 +1,4 @@
-"""When touches count as contact, saturated or double, and that others say nothing."""
+"""Flags of touches: no contact, which is no evidence, saturated, double or turned."""
 
 import numpy as np
 import pytest
@@ -46,9 +46,9 @@ def check(monkeypatch):
     return fit
 
 
-def flags(check, images, every=None, **about):
+def flags(check, images, novelty=None, **about):
     touches = Touches(np.asarray(images), **about)
-    return check.flags(touches, touches.images, every)
+    return check.flags(touches, touches.images, novelty)
 
 
 def test_taxels_outside_every_pad_do_not_count(check):
@@ -86,12 +86,12 @@ def test_channels_count_together(check):
     assert both.idle_.shape == (9, 20, 2)
     size = np.sqrt((images**2).mean(axis=(1, 2, 3)))
     assert both.typical_ == pytest.approx(np.median(size))
-    faint, one, two = np.zeros((3, 9, 20, 2))
+    faint, single, double = np.zeros((3, 9, 20, 2))
     faint[2, 2] = 2
-    one[3:7, 3:6, 1] = 120
-    two[1:4, 1:4, 0] = two[5:8, 12:16, 1] = 100
-    said = flags(both, np.stack([faint, one, two]), channels=["x", "y"])
-    assert said == ["no contact", "", "double contact"]
+    single[3:7, 3:6, 1] = 120
+    double[1:4, 1:4, 0] = double[5:8, 12:16, 1] = 100
+    touch_flags = flags(both, np.stack([faint, single, double]), channels=["x", "y"])
+    assert touch_flags == ["no contact", "", "double contact"]
 
 
 def test_a_colour_camera_is_compared_with_its_frame_of_no_contact(check):
@@ -100,9 +100,9 @@ def test_a_colour_camera_is_compared_with_its_frame_of_no_contact(check):
     dents = frame + rng.normal(scale=60, size=(24, 9, 20, 3))
     about = {"channels": ["r", "g", "b"]}
     camera = check(dents, geometry="plane", no_contact=frame, **about)
-    rest = frame * 1.1 + rng.normal(size=frame.shape)
-    said = flags(camera, np.stack([rest, dents[0]]), **about)
-    assert said == ["no contact", ""]
+    idle_image = frame * 1.1 + rng.normal(size=frame.shape)
+    touch_flags = flags(camera, np.stack([idle_image, dents[0]]), **about)
+    assert touch_flags == ["no contact", ""]
 
 
 def test_a_plane_of_pads_is_compared_on_them_alone(check):
@@ -126,36 +126,39 @@ def test_models_of_hands_keep_their_pads(tmp_path):
     pinch[3:6, 3:6] = pinch[3:6, 14:17] = 120
     double[0:3, 0:3] = double[6:9, 6:9] = 120
     for model in (learnt, again):
-        told = model.evidence(Touches(np.stack([pinch, double, empty])))
-        assert told.flags == ["", "double contact", "no contact"]
-        assert not told.log_likelihood[2].any()
+        evidence = model.evidence(Touches(np.stack([pinch, double, empty])))
+        assert evidence.flags == ["", "double contact", "no contact"]
+        assert not evidence.log_likelihood[2].any()
 
 
 def mixed(share, frame, other):
     """Return an image whose correlation with a frame is given."""
-    one, two = (image - image.mean() for image in (frame, other))
-    two -= (one * two).sum() / (one**2).sum() * one
-    two *= np.linalg.norm(one) / np.linalg.norm(two)
-    return 50 + 7 * (share * one + np.sqrt(1 - share**2) * two)
+    centred_frame, centred_other = (image - image.mean() for image in (frame, other))
+    centred_other -= (
+        (centred_frame * centred_other).sum() / (centred_frame**2).sum() * centred_frame
+    )
+    centred_other *= np.linalg.norm(centred_frame) / np.linalg.norm(centred_other)
+    return 50 + 7 * (share * centred_frame + np.sqrt(1 - share**2) * centred_other)
 
 
 def test_correlation_is_that_of_statistics():
     images = np.random.default_rng(0).integers(0, 255, (4, 5, 6), dtype=np.uint8)
     images[3] = 9  # an even image is like nothing
-    found = correlation(images, images[1])
+    correlations = correlation(images, images[1])
     expected = np.corrcoef(images[:3].reshape(3, -1))[1]
-    assert found == pytest.approx([*expected, 0])
+    assert correlations == pytest.approx([*expected, 0])
     assert correlation(images, images[3]).tolist() == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize(
     ("geometry", "typical", "limit"),
     [
-        # Those of a middling touch or not, a camera has one limit.
+        # The limit of a dome is the same, however like the frame its touches are;
+        # so is that of a plane whose touches are unlike it.
         ("dome", 0.5, 0.985),
         ("dome", 0.99, 0.985),
         ("plane", 0.5, 0.985),
-        # A quarter of what a middling touch is unlike the frame.
+        # Else it is a quarter of what a middling touch is unlike the frame.
         ("plane", 0.98, 0.995),
     ],
 )
@@ -178,18 +181,22 @@ def test_without_a_frame_only_arrays_tell_no_contact(check, geometry):
     assert check(pressed(), geometry="array").kind_ == "array"
 
 
-@pytest.mark.parametrize("rest", [0.0, 30.0])
-def test_an_array_is_pressed_from_three_hundredths_of_a_middling_touch(check, rest):
-    frame = rest + np.random.default_rng(2).random((9, 20))
+@pytest.mark.parametrize("rest_level", [0.0, 30.0])
+def test_an_array_is_pressed_from_three_hundredths_of_a_middling_touch(
+    check, rest_level
+):
+    frame = rest_level + np.random.default_rng(2).random((9, 20))
     images = frame + pressed()
-    about = {"no_contact": frame} if rest else {}
-    array = check(images if rest else pressed(), geometry="array", **about)
+    about = {"no_contact": frame} if rest_level else {}
+    array = check(images if rest_level else pressed(), geometry="array", **about)
     size = np.median(np.sqrt((pressed() ** 2).mean(axis=(1, 2))))
     assert array.typical_ == pytest.approx(size)
     # Up or down: a change is a change.
-    asked = [frame * bool(rest) + share * size for share in (0.029, 0.031, -0.031)]
-    said = flags(array, np.stack(asked), **about)
-    assert said == ["no contact", "", ""]
+    presses = [
+        frame * bool(rest_level) + share * size for share in (0.029, 0.031, -0.031)
+    ]
+    touch_flags = flags(array, np.stack(presses), **about)
+    assert touch_flags == ["no contact", "", ""]
 
 
 def test_touches_that_never_change_leave_a_unit_of_one(check):
@@ -225,7 +232,7 @@ def test_saturated_is_more_at_the_limit_than_in_training(
             assert flags(learnt, touches) == expected
 
 
-def test_what_one_in_a_hundred_training_touches_shows_is_no_measure(check):
+def test_the_usual_share_at_the_limit_is_the_99_percent_quantile(check):
     images = np.full((24, 10, 10), 100, np.uint8) + np.eye(10, dtype=np.uint8)
     images[0, :5] = 255
     learnt = check(images, geometry="plane")
@@ -234,7 +241,7 @@ def test_what_one_in_a_hundred_training_touches_shows_is_no_measure(check):
 
 
 @pytest.mark.parametrize(
-    ("regions", "said"),
+    ("regions", "flag"),
     [
         ([(0, 0, 2, 8), (5, 2, 2, 2)], "double contact"),  # 16 and 4 taxels
         ([(0, 0, 2, 8), (5, 2, 1, 4)], "double contact"),
@@ -249,13 +256,13 @@ def test_what_one_in_a_hundred_training_touches_shows_is_no_measure(check):
         ([(3, 3, 4, 4)], ""),
     ],
 )
-def test_double_is_a_second_region_of_a_quarter_of_the_first(check, regions, said):
+def test_double_is_a_second_region_of_a_quarter_of_the_first(check, regions, flag):
     image = np.zeros((1, 9, 20))
     for row, col, n_rows, n_cols in regions:
         image[0, row : row + n_rows, col : col + n_cols] = 100
     array = check(pressed(), geometry="array")
     for sign in (1, -1):  # a change is a change
-        assert flags(array, sign * image) == [said]
+        assert flags(array, sign * image) == [flag]
 
 
 @pytest.mark.parametrize(("n_double", "tells"), [(4, True), (5, False)])
@@ -292,41 +299,41 @@ def test_turned_is_new_to_encodings_that_see_it_and_known_to_the_others(check):
     rng = np.random.default_rng(3)
     array = check(pressed(), geometry="array")
     left_out = rng.random((500, 4))
-    assert flags(array, pressed()[:1], every=np.full((1, 4), 9.0)) == [""]
+    assert flags(array, pressed()[:1], novelty=np.full((1, 4), 9.0)) == [""]
     array.learn_poses(Sighted(), left_out)
     assert array.blind_.tolist() == [False, True, False, True]
     means = left_out[:, [0, 2]].mean(axis=1), left_out[:, [1, 3]].mean(axis=1)
     assert array.usual_ == pytest.approx([np.quantile(m, 0.99) for m in means])
     sees, blind = array.usual_
     step = 1e-9
-    every = [
+    cases = [
         ([sees + step, blind, sees + step, blind], "turned or shifted"),
         ([sees, blind, sees, blind], ""),
         ([sees + step, blind + step, sees + step, blind + step], ""),
-        # What does not tell is left out of the mean; where nothing does, none is new.
+        # NaN is left out of a mean; where all are NaN, the touch has no flag.
         ([np.nan, blind - 1, sees + step, np.nan], "turned or shifted"),
         ([np.nan, 0, np.nan, 0], ""),
         ([9, np.nan, 9, np.nan], ""),
         ([9 - 2 * step, -9, sees - 9 + step, 9], ""),
     ]
-    touches = np.repeat(pressed()[:1], len(every), axis=0)
-    said = flags(array, touches, every=np.array([row for row, _ in every]))
-    assert said == [expected for _, expected in every]
+    touches = np.repeat(pressed()[:1], len(cases), axis=0)
+    touch_flags = flags(array, touches, novelty=np.array([row for row, _ in cases]))
+    assert touch_flags == [expected for _, expected in cases]
     left_out[7, 0] = left_out[7, 2] = np.nan
     array.learn_poses(Sighted(), left_out)
     assert np.isnan(array.usual_).tolist() == [True, False]
-    assert set(flags(array, touches, every=np.full((7, 4), 9.0))) == {""}
+    assert set(flags(array, touches, novelty=np.full((7, 4), 9.0))) == {""}
 
 
-def test_the_gravest_reason_is_told_first(check):
+def test_of_several_flags_the_gravest_is_given(check):
     array = check(pressed().astype(np.uint8), geometry="array")
     array.learn_poses(Sighted(), np.zeros((9, 4)))
-    new = np.array([[1.0, 0, 1, 0]] * 4)
+    novelty = np.array([[1.0, 0, 1, 0]] * 4)
     touches = np.zeros((4, 9, 20), np.uint8)
     touches[1:, 0:3, 0:6] = touches[1:, 6:9, 0:6] = 120
     touches[2, 0:3, 0:6] = 255
-    told = flags(array, touches, every=new)
-    assert told[:3] == ["no contact", "turned or shifted", "saturated"]
+    touch_flags = flags(array, touches, novelty=novelty)
+    assert touch_flags[:3] == ["no contact", "turned or shifted", "saturated"]
     assert flags(array, touches)[1] == "double contact"
 
 
@@ -374,7 +381,7 @@ def test_no_contact_leaves_the_belief_and_counts_as_a_touch(camera):
     assert belief.posterior == before
     assert belief.touches_used == 3
     assert belief.flags == ["", "", "no contact"]
-    # So it does before any other.
+    # Before any other touch they leave the belief as well.
     first = recogniser.start().update(idle(touches)).update(idle(touches, seed=4))
     assert list(first.posterior.values()) == pytest.approx([0.95 / 2] * 2)
     assert first.unknown == pytest.approx(0.05)
@@ -382,13 +389,13 @@ def test_no_contact_leaves_the_belief_and_counts_as_a_touch(camera):
     assert first.update(touches[:2]).posterior == before
 
 
-def test_touches_in_contact_are_heard(camera):
+def test_touches_in_contact_have_no_flag_and_are_evidence(camera):
     recogniser, touches = camera
     assert recogniser.evidence(touches).flags == [""] * len(touches)
     assert (np.ptp(recogniser.log_likelihood(touches), axis=1) > 0).all()
 
 
-def test_a_label_of_such_touches_is_learnt(camera):
+def test_a_label_of_touches_without_contact_is_learnt(camera):
     _, touches = camera
     frames = np.stack([idle(touches, seed) for seed in range(12)])
     more = Touches(
@@ -401,7 +408,7 @@ def test_a_label_of_such_touches_is_learnt(camera):
     assert recogniser.start().update(idle(touches, seed=99)).best == "nothing"
 
 
-def test_the_paper_hears_everything(camera):
+def test_the_preset_of_the_paper_takes_the_idle_frame_as_evidence(camera):
     _, touches = camera
     recogniser = ObjectRecogniser("corradi2015").fit(touches)
     row = recogniser.log_likelihood(Touches(idle(touches)[np.newaxis]))
@@ -410,10 +417,10 @@ def test_the_paper_hears_everything(camera):
 
 @pytest.mark.realdata
 @pytest.mark.slow
-def test_the_recorded_frame_moves_nothing(data_folder):
+def test_the_recorded_frame_is_flagged_as_no_contact(data_folder):
     touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
-    some = np.unique(touches.object)[[0, 12, 24]]
-    touches = touches[np.isin(touches.object, some)][::2]
+    names = np.unique(touches.object)[[0, 12, 24]]
+    touches = touches[np.isin(touches.object, names)][::2]
     recogniser = ObjectRecogniser().fit(touches)
     frame = touches.no_contact
     # Other exposure, and the camera moved by two pixels.

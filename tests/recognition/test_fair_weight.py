@@ -44,7 +44,7 @@ def adapted(seed):
     return adapt(learnt, drawn(seed + 100, [4, 32, 32, 32], shift=0.3))
 
 
-WAYS = {
+LEARNERS = {
     "fit": (fitted, ["bowl", "mug"], 0.0),
     "add an object": (added, ["bowl"], 0.0),
     "extend the sparse object": (extended, ["bowl"], 0.0),
@@ -53,9 +53,9 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_objects_of_few_touches_are_right_nearly_as_often(way):
-    learn, few, shift = WAYS[way]
+@pytest.mark.parametrize("learner", LEARNERS)
+def test_objects_of_few_touches_are_right_nearly_as_often(learner):
+    learn, few, shift = LEARNERS[learner]
     test = drawn(999, [200, 200, 200, 200], shift)
     right = learn(1).predict(test) == test.object
     sparse = np.isin(test.object, few)
@@ -67,9 +67,9 @@ def test_objects_of_few_touches_are_right_nearly_as_often(way):
 
 def left_out_loss(model):
     """Return the mean log loss (nats) of touches left out with their block."""
-    said = log_softmax(model.left_out_log_likelihood(), axis=1)
+    log_probabilities = log_softmax(model.left_out_log_likelihood(), axis=1)
     codes = np.searchsorted(model.classes_, model.memory_.labels)
-    return -said[np.arange(len(codes)), codes].mean()
+    return -log_probabilities[np.arange(len(codes)), codes].mean()
 
 
 def again(touches, spread):
@@ -79,9 +79,9 @@ def again(touches, spread):
     return Touches(images, object=touches.object, geometry="none")
 
 
-# Each twice, the touches are in three larger blocks instead of five: machines that
-# never met one learn from less. That costs 0.19 nats at most in three draws; copies
-# that are met take all loss away.
+# With each touch given twice there are three larger blocks instead of five, so that
+# machines without one of them learn from a smaller share of the touches. That costs
+# 0.19 nats at most in three draws; copies learnt from would take all loss away.
 FEWER_BLOCKS = 0.25
 
 

@@ -64,19 +64,19 @@ def changed(folder, number, change):
     return forged(folder / "b.palpate", document, tensors)
 
 
-def every(node, name):
+def holders_of(node, name):
     """Return all dictionaries in which `name` is a key."""
     children = node.values() if isinstance(node, dict) else node
-    found = [node] if isinstance(node, dict) and name in node else []
+    holders = [node] if isinstance(node, dict) and name in node else []
     nested = (
-        every(child, name) for child in children if isinstance(child, dict | list)
+        holders_of(child, name) for child in children if isinstance(child, dict | list)
     )
-    return found + [one for some in nested for one in some]
+    return holders + [holder for inner in nested for holder in inner]
 
 
 def with_all(name, value):
     def change(learnt, tensors):
-        for holder in every(learnt, name):
+        for holder in holders_of(learnt, name):
             holder[name] = value
 
     return change
@@ -84,12 +84,12 @@ def with_all(name, value):
 
 def with_high_degree(learnt, tensors):
     kernel = {"class": "PolynomialKernel", "params": {"degree": 2**31}, "learnt": {}}
-    for holder in every(learnt, "kernels_"):
+    for holder in holders_of(learnt, "kernels_"):
         holder["kernels_"]["list"][0] = kernel
 
 
 def with_many_kernels(learnt, tensors):
-    for holder in every(learnt, "kernels_"):
+    for holder in holders_of(learnt, "kernels_"):
         holder["kernels_"]["list"] *= 1000
 
 
@@ -171,46 +171,46 @@ def ratios(change):
     return lambda curve: replace(curve, log_ratios=change(curve.log_ratios))
 
 
-def remounted(**taken_off):
-    """Return a model to change, its encoder wrapped in what is taken off."""
+def remounted(**corrections):
+    """Return a model whose encoder is wrapped in these corrections."""
     model = deepcopy(models()[0])
     images = np.random.default_rng(0).random((8, *model.encoder_.image_shape_))
     model.remount(Touches(100 * images, geometry="none"))
-    nothing = {**dict.fromkeys(TAKEN_OFF), "gain": 1.0}
-    model.encoder_ = replace(model.encoder_, **{**nothing, **taken_off})
+    nothing = {**dict.fromkeys(CORRECTIONS), "gain": 1.0}
+    model.encoder_ = replace(model.encoder_, **{**nothing, **corrections})
     return model
 
 
-TAKEN_OFF = ["offset", "weighing", "drift", "broken", "look_offset"]
+CORRECTIONS = ["offset", "weighing", "drift", "broken", "look_offset"]
 
 
-@pytest.mark.parametrize("name", [*TAKEN_OFF, "still_"])
-def test_what_is_added_to_a_touch_must_be_as_large_as_it(tmp_path, name):
+@pytest.mark.parametrize("name", [*CORRECTIONS, "still_"])
+def test_corrections_of_a_touch_must_be_as_large_as_it(tmp_path, name):
     # Else a small column would be spread over all features, a thousand times over.
     small = np.zeros((1000, 1))
     model = remounted() if name == "still_" else remounted(**{name: small})
     if name == "still_":
         model.encoder_.encoder.still_ = small
-    said = refusal_of(model.save(tmp_path / "m.palpate"))
-    assert f"its {name} has shape" in said
+    refusal = refusal_of(model.save(tmp_path / "m.palpate"))
+    assert f"its {name} has shape" in refusal
 
 
 def test_an_encoder_wrapped_twice_is_refused(tmp_path):
     model = remounted()
     model.encoder_ = replace(model.encoder_, encoder=model.encoder_)
-    said = refusal_of(model.save(tmp_path / "m.palpate"))
-    assert "encoder_ is a RemountedEncoder" in said
+    refusal = refusal_of(model.save(tmp_path / "m.palpate"))
+    assert "encoder_ is a RemountedEncoder" in refusal
 
 
 def test_a_gain_is_read_up_to_its_bounds(tmp_path):
     for gain, message in ((1e-6, ""), (1e6, ""), (9e-7, "gain"), (1.1e6, "gain")):
-        said = refusal_of(remounted(gain=gain).save(tmp_path / "m.palpate"))
-        assert message in said
-        assert bool(message) == bool(said)
+        refusal = refusal_of(remounted(gain=gain).save(tmp_path / "m.palpate"))
+        assert message in refusal
+        assert bool(message) == bool(refusal)
 
 
-def test_an_encoder_that_holds_itself_what_is_taken_off_is_wrapped(tmp_path):
-    """As models had it before encoders were wrapped."""
+def test_an_encoder_that_holds_its_own_corrections_is_wrapped(tmp_path):
+    """Model files were such before encoders were wrapped."""
     n_features = models()[0].memory_.features.shape[1]
     model = remounted(gain=1.5, offset=np.full(n_features, 0.25))
     document, tensors = opened(model.save(tmp_path / "new.palpate"))
@@ -220,8 +220,8 @@ def test_an_encoder_that_holds_itself_what_is_taken_off_is_wrapped(tmp_path):
     learnt["encoder_"]["learnt"] |= {f"{name}_": v for name, v in params.items()}
     path = forged(tmp_path / "old.palpate", document, tensors)
     images = np.random.default_rng(1).random((3, *model.encoder_.image_shape_))
-    told = ObjectRecogniser.load(path).log_likelihood(images)
-    assert_array_equal(told, model.log_likelihood(images))
+    log_likelihood = ObjectRecogniser.load(path).log_likelihood(images)
+    assert_array_equal(log_likelihood, model.log_likelihood(images))
 
 
 @pytest.mark.parametrize("number", range(6))
@@ -288,8 +288,8 @@ def test_numbers_are_read_up_to_their_bounds(tmp_path, name, bounds, beyond):
         else:
             before = model.sequence_calibration_
             model.sequence_calibration_ = replace(before, **{name: number})
-        said = refusal_of(model.save(tmp_path / "m.palpate"))
-        assert (f"{name} must be" in said) == (number in beyond) == bool(said)
+        refusal = refusal_of(model.save(tmp_path / "m.palpate"))
+        assert (f"{name} must be" in refusal) == (number in beyond) == bool(refusal)
 
 
 def test_a_pose_of_another_kind_is_refused(tmp_path):
@@ -300,7 +300,7 @@ def test_a_pose_of_another_kind_is_refused(tmp_path):
 
 def with_texts(first, others):
     def change(learnt, tensors):
-        for holder in every(learnt, "text"):
+        for holder in holders_of(learnt, "text"):
             if len(holder["text"]) > 2:
                 holder["text"] = [first, *others]
                 holder["shape"] = [1 + len(others)]
@@ -309,7 +309,7 @@ def with_texts(first, others):
 
 
 @pytest.mark.parametrize(
-    ("n_letters", "n_others", "told"),
+    ("n_letters", "n_others", "refused"),
     [
         (50_000, 20_000, True),
         (1000, 15, False),
@@ -318,11 +318,11 @@ def with_texts(first, others):
         (40, 20_000, False),
     ],
 )
-def test_texts_of_a_model_are_bounded(tmp_path, n_letters, n_others, told):
-    """To 1,000 letters; in an array each letter of the longest takes four bytes."""
+def test_texts_of_a_model_are_bounded(tmp_path, n_letters, n_others, refused):
+    """A text has 1,000 letters at most; arrays take 4 bytes a letter of the longest."""
     path = changed(tmp_path, 0, with_texts("x" * n_letters, ["y"] * n_others))
     refusal = f"{n_others + 1} texts of up to {n_letters} letters"
-    assert (refusal in check_bounded(path)) == told
+    assert (refusal in check_bounded(path)) == refused
 
 
 def node(name="SequenceCalibration", params=None, **learnt):
@@ -330,7 +330,7 @@ def node(name="SequenceCalibration", params=None, **learnt):
 
 
 def beside(*nodes):
-    """Put nodes where a model keeps whatever was found out."""
+    """Return a change that adds nodes to what a model keeps of its choices."""
 
     def change(learnt, tensors):
         learnt["chosen_"]["dict"].append(["more", {"list": [*nodes]}])
@@ -340,7 +340,7 @@ def beside(*nodes):
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """Forge a model, written once, that keeps some nodes more."""
+    """Return a function that forges a model, written once, with more nodes."""
     folder = tmp_path_factory.mktemp("plain")
     document, tensors = opened(models()[0].save(folder / "a.palpate"))
 
@@ -362,19 +362,21 @@ MOST = {
 
 
 @pytest.mark.parametrize("name", MOST)
-def test_what_sizes_something_has_a_limit(tmp_path, plain, name):
+def test_parameters_that_set_a_size_have_a_limit(tmp_path, plain, name):
     most = MOST[name]
     for value in (most, most + 1):
-        one = node(params={name: value}) if name[-1] != "_" else node(**{name: value})
-        said = refusal_of(plain(tmp_path, one))
-        assert (f"{name} must be at most {most}, got {value}" in said) == (value > most)
+        part = node(params={name: value}) if name[-1] != "_" else node(**{name: value})
+        refusal = refusal_of(plain(tmp_path, part))
+        assert (f"{name} must be at most {most}, got {value}" in refusal) == (
+            value > most
+        )
 
 
 @pytest.mark.parametrize("value", [-2048, -2049])
-def test_what_sizes_something_has_a_limit_below_and_in_a_row(tmp_path, plain, value):
-    for given in (value, {"tuple": [1, value]}, {"list": [1, value]}):
-        said = refusal_of(plain(tmp_path, node(size_=given)))
-        assert (f"at most 2048, got {value}" in said) == (value < -2048)
+def test_sizes_have_a_limit_below_zero_and_inside_of_lists(tmp_path, plain, value):
+    for size in (value, {"tuple": [1, value]}, {"list": [1, value]}):
+        refusal = refusal_of(plain(tmp_path, node(size_=size)))
+        assert (f"at most 2048, got {value}" in refusal) == (value < -2048)
 
 
 @pytest.mark.parametrize(
@@ -391,28 +393,28 @@ def test_what_sizes_something_has_a_limit_below_and_in_a_row(tmp_path, plain, va
 def test_moments_of_high_order_are_made_of_small_images(
     tmp_path, plain, order, shape, refused
 ):
-    # What is built from it then fails for another reason, or is built.
-    one = node(params={"order": order}, image_shape_={"tuple": shape})
-    said = refusal_of(plain(tmp_path, one))
-    assert ("too much for one touch" in said) == refused
+    # The model is refused for another reason, or read, where this one does not hold.
+    part = node(params={"order": order}, image_shape_={"tuple": shape})
+    refusal = refusal_of(plain(tmp_path, part))
+    assert ("too much for one touch" in refusal) == refused
 
 
 @pytest.mark.parametrize(("n_kernels", "refused"), [(2500, False), (2501, True)])
 def test_kernels_times_touches_are_at_most_five_million(
     tmp_path, plain, n_kernels, refused
 ):
-    one = node(kernels_={"list": [0] * n_kernels}, touches_={"list": [0] * 2000})
-    said = refusal_of(plain(tmp_path, one))
-    assert ("too much for one touch" in said) == refused
+    part = node(kernels_={"list": [0] * n_kernels}, touches_={"list": [0] * 2000})
+    refusal = refusal_of(plain(tmp_path, part))
+    assert ("too much for one touch" in refusal) == refused
 
 
 def test_a_model_has_at_most_five_hundred_parts(tmp_path):
     document, _ = opened(models()[0].save(tmp_path / "a.palpate"))
-    more = 500 - len(every(document, "class"))
+    more = 500 - len(holders_of(document, "class"))
     for n_nodes, refused in ((more, False), (more + 1, True)):
-        said = refusal_of(changed(tmp_path, 0, beside(*[node()] * n_nodes)))
-        assert bool(said) == refused
-        assert said.count("501 parts, too much for one touch") == refused
+        refusal = refusal_of(changed(tmp_path, 0, beside(*[node()] * n_nodes)))
+        assert bool(refusal) == refused
+        assert refusal.count("501 parts, too much for one touch") == refused
 
 
 @pytest.mark.parametrize(
@@ -424,8 +426,8 @@ def test_touches_are_counted_from_none_to_all(tmp_path, counts, refused):
         counted = {"array": "t900", "shape": [2], "turned": False}
         beside(node(counts_=counted, points_={"list": [0] * 4}))(learnt, tensors)
 
-    said = refusal_of(changed(tmp_path, 0, change))
-    assert ("more touches than there are" in said) == refused
+    refusal = refusal_of(changed(tmp_path, 0, change))
+    assert ("more touches than there are" in refusal) == refused
 
 
 @pytest.mark.parametrize(
@@ -443,11 +445,11 @@ def test_an_array_is_used_four_times_at_most_in_its_own_shape(
 ):
     def change(learnt, tensors):
         tensors["t900"] = np.zeros((2, 3))
-        uses = [{"array": "t900", "shape": some, "turned": False} for some in shapes]
+        uses = [{"array": "t900", "shape": shape, "turned": False} for shape in shapes]
         beside(*uses)(learnt, tensors)
 
-    said = refusal_of(changed(tmp_path, 0, change))
-    assert ("the array t900 has shape (2, 3)" in said) == refused
+    refusal = refusal_of(changed(tmp_path, 0, change))
+    assert ("the array t900 has shape (2, 3)" in refusal) == refused
 
 
 def test_a_number_in_an_array_is_read_as_one(tmp_path):
@@ -462,7 +464,7 @@ def test_a_number_in_an_array_is_read_as_one(tmp_path):
 def test_a_document_has_a_million_values_and_one_in_fifty_bytes(
     tmp_path, more, refused
 ):
-    """Each bracket, brace and comma is one."""
+    """Each bracket, brace and comma counts as a value."""
     path, start, end = tmp_path / "a.palpate", '{"a":[0', "]}"
 
     def written(n_values):
@@ -473,11 +475,11 @@ def test_a_document_has_a_million_values_and_one_in_fifty_bytes(
         n_values = int(1_000_000 + written(n_values + 1) / 50)
     n_bytes = written(n_values + more)
     assert (n_values + more > 1_000_000 + n_bytes / 50) == refused
-    said = f"{n_values + more} values are too many for its size"
-    assert (said in refusal_of(path)) == refused
+    message = f"{n_values + more} values are too many for its size"
+    assert (message in refusal_of(path)) == refused
 
 
-def test_a_document_is_of_plain_letters(tmp_path):
+def test_a_document_of_other_letters_than_ascii_is_refused(tmp_path):
     path = forged(tmp_path / "a.palpate", '{"format": 4, "model": "é"}', {})
     assert "values are too many" in refusal_of(path)
 
@@ -487,7 +489,7 @@ def test_texts_take_32_mb_and_half_of_the_file_at_most(tmp_path):
     document, tensors = opened(path)
     texts = {"text": ["x" * 1000, *["y"] * 8499], "shape": [8500]}
     beside(texts)(document["model"]["learnt"], tensors)
-    held = [one["text"] for one in every(document, "text")]
+    held = [holder["text"] for holder in holders_of(document, "text")]
     n_letters = sum(max(map(len, items), default=0) * len(items) for items in held)
     most = 2 * (4 * n_letters - 32 * MB)  # bytes of a file that may hold them
     text = json.dumps(document)
@@ -503,7 +505,7 @@ def test_texts_take_32_mb_and_half_of_the_file_at_most(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("shape", "said"),
+    ("shape", "message"),
     [
         ([10_000, 5000], ""),  # 50 million levels, too many to try
         ([10_000, 5001], "images of 10000 x 5001 are none"),
@@ -515,17 +517,17 @@ def test_texts_take_32_mb_and_half_of_the_file_at_most(tmp_path):
     ],
 )
 def test_images_have_50_million_levels_and_are_tried_up_to_800_000(
-    tmp_path, shape, said
+    tmp_path, shape, message
 ):
     model = deepcopy(models()[0])
     model.encoder_.image_shape_ = tuple(shape)
     model.encoder_.still_ = None
     refusal = refusal_of(model.save(tmp_path / "m.palpate"))
-    assert said in refusal
-    assert bool(said) == bool(refusal)
+    assert message in refusal
+    assert bool(message) == bool(refusal)
 
 
-def test_what_is_as_large_as_a_touch_is_read(tmp_path):
+def test_corrections_as_large_as_a_touch_are_read(tmp_path):
     shape, n = models()[0].encoder_.image_shape_, models()[0].memory_.features.shape[1]
     whole = {"drift": np.zeros(shape), "broken": np.zeros(shape, dtype=bool)}
     whole |= {"offset": np.zeros(n), "weighing": np.eye(n), "look_offset": np.zeros(7)}
@@ -580,7 +582,7 @@ def with_calibration(sense, calibration):
         ("n_units", lambda v: 1),
     ],
 )
-def test_what_tells_strangers_is_read_at_its_bounds(tmp_path, name, change):
+def test_a_stranger_model_is_read_at_its_bounds(tmp_path, name, change):
     model = deepcopy(models()[0])
     changed = change(getattr(model.strangers_, name))
     model.strangers_ = replace(model.strangers_, **{name: changed})

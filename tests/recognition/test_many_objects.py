@@ -26,7 +26,7 @@ def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
 
 @pytest.fixture(scope="module", autouse=True)
 def very_many():
-    """Some hundred touches are many, and two thousand answers of them too many."""
+    """Lower the limits to a thousand targets and two thousand answers."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("palpate.classifiers._kernel_ridge._MOST_TARGETS", 1000)
         patch.setattr("palpate.classifiers._touch_classifier.MOST_ANSWERS", 2000)
@@ -54,48 +54,48 @@ def machine_of(recogniser):
 
 @KINDS
 @pytest.mark.slow
-def test_a_file_of_very_many_answers_alike(tmp_path, n_objects, n_each):
+def test_a_file_of_very_many_objects_answers_as_before_it_was_saved(
+    tmp_path, n_objects, n_each
+):
     model = learnt(n_objects, n_each)
     is_nearby = isinstance(machine_of(model), NearbyTouches)
     assert is_nearby == (n_objects > 500)
     assert len(model.left_out_rows) < n_objects * n_each
     again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
-    asked = drawn(n_objects, 1, seed=5)
-    before, after = model.evidence(asked), again.evidence(asked)
-    # What is asked of the classifier is in the file as it was.
+    test = drawn(n_objects, 1, seed=5)
+    before, after = model.evidence(test), again.evidence(test)
+    # The file keeps all that the classifier answers from to the bit.
     assert_array_equal(after.log_likelihood, before.log_likelihood)
     # Remembered features are in single precision: logarithms to 1e-3 nats.
     assert_allclose(after.log_distances, before.log_distances, atol=1e-3, rtol=0)
     assert_array_equal(again.memory_.labels, model.memory_.labels)
     assert again.memory_.features.dtype == np.float64
-    beliefs = [one.start().update(asked[:1]) for one in (model, again)]
+    beliefs = [recogniser.start().update(test[:1]) for recogniser in (model, again)]
     assert beliefs[1].unknown == pytest.approx(beliefs[0].unknown, abs=1e-3)
 
 
 @pytest.mark.slow
 @KINDS
-def test_an_object_added_after_loading_is_told_as_before_it(
+def test_an_object_added_after_loading_is_recognised_as_if_before(
     tmp_path, n_objects, n_each
 ):
     images = 3 + np.random.default_rng(2).normal(0, 0.3, (n_each + 2, 3, 8))
-    new, asked_last = np.split(images, [n_each])
+    new, new_test = np.split(images, [n_each])
     new = Touches(new, geometry="none")
     model = learnt(n_objects, n_each)
     again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
-    marks = machine_of(again)
-    landmarks = getattr(marks, "touches_", None)
-    for one in (model, again):
-        one.add_object("part one more", new)
-    asked = drawn(n_objects, 1, seed=5)
+    machine = machine_of(again)
+    landmarks = getattr(machine, "touches_", None)
+    for recogniser in (model, again):
+        recogniser.add_object("part one more", new)
+    test = drawn(n_objects, 1, seed=5)
     assert_allclose(
-        again.log_likelihood(asked), model.log_likelihood(asked), atol=1e-3, rtol=0
+        again.log_likelihood(test), model.log_likelihood(test), atol=1e-3, rtol=0
     )
     if n_objects < 500:  # the sums of the file went on: the same landmarks
         assert_array_equal(machine_of(again).touches_, landmarks)
         assert machine_of(again)._summed is not None
-    assert (
-        again.predict(Touches(asked_last, geometry="none")) == "part one more"
-    ).all()
+    assert (again.predict(Touches(new_test, geometry="none")) == "part one more").all()
 
 
 def test_sums_that_do_not_fit_are_refused(tmp_path, monkeypatch):
@@ -113,19 +113,19 @@ def test_sums_that_do_not_fit_are_refused(tmp_path, monkeypatch):
 @KINDS
 @pytest.mark.parametrize("labelled", [True, False])
 @pytest.mark.slow
-def test_a_session_is_got_used_to_where_a_part_is_left_out(n_objects, n_each, labelled):
+def test_remounting_costs_nothing_where_a_part_is_left_out(n_objects, n_each, labelled):
     model = learnt(n_objects, n_each)
     other = drawn(n_objects, 2, seed=3, shift=0.6, session="tuesday")
     before = model.score(other)
-    given = other if labelled else Touches(other.images, geometry="none")
-    model.remount(given)
-    found = model.chosen_["remount"]
-    assert found["labelled"] == labelled
+    remount_touches = other if labelled else Touches(other.images, geometry="none")
+    model.remount(remount_touches)
+    record = model.chosen_["remount"]
+    assert record["labelled"] == labelled
     assert model.score(drawn(n_objects, 1, seed=4, shift=0.6)) >= before
 
 
 @KINDS
-def test_what_tells_sessions_is_weighed_down_where_a_part_is_left_out(
+def test_nuisance_of_sessions_is_weighed_down_where_a_part_is_left_out(
     n_objects, n_each
 ):
     model = learnt(n_objects, n_each)
@@ -138,17 +138,17 @@ def test_what_tells_sessions_is_weighed_down_where_a_part_is_left_out(
 
 
 @pytest.mark.slow
-def test_more_objects_than_memory_is_for_are_refused_and_a_way_is_named():
-    """100 kB an object, 3 kB a touch, 0.5 GB in any case; the ways lead on."""
+def test_objects_beyond_the_memory_are_refused_and_the_remedies_fit():
+    """Learning takes 100 kB an object, 3 kB a touch, and 0.5 GB in any case."""
     names = np.repeat([f"part {k:06d}" for k in range(100_000)], 2)
     names, n_touches = names.astype(object), len(names)
     kinds = np.array([f"kind {k}" for k in np.arange(n_touches) // 20_000])
-    ways = (
+    message = (
         r"at most 8 GB of memory, got 100000 labels and 200000 touches, which take up "
         r"to some 11\.1 GB\. Learn categories first \(label='category'\) and the "
         r"objects of each by themselves, .* or raise ObjectRecogniser\.max_memory_gb"
     )
-    with pytest.raises(ValueError, match=ways):
+    with pytest.raises(ValueError, match=message):
         ObjectRecogniser().fit(np.zeros((n_touches, 1, 2)), names)
     assert needed_gb(names) == 11.1
     for labels in (kinds, names[kinds == "kind 3"]):
@@ -165,7 +165,7 @@ def needed_gb(labels):
 
 
 def test_sessions_of_an_object_are_counted():
-    """Of two sessions of each: half of the left-out touches could be of another."""
+    """Each object was met in two sessions, so each touch is tested in another one."""
     days = [drawn(12, 15, seed=day, session=f"day {day}") for day in (1, 2)]
     across = across_sessions(ObjectRecogniser().fit(Touches.concatenate(days)))
     assert across["least"] == across["median"] == 2

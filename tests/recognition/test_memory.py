@@ -1,4 +1,4 @@
-"""What is kept of the training touches: it stays with its touches, whatever changes."""
+"""The memory of training touches: ids and blocks stay with them in every change."""
 
 import json
 from copy import deepcopy
@@ -83,7 +83,7 @@ def test_one_of_two_objects_is_learnt_anew():
     assert learnt.start().update(drawn(2, ("pen",), 3)).best == "pen"
 
 
-def test_replacing_forgets_what_is_named_and_learns_the_rest(learnt):
+def test_replacing_forgets_the_objects_named_and_learns_the_others(learnt):
     learnt.replace_objects(drawn(1, ("pen",)), forget=["mug", "nobody knows it"])
     assert learnt.classes_.tolist() == ["ball", "pen"]
     with pytest.raises(ValueError, match="At least two objects must remain"):
@@ -91,14 +91,14 @@ def test_replacing_forgets_what_is_named_and_learns_the_rest(learnt):
     assert learnt.classes_.tolist() == ["ball", "pen"]
 
 
-def test_all_ways_to_the_same_touches_learn_the_same():
+def test_extending_and_replacing_learn_the_same_of_the_same_touches():
     first, later = drawn(0), drawn(1, ("pen",), 7)
     extended = ObjectRecogniser().fit(first).extend_object("pen", later)
     pens = first.object == "pen"
     both = Touches.concatenate([first[pens], later])
     replaced = ObjectRecogniser().fit(first).replace_objects(both)
     test = drawn(2)
-    # The rows are the same and in another order, the blocks others.
+    # The same rows are in another order and in other blocks.
     assert_array_equal(extended.predict(test), replaced.predict(test))
 
 
@@ -145,7 +145,7 @@ def test_models_of_format_4_are_read_and_answer_the_same(preset, tmp_path):
         belief = model.start(strangers=0).update(touch)
         assert belief.posterior == pytest.approx(posterior, abs=1e-9)
         assert 0 < model.start().update(touch).unknown < 1
-    # What tells strangers was learnt anew, from the touches that it keeps.
+    # The stranger model was learnt anew, from the touches in memory.
     assert model.strangers_.promise(0.01).n_units == 3
     again = ObjectRecogniser.load(model.save(tmp_path / "again.palpate"))
     assert_array_equal(again.log_likelihood(test), model.log_likelihood(test))
@@ -175,27 +175,27 @@ def test_touches_that_are_all_alike_keep_their_blocks():
     assert without_copies(features, objects, blocks).tolist() == blocks.tolist()
 
 
-WAYS = {
+CALLS = {
     "fit": lambda model, touches, odd: model.fit(touches.with_columns(object=odd)),
     "y": lambda model, touches, odd: model.fit(touches.images, odd),
     "add": lambda model, touches, odd: model.add_object("unknown", touches[:4]),
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_nothing_may_be_called_unknown(way):
+@pytest.mark.parametrize("call", CALLS)
+def test_nothing_may_be_called_unknown(call):
     touches = drawn(0)
     odd = np.where(touches.object == touches.object[0], "unknown", touches.object)
     learnt = ObjectRecogniser().fit(touches)
     with pytest.raises(ValueError, match="name must not be 'unknown'"):
-        WAYS[way](learnt, touches, odd)
+        CALLS[call](learnt, touches, odd)
 
 
-def kept(labels, blocks=None, **columns):
+def memory_of(labels, blocks=None, **columns):
     """Return a memory of touches in a row, each one unit apart from the next."""
     n = len(labels)
     features = np.arange(n, dtype=float)[:, np.newaxis] * [1.0, 0.0]
-    own = {
+    defaults = {
         "features": features,
         "objects": np.array(labels),
         "sessions": np.full(n, ""),
@@ -205,37 +205,37 @@ def kept(labels, blocks=None, **columns):
         "categories": np.full(n, ""),
     }
     blocks = np.arange(n) if blocks is None else np.array(blocks)
-    return Memory(labels=np.array(labels), blocks=blocks, **(own | columns))
+    return Memory(labels=np.array(labels), blocks=blocks, **(defaults | columns))
 
 
-def test_what_is_kept_is_counted_and_named():
+def test_a_memory_gives_its_length_classes_categories_and_looks():
     kinds = np.array(["tool", "", "tool", "tool", "cup", "tool", "", ""])
-    memory = kept(["b", "b", "a", "a", "c", "c", "d", "d"], categories=kinds)
+    memory = memory_of(["b", "b", "a", "a", "c", "c", "d", "d"], categories=kinds)
     assert len(memory) == 8
     assert memory.classes.tolist() == ["a", "b", "c", "d"]
-    # Of b one touch tells nothing, those of c do not agree, of d none tells.
+    # A touch of b has no category, those of c do not agree, none of d has one.
     assert memory.category_of.tolist() == ["tool", "", "", ""]
     assert memory.looks.shape == (8, 7)
     assert np.isnan(memory.looks).all()
     looks = np.ones((8, 7))
-    assert kept(["a"] * 8, looks=looks).looks is looks
+    assert memory_of(["a"] * 8, looks=looks).looks is looks
 
 
 def test_units_are_objects_or_objects_in_a_session():
     labels = ["a"] * 4 + ["b"] * 4 + ["c"] * 4
-    alone = kept(labels, np.arange(12) // 2)
+    alone = memory_of(labels, np.arange(12) // 2)
     assert alone.units == (3, "these objects, recorded as when they were learnt")
-    visits = kept(labels, [0, 0, 1, 1] * 2 + [1, 1, 2, 2])
+    visits = memory_of(labels, [0, 0, 1, 1] * 2 + [1, 1, 2, 2])
     assert visits.units == (6, "these objects in other sessions")
-    one_each = kept(labels, np.arange(12) // 4)
+    one_each = memory_of(labels, np.arange(12) // 4)
     assert one_each.units[0] == 3
 
 
 def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
-    first = kept(
+    first = memory_of(
         ["a"] * 4 + ["b"] * 4, [0, 0, 1, 1, 2, 2, 3, 3], sensor={"kind": "mat"}
     )
-    more = kept(["b"] * 3, [0, 1, 1], sensor={"kind": "pad"})
+    more = memory_of(["b"] * 3, [0, 1, 1], sensor={"kind": "pad"})
     far = np.array([[4.0, 0.0], [95.0, 0.0], [101.0, 0.0]])
     later = Memory(**{**vars(more), "features": far})
     both = first.plus(later)
@@ -244,7 +244,7 @@ def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
     # The first of them is the touch of block 2; blocks are numbered on from 4.
     assert both.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 2, 5, 5]
     assert both.sensor == {"kind": "mat"}
-    other = kept(["c"] * 2, [0, 1], sensor={"kind": "pad"})
+    other = memory_of(["c"] * 2, [0, 1], sensor={"kind": "pad"})
     bare = Memory(**{**vars(first), "sensor": None}).plus(other)
     # Of another object even the same features are no copy.
     assert bare.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 5]
@@ -252,22 +252,22 @@ def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
 
 
 def test_forgetting_and_replacing_keep_the_others():
-    memory = kept([10, 10, 2, 2, 3], [0, 1, 2, 2, 3])
+    memory = memory_of([10, 10, 2, 2, 3], [0, 1, 2, 2, 3])
     assert memory.without([2, "3"]).touch_ids.tolist() == ["0", "1"]
     assert memory.without([]).touch_ids.tolist() == list("01234")
-    anew = kept([2, 2, 2], [0, 0, 1], touch_ids=np.array(["x", "y", "z"]))
+    anew = memory_of([2, 2, 2], [0, 0, 1], touch_ids=np.array(["x", "y", "z"]))
     replaced = memory.replaced(anew)
     assert replaced.touch_ids.tolist() == ["0", "1", "4", "x", "y", "z"]
     assert replaced.blocks.tolist() == [0, 1, 3, 4, 4, 5]
-    assert anew.replaced(kept([2, 2], [0, 1])).touch_ids.tolist() == ["0", "1"]
+    assert anew.replaced(memory_of([2, 2], [0, 1])).touch_ids.tolist() == ["0", "1"]
 
 
 @pytest.mark.parametrize("most", range(2, 10))
 def test_the_newest_are_kept_in_turn_of_each_session(most):
     days = ["mon"] * 5 + ["tue"] * 2 + ["mon"] + ["wed"]
     labels = [7] * 9 + [8] * 3
-    memory = kept(labels, sessions=np.array([*days, "mon", "mon", "mon"]))
-    # One more of each session in turn, the last that was met first.
+    memory = memory_of(labels, sessions=np.array([*days, "mon", "mon", "mon"]))
+    # One more of each session in turn is kept, its last touch first.
     piles = {"mon": [7, 4, 3, 2, 1, 0], "tue": [6, 5], "wed": [8]}
     turns = [[p[k] for p in piles.values() if k < len(p)] for k in range(6)]
     ids = memory.newest("7", most).touch_ids.astype(int).tolist()
@@ -275,29 +275,31 @@ def test_the_newest_are_kept_in_turn_of_each_session(most):
     assert ids[-3:] == [9, 10, 11]
     assert len(ids) == 3 + min(most, 9)
     for turn in turns:
-        # A turn is begun only when the one before it is kept whole.
+        # A turn begins only when all of the turn before it are kept.
         left = most - sum(len(t) for t in turns[: turns.index(turn)])
         assert len(set(turn) & set(ids)) == min(max(left, 0), len(turn))
 
 
 def distances(memory, features, left_out=None):
     """Return log distances to the nearest touch of each object, pair by pair."""
-    apart = np.linalg.norm(features[:, None] - memory.features, axis=2)
+    touch_distances = np.linalg.norm(features[:, None] - memory.features, axis=2)
     if left_out is not None:
-        apart[left_out[:, None] == memory.blocks] = np.nan
-    of_each = [apart[:, memory.labels == name] for name in memory.classes]
+        touch_distances[left_out[:, None] == memory.blocks] = np.nan
+    of_each = [touch_distances[:, memory.labels == name] for name in memory.classes]
     with np.errstate(divide="ignore"):
-        return np.log([[np.nanmin(row) for row in one] for one in of_each]).T
+        return np.log(
+            [[np.nanmin(row) for row in of_object] for of_object in of_each]
+        ).T
 
 
 def test_distances_are_those_to_the_nearest_touch_of_each_object(model):
-    given = model.evidence(drawn(4))
-    assert_allclose(given.log_distances, distances(model.memory_, given.features))
-    # A touch that was learnt is nearly nowhere; how near rounding decides.
+    evidence = model.evidence(drawn(4))
+    assert_allclose(evidence.log_distances, distances(model.memory_, evidence.features))
+    # A learnt touch is next to itself; how near is up to rounding.
     again = model.evidence(drawn(0)).log_distances
-    own = again[np.arange(36), np.repeat([0, 1, 2], 12)]
-    assert np.isfinite(own).all()
-    assert (own < again.max() + np.log(1e-5)).all()
+    own_distances = again[np.arange(36), np.repeat([0, 1, 2], 12)]
+    assert np.isfinite(own_distances).all()
+    assert (own_distances < again.max() + np.log(1e-5)).all()
 
 
 def test_usual_distances_leave_out_the_block_of_each_touch(model):
@@ -310,43 +312,45 @@ def test_usual_distances_leave_out_the_block_of_each_touch(model):
 
 
 @pytest.mark.parametrize(("n_each", "step"), [(666, 1), (667, 2)])
-def test_of_more_than_2000_touches_some_stand_for_all(learnt, n_each, step):
-    """Every second of each object, the first of them."""
+def test_distances_are_to_2000_touches_at_most(learnt, n_each, step):
+    """Of more, every second touch of each object counts, from its first on."""
     touches = drawn(5, n_each=n_each)
     features = learnt.encoder_.transform(touches)
-    memory = kept(touches.object.tolist(), features=features)
+    memory = memory_of(touches.object.tolist(), features=features)
     learnt.memory_ = memory
-    asked = touches[::97]
-    some = np.concatenate([np.flatnonzero(memory.labels == n)[::step] for n in NAMES])
-    assert len(some) <= 2000
-    part = kept(memory.labels[some].tolist(), features=features[some])
-    expected = distances(part, learnt.encoder_.transform(asked))
-    found = learnt.evidence(asked).log_distances
-    assert_allclose(np.maximum(found, -5), np.maximum(expected, -5))
+    test = touches[::97]
+    rows = np.concatenate([np.flatnonzero(memory.labels == n)[::step] for n in NAMES])
+    assert len(rows) <= 2000
+    part = memory_of(memory.labels[rows].tolist(), features=features[rows])
+    expected = distances(part, learnt.encoder_.transform(test))
+    log_distances = learnt.evidence(test).log_distances
+    assert_allclose(np.maximum(log_distances, -5), np.maximum(expected, -5))
 
 
-def test_distances_are_told_in_units_of_a_middling_pair(learnt):
-    """Of up to 300 touches; of more, every second one tells."""
+def test_distances_are_in_units_of_the_median_between_touches(learnt):
+    """The median is over 300 touches at most; of 301 it is over every second one."""
     for n, step in ((300, 1), (301, 2)):
         features = np.zeros((n, learnt.memory_.features.shape[1]))
         features[:, 0] = np.random.default_rng(n).normal(size=n) * (
             1 + np.arange(n) % 2
         )
-        learnt.memory_ = kept(
+        learnt.memory_ = memory_of(
             ["ball", "mug", "pen"] * (n // 3) + ["ball"] * (n % 3), features=features
         )
         line = features[::step, 0]
         unit = np.median(abs(line[:, None] - line)[np.triu_indices(len(line), 1)])
         belief = learnt.start()
         belief.update_from_log_likelihood([0.0, -1.0, -2.0], features=features[:1] + 0)
-        (one,) = belief.explain(n_nearest=n)
-        found = [near["distance"] for near in one["nearest"]]
-        assert_allclose(found, np.sort(abs(features[:, 0] - features[0, 0])) / unit)
+        (explanation,) = belief.explain(n_nearest=n)
+        neighbour_distances = [near["distance"] for near in explanation["nearest"]]
+        assert_allclose(
+            neighbour_distances, np.sort(abs(features[:, 0] - features[0, 0])) / unit
+        )
 
 
 def test_of_touches_that_are_all_alike_the_unit_is_one(learnt):
     features = np.ones((6, learnt.memory_.features.shape[1]))
-    learnt.memory_ = kept([*NAMES, *NAMES], features=features)
+    learnt.memory_ = memory_of([*NAMES, *NAMES], features=features)
     belief = learnt.start().update_from_log_likelihood(
         [0.0, -1.0, -2.0], features=features[:1] + 3.0 / np.sqrt(features.shape[1])
     )
@@ -368,8 +372,8 @@ def test_copies_are_nearer_than_a_hundredth_of_the_median_square(share, joined):
     features[20, 19] += np.sqrt(2 * share)
     blocks = np.arange(21) + 5
     objects = np.repeat(["cup"], 21)
-    found = without_copies(features, objects, blocks)
-    assert found.tolist() == [*blocks[:20], 8 if joined else 25]
+    new_blocks = without_copies(features, objects, blocks)
+    assert new_blocks.tolist() == [*blocks[:20], 8 if joined else 25]
     # Another object's touches are no copies; one touch alone has none.
     objects[20] = "mug"
     assert without_copies(features, objects, blocks).tolist() == blocks.tolist()
@@ -383,14 +387,14 @@ def visits(label="object", **columns):
     return left_out_groups(touches, labels, objects, label).tolist()
 
 
-def test_whom_or_when_touches_are_of_tells_what_is_left_out_together():
+def test_touches_of_a_person_or_else_a_session_are_left_out_together():
     persons = ["x", "y", "y"] * 4
     days = ["1", "2", "3"] * 4
     assert visits(subject=persons, session=days) == [0, 1, 1] * 4
     assert visits(session=days) == [0, 1, 2] * 4
-    # Where one object was met by one person alone, the days tell.
+    # Where one object was met by one person alone, days are left out.
     assert visits(subject=["x", "x", "x", *persons[3:]], session=days) == [0, 1, 2] * 4
-    # Where neither does, each recording is cut into runs.
+    # Where it was met on one day as well, each recording is cut into runs.
     once = ["1", "1", "1", *days[3:]]
     assert visits(subject=["x"] * 12, session=once) == list(range(12))
     assert visits(session=["1"] * 3 + ["2"] * 9) == list(range(12))
@@ -433,9 +437,11 @@ def test_a_touch_without_a_living_taxel_in_one_channel_is_named_by_its_id(rng):
     with pytest.raises(ValueError, match="living taxel"):
         ObjectRecogniser().fit(Touches(images, **about, no_contact=dead))
     images[5, :, :, 1] = np.nan
-    with pytest.raises(EmptyTouchError, match=f"only NaN in touch '?{ids[5]}") as told:
+    with pytest.raises(
+        EmptyTouchError, match=f"only NaN in touch '?{ids[5]}"
+    ) as refusal:
         ObjectRecogniser().fit(Touches(images, **about))
-    assert told.value.touch_ids == [ids[5]]
+    assert refusal.value.touch_ids == [ids[5]]
 
 
 def test_senses_and_objects_must_have_names(learnt):
@@ -451,16 +457,16 @@ def test_senses_and_objects_must_have_names(learnt):
 
 def test_labels_of_touches_or_beside_them_teach_the_same():
     touches = drawn(0, n_each=5)
-    beside = ObjectRecogniser("corradi2015").fit(
+    from_labels = ObjectRecogniser("corradi2015").fit(
         touches.without("object"), touches.object
     )
-    own = ObjectRecogniser("corradi2015").fit(touches)
-    assert_array_equal(beside.predict(drawn(1)), own.predict(drawn(1)))
-    assert_array_equal(beside.memory_.objects, own.memory_.objects)
+    from_touches = ObjectRecogniser("corradi2015").fit(touches)
+    assert_array_equal(from_labels.predict(drawn(1)), from_touches.predict(drawn(1)))
+    assert_array_equal(from_labels.memory_.objects, from_touches.memory_.objects)
     kinds = np.where(touches.object == "pen", "tool", "thing")
-    told = touches.with_columns(category=kinds)
-    learnt = ObjectRecogniser("corradi2015", label="category").fit(told)
+    labelled = touches.with_columns(category=kinds)
+    learnt = ObjectRecogniser("corradi2015", label="category").fit(labelled)
     assert learnt.classes_.tolist() == ["thing", "tool"]
     assert_array_equal(learnt.memory_.objects, touches.object)
-    given = ObjectRecogniser("corradi2015", label="category").fit(touches, kinds)
-    assert given.classes_.tolist() == ["thing", "tool"]
+    from_kinds = ObjectRecogniser("corradi2015", label="category").fit(touches, kinds)
+    assert from_kinds.classes_.tolist() == ["thing", "tool"]

@@ -25,8 +25,8 @@ def test_levels_too_large_to_add_up_are_refused(preset, geometry):
     for size in sizes:
         with pytest.raises(ValueError, match=r"at most 1e\+37"):
             recogniser.fit(Touches(size * NOISE, object=LABELS, geometry=geometry))
-    known = np.where(np.arange(12)[:, None, None] < 6, NOISE, NOISE**2)
-    recogniser.fit(Touches(known, object=LABELS, geometry=geometry))
+    levels = np.where(np.arange(12)[:, None, None] < 6, NOISE, NOISE**2)
+    recogniser.fit(Touches(levels, object=LABELS, geometry=geometry))
     for size in sizes:
         with pytest.raises(ValueError, match=r"at most 1e\+37"):
             recogniser.predict(Touches(size * NOISE, geometry=geometry))
@@ -58,7 +58,7 @@ ObjectRecogniser("liu2014").fit(touches).save(sys.argv[1])
 
 @pytest.mark.slow
 def test_identical_runs_write_identical_model_files(tmp_path, monkeypatch):
-    """One in a process of its own, one in that of the tests."""
+    """One run has a process of its own, the other that of the tests."""
     paths = [tmp_path / f"{run}.palpate" for run in range(2)]
     command = [sys.executable, "-c", ONE_RUN, str(paths[0])]
     subprocess.run(command, check=True, timeout=120)
@@ -72,19 +72,19 @@ def test_identical_runs_write_identical_model_files(tmp_path, monkeypatch):
 def test_exponentials_are_numpys_but_for_the_last_bit(rng, kind):
     values = rng.uniform(-80, 80, size=(5, 7, 31)).astype(kind)
     # Two steps of the type, of numbers around 1.
-    near = 4 * np.finfo(kind).eps
-    known = np.exp(values.astype(np.float64))
-    assert_allclose(exp(values), known, rtol=near)
+    rtol = 4 * np.finfo(kind).eps
+    expected = np.exp(values.astype(np.float64))
+    assert_allclose(exp(values), expected, rtol=rtol)
     assert exp(values).dtype == kind
-    # Wherever they lie, the same; those of another layout too.
+    # Results are the same wherever values lie in memory, and in another layout.
     assert_array_equal(exp(values[2, 3, 5:8].copy()), exp(values)[2, 3, 5:8])
-    assert_allclose(exp(values[:, ::2].T), known[:, ::2].T, rtol=near)
+    assert_allclose(exp(values[:, ::2].T), expected[:, ::2].T, rtol=rtol)
     assert exp(values[:0]).shape == (0, 7, 31)
     assert exp(kind(0) * values[0, 0, 0]) == 1
     limits = np.array([-np.inf, -1e30, -1.0, 0.0, np.inf, np.nan], kind)
-    assert_allclose(exp(limits), [0, 0, np.exp(-1), 1, np.inf, np.nan], rtol=near)
-    other = np.empty(values.shape, np.float64)
-    exp(values, out=other)
-    assert_allclose(other, known, rtol=near)
+    assert_allclose(exp(limits), [0, 0, np.exp(-1), 1, np.inf, np.nan], rtol=rtol)
+    output = np.empty(values.shape, np.float64)
+    exp(values, out=output)
+    assert_allclose(output, expected, rtol=rtol)
     assert exp(values, out=values) is not None
-    assert_allclose(values, known, rtol=near)
+    assert_allclose(values, expected, rtol=rtol)

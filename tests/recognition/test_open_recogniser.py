@@ -33,22 +33,22 @@ class Means(TransformerMixin, BaseEstimator):
 class Changing(Means):
     """An encoding that breaks a rule after it was learnt."""
 
-    def __init__(self, way):
+    def __init__(self, flaw):
         super().__init__()
-        self.way = way
+        self.flaw = flaw
 
     def transform(self, X):
         vectors = super().transform(X)
-        self.n_asked_ = getattr(self, "n_asked_", 0) + 1
-        if self.way == "nan":
+        self.n_calls_ = getattr(self, "n_calls_", 0) + 1
+        if self.flaw == "nan":
             vectors[-1, 0] = np.nan
-        if self.way == "rows":
+        if self.flaw == "rows":
             vectors = vectors[:-1]
-        if self.way == "images":
+        if self.flaw == "images":
             vectors = vectors[:, np.newaxis]
-        if self.way == "neighbours":
+        if self.flaw == "neighbours":
             vectors = vectors - vectors.mean(axis=0)
-        if self.way == "width" and self.n_asked_ > 1:
+        if self.flaw == "width" and self.n_calls_ > 1:
             vectors = vectors[:, :3]
         return vectors
 
@@ -78,12 +78,12 @@ def alone(touches):
 def test_encodings_of_the_user_join_the_pool(touches):
     plain = ObjectRecogniser().fit(touches)
     joined = ObjectRecogniser(encodings={"means": Means()}).fit(touches)
-    own = set(joined.encoder_.encodings_) - set(plain.encoder_.encodings_)
-    assert own == {"means"}
+    added = set(joined.encoder_.encodings_) - set(plain.encoder_.encodings_)
+    assert added == {"means"}
     assert joined.score(drawn(seed=1)) > 0.8
 
 
-def test_they_may_stand_alone(alone):
+def test_encodings_of_the_user_may_stand_alone(alone):
     assert list(alone.encoder_.encodings_) == ["means", "levels"]
     assert set(alone.chosen_["weights"]) == {"means", "levels", "all together"}
     assert alone.memory_.features.shape[1] == 9 + 3
@@ -154,7 +154,7 @@ def test_parameters_that_cannot_be_are_refused(touches, parameters, kind, messag
 
 
 @pytest.mark.parametrize(
-    ("way", "message"),
+    ("flaw", "message"),
     [
         ("nan", r"encodings\['m'\] must give finite features"),
         ("rows", r"encodings\['m'\] must give 42 rows"),
@@ -164,9 +164,9 @@ def test_parameters_that_cannot_be_are_refused(touches, parameters, kind, messag
     ],
 )
 def test_an_encoding_that_breaks_a_rule_leaves_nothing_half_learnt(
-    touches, way, message
+    touches, flaw, message
 ):
-    recogniser = ObjectRecogniser(encodings={"m": Changing(way)})
+    recogniser = ObjectRecogniser(encodings={"m": Changing(flaw)})
     with pytest.raises(ValueError, match=message):
         recogniser.fit(touches)
     assert not hasattr(recogniser, "memory_")
@@ -176,36 +176,36 @@ def test_an_encoding_of_foreign_code_is_given_again(alone, tmp_path):
     path = alone.save(tmp_path / "m.palpate")
     with pytest.raises(ModelFileError, match="'means', which is code of its user"):
         ObjectRecogniser.load(path)
-    given = {"means": Means(2.0), "levels": [Means(), StandardScaler(), PCA(3)]}
-    again = ObjectRecogniser.load(path, encodings=given)
-    some = drawn(seed=1)
-    assert_array_equal(again.predict_log_proba(some), alone.predict_log_proba(some))
+    encodings = {"means": Means(2.0), "levels": [Means(), StandardScaler(), PCA(3)]}
+    again = ObjectRecogniser.load(path, encodings=encodings)
+    test = drawn(seed=1)
+    assert_array_equal(again.predict_log_proba(test), alone.predict_log_proba(test))
     clone(again).fit(drawn())
-    # Steps that the file holds itself are not needed, and may be given.
-    ObjectRecogniser.load(path, encodings=given | {"means": [Means(2.0), PCA(2)]})
+    # Steps that the file holds need not be given, and may be.
+    ObjectRecogniser.load(path, encodings=encodings | {"means": [Means(2.0), PCA(2)]})
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("encodings", "message"),
     [
         ({"means": Means(3.0)}, "as it did when it was learnt"),
         ({"means": PCA(2)}, "must have a Means as step 1.* got PCA"),
     ],
 )
 def test_another_encoding_than_the_learnt_one_is_refused(
-    alone, tmp_path, given, message
+    alone, tmp_path, encodings, message
 ):
     path = alone.save(tmp_path / "m.palpate")
     levels = {"levels": [Means(), StandardScaler(), PCA(3)]}
     with pytest.raises(ModelFileError, match=message):
-        ObjectRecogniser.load(path, encodings=given | levels)
+        ObjectRecogniser.load(path, encodings=encodings | levels)
 
 
 def test_palpates_own_encodings_travel_in_the_file(touches, tmp_path):
     from palpate.encodings import GridLevels, PrincipalShare
 
-    own = {"fine levels": [GridLevels(blur=0.5), PrincipalShare(0.9)]}
-    learnt = ObjectRecogniser(encodings=own).fit(touches)
+    encodings = {"fine levels": [GridLevels(blur=0.5), PrincipalShare(0.9)]}
+    learnt = ObjectRecogniser(encodings=encodings).fit(touches)
     again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
     assert_array_equal(again.predict_proba(touches), learnt.predict_proba(touches))
     assert "fine levels" in again.encoder_.encodings_
@@ -237,16 +237,16 @@ def test_a_network_travels_in_the_model_file(touches, tmp_path):
     path = learnt.save(tmp_path / "m.palpate")
     file.unlink()
     again = ObjectRecogniser.load(path)
-    some = drawn(seed=1)
-    assert_array_equal(again.predict_log_proba(some), learnt.predict_log_proba(some))
-    assert again.score(some) > 0.8
+    test = drawn(seed=1)
+    assert_array_equal(again.predict_log_proba(test), learnt.predict_log_proba(test))
+    assert again.score(test) > 0.8
     refitted = clone(again).fit(touches)
-    assert_allclose(refitted.predict_proba(some), again.predict_proba(some))
+    assert_allclose(refitted.predict_proba(test), again.predict_proba(test))
 
 
 def vectors(seed):
-    some = drawn(seed=seed)
-    return some.images.reshape(len(some), -1), some.object
+    touches = drawn(seed=seed)
+    return touches.images.reshape(len(touches), -1), touches.object
 
 
 def test_feature_vectors_are_touches_without_geometry():
@@ -264,7 +264,7 @@ def test_feature_vectors_are_touches_without_geometry():
         learnt.predict(X[:, :7])
 
 
-def test_a_pipeline_and_a_data_frame():
+def test_a_recogniser_learns_in_a_pipeline_and_from_a_data_frame():
     pandas = pytest.importorskip("pandas")
     X, y = vectors(0)
     pipeline = make_pipeline(StandardScaler(), ObjectRecogniser())
@@ -283,7 +283,7 @@ def test_a_function_may_be_an_encoding(touches):
     assert learnt.memory_.features.shape[1] == 5
 
 
-def test_repr_says_what_it_knows(alone):
+def test_the_repr_names_the_objects_and_counts_the_touches(alone):
     text = repr(alone)
     assert "# knows 3 objects (ball, mug, pen) from 42 touches" in text
     assert repr(clone(alone)).startswith("ObjectRecogniser(")
@@ -296,8 +296,8 @@ def test_confusions_are_drawn(alone):
     drawn_shares = axes.images[0].get_array()
     assert_allclose(drawn_shares.sum(axis=1), 100)
     left_out = alone.left_out_log_likelihood().argmax(axis=1)
-    own = np.searchsorted(alone.classes_, alone.memory_.labels)
-    right = np.mean(left_out == own)
+    codes = np.searchsorted(alone.classes_, alone.memory_.labels)
+    right = np.mean(left_out == codes)
     assert f"{right:.0%} right" in axes.get_title()
     assert [t.get_text() for t in axes.get_yticklabels()] == NAMES
 
@@ -305,7 +305,7 @@ def test_confusions_are_drawn(alone):
 def test_touches_are_drawn(touches):
     pytest.importorskip("matplotlib").use("Agg")
     axes = touches[:5].plot()
-    shown = [one for one in axes.flat if one.images]
-    assert len(shown) == 5
-    assert_array_equal(shown[3].images[0].get_array(), touches.images[3])
-    assert len([one for one in touches.plot(most=3).flat if one.images]) == 3
+    panels = [panel for panel in axes.flat if panel.images]
+    assert len(panels) == 5
+    assert_array_equal(panels[3].images[0].get_array(), touches.images[3])
+    assert len([panel for panel in touches.plot(most=3).flat if panel.images]) == 3

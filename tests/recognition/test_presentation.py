@@ -1,4 +1,4 @@
-"""How objects come, and to what sensor: what is found out, said and noticed."""
+"""How objects come to the sensor, and its geometry: found out, reported, flagged."""
 
 import numpy as np
 import pytest
@@ -39,11 +39,11 @@ def two_shapes(rng, n_each=30, side=16):
 def test_turns_that_tell_objects_apart_are_used_and_said(rng):
     learnt = ObjectRecogniser().fit(bars(rng, (0, 45, 90)))
     assert learnt.score(bars(rng, (0, 45, 90))) > 0.95
-    said = learnt.chosen_["found"]
-    assert any(sentence.startswith("turns matter here") for sentence in said)
+    sentences = learnt.chosen_["found"]
+    assert any(sentence.startswith("turns matter here") for sentence in sentences)
 
 
-def test_any_is_blind_to_what_fixed_sees(rng):
+def test_presentation_any_is_blind_to_turns_that_fixed_sees(rng):
     train, test = bars(rng, (0, 90)), bars(rng, (0, 90))
     fixed = ObjectRecogniser(presentation="fixed").fit(train)
     blind = ObjectRecogniser(presentation="any").fit(train)
@@ -52,7 +52,7 @@ def test_any_is_blind_to_what_fixed_sees(rng):
     assert blind.score(test) < 0.75
 
 
-def test_any_recognises_what_was_taught_upright_and_comes_turned(rng):
+def test_presentation_any_recognises_turned_objects_taught_upright(rng):
     learnt = ObjectRecogniser(presentation="any").fit(two_shapes(rng))
     assert learnt.score(turned_anyhow(two_shapes(rng), rng)) > 0.95
 
@@ -76,7 +76,7 @@ def test_touches_turned_after_upright_training_are_flagged(rng):
 
 
 @pytest.mark.parametrize("preset", ["corradi2015", "liu2014"])
-def test_papers_encodings_are_theirs(preset, rng):
+def test_presets_of_papers_take_no_presentation(preset, rng):
     with pytest.raises(ValueError, match="must be 'auto' with the preset"):
         ObjectRecogniser(preset, presentation="any").fit(two_shapes(rng))
 
@@ -87,23 +87,25 @@ def test_unknown_presentation_is_refused(rng):
 
 
 @pytest.mark.parametrize(
-    ("seeing", "blind", "said"),
+    ("seeing", "blind", "sentence"),
     [
         (-0.1, -1.0, "turns matter here: as they come 85 %, blind to turns 38 %"),
         (-1.0, -0.1, "turns mislead here: as they come 85 %, blind to turns 38 %"),
         (-0.5, -0.5, "whether turns matter cannot be told here"),
     ],
 )
-def test_what_matters_is_a_sentence(seeing, blind, said, rng):
-    own = {"levels": seeing + rng.normal(scale=0.1, size=100)}
-    own["moments"] = blind + rng.normal(scale=0.1, size=100)
-    own["moments"] += (blind - seeing) - (own["moments"] - own["levels"]).mean()
+def test_whether_turns_matter_is_said_in_a_sentence(seeing, blind, sentence, rng):
+    own_posteriors = {"levels": seeing + rng.normal(scale=0.1, size=100)}
+    own_posteriors["moments"] = blind + rng.normal(scale=0.1, size=100)
+    own_posteriors["moments"] += (blind - seeing) - (
+        own_posteriors["moments"] - own_posteriors["levels"]
+    ).mean()
     figures = {
         "levels": {"log_loss": -seeing, "accuracy": 0.85, "blind_to": []},
         "moments": {"log_loss": -blind, "accuracy": 0.38, "blind_to": ["turns"]},
     }
-    assert what_matters("turns", figures, own).startswith(said)
-    assert what_matters("shifts", figures, own) is None
+    assert what_matters("turns", figures, own_posteriors).startswith(sentence)
+    assert what_matters("shifts", figures, own_posteriors) is None
 
 
 def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
@@ -119,16 +121,16 @@ def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
     hand[20:, 2:5, 13:16] += 5
     boxes = [[0, 0, 10, 10], [0, 11, 10, 10]]
     fingers = np.repeat(["left", "right"], 20)
-    for some in (touches, Touches(hand, object=fingers, pads=boxes)):
-        learnt = ObjectRecogniser().fit(some[::2])
-        assert learnt.score(some[1::2]) > 0.95
+    for recording in (touches, Touches(hand, object=fingers, pads=boxes)):
+        learnt = ObjectRecogniser().fit(recording[::2])
+        assert learnt.score(recording[1::2]) > 0.95
         again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
-        before, after = (model.log_likelihood(some) for model in (learnt, again))
+        before, after = (model.log_likelihood(recording) for model in (learnt, again))
         np.testing.assert_array_equal(before, after)
 
 
 @pytest.mark.parametrize("presentation", ["any", "turned"])
-def test_what_no_encoding_is_blind_to_is_said(presentation, rng):
+def test_changes_to_which_no_encoding_is_blind_are_reported(presentation, rng):
     hand = rng.random((24, 10, 21))
     hand[:12, 2:5, 2:5] += 5
     boxes = [[0, 0, 10, 10], [0, 11, 10, 10]]
@@ -148,14 +150,14 @@ def dome(rng, n=6, side=120):
     return np.array(images) + rng.normal(size=(n, side, side))
 
 
-def test_geometry_is_found(rng):
+def test_geometry_is_found_from_the_images(rng):
     assert find_geometry(Touches(dome(rng))) == "dome"
     assert find_geometry(Touches(rng.random((4, 10, 10)))) == "array"
     assert find_geometry(Touches(rng.random((4, 120, 160)))) == "plane"
     assert find_geometry(Touches(rng.random((4, 3, 24)))) == "none"
 
 
-def test_what_touches_say_of_themselves_holds(rng):
+def test_the_geometry_that_touches_name_holds(rng):
     assert find_geometry(Touches(dome(rng), geometry="plane")) == "plane"
     assert find_geometry(Touches(rng.random((4, 20, 20)), geometry="none")) == "none"
 
@@ -184,7 +186,7 @@ def test_dead_taxels_are_no_obstacle(rng):
 
 
 @pytest.mark.slow
-def test_objects_in_turn_are_all_looked_at(rng, monkeypatch):
+def test_objects_that_alternate_are_all_among_the_touches_looked_at(rng, monkeypatch):
     monkeypatch.setattr("palpate.recognition._learning.AT_MOST", 150)
     # Every second touch is of the same object: an even stride would see that alone.
     images = rng.random((299, 8, 8))

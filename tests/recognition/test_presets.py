@@ -72,20 +72,20 @@ def test_pose_of_presses_is_told_to_the_stated_accuracy(presses, tmp_path):
     test = simulate_presses(PARTS, 10, random_state=1)
     again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
     poses = again.pose(test, test.object)
-    away = np.hypot(
+    errors_mm = np.hypot(
         *(np.stack([poses.x_mm, poses.y_mm]) - test.columns["position_mm"].T)
     )
-    assert np.median(away) < 0.5
+    assert np.median(errors_mm) < 0.5
     period = 360 / np.maximum(poses.symmetry, 1)
-    turn = np.abs(poses.angle_deg - test.columns["angle_deg"]) % period
-    turn = np.minimum(turn, period - turn)[poses.symmetry > 0]
-    assert np.median(turn) < 5
+    errors_deg = np.abs(poses.angle_deg - test.columns["angle_deg"]) % period
+    errors_deg = np.minimum(errors_deg, period - errors_deg)[poses.symmetry > 0]
+    assert np.median(errors_deg) < 5
 
 
 def test_poses_need_a_pitch(presses):
     # Six presses of each of two parts.
-    some = np.r_[0:6, 12:18]
-    bare = Touches(presses.images[some], object=presses.object[some])
+    rows = np.r_[0:6, 12:18]
+    bare = Touches(presses.images[rows], object=presses.object[rows])
     learnt = ObjectRecogniser(rehearse=False).fit(bare)
     with pytest.raises(ValueError, match="pitch_mm must be given"):
         learnt.fit_pose(bare)
@@ -94,7 +94,7 @@ def test_poses_need_a_pitch(presses):
     assert learnt.fit_pose(bare, pitch_mm=2).pose(bare[:1], ["bar10"]).symmetry[0] == 2
 
 
-def test_what_a_dome_shows_in_colour_alone_is_told():
+def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():
     camera = DomeCamera(image_shape=(64, 64), n_nodes=24)
     grey = simulate_touches(["ball"], 48, camera, random_state=0).images / 2.0
     grey -= grey.mean(axis=(1, 2), keepdims=True)

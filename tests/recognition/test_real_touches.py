@@ -23,7 +23,9 @@ def ten_objects(data_folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("split", "least"), [("between", 0.79), ("last", 0.70)])
-def test_ten_objects_by_default(ten_objects, split, least):
+def test_ten_objects_are_recognised_better_than_by_brightness(
+    ten_objects, split, least
+):
     figures, _ = evaluate(ten_objects, split=split, plan=PLAN)
     assert figures["accuracy"]["5"] > least
     assert figures["accuracy"]["5"] > figures["controls"]["brightness"]["5"]
@@ -32,17 +34,21 @@ def test_ten_objects_by_default(ten_objects, split, least):
 
 
 @pytest.mark.slow
-def test_few_touches_of_three_objects_by_default(ten_objects):
-    some = ten_objects[np.isin(ten_objects.object, np.unique(ten_objects.object)[:3])]
+def test_three_objects_of_few_touches_are_recognised_better_than_by_brightness(
+    ten_objects,
+):
+    three_objects = ten_objects[
+        np.isin(ten_objects.object, np.unique(ten_objects.object)[:3])
+    ]
     plan = Plan(touches=(1, 5), orders=5)
-    figures, _ = evaluate(some[::2], split="last", plan=plan)
-    # After one touch: of three objects brightness alone is often right after five.
+    figures, _ = evaluate(three_objects[::2], split="last", plan=plan)
+    # After one touch, for of three objects brightness is often right after five.
     assert figures["accuracy"]["1"] > figures["controls"]["brightness"]["1"]
     assert "rim" in figures["chosen"]["encoding"]
 
 
 @pytest.mark.slow
-def test_the_paper_as_written(ten_objects):
+def test_the_preset_of_the_paper_is_as_accurate_as_is_known_of_it(ten_objects):
     plan = Plan(preset="corradi2015", touches=(1, 5, 15), orders=10)
     figures, trials = evaluate(ten_objects, split="between", plan=plan)
     # About 69 % after 5 touches is known of such sets; objects differ much.
@@ -52,8 +58,8 @@ def test_the_paper_as_written(ten_objects):
 
 
 @pytest.mark.slow
-def test_a_sensor_without_a_rim(data_folder):
-    """TacTip pins are recognised without being told what they are."""
+def test_pins_are_recognised_without_a_rim(data_folder):
+    """Touches of a TacTip do not say what kind of sensor it is."""
     pins = Touches.load(data_folder / "tactip4" / "tactip4.npz")
     figures, _ = evaluate(pins[::4], split="between", plan=Plan(touches=(1,)))
     assert figures["accuracy"]["1"] > 0.9

@@ -1,4 +1,4 @@
-"""What a session adds, told without labels: limits, growth, few objects, exactness."""
+"""Recentring: what a session adds, estimated without labels or by linked objects."""
 
 import numpy as np
 import pytest
@@ -30,9 +30,9 @@ def _chained(rng, n_sessions):
 
 def test_sessions_linked_by_one_object_are_solved_exactly(rng):
     codes, sessions, objects, added = _chained(rng, 12)
-    found = session_effects(objects + added, codes, sessions)
-    # Without noise, and all linked, least squares knows all but the mean.
-    assert_allclose(found, added - added.mean(axis=0), atol=1e-9)
+    effects = session_effects(objects + added, codes, sessions)
+    # Without noise least squares over linked sessions is exact, but for the mean.
+    assert_allclose(effects, added - added.mean(axis=0), atol=1e-9)
 
 
 def test_effects_are_those_of_least_squares_over_all_unknowns(rng):
@@ -41,14 +41,14 @@ def test_effects_are_those_of_least_squares_over_all_unknowns(rng):
     design = np.hstack([np.eye(codes.max() + 1)[codes], np.eye(5)[sessions]])
     slow = np.linalg.lstsq(design, features, rcond=None)[0][codes.max() + 1 :]
     slow = slow[sessions]
-    found = session_effects(features, codes, sessions)
-    assert_allclose(found, slow - slow.mean(axis=0), atol=1e-9)
+    effects = session_effects(features, codes, sessions)
+    assert_allclose(effects, slow - slow.mean(axis=0), atol=1e-9)
 
 
 def test_sessions_that_share_no_object_add_nothing(rng):
     codes, sessions = np.repeat([0, 1, 2, 3], 3), np.repeat([0, 0, 1, 1], 3)
-    found = session_effects(rng.normal(size=(12, 2)), codes, sessions)
-    assert_allclose(found, 0, atol=1e-9)
+    effects = session_effects(rng.normal(size=(12, 2)), codes, sessions)
+    assert_allclose(effects, 0, atol=1e-9)
 
 
 def _day(offset, seed, objects="abcdef", n_each=1, labels=True):
@@ -65,7 +65,7 @@ def learnt():
     return ObjectRecogniser().fit(_day(0.0, 0, n_each=12))
 
 
-def test_touch_by_touch_it_ends_where_all_touches_at_once_do(learnt):
+def test_recentring_touch_by_touch_ends_where_all_touches_at_once_do(learnt):
     there, today = _day(3.0, 1, n_each=4), Recentring(learnt)
     offsets = []
     for k in range(len(there)):
@@ -88,16 +88,16 @@ def test_touch_by_touch_it_ends_where_all_touches_at_once_do(learnt):
     assert np.linalg.norm(after) < np.linalg.norm(before) / 3
 
 
-def test_the_belief_under_way_moves_along(learnt):
+def test_a_belief_that_was_begun_moves_with_the_recentring(learnt):
     there = _day(3.0, 1, n_each=6)
-    mine = there[np.flatnonzero(there.object == "a")]
+    touches_of_a = there[np.flatnonzero(there.object == "a")]
     today = Recentring(learnt)
     for k in range(30):
         today.start().update(there[k : k + 1])
-    today.start().update(mine[:1])
-    belief = today.update(mine[1:3])
-    afresh = today.recogniser.start().update(mine[:3])
-    # One episode: all its touches are seen as what the session adds is known now.
+    today.start().update(touches_of_a[:1])
+    belief = today.update(touches_of_a[1:3])
+    afresh = today.recogniser.start().update(touches_of_a[:3])
+    # All three touches of the episode are recentred by what is known after the last.
     assert belief.touches_used == 3
     assert belief.posterior == pytest.approx(afresh.posterior)
 
@@ -127,7 +127,7 @@ def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
         assert not any(OTHER_SESSION in sentence for sentence in belief.why())
 
 
-def test_an_alarm_is_said_by_beliefs_until_touches_are_confirmed(learnt, tmp_path):
+def test_beliefs_repeat_an_alarm_until_touches_are_confirmed(learnt, tmp_path):
     there = _day(3.0, 1, n_each=4)
     recogniser = adapt(learnt, _day(0.0, 2, n_each=4))
     assert not recogniser.start().promise().other_session

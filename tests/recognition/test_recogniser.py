@@ -40,7 +40,7 @@ def test_touches(rng):
     return drawn(rng, n_each=6)
 
 
-def test_recognises_what_it_learnt(recogniser, test_touches):
+def test_a_recogniser_names_the_objects_that_it_learnt(recogniser, test_touches):
     for name, _, rows in test_touches.episodes():
         belief = recogniser.start()
         assert belief.posterior == pytest.approx(dict.fromkeys(NAMES, 0.95 / 3))
@@ -65,7 +65,7 @@ def domes(rng, n_each=6):
 @pytest.mark.parametrize("preset", ["default", "corradi2015"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.float64])
 def test_one_update_does_not_check_touches_again(preset, dtype, rng):
-    """They were checked when they were made; what is none is refused before that."""
+    """`Touches` are checked when they are made; arrays that are none are refused."""
     learnt = domes(rng)
     levels = Touches(learnt.images.astype(dtype), **learnt.columns, geometry="dome")
     belief, checks = ObjectRecogniser(preset).fit(levels).start(), []
@@ -128,7 +128,7 @@ def test_same_seed_same_bits(test_touches):
     assert_array_equal(first.strangers_.exceeded, second.strangers_.exceeded)
 
 
-def test_add_and_forget_an_object(rng):
+def test_an_object_is_added_and_one_forgotten(rng):
     everything = drawn(rng)
     pens = everything.object == "pen"
     learnt = ObjectRecogniser().fit(everything[~pens])
@@ -151,7 +151,7 @@ def test_category_is_learnt_over_objects(rng):
     assert learnt.start().update(touches[:2]).best == "vessel"
 
 
-def test_prior_by_counts(rng):
+def test_a_prior_by_counts_is_the_share_of_training_touches(rng):
     touches = drawn(rng)
     fewer = touches[np.r_[0:24, 24:36, 48:60]]
     start = ObjectRecogniser(prior="counts").fit(fewer).start(strangers=0)
@@ -204,11 +204,13 @@ def test_whole_sessions_are_left_out_together(rng):
         touches.with_columns(session=session), touches.object, touches.object, "object"
     )
     assert len(set(group)) == 3
-    for g in set(group):
-        assert len(set(session[group == g])) == 1
-    one = touches.with_columns(session=np.ones(72, int))
-    by_stretch = left_out_groups(one, one.object, one.object, "object")
-    assert len(set(by_stretch)) == 15
+    for number in set(group):
+        assert len(set(session[group == number])) == 1
+    one_session = touches.with_columns(session=np.ones(72, int))
+    blocks = left_out_groups(
+        one_session, one_session.object, one_session.object, "object"
+    )
+    assert len(set(blocks)) == 15
 
 
 def test_a_sure_object_is_not_called_unknown(recogniser):
@@ -218,7 +220,7 @@ def test_a_sure_object_is_not_called_unknown(recogniser):
     assert belief.decide(0.01) == "ball"
 
 
-def test_what_tells_strangers_follows_added_objects(rng):
+def test_the_stranger_model_follows_added_objects(rng):
     everything = drawn(rng, noise=3)
     pens = everything.object == "pen"
     grown = ObjectRecogniser().fit(everything[~pens])
@@ -235,27 +237,27 @@ def test_what_tells_strangers_follows_added_objects(rng):
 
 @pytest.mark.parametrize("marks", [2000, 20], ids=["all", "some"])
 @pytest.mark.slow
-def test_what_is_known_of_distances_is_used_for_added_touches(
+def test_distances_kept_and_distances_computed_anew_give_the_same_limits(
     rng, tmp_path, monkeypatch, marks
 ):
-    """A model that was read knows none of them, and comes to the same limits."""
+    """A model keeps distances while it learns more; one that was read has none."""
     monkeypatch.setattr("palpate.recognition._memory.MOST_MARKS", marks)
     everything = drawn(rng, names=("ball", "lid", "mug", "pen"), noise=3)
     order = np.arange(len(everything)) % 24
     lids = everything.object == "lid"
-    known = ObjectRecogniser().fit(everything[~lids & (order < 16)])
+    learnt = ObjectRecogniser().fit(everything[~lids & (order < 16)])
     steps = [("mug", everything.object == "mug"), ("lid", lids)]
     for added, rows in [*steps, ("ball", everything.object == "ball")]:
         more = everything[rows & (order > 15)]
-        read = ObjectRecogniser.load(known.save(tmp_path / "model.palpate"))
-        for one in (known, read):
-            add = one.extend_object if added in one.classes_ else one.add_object
+        read = ObjectRecogniser.load(learnt.save(tmp_path / "model.palpate"))
+        for model in (learnt, read):
+            add = model.extend_object if added in model.classes_ else model.add_object
             add(added, more)
         for name in ("usual", "far", "exceeded"):
-            kept, anew = (getattr(one.strangers_, name) for one in (known, read))
+            kept, anew = (getattr(model.strangers_, name) for model in (learnt, read))
             assert_allclose(kept, anew, rtol=1e-7, atol=1e-7)
-    shown = everything[(everything.object == "pen") & (order > 15)]
-    beliefs = [one.start().update(shown) for one in (known, read)]
+    test = everything[(everything.object == "pen") & (order > 15)]
+    beliefs = [model.start().update(test) for model in (learnt, read)]
     assert beliefs[0].unknown == pytest.approx(beliefs[1].unknown, rel=1e-9)
 
 
@@ -336,7 +338,7 @@ def test_a_copy_of_a_belief_goes_on_by_itself(recogniser, test_touches):
 def test_what_would_take_too_much_memory_is_refused_before_it_is_begun(
     rng, monkeypatch
 ):
-    """200 bytes for each of 12 touches and 3 objects, 26 for each of 144 pairs."""
+    """Each of 12 touches takes 200 bytes an object, each of their 144 pairs 26."""
     few = drawn(rng, n_each=4)
     monkeypatch.setattr(ObjectRecogniser, "max_memory_gb", 10943e-9)
     refused = ObjectRecogniser()
@@ -396,8 +398,8 @@ def test_many_touches_are_encoded_in_shards_as_all_at_once(recogniser):
     assert shards.flags == parts.flags
     # Products of other numbers of rows round differently in the last digit.
     for name in ("features", "log_likelihood", "by_encoding"):
-        pair = getattr(shards, name), getattr(parts, name)
-        assert_allclose(*pair, rtol=1e-9, atol=1e-12)
+        values = getattr(shards, name), getattr(parts, name)
+        assert_allclose(*values, rtol=1e-9, atol=1e-12)
 
 
 def test_a_belief_shows_itself_in_one_line_and_as_bars():

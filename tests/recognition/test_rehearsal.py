@@ -46,16 +46,18 @@ def both():
     return [ObjectRecogniser(rehearse=r).fit(touches) for r in (False, True)]
 
 
-def test_it_is_on_by_itself_and_says_what_it_found(both):
+def test_rehearsal_is_the_default_and_reports_what_was_drawn(both):
     plain, rehearsed = both
     assert "rehearsal" not in plain.chosen_
-    found = rehearsed.chosen_["rehearsal"]
-    assert 0 <= found["share"] <= 1
-    assert found["told_by"] == "rehearsed sessions"
-    assert set(found["drawn"]) == {"gain", "taxels", "zero", "shift"}
-    assert any("rehearsed sessions" in one for one in rehearsed.chosen_["found"])
+    record = rehearsed.chosen_["rehearsal"]
+    assert 0 <= record["share"] <= 1
+    assert record["told_by"] == "rehearsed sessions"
+    assert set(record["drawn"]) == {"gain", "taxels", "zero", "shift"}
+    assert any(
+        "rehearsed sessions" in sentence for sentence in rehearsed.chosen_["found"]
+    )
     kinds = {type(m) for m in rehearsed.classifier_.machines_.values()}
-    assert (kinds == {RehearsedMachine}) == (found["share"] > 0)
+    assert (kinds == {RehearsedMachine}) == (record["share"] > 0)
 
 
 def test_rehearsal_leaves_encoding_and_memory_as_they_are(both):
@@ -64,7 +66,7 @@ def test_rehearsal_leaves_encoding_and_memory_as_they_are(both):
     assert list(plain.classifier_.weights_) == list(rehearsed.classifier_.weights_)
 
 
-def test_another_zero_costs_less_when_it_was_rehearsed(both):
+def test_another_baseline_costs_less_where_it_was_rehearsed(both):
     rng = np.random.default_rng(5)
     slope = np.linspace(-1, 1, SIDE)
     lost = []
@@ -78,7 +80,7 @@ def test_another_zero_costs_less_when_it_was_rehearsed(both):
     assert lost[1] <= lost[0] + 0.03  # three standard errors of 320 touches
 
 
-def test_it_is_saved_and_taught_more(both, tmp_path):
+def test_a_rehearsed_recogniser_is_saved_and_taught_more(both, tmp_path):
     rehearsed = both[1]
     there = _presses(3, 9)
     again = ObjectRecogniser.load(rehearsed.save(tmp_path / "m.palpate"))
@@ -101,13 +103,13 @@ def test_vectors_are_not_rehearsed():
     names = np.repeat(["a", "b"], 10)
     images = rng.normal(size=(20, 1, 6))
     recogniser = ObjectRecogniser().fit(Touches(images, object=names, geometry="none"))
-    found = recogniser.chosen_["rehearsal"]
-    assert found["share"] == 0
-    assert "vectors" in found["why"]
+    record = recogniser.chosen_["rehearsal"]
+    assert record["share"] == 0
+    assert "vectors" in record["why"]
     assert isinstance(recogniser.classifier_, EncodingPool)
 
 
-def test_sessions_that_are_known_tell_the_share():
+def test_sessions_or_persons_left_out_give_the_share_of_rehearsal():
     days = [
         _presses(6, k, session=[f"day {k}"] * 24, order=np.arange(24)) for k in range(3)
     ]
@@ -116,9 +118,9 @@ def test_sessions_that_are_known_tell_the_share():
     assert recogniser.chosen_["rehearsal"]["told_by"] == "sessions left out"
     # Two persons, who come again and again, are left out whole instead.
     of_persons = touches.with_columns(subject=np.resize(["ann", "bob"], len(touches)))
-    found = ObjectRecogniser().fit(of_persons).chosen_
-    assert found["rehearsal"]["told_by"] == "persons left out"
-    assert "as tests on persons left out showed" in found["found"][-1]
+    chosen = ObjectRecogniser().fit(of_persons).chosen_
+    assert chosen["rehearsal"]["told_by"] == "persons left out"
+    assert "as tests on persons left out showed" in chosen["found"][-1]
 
 
 @pytest.mark.parametrize("presentation", ["shifted", "any"])
@@ -126,9 +128,9 @@ def test_nothing_is_drawn_that_all_encodings_are_blind_to(presentation):
     recogniser = ObjectRecogniser(presentation=presentation).fit(_presses(6, 0))
     blind = [recogniser.encoder_.blind_to(n) for n in recogniser.encoder_.encodings]
     assert frozenset.intersection(*blind) >= {"shifts", "gain"}
-    found = recogniser.chosen_["rehearsal"]
-    assert found["drawn"] == ["taxels", "zero"]
-    assert "expected" in found
+    record = recogniser.chosen_["rehearsal"]
+    assert record["drawn"] == ["taxels", "zero"]
+    assert "expected" in record
 
 
 def test_a_drawn_session_changes_all_touches_alike():
@@ -172,7 +174,7 @@ def test_every_kind_of_sensor_has_its_ranges():
     assert RANGES["array"].colours == 0
 
 
-def test_what_to_expect_of_another_day_is_said(both):
+def test_the_accuracy_to_expect_of_another_day_is_said(both):
     plain, rehearsed = both
     across = across_sessions(rehearsed)
     low, high = across["rehearsed"]
@@ -203,7 +205,7 @@ def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):
     assert np.abs(more.features[2] - drawn.features[0]).max() < 0.3
 
 
-def test_what_confirming_is_expected_to_bring_is_said(both):
+def test_the_accuracy_to_expect_after_confirming_is_said(both):
     rehearsal = both[1].chosen_["rehearsal"]
     low, high = rehearsal["confirmed"]
     assert 0 <= low <= high <= 1
@@ -218,7 +220,7 @@ def test_what_confirming_is_expected_to_bring_is_said(both):
 def _rehearsed_by(moves, rng):
     """Return the pool, memory, draws and parts of four objects in a row, so moved.
 
-    By `moves` (n_sessions, 4, 1), along the row, each object in each session.
+    `moves` (n_sessions, 4, 1) is how far along the row, of each object in a session.
     """
     labels = np.repeat(list("abcd"), 12)
     features = rng.normal(0, 0.5, (48, 2))
@@ -231,41 +233,41 @@ def _rehearsed_by(moves, rng):
     )
     moved = features + np.repeat(moves, 12, axis=1) * [1, 0]
     drawn = Drawn(np.concatenate([features[np.newaxis], moved]), np.arange(48))
-    pool = EncodingPool({"felt": 2}).fit(features, labels, groups=memory.blocks)
+    pool = EncodingPool({"levels": 2}).fit(features, labels, groups=memory.blocks)
     return pool, memory, drawn, Parts(np.array([0, 2]))
 
 
-def test_one_object_is_believed_where_rehearsed_sessions_move_all_alike(rng):
+def test_one_object_is_trusted_where_rehearsed_sessions_move_all_alike(rng):
     to_one_side = 1.5 * rng.choice([-1, 1], size=(5, 1, 1))
-    alike, apart = np.ones((4, 1)), np.array([1, -1, 1, -1])[:, None]
-    for moves, trust in ((alike, 1.0), (apart, 0.0)):
+    alike, opposite = np.ones((4, 1)), np.array([1, -1, 1, -1])[:, None]
+    for moves, trust in ((alike, 1.0), (opposite, 0.0)):
         replays = [*_replays(*_rehearsed_by(to_one_side * moves, rng), 0)]
         assert len(replays) == 10
         assert _trust_in_one(replays) == trust
 
 
-def test_of_one_object_no_more_is_taken_over_than_is_believed(both):
+def test_of_one_confirmed_object_as_much_is_used_as_it_is_trusted(both):
     learnt = both[1]
     there = _presses(6, 4, lambda images: 1.5 * images + 30)
-    one, others = there[:1], there[6:]
+    confirmed, others = there[:1], there[6:]
     moved, right, gains = [], [], []
     for trust in (0.0, 0.5, 1.0):
         there = copy(learnt)
         there.chosen_ = {**learnt.chosen_, "rehearsal": {"share": 0.0, "trust": trust}}
-        there.remount(one)
-        found = there.chosen_["remount"]
-        assert found["trust"] == trust
-        assert found.get("weight", 0.0) == trust**2
+        there.remount(confirmed)
+        record = there.chosen_["remount"]
+        assert record["trust"] == trust
+        assert record.get("weight", 0.0) == trust**2
         assert len(there.memory_) == len(learnt.memory_) + (trust > 0)
-        moved.append(found["moved"])
-        gains.append(found["gain"])
+        moved.append(record["moved"])
+        gains.append(record["gain"])
         right.append(there.score(others))
-    # Neither gain nor shift nor the touch itself where nothing is believed.
+    # Without trust neither the gain nor the shift nor the touch itself is used.
     assert (moved[0], gains[0]) == (0, 1)
     assert min(moved[1:]) > 0
     assert min(gains) < 1
     assert right[0] == learnt.score(others)
-    # Of four objects three quarters of the doubt are gone.
+    # One touch of each of four objects takes three quarters of the mistrust away.
     there.chosen_ = {**learnt.chosen_, "rehearsal": {"share": 0.0, "trust": 0.0}}
     there.remount(_presses(1, 4))
     assert there.chosen_["remount"]["trust"] == 0.75

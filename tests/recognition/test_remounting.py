@@ -113,7 +113,7 @@ def test_one_touch_of_one_object_is_enough_to_be_taken_in():
 
 
 def _session(offset, n, seed, name, objects="abcdef", labels=True):
-    """Touches of some of six objects, everything moved by what the session adds."""
+    """Return touches of some of six objects, all moved by the offset of a session."""
     rng = np.random.default_rng(seed)
     centres = 5 * np.random.default_rng(99).normal(size=(6, 8))
     names = np.repeat(list(objects), n)
@@ -134,7 +134,7 @@ def _taught():
 
 @pytest.fixture
 def taught(_taught):
-    """What six objects have taught in one session, to be changed."""
+    """Give a recogniser of six objects in one session, which may be changed."""
     return deepcopy(_taught)
 
 
@@ -142,12 +142,12 @@ def test_a_session_is_taken_off_without_labels(taught):
     there = _session(OFFSET, 12, 1, "two")
     before = taught.score(there)
     taught.remount(_session(OFFSET, 5, 2, "two", labels=False))
-    found = taught.chosen_["remount"]
+    record = taught.chosen_["remount"]
     assert before < 0.9
     assert taught.score(there) > 0.95
-    assert not found["labelled"]
-    assert found["n_touches"] == 30
-    assert found["moved"] > 0.1
+    assert not record["labelled"]
+    assert record["n_touches"] == 30
+    assert record["moved"] > 0.1
 
 
 def test_a_session_of_few_objects_is_not_centred_onto_others(taught):
@@ -177,10 +177,10 @@ def _postures(n_people, seed):
     centres = 2 * np.random.default_rng(99).normal(size=(12, 4))
     what, who = np.tile(np.arange(12), n_people), np.repeat(np.arange(n_people), 12)
     bodies = 6 * rng.normal(size=(n_people, 2))[who]
-    felt = centres[what] + rng.normal(size=(len(who), 4))
+    postures = centres[what] + rng.normal(size=(len(who), 4))
     subject = np.char.add(f"{seed} ", who.astype(str))
     return Touches(
-        np.hstack([felt, bodies])[:, None],
+        np.hstack([postures, bodies])[:, None],
         object=np.array(list("abcdefghijkl"))[what],
         subject=subject,
         geometry="none",
@@ -190,8 +190,8 @@ def _postures(n_people, seed):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_confirmed_touches_that_mislead_count_less(monkeypatch, tmp_path, seed):
     there = _postures(2, 100 + seed)
-    # Each posture is confirmed of one person, and asked of the other: nearer to what
-    # was confirmed of the same body than to the same posture.
+    # Each posture is confirmed of one person and tested on the other, where it is
+    # nearer to confirmed postures of the same body than to itself.
     confirmed = np.tile([True, False], 12) == (np.arange(24) < 12)
     learnt = ObjectRecogniser(rehearse=False).fit(_postures(4, seed))
     now = adapt(learnt, there[confirmed])
@@ -209,7 +209,7 @@ def test_confirmed_touches_that_mislead_count_less(monkeypatch, tmp_path, seed):
     assert_allclose(again.memory_.weights, [*np.repeat([1, weight], [48, 12]), 1])
 
 
-def test_confirmed_touches_that_tell_each_other_count_as_any_other(taught):
+def test_confirmed_touches_that_recognise_each_other_count_in_full(taught):
     taught.remount(_session(OFFSET, 4, 1, "two"))
     assert taught.chosen_["remount"]["weight"] == 1
     assert (taught.memory_.weights == 1).all()
@@ -221,9 +221,9 @@ def test_what_training_sessions_add_is_taken_off_where_that_helps():
     recogniser = ObjectRecogniser().fit(Touches.concatenate(taught))
     expected = across_sessions(recogniser)["expected"]
     recogniser.remount(_session(far, 8, 2, "three", labels=False))
-    found = recogniser.chosen_["remount"]
-    assert found["centred"]
-    assert found["log_loss"]["centred"] < found["log_loss"]["plain"]
+    record = recogniser.chosen_["remount"]
+    assert record["centred"]
+    assert record["log_loss"]["centred"] < record["log_loss"]["plain"]
     assert recogniser.score(_session(far, 8, 3, "three")) > 0.95
     assert expected < 0.9
 
@@ -252,10 +252,10 @@ def test_nuisance_of_other_objects_is_weighed_down():
         )
 
     recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one", "abc"))
-    asked = met(50, "abc", 12, "asked")
-    before = recogniser.score(asked)
+    test = met(50, "abc", 12, "asked")
+    before = recogniser.score(test)
     assert recogniser.learn_nuisance(met(20, "def", 8, "told")) == 24
-    assert recogniser.score(asked) > before + 0.1
+    assert recogniser.score(test) > before + 0.1
     with pytest.raises(ValueError, match="columns 'object' and 'session'"):
         recogniser.learn_nuisance(_vectors(0, 3, 0))
     with pytest.raises(ValueError, match="at least 20 things"):
@@ -264,12 +264,12 @@ def test_nuisance_of_other_objects_is_weighed_down():
 
 def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
     recogniser = ObjectRecogniser().fit(_session(0, 20, 0, "one"))
-    every = np.random.default_rng(3)
+    rng = np.random.default_rng(3)
     alarms = {0: 0, 1: 0}
     for changed in alarms:
         for seed in range(40):
             there = _session(changed * OFFSET, 5, 100 + seed, "two", labels=False)
-            ten = there[every.permutation(len(there))[:10]]
+            ten = there[rng.permutation(len(there))[:10]]
             check = recogniser.check_mounting(ten)
             assert check.changed == (check.distance > check.usual)
             assert check.changed == bool(check.reasons)
@@ -279,7 +279,7 @@ def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
     assert alarms[1] >= 38
 
 
-def test_remounting_goes_wrong_as_a_whole_or_not_at_all(taught):
+def test_a_remounting_that_fails_leaves_the_recogniser_as_it_was(taught):
     state = taught.log_likelihood(_session(0, 2, 5, "x"))
     strange = _session(0, 2, 1, "two").with_columns(object=["spoon"] * 12)
     with pytest.raises(ValueError, match="known objects, got 'spoon', which was not"):
@@ -316,15 +316,15 @@ def test_an_object_met_every_day_keeps_some_of_each_day():
         more = _session(0, 6, 10 + day, f"day {day}", "a")
         recogniser.extend_object("a", more, most=10)
     memory = recogniser.memory_
-    mine = memory.labels == "a"
-    days, counts = np.unique(memory.sessions[mine], return_counts=True)
-    assert mine.sum() == 10
+    of_a = memory.labels == "a"
+    days, counts = np.unique(memory.sessions[of_a], return_counts=True)
+    assert of_a.sum() == 10
     assert len(days) == 5
     assert counts.min() == 2
     assert (memory.labels == "b").sum() == 8
     # Of the last day the newest are kept.
     newest = recogniser.encoder_.transform(more)[-counts[-1] :]
-    assert np.allclose(memory.features[mine & (memory.sessions == "day 3")], newest)
+    assert np.allclose(memory.features[of_a & (memory.sessions == "day 3")], newest)
     with pytest.raises(ValueError, match="most"):
         recogniser.extend_object("a", more, most=1)
 
@@ -341,11 +341,11 @@ def test_the_baseline_of_the_new_session_is_known_and_taken_off():
     )
     encoder = ObjectRecogniser().fit(here).remount(there.without("object")).encoder_
     assert np.allclose(encoder.drift, zeros[0] - zeros[1])
-    felt = encoder.transform(there) - encoder.offset
-    assert np.allclose(felt, ObjectRecogniser().fit(here).encoder_.transform(here))
+    features = encoder.transform(there) - encoder.offset
+    assert np.allclose(features, ObjectRecogniser().fit(here).encoder_.transform(here))
 
 
-# What one object alone is moved by cannot always be told from another object.
+# The offset of one object alone cannot always be told from another object.
 @pytest.mark.parametrize(("moved", "at_most"), [(0, 0), (1, 1)])
 def test_a_session_of_one_object_is_not_centred_onto_another(taught, moved, at_most):
     lost = 0
@@ -383,7 +383,7 @@ def _pressed():
 
 @pytest.fixture
 def pressed(_pressed):
-    """What presses of three parts have taught, to be changed."""
+    """Give a recogniser of presses of three parts, which may be changed."""
     return deepcopy(_pressed)
 
 
@@ -392,11 +392,11 @@ def pressed(_pressed):
 @pytest.mark.parametrize("gain", [0.4, 2.5])
 def test_the_gain_of_an_array_is_found_and_taken_off(pressed, gain, labelled):
     there = _presses(8, 1, gain)
-    first = there if labelled else there.without("object")
-    recogniser = pressed.remount(first)
-    found = recogniser.chosen_["remount"]["gain"]
-    assert found == pytest.approx(1 / gain, rel=0.15)
-    assert recogniser.encoder_.gain == found
+    remount_touches = there if labelled else there.without("object")
+    recogniser = pressed.remount(remount_touches)
+    correction = recogniser.chosen_["remount"]["gain"]
+    assert correction == pytest.approx(1 / gain, rel=0.15)
+    assert recogniser.encoder_.gain == correction
     assert recogniser.score(_presses(20, 2, gain), np.repeat(PARTS, 20)) > 0.9
 
 
@@ -447,7 +447,7 @@ def test_another_gain_or_a_softer_rubber_raises_the_alarm(pressed, change):
     check = pressed.check_mounting(other)
     assert check.changed
     assert check.distance > check.usual
-    # Who got used to it is not warned again.
+    # Once remounted, the recogniser raises no alarm.
     pressed.remount(other.without("object"))
     assert not pressed.check_mounting(other).changed
 
@@ -462,14 +462,14 @@ def test_a_model_that_kept_no_looks_still_tells_by_distances(pressed):
     assert pressed.chosen_["remount"]["gain"] == 1
 
 
-def test_what_was_moved_is_told_and_moves_touches_onto_those_of_training(taught):
+def test_remounting_moves_touches_onto_training_and_reports_how_far(taught):
     before = taught.memory_
     variance = before.features.var(axis=0).sum()
     there = _session(OFFSET, 6, 2, "two")
-    found = taught.remount(there).chosen_["remount"]
-    assert (found["n_touches"], found["labelled"], found["broken"]) == (36, True, 0)
+    record = taught.remount(there).chosen_["remount"]
+    assert (record["n_touches"], record["labelled"], record["broken"]) == (36, True, 0)
     shift = taught.encoder_.offset
-    assert found["moved"] == pytest.approx((shift**2).sum() / variance)
+    assert record["moved"] == pytest.approx((shift**2).sum() / variance)
     features = taught.encoder_.transform(there)
     means = [
         np.mean([f[labels == name].mean(axis=0) for name in "abcdef"], axis=0)
@@ -478,10 +478,10 @@ def test_what_was_moved_is_told_and_moves_touches_onto_those_of_training(taught)
             (before.features, before.labels),
         )
     ]
-    # But for what chance would move, which is a share of it.
+    # The share of the shift that chance would make is held back.
     left = np.linalg.norm(means[0] - means[1])
     assert 0 < left < 0.05 * np.linalg.norm(shift)
-    # What is kept of the session is what the recogniser makes of it from now on.
+    # Memory keeps the features that the recogniser gives touches from now on.
     kept = taught.memory_.features[len(before) :]
     assert_allclose(kept, features, atol=1e-9)
     assert_allclose(taught.memory_.looks[len(before) :], taught.encoder_.look(there))
@@ -511,16 +511,17 @@ def test_touches_without_contact_are_no_part_of_a_session():
     images = images + rng.normal(0, 0.3, images.shape)
     learnt = ObjectRecogniser().fit(Touches(images, object=names, geometry="array"))
     idle = rng.normal(0, 0.3, (9, 10, 10))
-    some = images[::3]
+    presses = images[::3]
     plain, padded = (
-        deepcopy(learnt).remount(Touches(one, geometry="array"))
-        for one in (some, np.concatenate([some, idle]))
+        deepcopy(learnt).remount(Touches(levels, geometry="array"))
+        for levels in (presses, np.concatenate([presses, idle]))
     )
     assert_allclose(padded.encoder_.offset, plain.encoder_.offset, atol=1e-9)
     assert padded.chosen_["remount"]["n_touches"] == 17
-    # The check asks those that show contact as well.
+    # The check, too, is of those that show contact.
     checks = [
-        learnt.check_mounting(one) for one in (some, np.concatenate([some, idle]))
+        learnt.check_mounting(levels)
+        for levels in (presses, np.concatenate([presses, idle]))
     ]
     assert checks[0] == checks[1]
     nothing = learnt.check_mounting(idle)
@@ -530,7 +531,7 @@ def test_touches_without_contact_are_no_part_of_a_session():
 
 
 def _of_persons(seed, twist, n_persons=3, n_days=2):
-    """Six objects met by persons on days; how a thing lies differs by day and thing."""
+    """Return touches of six objects by persons on days; each visit twists an object."""
     rng = np.random.default_rng(seed)
     axis = np.array([1.0, 1, -1, 1, 1, -1, 1, -1])
     parts = []
@@ -545,31 +546,31 @@ def _of_persons(seed, twist, n_persons=3, n_days=2):
 
 
 @pytest.mark.parametrize(("twist", "weighed"), [(12.0, True), (0.0, False)])
-def test_how_sessions_differ_is_weighed_down_where_other_persons_say_it_helps(
+def test_session_differences_are_weighed_down_where_it_helps_other_persons(
     twist, weighed
 ):
     learnt = ObjectRecogniser().fit(_of_persons(0, twist))
     new = _of_persons(1, twist, n_persons=1)
     features = learnt.memory_.features
-    found = learnt.remount(new.without("object", "subject")).chosen_["remount"]
-    loss = found["log_loss"]
+    record = learnt.remount(new.without("object", "subject")).chosen_["remount"]
+    loss = record["log_loss"]
     # Without a twist all are told apart either way, and the losses are rounding.
-    assert (loss["weighed"] < loss["centred"] - 1e-6) == weighed == found["weighed"]
+    assert (loss["weighed"] < loss["centred"] - 1e-6) == weighed == record["weighed"]
     assert (learnt.encoder_.weighing is not None) == weighed
     if weighed:
-        assert found["centred"]
+        assert record["centred"]
         assert loss["weighed"] < 0.8 * loss["centred"]
-        # Once is enough: what is weighed is not weighed again.
+        # A recogniser that is weighed is not weighed again.
         once = learnt.encoder_.weighing
         again = learnt.remount(new.without("object", "subject"))
         assert "weighed" not in again.chosen_["remount"]["log_loss"]
         assert np.array_equal(again.encoder_.weighing, once)
-    elif not found["centred"]:
+    elif not record["centred"]:
         assert np.array_equal(learnt.memory_.features, features)
 
 
 def test_touches_are_weighed_by_how_sessions_of_the_other_half_of_persons_differ():
-    """Every other person, by name: it is no matter who of one half is who."""
+    """Halves are every other person by name; names within a half may be exchanged."""
     learnt = ObjectRecogniser().fit(_of_persons(0, 4.0, n_persons=4))
     new = _session(0, 3, 1, "new", labels=False)
     memory, losses = learnt.memory_, {}
@@ -577,19 +578,19 @@ def test_touches_are_weighed_by_how_sessions_of_the_other_half_of_persons_differ
         other = deepcopy(learnt)
         renamed = np.array([f"p{order[int(name[1])]}" for name in memory.subjects])
         other.memory_ = replace(memory, subjects=renamed)
-        found = other.remount(new).chosen_["remount"]
-        losses[order] = found["log_loss"]["weighed"]
+        record = other.remount(new).chosen_["remount"]
+        losses[order] = record["log_loss"]["weighed"]
     assert losses["2301"] == pytest.approx(losses["0123"], rel=1e-6)
     assert losses["1032"] == pytest.approx(losses["0123"], rel=1e-6)
     assert losses["0213"] != pytest.approx(losses["0123"], rel=1e-6)
 
 
-def test_touches_of_one_person_do_not_tell_what_to_weigh_down():
+def test_touches_of_one_person_weigh_nothing_down():
     learnt = ObjectRecogniser().fit(_of_persons(0, 12.0, 1, 4))
     new = _of_persons(1, 12.0, 1, 1).without("object", "subject")
-    found = learnt.remount(new).chosen_["remount"]
-    assert set(found["log_loss"]) == {"plain", "centred"}
-    assert not found["weighed"]
+    record = learnt.remount(new).chosen_["remount"]
+    assert set(record["log_loss"]) == {"plain", "centred"}
+    assert not record["weighed"]
 
 
 @pytest.mark.parametrize(("n_last", "enough"), [(4, True), (3, False)])
@@ -599,82 +600,82 @@ def test_twenty_differences_between_sessions_are_enough(taught, n_last, enough):
         for name in "abcde"
         for day in range(n_last if name == "e" else 4)
     ]
-    told = Touches.concatenate(parts)
+    touches = Touches.concatenate(parts)
     before = taught.memory_
     if enough:
-        assert taught.learn_nuisance(told) == 20
-        made = before.features @ taught.encoder_.weighing
-        assert_allclose(taught.memory_.features, made)
+        assert taught.learn_nuisance(touches) == 20
+        expected = before.features @ taught.encoder_.weighing
+        assert_allclose(taught.memory_.features, expected)
         return
     with pytest.raises(ValueError, match="got 19 differences"):
-        taught.learn_nuisance(told)
+        taught.learn_nuisance(touches)
     assert taught.memory_ is before
 
 
-def test_what_is_weighed_down_after_remounting_keeps_the_session_off(taught):
+def test_weighing_after_remounting_keeps_the_offset_of_the_session(taught):
     there = _session(OFFSET, 6, 2, "two", labels=False)
     taught.remount(there)
-    made = taught.encoder_.transform(there)
+    features = taught.encoder_.transform(there)
     rng = np.random.default_rng(4)
     axes = [_session(3 * rng.normal(size=8), 2, k, f"{k}", "abcdef") for k in range(4)]
     taught.learn_nuisance(Touches.concatenate(axes))
     first = taught.encoder_.weighing
-    assert_allclose(taught.encoder_.transform(there), made @ first, atol=1e-9)
+    assert_allclose(taught.encoder_.transform(there), features @ first, atol=1e-9)
     taught.learn_nuisance(Touches.concatenate(axes))
     second = np.linalg.solve(first, taught.encoder_.weighing)
-    made = made @ first @ second
-    assert_allclose(taught.encoder_.transform(there), made, atol=1e-9)
+    features = features @ first @ second
+    assert_allclose(taught.encoder_.transform(there), features, atol=1e-9)
 
 
-def test_what_training_says_of_another_day(taught):
-    one, two, three = (
+def test_accuracy_in_another_session_is_measured_on_sessions_left_out(taught):
+    first, second, third = (
         _session(0, 3, k, name, objects)
         for k, (name, objects) in enumerate(
             [("one", "abcd"), ("two", "abc"), ("three", "ab")]
         )
     )
-    learnt = ObjectRecogniser().fit(Touches.concatenate([one, two, three]))
-    found = across_sessions(learnt)
-    # a and b were met in three, c in two, d in one: it cannot be asked.
-    assert (found["least"], found["median"], found["asked"]) == (1, 2.5, 24)
-    assert found["expected"] == 1.0
+    learnt = ObjectRecogniser().fit(Touches.concatenate([first, second, third]))
+    across = across_sessions(learnt)
+    # a and b were met in three sessions, c in two, d in one: d cannot be tested.
+    assert (across["least"], across["median"], across["asked"]) == (1, 2.5, 24)
+    assert across["expected"] == 1.0
     assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
-    untold = replace(taught.memory_, sessions=np.full(72, ""))
-    taught.memory_ = untold
+    without_sessions = replace(taught.memory_, sessions=np.full(72, ""))
+    taught.memory_ = without_sessions
     assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
     far = [_session(k * 40.0 * np.ones(8), 3, k, f"{k}", "abc") for k in range(2)]
     lost = across_sessions(ObjectRecogniser().fit(Touches.concatenate(far)))
     assert lost["expected"] < 0.7  # of three
 
 
-def test_a_session_that_is_asked_chose_nothing_but_the_encoding(monkeypatch):
-    """Machines choose widths and ridges without it, by blocks of what is left."""
+def test_a_session_left_out_chose_nothing_but_the_encoding(monkeypatch):
+    """Machines choose widths and ridges without it, by blocks of the other session."""
     days = [_session(0, 6, 0, "one"), _session(OFFSET / 3, 6, 1, "two")]
     learnt = ObjectRecogniser().fit(Touches.concatenate(days))
-    chosen, fit = [], type(learnt.classifier_).fit
+    fits, fit = [], type(learnt.classifier_).fit
 
     def watched(machine, X, y, groups=None):
-        chosen.append((np.asarray(X), np.asarray(y), np.asarray(groups)))
+        fits.append((np.asarray(X), np.asarray(y), np.asarray(groups)))
         return fit(machine, X, y, groups)
 
     monkeypatch.setattr(type(learnt.classifier_), "fit", watched)
     across_sessions(learnt)
     memory = learnt.memory_
-    assert len(chosen) == 2
-    for (taught, labels, groups), asked in zip(chosen, ("one", "two"), strict=True):
-        assert np.array_equal(taught, memory.features[memory.sessions != asked])
+    assert len(fits) == 2
+    for (taught, labels, groups), session in zip(fits, ("one", "two"), strict=True):
+        assert np.array_equal(taught, memory.features[memory.sessions != session])
         for name in np.unique(labels):
             assert len(np.unique(groups[labels == name])) > 1
 
 
-def test_what_training_says_of_another_day_in_words():
+def test_the_sentence_on_another_day_counts_sessions_and_touches():
     assert sessions_message({"least": 1, "median": 1.0, "asked": 0}) == (
         "Taught in 1 session an object, and none in two: on another day, or mounted "
         "anew, expect less than today. Only touches of another session can show how "
         "much less."
     )
-    told = {"least": 3, "median": 3.0, "asked": 40, "expected": 0.756}
-    assert sessions_message(told) == (
+    across = {"least": 3, "median": 3.0, "asked": 40, "expected": 0.756}
+    assert sessions_message(across) == (
         "Taught in 3 sessions an object: expect about 76 % right after one touch in "
         "another one (40 touches of sessions left out whole)."
     )
@@ -696,12 +697,12 @@ def _discs(rng, n, moved=(0, 0), radius=27.0):
 
 @pytest.fixture(scope="module")
 def rimmed():
-    """What discs about one place have taught."""
+    """Give a recogniser of discs about one place."""
     return ObjectRecogniser("corradi2015").fit(_discs(np.random.default_rng(0), 8))
 
 
 @pytest.mark.parametrize(
-    ("moved", "radius", "said"),
+    ("moved", "radius", "message"),
     [
         ((0, 0), 27.0, None),
         # Three hundredths of the radius are 0.8 pixels.
@@ -711,13 +712,15 @@ def rimmed():
         ((0, 0), 29.0, "0 pixels from where it was learnt, and is 7 % larger"),
     ],
 )
-def test_a_rim_that_lies_elsewhere_is_told(rimmed, moved, radius, said):
-    asked = _discs(np.random.default_rng(1), 4, moved, radius)
-    reasons = rimmed.check_mounting(asked).reasons
+def test_a_rim_that_lies_elsewhere_is_a_reason_for_the_alarm(
+    rimmed, moved, radius, message
+):
+    test = _discs(np.random.default_rng(1), 4, moved, radius)
+    reasons = rimmed.check_mounting(test).reasons
     rim = [reason for reason in reasons if reason.startswith("The rim lies")]
-    assert len(rim) == (said is not None)
-    if said:
-        assert said in rim[0]
+    assert len(rim) == (message is not None)
+    if message:
+        assert message in rim[0]
         assert reasons[-1] == rim[0]
 
 
@@ -729,18 +732,18 @@ def _parts_of(reason):
 
 
 @pytest.mark.parametrize("gain", [0.7, 0.8, 1.25, 1.5])
-def test_another_gain_is_told_by_how_much(pressed, gain):
+def test_another_gain_is_reported_with_its_factor(pressed, gain):
     check = pressed.check_mounting(_presses(4, 1, gain))
     assert check.changed
     times, words = _parts_of(check.reasons[0])
     # Twelve loads that vary by a fifth, told to a tenth.
     assert times == pytest.approx(max(gain, 1 / gain), abs=0.12)
-    way = "stronger" if gain > 1 else "weaker"
-    assert words == f"These 12 touches press {way} than training touches."
+    comparison = "stronger" if gain > 1 else "weaker"
+    assert words == f"These 12 touches press {comparison} than training touches."
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "detail"),
     [
         (lambda images: 0.6 * images + 0.2 * _beside(images), "fine detail weaker"),
         (
@@ -751,20 +754,20 @@ def test_another_gain_is_told_by_how_much(pressed, gain):
     ],
     ids=["blurred", "chequered", "a little blurred"],
 )
-def test_another_detail_is_told_by_how_much(pressed, change, said):
+def test_another_detail_is_reported_with_its_factor(pressed, change, detail):
     other = Touches(change(_presses(4, 1).images), geometry="array")
     check = pressed.check_mounting(other)
     assert check.changed
     times, words = _parts_of(check.reasons[0])
-    assert words == f"These 12 touches show {said} than training touches."
+    assert words == f"These 12 touches show {detail} than training touches."
     # Looks are logarithms of power in octaves, the coarsest first, and of the load.
     looks, memory = pressed.evidence(other).looks.mean(axis=0), pressed.memory_
-    apart = np.abs(looks - memory.looks.mean(axis=0))[:-1] / 2
-    octaves = slice(0, 4) if "coarse" in said else slice(4, 6)
-    assert np.abs(np.exp(apart[octaves]) - times).min() < 0.1
+    differences = np.abs(looks - memory.looks.mean(axis=0))[:-1] / 2
+    octaves = slice(0, 4) if "coarse" in detail else slice(4, 6)
+    assert np.abs(np.exp(differences[octaves]) - times).min() < 0.1
 
 
-def test_touches_farther_than_usual_are_told(taught):
+def test_touches_farther_than_usual_raise_the_alarm(taught):
     there = _session(3 * OFFSET, 2, 1, "two")
     check = taught.check_mounting(there)
     assert check.changed
@@ -774,14 +777,14 @@ def test_touches_farther_than_usual_are_told(taught):
     )
     log_distances = taught.evidence(there).log_distances.min(axis=1)
     memory = taught.memory_
-    # What is usual for training touches is that to other blocks.
-    away = np.linalg.norm(memory.features[:, None] - memory.features, axis=2)
-    away[memory.blocks[:, None] == memory.blocks] = np.inf
-    usual = np.log(away.min(axis=1)).mean()
+    # The usual distance of training touches is that to other blocks.
+    distances = np.linalg.norm(memory.features[:, None] - memory.features, axis=2)
+    distances[memory.blocks[:, None] == memory.blocks] = np.inf
+    usual = np.log(distances.min(axis=1)).mean()
     assert times == pytest.approx(np.exp(log_distances.mean() - usual), rel=0.15)
 
 
-def test_the_evidence_of_touches_tells_as_much_of_the_mounting(taught):
+def test_the_evidence_of_touches_checks_the_mounting_as_they_do(taught):
     for moved in (0, 3):
         there = _session(moved * OFFSET, 2, 1, "two")
         assert taught.check_mounting(taught.evidence(there)) == (
@@ -799,20 +802,20 @@ def learnt_on_three_days():
 def test_of_sessions_as_before_one_in_twenty_raises_the_alarm(
     learnt_on_three_days, n_objects
 ):
-    """Of few objects as well, which lie to one side of all by themselves."""
+    """Sessions of few objects do so as well, though these lie to one side of all."""
     rng, alarms = np.random.default_rng(0), 0
     for learnt in learnt_on_three_days:
         for draw in range(30):
-            some = rng.permutation([*"abcdef"])[:n_objects]
-            there = _session(0, 12, 100 + draw, "two", some, labels=False)
+            names = rng.permutation([*"abcdef"])[:n_objects]
+            there = _session(0, 12, 100 + draw, "two", names, labels=False)
             ten = there[rng.permutation(len(there))[:10]]
             alarms += learnt.check_mounting(ten).changed
     # 4.5 of 90 are the aim, and three standard deviations above it are 10.7.
     assert alarms <= 10
 
 
-def test_touches_that_all_lie_to_one_side_are_told(taught):
-    """Half of a unit off in every value: nearer than others, but all the same way."""
+def test_touches_that_all_lie_to_one_side_raise_the_alarm(taught):
+    """Each value is off by less than its noise, but always to the same side."""
     there = _session(0.9 * np.sign(OFFSET), 8, 1, "two", labels=False)
     check = taught.check_mounting(there)
     assert check.changed
@@ -824,7 +827,7 @@ def test_touches_that_all_lie_to_one_side_are_told(taught):
     assert times > 2
 
 
-def test_of_very_many_touches_another_day_is_told_by_some(monkeypatch):
+def test_of_very_many_touches_a_part_shows_what_to_expect_of_another_day(monkeypatch):
     parts = [_session(0, 8, 0, "one"), _session(OFFSET / 9, 8, 1, "two")]
     touches = Touches.concatenate(parts)
     monkeypatch.setattr("palpate.classifiers._touch_classifier.MOST_ANSWERS", 300)

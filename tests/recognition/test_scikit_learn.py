@@ -27,7 +27,9 @@ def images_and_labels():
     return patterns[codes] + 0.6 * rng.normal(size=(48, 3, 24)), labels
 
 
-def test_single_touches_are_what_a_belief_says_after_one(images_and_labels):
+def test_predicted_probabilities_are_those_of_a_belief_after_one_touch(
+    images_and_labels,
+):
     images, labels = images_and_labels
     learnt = ObjectRecogniser().fit(images, labels)
     proba = learnt.predict_proba(images[:5])
@@ -53,7 +55,7 @@ def test_labels_keep_their_kind(images_and_labels):
         learnt.add_object("cup", images[:4])
 
 
-def test_cross_validation(images_and_labels):
+def test_cross_validation_scores_images_and_touches_alike(images_and_labels):
     images, labels = images_and_labels
     groups = np.arange(48) // 6
     scores = cross_val_score(
@@ -83,7 +85,7 @@ def test_grid_search_over_parameters(images_and_labels):
     assert set(search.best_params_) == {"floor", "prior"}
 
 
-def test_pipeline(images_and_labels):
+def test_a_recogniser_ends_a_pipeline(images_and_labels):
     images, labels = images_and_labels
     halved = FunctionTransformer(lambda X: X[:, :, ::2])
     chain = make_pipeline(halved, ObjectRecogniser()).fit(images, labels)

@@ -25,7 +25,7 @@ N_EACH = 30
 
 
 def left_out(n_objects, rng, gain=3.0, categories=None, alike=0.0):
-    """Return what two encodings tell of touches, whose noise is their own.
+    """Return the left-out evidence of two encodings with noise of their own.
 
     The first two objects are more or less `alike`.
     """
@@ -75,7 +75,7 @@ def test_the_score_is_how_little_encodings_give_to_one_name(rng):
     nats = -np.log([np.sqrt(0.9 * 0.8), np.sqrt(0.99 * 0.01), 0.99, 0.25])
     assert nats_of(agreed, half) == pytest.approx(nats[0])
     assert nats_of(torn, half) == pytest.approx(nats[1])
-    # An encoding that weighs nothing is not asked.
+    # An encoding of weight 0 does not count.
     assert nats_of(torn, np.array([1.0, 0.0])) == pytest.approx(nats[2])
     assert nats_of(np.log([[0.25] * 4]), np.ones(1)) == pytest.approx(nats[3])
 
@@ -90,12 +90,19 @@ def test_touches_far_from_what_was_learnt_raise_the_score(rng):
     assert model.far[0, 1] == pytest.approx(0.3, abs=0.05)
     assert model.far[8, 1] == pytest.approx(0.1, abs=0.02)
     sure = np.log([[0.97, 0.01, 0.01, 0.01]] * 2)
-    near, some, away = (model.far[0, 0] + step * model.far[0, 1] for step in (0, 1, 5))
-    one = np.asarray(1)
-    scores = [float(model.score(sure, np.asarray(x), one)) for x in (near, some, away)]
+    near, middling, away = (
+        model.far[0, 0] + step * model.far[0, 1] for step in (0, 1, 5)
+    )
+    n_touches = np.asarray(1)
+    scores = [
+        float(model.score(sure, np.asarray(x), n_touches))
+        for x in (near, middling, away)
+    ]
     assert scores[:2] == pytest.approx([0.03, 0.03])
     assert scores[2] == pytest.approx(1 - 0.97 * np.exp(-(5 - 1.645)))
-    assert float(model.score(sure, np.asarray(np.nan), one)) == pytest.approx(0.03)
+    assert float(model.score(sure, np.asarray(np.nan), n_touches)) == pytest.approx(
+        0.03
+    )
     assert float(model.score(sure, np.asarray(away), np.asarray(0))) == 0
     # Farther than usual from the object that is agreed on, whatever the others.
     distances = np.array([9.0, 0.0, 0.0, 0.0])
@@ -106,8 +113,10 @@ def test_of_an_object_left_out_whole_the_usual_distance_is_that_of_all(rng):
     table = left_out(4, rng)
     table.log_distances[:] = rng.normal(size=table.log_distances.shape)
     table.log_distances[table.codes == 1, 1] = np.nan
-    own = table.log_distances[np.arange(4 * N_EACH), table.codes].reshape(4, N_EACH)
-    means = own.mean(axis=1)
+    own_distances = table.log_distances[np.arange(4 * N_EACH), table.codes].reshape(
+        4, N_EACH
+    )
+    means = own_distances.mean(axis=1)
     means[1] = means[[0, 2, 3]].mean()
     assert_allclose(model_of(table).usual, means)
     table.log_distances[:] = np.nan
@@ -122,21 +131,21 @@ def test_evidence_is_that_of_each_touch_so_far(rng):
     floored[2] = -np.log(4)  # no contact
     model = model_of(table)
     near = np.broadcast_to(model.usual, floored.shape)
-    rest = table.log_prior, table.calibration, model
-    posterior, evidence = episode_evidence(floored, each, near, *rest)
-    lowest, told = {}, []
+    arguments = table.log_prior, table.calibration, model
+    posterior, evidence = episode_evidence(floored, each, near, *arguments)
+    lowest, used = {}, []
     for k in (0, 1, 3, 4, 5):
-        told.append(k)
-        weight = table.calibration.weight(len(told))
+        used.append(k)
+        weight = table.calibration.weight(len(used))
         nats = disagreement(
-            log_softmax(each[told].sum(axis=0) * weight, -1), model.weights
+            log_softmax(each[used].sum(axis=0) * weight, -1), model.weights
         )
-        logs = log_softmax(floored[told].sum(axis=0) * weight)
+        logs = log_softmax(floored[used].sum(axis=0) * weight)
         assert_allclose(posterior[k], logs)
         level = np.log(max(1 - np.exp(-nats), 1 - np.exp(logs.max())))
         best = int(logs.argmax())
         lowest[best] = min(level, lowest.get(best, 0))
-        mean, spread = model.high[len(told) - 1]
+        mean, spread = model.high[len(used) - 1]
         above = (np.log(nats + 1e-6) - mean) / spread
         low, high = model.low_curve, model.high_curve
         assert evidence[k] == pytest.approx(
@@ -147,7 +156,7 @@ def test_evidence_is_that_of_each_touch_so_far(rng):
         )
     assert evidence[1] == evidence[2]
     silent = np.full((3, 4), -np.log(4))
-    assert_allclose(episode_evidence(silent, each[:3], near[:3], *rest)[1], 0)
+    assert_allclose(episode_evidence(silent, each[:3], near[:3], *arguments)[1], 0)
 
 
 @pytest.mark.parametrize("n_objects", [2, 3, 8])
@@ -171,7 +180,7 @@ def test_low_scores_speak_against_a_stranger_and_high_ones_for_it(rng, n_objects
     assert low.at(np.asarray(far)) >= low.at(np.asarray(far - 1))
 
 
-def test_the_curves_are_shares_of_episodes_that_ever_get_there(rng):
+def test_a_curve_is_the_ratio_of_episodes_that_ever_reach_a_level(rng):
     """Counted episode by episode, by the belief after each touch."""
     table = left_out(4, rng, gain=2.0)
     model = model_of(table)
@@ -188,15 +197,17 @@ def test_the_curves_are_shares_of_episodes_that_ever_get_there(rng):
         doubt = 1 - np.exp(log_softmax(total, -1).max(axis=-1))
         return np.maximum(1 - np.exp(-nats), doubt).min()
 
-    known = [lowest(rows[k], np.arange(4)) for rows in episodes for k in range(20)]
-    strangers = [
+    known_scores = [
+        lowest(rows[k], np.arange(4)) for rows in episodes for k in range(20)
+    ]
+    stranger_scores = [
         lowest(rows[k], np.delete(np.arange(4), table.codes[rows[0, 0]]))
         for rows in episodes
         for k in range(20)
     ]
     for share in (0.3, 0.6, 0.9):
-        level = np.quantile(strangers, share)
-        ratio = share / np.mean(np.array(known) <= level)
+        level = np.quantile(stranger_scores, share)
+        ratio = share / np.mean(np.array(known_scores) <= level)
         # Eighty of a thousand episodes, curves that are made to rise, and objects that
         # attract as many strangers as others: the mean over their names.
         at_level = np.mean(
@@ -206,7 +217,7 @@ def test_the_curves_are_shares_of_episodes_that_ever_get_there(rng):
 
 
 def test_an_object_that_strangers_are_taken_for_is_named_with_more_care(rng):
-    """The first two are alike: left out, the one is taken for the other."""
+    """The first two are alike: the one that is left out is taken for the other."""
     model = model_of(left_out(6, rng, gain=4.0, alike=0.9))
     level = np.quantile(model.low_curve.levels, 0.3)
     ratios = [float(model.low_curve.at(level, best=best)) for best in range(6)]
@@ -216,28 +227,28 @@ def test_an_object_that_strangers_are_taken_for_is_named_with_more_care(rng):
 def test_the_probability_is_that_of_the_odds(rng):
     evidence = rng.normal(size=7)
     for share in (0.02, 0.3):
-        known, unknown = np.exp(stranger_log_shares(evidence, share))
+        known_share, unknown_share = np.exp(stranger_log_shares(evidence, share))
         odds = share / (1 - share) * np.exp(evidence)
-        assert_allclose(unknown, odds / (1 + odds))
-        assert_allclose(known + unknown, 1)
-    known, unknown = stranger_log_shares(evidence, 0.0)
-    assert (known == 0).all()
-    assert (unknown == -np.inf).all()
+        assert_allclose(unknown_share, odds / (1 + odds))
+        assert_allclose(known_share + unknown_share, 1)
+    log_known, log_unknown = stranger_log_shares(evidence, 0.0)
+    assert (log_known == 0).all()
+    assert (log_unknown == -np.inf).all()
     assert np.exp(stranger_log_shares(np.zeros(()), 0.05)[1]) == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("strangers", [0.05, 0.2])
-def test_stopped_at_an_error_names_are_wrong_as_rarely(rng, strangers):
+def test_names_given_at_an_error_are_wrong_no_more_often(rng, strangers):
     """On new touches of the same kind, with as many strangers as were expected."""
     error, n_objects = 0.05, 8
     model = model_of(left_out(n_objects, rng))
     table = left_out(n_objects, rng)
     wrong = {False: [], True: []}
     for rows in draw_episodes(table.codes.astype(str), 7):
-        own = int(table.codes[rows[0, 0]])
-        for never in (False, True):
+        code = int(table.codes[rows[0, 0]])
+        for is_stranger in (False, True):
             columns = np.arange(n_objects)
-            columns = np.delete(columns, own) if never else columns
+            columns = np.delete(columns, code) if is_stranger else columns
             tables = (
                 with_floor(values[rows].take(columns, axis=-1), 0.01)
                 for values in (table.log_likelihood, table.each)
@@ -262,8 +273,8 @@ def test_stopped_at_an_error_names_are_wrong_as_rarely(rng, strangers):
             named = (1 - unknown) * (1 - doubt) >= 1 - error
             first = named.argmax(axis=1)
             at = np.arange(len(first)), first
-            right = columns[logs[at].argmax(axis=-1)] == own
-            wrong[never] += (named[at] & ~right).tolist()
+            right = columns[logs[at].argmax(axis=-1)] == code
+            wrong[is_stranger] += (named[at] & ~right).tolist()
     share = (1 - strangers) * np.mean(wrong[False]) + strangers * np.mean(wrong[True])
     assert share <= error
     # Something is named, and strangers seldom.
@@ -275,19 +286,19 @@ def test_one_known_episode_in_twenty_exceeds_the_threshold(rng):
     model = model_of(table)
     rows = np.concatenate(draw_episodes(table.codes.astype(str), 0))
     tables = (with_floor(v, 0.01)[rows] for v in (table.log_likelihood, table.each))
-    rest = table.log_prior, table.calibration, model
-    _, nats = episode_evidence(*tables, table.log_distances[rows], *rest)
+    arguments = table.log_prior, table.calibration, model
+    _, nats = episode_evidence(*tables, table.log_distances[rows], *arguments)
     for k in (1, 5, 20):
         share = (nats[:, k - 1] > model.threshold(k)).mean()
         assert share == pytest.approx(0.05, abs=0.005)
     assert model.threshold(50) == model.threshold(20)
 
 
-def test_of_two_objects_a_stranger_is_what_goes_beyond_both(rng):
+def test_of_two_objects_a_level_is_as_rare_among_strangers_as_its_value(rng):
     model = model_of(left_out(2, rng))
     # A level is reached by strangers as often as its value: a score of 0.01 in 100.
     assert model.low_curve.at(np.log(0.01)) == pytest.approx(np.log(0.01), abs=0.5)
-    # What no known episode came near is a stranger.
+    # A score that no known episode came near is that of a stranger.
     beyond = model.high_curve.levels[-1]
     assert model.high_curve.at(beyond) > np.log(1000)
 
@@ -326,12 +337,12 @@ def test_a_category_is_surer_than_its_objects_where_these_are_alike(rng):
     assert without.low_category_curve.log_ratios.shape == (1, 1)
 
 
-def test_how_low_an_episode_came_stays_true_of_the_name_that_was_best():
+def test_the_lowest_level_stays_with_the_name_that_was_best():
     levels = np.array([[3.0, 1, 2, 5, 0, 4], [1, 1, 1, 0, 2, 2]])
     best = np.array([[0, 0, 1, 0, 1, 1], [2, 1, 2, 0, 2, 1]])
     lowest = [[3, 1, 2, 1, 0, 0], [1, 1, 1, 0, 1, 1]]
     assert lowest_so_far(levels, best, 3).tolist() == lowest
-    # Touches that said nothing come before all levels.
+    # Touches without evidence come before all levels.
     levels[0, 0] = np.inf
     assert lowest_so_far(levels, best, 3)[0].tolist() == [np.inf, 1, 2, 1, 0, 0]
 
@@ -396,9 +407,9 @@ def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
     recogniser, touches = kinds
     path = recogniser.save(tmp_path / "m.palpate")
     again = ObjectRecogniser.load(path)
-    some = touches[touches.object == "bowl 2"][:4]
-    assert again.start().update(some).categories == pytest.approx(
-        recogniser.start().update(some).categories
+    bowl = touches[touches.object == "bowl 2"][:4]
+    assert again.start().update(bowl).categories == pytest.approx(
+        recogniser.start().update(bowl).categories
     )
     mug = touches[touches.object == "mug 2"]
     again.add_object("mug 3", Touches(mug.images + 5, category=["mug"] * 10))
@@ -413,16 +424,16 @@ def test_a_promise_stands_for_the_touches_that_were_left_out(kinds):
     assert "recorded as when they were learnt" in promise.population
 
 
-def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
+def test_a_thing_that_was_never_learnt_is_unknown_or_undecided():
     """Patterns of noise on 24 electrodes; twenty are met for the first time."""
     rng = np.random.default_rng(8)
     middles = rng.normal(size=(32, 3, 8))
     names = np.array([f"thing {k:02}" for k in range(32)])
 
-    def touches(some, n_each):
-        images = np.repeat(middles[some], n_each, axis=0)
+    def touches(codes, n_each):
+        images = np.repeat(middles[codes], n_each, axis=0)
         images = images + 0.8 * rng.normal(size=images.shape)
-        return Touches(images, object=np.repeat(names[some], n_each), geometry="none")
+        return Touches(images, object=np.repeat(names[codes], n_each), geometry="none")
 
     recogniser = ObjectRecogniser().fit(touches(np.arange(12), 30))
     ends = {}
@@ -431,8 +442,8 @@ def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
         for touch in again[rows]:
             episode.add(touch)
         ends[str(name)] = episode.decision
-    known = [ends[str(name)] == name for name in names[:12]]
-    assert sum(known) >= 11
+    right = [ends[str(name)] == name for name in names[:12]]
+    assert sum(right) >= 11
     assert "unknown" not in [ends[str(name)] for name in names[:12]]
     new = [ends[str(name)] for name in names[12:]]
     assert set(new) <= {"unknown", None}
@@ -440,31 +451,31 @@ def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
 
 
 def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
-    """Patterns of noise; two of eight are left out in turn, in two ways."""
+    """Two of eight patterns are left out: by their column, and before learning."""
     rng = np.random.default_rng(8)
     names = np.repeat([f"thing {k:02}" for k in range(8)], 20)
     images = np.repeat(rng.normal(size=(8, 3, 8)), 20, axis=0)
     images = images + 0.8 * rng.normal(size=images.shape)
     touches = Touches(images, object=names, geometry="none")
-    asked = []
+    tables = []
 
-    def kept(left_out, *rest):
-        asked.append(left_out)
-        return fit_strangers(left_out, *rest)
+    def keep(left_out, *arguments):
+        tables.append(left_out)
+        return fit_strangers(left_out, *arguments)
 
-    monkeypatch.setattr("palpate.recognition._learner.fit_strangers", kept)
+    monkeypatch.setattr("palpate.recognition._learner.fit_strangers", keep)
     learnt = ObjectRecogniser().fit(touches)
-    (left_out,) = asked
-    by_column, in_earnest = [], []
+    (left_out,) = tables
+    by_column, relearnt = [], []
     for place, name in enumerate(learnt.classes_[:2]):
-        mine = names == name
-        others = np.delete(left_out.each[mine], place, axis=2)
+        rows = names == name
+        others = np.delete(left_out.each[rows], place, axis=2)
         by_column.append(disagreement(with_floor(others, 0.01), left_out.weights))
-        without = ObjectRecogniser().fit(touches[~mine])
-        said = with_floor(without.evidence(touches[mine]).by_encoding, 0.01)
-        in_earnest.append(disagreement(said, without.strangers_.weights))
+        without = ObjectRecogniser().fit(touches[~rows])
+        by_encoding = with_floor(without.evidence(touches[rows]).by_encoding, 0.01)
+        relearnt.append(disagreement(by_encoding, without.strangers_.weights))
     # Scores of 40 touches each, between 0 and 1.
-    medians = [1 - np.exp(-np.median(nats)) for nats in (by_column, in_earnest)]
+    medians = [1 - np.exp(-np.median(nats)) for nats in (by_column, relearnt)]
     assert medians[0] == pytest.approx(medians[1], abs=0.2)
 
 
@@ -502,10 +513,8 @@ def test_a_thing_unlike_all_that_was_learnt_is_called_unknown(n_touches):
 
 
 @pytest.mark.parametrize("seed", [1, 3])
-def test_episodes_of_nearly_all_touches_of_an_object_are_not_taken_for_all_there_are(
-    seed,
-):
-    """Of twelve touches, episodes of nine or more are drawn alike: others are not."""
+def test_scores_of_long_episodes_spread_no_less_than_those_of_shorter_ones(seed):
+    """Episodes of nine or more of twelve touches are nearly alike; new ones differ."""
     rng = np.random.default_rng(seed)
     centres = 3 * rng.normal(size=(4, 1, 8))
     images = centres.repeat(12, axis=0) + 1.5 * rng.normal(size=(48, 1, 8))
