@@ -481,7 +481,7 @@ def test_a_document_has_a_million_values_and_one_in_fifty_bytes(
 
 def test_a_document_of_other_letters_than_ascii_is_refused(tmp_path):
     path = forged(tmp_path / "a.palpate", '{"format": 4, "model": "é"}', {})
-    assert "values are too many" in refusal_of(path)
+    assert "letters beyond ASCII" in refusal_of(path)
 
 
 def test_texts_take_32_mb_and_half_of_the_file_at_most(tmp_path):
