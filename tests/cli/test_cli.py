@@ -392,7 +392,7 @@ def test_doctor_says_what_to_type(palpate, monkeypatch, name, command, code):
         return original(distribution)
 
     monkeypatch.setattr(metadata, "version", version)
-    # What is to be typed stays in one line, however long the rest is.
+    # The command to type stays in one line, however long the other cells are.
     monkeypatch.setenv("PALPATE_DATA", "/a/folder/with/a/rather/long/name/indeed")
     result = palpate("doctor")
     assert result.returncode == code
@@ -436,16 +436,16 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "200")
     words = " ".join(palpate("learn", "--help").stdout.replace("│", " ").split())
     assert 'needs pip install "palpate[distributed]"' in words
-    shown = palpate("simulate", "array", "--help").stdout
-    assert "Side of a taxel, mm [0.65 pitch]." in " ".join(
-        shown.replace("│", " ").split()
+    words = " ".join(
+        palpate("simulate", "array", "--help").stdout.replace("│", " ").split()
     )
+    assert "Side of a taxel, mm [0.65 pitch]." in words
     names = ["[bold]mug[/bold]", ":cat: [/]"]
     with TouchLibrary.open(tmp_path / "[red]lab", create=True) as library:
         library.add(Touches(np.zeros((2, 3, 3)), object=names))
-    shown = palpate("library", "list", tmp_path / "[red]lab", "--objects").stdout
-    assert all(name in shown for name in names)
-    assert "[red]lab" in shown.replace("\n", "")
+    printed = palpate("library", "list", tmp_path / "[red]lab", "--objects").stdout
+    assert all(name in printed for name in names)
+    assert "[red]lab" in printed.replace("\n", "")
     refused = palpate("bench", "[plot]")
     assert "[plot]" in refused.stderr
     refused = palpate("live", "m.palpate", "--sensor", "[plot]")

@@ -26,7 +26,7 @@ def small(monkeypatch):
     monkeypatch.setattr(demo, "MOST_ATTEMPTS", 3)
 
 
-def test_it_explores_shows_beliefs_and_controls_and_ends_with_the_report(
+def test_demo_explores_shows_beliefs_and_controls_and_ends_with_the_report(
     palpate, small, tmp_path
 ):
     result = palpate("demo", cwd=tmp_path)
@@ -42,7 +42,7 @@ def test_it_explores_shows_beliefs_and_controls_and_ends_with_the_report(
 
 
 @pytest.mark.slow
-def test_its_json_is_one_object_with_everything(answer_of, small, tmp_path):
+def test_demo_prints_everything_as_one_json_object(answer_of, small, tmp_path):
     answer = answer_of("demo", cwd=tmp_path)
     assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= {*answer}
     assert [e["object"] for e in answer["episodes"]] == ["mug", "plastic card"]

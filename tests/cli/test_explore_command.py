@@ -243,7 +243,7 @@ def test_a_wrong_argument_is_refused_and_leaves_no_file(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.npz", "m.palpate"]
 
 
-def test_what_is_believed_is_drawn_from_above(palpate, model, tmp_path):
+def test_the_belief_is_drawn_from_above(palpate, model, tmp_path):
     pytest.importorskip("matplotlib")
     words = ("explore", "recognise", model, "box", "--max-touches", 1)
     result = palpate(*words, "--picture", "above.png", cwd=tmp_path)

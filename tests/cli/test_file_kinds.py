@@ -173,7 +173,7 @@ def test_a_file_goes_into_a_library_as_it_is(kind, answer_of, tmp_path):
         compare(touches.images)
 
 
-def test_what_a_running_topic_shows_must_be_said(palpate, tmp_path):
+def test_touches_of_a_running_topic_need_the_name_of_an_object(palpate, tmp_path):
     result = palpate("library", "add", tmp_path / "lab", "ros:/pad?domain=3")
     assert result.returncode == 1
     assert "--object NAME must be given with a running sensor" in result.stderr
@@ -206,7 +206,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_what_cannot_be_read_is_refused_in_a_sentence(kind, palpate, tmp_path):
+def test_a_file_that_cannot_be_read_is_refused_in_a_sentence(kind, palpate, tmp_path):
     write, options = REFUSED[kind]
     path = write(tmp_path)
     result = palpate("library", "add", tmp_path / "lab", path, *options)

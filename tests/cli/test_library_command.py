@@ -204,7 +204,7 @@ def test_verbs_take_a_library_with_a_filter(
     assert "must name columns of the library" in refused.stderr
 
 
-def test_a_filter_in_a_file_is_of_the_training_touches_as_a_typed_one_is(
+def test_a_filter_in_a_file_selects_training_touches_as_a_typed_one_does(
     answer_of, folder, tmp_path
 ):
     with TouchLibrary.open(tmp_path / "test", create=True) as library:

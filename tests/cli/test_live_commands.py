@@ -72,7 +72,7 @@ def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_p
     assert "touch 4 of 4" in result.stderr
 
 
-def test_an_address_may_say_what_options_say(answer_of, recording, tmp_path):
+def test_the_address_of_a_sensor_may_hold_its_options(answer_of, recording, tmp_path):
     address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
     words = ["record", "bar", "--sensor", address, "-n", "3", "--rate", "200"]
     assert answer_of(*words, "--library", tmp_path / "l")["touches"] == 3
@@ -152,7 +152,7 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
         assert 1 <= len(episode["touches"]) <= 5
 
 
-def test_live_says_what_the_camera_changes_by_itself(
+def test_live_warns_of_a_camera_that_changes_its_exposure(
     palpate, replay, model, monkeypatch
 ):
     warning = "does not keep exposure fixed"

@@ -106,7 +106,7 @@ def test_objects_without_a_confirmed_touch_are_named(remounted, files):
     assert set(sentence.rstrip(".").split("none yet: ")[1].split(", ")) == {"b", "d"}
 
 
-def test_what_one_object_tells_is_said_to_be_believed_in_part(
+def test_remount_says_that_one_object_is_trusted_in_part(
     palpate, remounted, files, doubted
 ):
     Touches.load(files / "tue.npz")[:1].save(files / "one.npz")

@@ -58,7 +58,7 @@ def test_options_of_a_sensor_are_named_as_they_are_typed(palpate, address, text)
     assert text in result.stdout.replace("\\n", " ")
 
 
-def test_what_a_verb_does_not_know_stays_as_it_is(palpate, tmp_path):
+def test_a_message_that_names_no_option_stays_as_it_is(palpate, tmp_path):
     result = palpate("learn", tmp_path / "gone.npz", "-o", tmp_path / "m.palpate")
     assert "--" not in result.stderr
     assert "gone.npz must be" in result.stderr
