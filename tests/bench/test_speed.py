@@ -35,14 +35,14 @@ def test_a_row_says_how_much_faster_ours_is():
 def test_peers_compute_the_same_moments(rng):
     images = rng.uniform(0.1, 1, size=(2, 20, 20))
     ours = ZernikeMoments(6, method="sample").fit_transform(images)
-    # Rounding: 1e-10 is asked of every peer.
+    # Rounding: every peer must agree within 1e-10.
     assert_allclose(encodings.dense_basis(20, 6)(images), ours, atol=1e-10)
     for peer, (encode, _) in encodings._peers(20, 6).items():
         if encode is None or peer == "dense basis":
             continue
-        found = np.asarray(encode(images[:1])).ravel()
+        moments = np.asarray(encode(images[:1])).ravel()
         # mahotas divides by the sum of the image.
-        assert_allclose(found / found[0], ours[0] / ours[0, 0], atol=1e-10)
+        assert_allclose(moments / moments[0], ours[0] / ours[0, 0], atol=1e-10)
 
 
 def test_rows_name_size_type_mode_and_batch(monkeypatch):
@@ -51,19 +51,19 @@ def test_rows_name_size_type_mode_and_batch(monkeypatch):
     )
     monkeypatch.setattr(encodings, "_centrosome", lambda size, order: np.sum)
     rows = run_bench("zernike", size=16, order=4, n_touches=3, seconds=0.002)
-    names = {r["name"] for r in rows}
+    names = {row["name"] for row in rows}
     assert len(rows) == 3 * len(names) == 36
     assert "16 x 16 float64 sample single" in names
     assert "16 x 16 uint8 exact batch 3" in names
-    for r in rows:
-        if r["peer"] == "mahotas":
-            assert r["ratio"] is None
-            assert "not installed" in r["reason"]
+    for row in rows:
+        if row["peer"] == "mahotas":
+            assert row["ratio"] is None
+            assert "not installed" in row["reason"]
         else:
-            assert r["ratio"] == r["peer_ms"] / r["ours_ms"]
+            assert row["ratio"] == row["peer_ms"] / row["ours_ms"]
 
 
-def test_stored_and_tested_touches_are_apart():
+def test_no_tested_touch_is_stored():
     stored, labels, new = library._features(None, 5000, 22, seed=0)
     assert stored.shape == (5000, 22)
     assert (labels[:100] == 0).all()
@@ -73,14 +73,14 @@ def test_stored_and_tested_touches_are_apart():
 @pytest.mark.slow
 def test_learning_is_measured_beside_a_plain_svm_and_learning_again():
     rows = run_bench("learning", n_objects=3, n_each=8, many=4, many_each=20)
-    assert [r["name"] for r in rows] == [
+    assert [row["name"] for row in rows] == [
         "learning 3 objects x 8 touches 120 x 120 default",
         "learning 4 objects x 20 touches 120 x 120 default",
         "adding ten touches at 50",
         "adding an object of 20 touches at 50",
         "page learning again 72 touches wall",
     ]
-    assert all(r["ratio"] == r["peer_ms"] / r["ours_ms"] > 0 for r in rows)
+    assert all(row["ratio"] == row["peer_ms"] / row["ours_ms"] > 0 for row in rows)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def likelihood_rows():
     return run_bench("likelihood", seconds=0.001)
 
 
-def test_every_size_beside_every_peer(likelihood_rows):
+def test_likelihood_has_a_row_for_every_size_and_peer(likelihood_rows):
     # Three peers, three sizes, single and batch.
     assert len(likelihood_rows) == 3 * 3 * 2
     assert len({(row["name"], row["peer"]) for row in likelihood_rows}) == len(
@@ -101,8 +101,8 @@ def test_every_size_beside_every_peer(likelihood_rows):
         assert row["ratio"] == pytest.approx(row["peer_ms"] / row["ours_ms"])
 
 
-def test_what_is_timed_is_right(likelihood_rows):
-    # What the classifier promises in single precision, wherever the touch is.
+def test_the_likelihoods_that_are_timed_are_right(likelihood_rows):
+    # The classifier promises this in single precision, wherever the touch is.
     assert max(row["error_nats"] for row in likelihood_rows) < 1e-3
 
 

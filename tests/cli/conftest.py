@@ -11,7 +11,7 @@ from palpate.recognition import Belief
 
 
 @dataclass
-class Done:
+class Result:
     returncode: int
     stdout: str
     stderr: str
@@ -32,31 +32,31 @@ def palpate(capsys, monkeypatch):
         except SystemExit as stop:
             code = stop.code or 0
         printed = capsys.readouterr()
-        return Done(code, printed.out, printed.err)
+        return Result(code, printed.out, printed.err)
 
     return run
 
 
 @pytest.fixture
-def told(palpate):
-    """Call `palpate ARGUMENTS... --json`, which must end well; return the object."""
+def answer_of(palpate):
+    """Call `palpate ARGUMENTS... --json`, which must end well; return its JSON."""
 
     def run(*arguments, cwd=None):
-        done = palpate(*arguments, "--json", cwd=cwd)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        result = palpate(*arguments, "--json", cwd=cwd)
+        assert result.returncode == 0, result.stderr
+        return json.loads(result.stdout)
 
     return run
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """At which shares of errors and refusals beliefs are asked to decide."""
-    found, plain = set(), Belief.named
+def error_shares(monkeypatch):
+    """The shares of errors and refusals at which beliefs are asked to decide."""
+    shares, plain = set(), Belief.named
 
     def named(self, error=0.01, costs=None, *, refusal=None, level="object"):
-        found.add((error, refusal))
+        shares.add((error, refusal))
         return plain(self, error, costs, refusal=refusal, level=level)
 
     monkeypatch.setattr(Belief, "named", named)
-    return found
+    return shares

@@ -24,11 +24,11 @@ def folder(tmp_path_factory):
 
 
 def test_json_has_the_promised_keys(palpate, folder):
-    done = palpate("benchmark", folder, *FEW, "--json")
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    result = json.loads(done.stdout)
-    (entry,) = result["benchmark"]
+    result = palpate("benchmark", folder, *FEW, "--json")
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    answer = json.loads(result.stdout)
+    (entry,) = answer["benchmark"]
     promised = (
         "archive protocol n_touches n_labels n_folds left_out rows controls behind"
     )
@@ -39,7 +39,7 @@ def test_json_has_the_promised_keys(palpate, folder):
     for row in entry["rows"]:
         assert row.keys() == {"recogniser", *promised.split()}
         assert row["accuracy"] == 1
-    skipped = [(one["archive"], one["protocol"]) for one in result["skipped"]]
+    skipped = [(skip["archive"], skip["protocol"]) for skip in answer["skipped"]]
     assert skipped == [("broken.npz", None), ("deeper/one.npz", "sessions")]
 
 
@@ -47,13 +47,13 @@ def test_text_and_page_say_the_same(palpate, folder, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     page = tmp_path / "b.html"
     archive = folder / "deeper" / "one.npz"
-    done = palpate("benchmark", archive, *FEW, "--report", page)
-    assert done.returncode == 0, done.stderr
-    for text in (done.stdout, unescape(page.read_text())):
+    result = palpate("benchmark", archive, *FEW, "--report", page)
+    assert result.returncode == 0, result.stderr
+    for text in (result.stdout, unescape(page.read_text())):
         assert "one.npz: 20 touches" in text
         assert "control: majority" in text
         assert "touches must have a column 'session'" in " ".join(text.split())
-    assert done.stdout.splitlines()[-1] == str(page)
+    assert result.stdout.splitlines()[-1] == str(page)
 
 
 @pytest.mark.parametrize(
@@ -66,15 +66,17 @@ def test_text_and_page_say_the_same(palpate, folder, tmp_path):
         (["--workers", "0"], "--workers must be at least 1"),
     ],
 )
-def test_refusals(palpate, folder, arguments, message):
+def test_a_wrong_option_is_refused_with_what_it_must_be(
+    palpate, folder, arguments, message
+):
     if "--report" in arguments:
         pytest.importorskip("matplotlib", reason='needs the extra "plot"')
-    done = palpate("benchmark", folder, *arguments)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert message in done.stderr
+    result = palpate("benchmark", folder, *arguments)
+    assert (result.returncode, result.stdout) == (1, "")
+    assert message in result.stderr
 
 
 def test_an_empty_folder_is_refused(palpate, tmp_path):
-    done = palpate("benchmark", tmp_path)
-    assert done.returncode == 1
-    assert "Touches.save" in done.stderr
+    result = palpate("benchmark", tmp_path)
+    assert result.returncode == 1
+    assert "Touches.save" in result.stderr

@@ -48,7 +48,7 @@ def odd(tmp_path):
     return root
 
 
-def test_pictures_in_colour_are_told_unless_colour_is_read(palpate, tmp_path):
+def test_pictures_in_colour_are_noted_unless_colour_is_read(palpate, tmp_path):
     rng = np.random.default_rng(0)
     for name, step in {"gel": 90, "grey": 0}.items():
         for number in range(4):
@@ -60,8 +60,8 @@ def test_pictures_in_colour_are_told_unless_colour_is_read(palpate, tmp_path):
             )
 
     def noted(*words):
-        found = json.loads(palpate("check", *words, "--json").stdout)
-        return any("--colour" in note for note in found["notes"])
+        answer = json.loads(palpate("check", *words, "--json").stdout)
+        return any("--colour" in note for note in answer["notes"])
 
     assert noted(tmp_path / "gel")
     assert not noted(tmp_path / "gel", "--colour")
@@ -89,38 +89,36 @@ def jpegs(tmp_path):
     return root
 
 
-def test_a_folder_with_five_odd_jpegs_is_told_learnt_and_recognised(
-    palpate, jpegs, tmp_path
-):
-    found = json.loads(palpate("check", jpegs, "--json").stdout)
+def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp_path):
+    answer = json.loads(palpate("check", jpegs, "--json").stdout)
     bad = ["mug/1.jpg", "mug/3.jpg", "pen/1.jpg"]
-    assert [one["picture"] for one in found["bad"]] == bad
-    assert found["notes"] == [
+    assert [picture["picture"] for picture in answer["bad"]] == bad
+    assert answer["notes"] == [
         "1 picture turned upright, as the camera noted (Exif): mug/2.jpg",
         (
             "12 pictures in colour and 1 in grey (pen/2.jpg), all read in grey: "
             "--colour, if colour tells, as on a gel"
         ),
     ]
-    assert found["odd"] == {"turned": ["mug/2.jpg"], "grey": ["pen/2.jpg"]}
+    assert answer["odd"] == {"turned": ["mug/2.jpg"], "grey": ["pen/2.jpg"]}
     in_colour = json.loads(palpate("check", jpegs, "--colour", "--json").stdout)
-    odd = {one["picture"]: one["fix"] for one in in_colour["bad"]}
-    assert [*odd] == [*bad, "pen/2.jpg"]
-    assert odd["pen/2.jpg"] == "leave out --colour, or take it out"
+    fixes = {picture["picture"]: picture["fix"] for picture in in_colour["bad"]}
+    assert [*fixes] == [*bad, "pen/2.jpg"]
+    assert fixes["pen/2.jpg"] == "leave out --colour, or take it out"
     grey, colour = tmp_path / "grey.palpate", tmp_path / "colour.palpate"
     for model, *words in ((grey,), (colour, "--colour")):
-        done = palpate("learn", jpegs, "--skip-bad", "-o", model, *words)
-        assert done.returncode == 0, done.stderr
-        shown = palpate("recognise", model, jpegs, "--skip-bad", *words)
-        assert shown.returncode == 0, shown.stderr
-        assert "Touches of mug" in shown.stdout
+        result = palpate("learn", jpegs, "--skip-bad", "-o", model, *words)
+        assert result.returncode == 0, result.stderr
+        recognised = palpate("recognise", model, jpegs, "--skip-bad", *words)
+        assert recognised.returncode == 0, recognised.stderr
+        assert "Touches of mug" in recognised.stdout
     refused = palpate("recognise", grey, jpegs, "--skip-bad", "--colour")
     assert refused.returncode == 1
     assert refused.stderr.splitlines()[-1].endswith(
         "Leave --colour out, or learn again."
     )
-    shown = palpate("recognise", colour, jpegs, "--skip-bad")  # as it was learnt
-    assert shown.returncode == 0, shown.stderr
+    recognised = palpate("recognise", colour, jpegs, "--skip-bad")  # as it was learnt
+    assert recognised.returncode == 0, recognised.stderr
     for name in ("mug/1.jpg", "mug/3.jpg", "pen/1.jpg"):
         (jpegs / name).unlink()
     refused = palpate("learn", jpegs, "--colour", "-o", colour)
@@ -157,32 +155,32 @@ def test_a_sentence_breaks_between_words_on_a_terminal(monkeypatch):
     assert len(file.getvalue().splitlines()) == 2
 
 
-def test_levels_that_fit_no_picture_are_the_fault_not_the_pictures(palpate, odd):
-    done = palpate(
+def test_where_levels_fit_no_picture_the_levels_are_blamed(palpate, odd):
+    result = palpate(
         "learn", odd, "--skip-bad", "--levels", "-/object", "-o", "m.palpate"
     )
-    assert done.returncode != 0
-    assert "Fix: give --levels or a --name-pattern as these paths are." in done.stderr
+    assert result.returncode != 0
+    assert "Fix: give --levels or a --name-pattern as these paths are." in result.stderr
 
 
 def test_every_bad_picture_is_in_one_list_with_its_fix(palpate, odd):
-    done = palpate("check", odd, "--json")
-    assert done.returncode == 1
-    found = json.loads(done.stdout)
-    assert [one["picture"] for one in found["bad"]] == list(BAD)
-    for one in found["bad"]:
-        assert BAD[one["picture"]] in one["problem"]
-        assert one["fix"]
-    assert found["n_touches"] == 12
-    assert [(o["object"], o["touches"]) for o in found["objects"]] == [
+    result = palpate("check", odd, "--json")
+    assert result.returncode == 1
+    answer = json.loads(result.stdout)
+    assert [fault["picture"] for fault in answer["bad"]] == list(BAD)
+    for fault in answer["bad"]:
+        assert BAD[fault["picture"]] in fault["problem"]
+        assert fault["fix"]
+    assert answer["n_touches"] == 12
+    assert [(o["object"], o["touches"]) for o in answer["objects"]] == [
         ("mug", 6),
         ("pen", 6),
     ]
     for words in ("--skip-bad", "few touches of mug (6), pen (6)", "one session"):
-        assert any(words in line for line in found["advice"]), words
-    shown = palpate("check", odd).stdout
-    assert all(name in shown for name in BAD)
-    assert "5 pictures cannot be used" in shown
+        assert any(words in line for line in answer["advice"]), words
+    printed = palpate("check", odd).stdout
+    assert all(name in printed for name in BAD)
+    assert "5 pictures cannot be used" in printed
 
 
 def test_pictures_on_their_side_are_told_from_those_of_another_size(palpate, tmp_path):
@@ -190,8 +188,8 @@ def test_pictures_on_their_side_are_told_from_those_of_another_size(palpate, tmp
         put(tmp_path / "mug" / f"{number}.png")
     put(tmp_path / "mug" / "tall.png", np.zeros((12, 10), np.uint8))
     put(tmp_path / "mug" / "small.png", np.zeros((5, 6), np.uint8))
-    found = json.loads(palpate("check", tmp_path, "--json").stdout)
-    small, tall = found["bad"]
+    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    small, tall = answer["bad"]
     assert small["problem"] == "6 x 5 8-bit PNG, not 12 x 10 8-bit PNG"
     assert small["fix"].startswith("crop or pad it to that size")
     assert "not in sub-folders of one" in small["fix"]
@@ -207,25 +205,25 @@ def test_odd_pictures_are_named_the_first_few_and_all_as_json(palpate, tmp_path)
         put(tmp_path / "mug" / f"{number}.png", np.full((10, 12), number, np.uint8))
     shutil.copy(tmp_path / "pen" / "0.png", tmp_path / "pen" / "9.png")
     flat = [f"mug/{number}.png" for number in range(5)]
-    found = json.loads(palpate("check", tmp_path, "--json").stdout)
-    assert found["odd"] == {"flat": flat, "copies": [["pen/9.png", "pen/0.png"]]}
-    first, twice = found["notes"]
+    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    assert answer["odd"] == {"flat": flat, "copies": [["pen/9.png", "pen/0.png"]]}
+    first, twice = answer["notes"]
     assert first.endswith(
         "mug/0.png, mug/1.png, mug/2.png and 2 more (--json lists all)"
     )
     assert twice == "1 picture there twice: pen/9.png and pen/0.png"
 
 
-def test_what_is_bad_is_left_out_and_named(palpate, odd, tmp_path):
+def test_skip_bad_leaves_bad_pictures_out_and_names_them(palpate, odd, tmp_path):
     refused = palpate("learn", odd, "-o", tmp_path / "m.palpate")
     assert refused.returncode == 1
     assert f"`palpate check {odd}` lists all that is wrong" in refused.stderr
     model = tmp_path / "m.palpate"
-    done = palpate("learn", odd, "--skip-bad", "-o", model, "--json")
-    assert done.returncode == 0, done.stderr
-    assert "5 pictures of 17" in done.stderr
-    assert "loose.png is in no folder" in done.stderr
-    assert json.loads(done.stdout)["n_train_touches"] == 12
+    result = palpate("learn", odd, "--skip-bad", "-o", model, "--json")
+    assert result.returncode == 0, result.stderr
+    assert "5 pictures of 17" in result.stderr
+    assert "loose.png is in no folder" in result.stderr
+    assert json.loads(result.stdout)["n_train_touches"] == 12
     assert ObjectRecogniser.load(model).classes_.tolist() == ["mug", "pen"]
     scored = palpate(
         *("evaluate", "--train", odd, "--skip-bad", "--split", "last"),
@@ -240,25 +238,27 @@ def test_what_is_bad_is_left_out_and_named(palpate, odd, tmp_path):
     assert json.loads(again.stdout)["n_touches"] == 12
 
 
-def test_python_hears_of_it_as_a_warning(odd):
+def test_in_python_bad_pictures_left_out_are_a_warning(odd):
     with pytest.warns(UserWarning, match="5 pictures of 17"):
         assert len(Touches.load(odd, skip_bad=True)) == 12
     with pytest.raises(TouchesError, match="skip_bad must be left out"):
         Touches.load(odd.parent / "t.npz", skip_bad=True)
 
 
-def test_a_folder_without_one_good_picture(palpate, tmp_path):
+def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(
+    palpate, tmp_path
+):
     (tmp_path / "set" / "mug").mkdir(parents=True)
     (tmp_path / "set" / "mug" / "1.png").write_text("hello")
-    done = palpate("check", tmp_path / "set", "--json")
-    assert done.returncode == 1
-    found = json.loads(done.stdout)
-    assert found["n_touches"] == 0
-    assert "none" in found["problem"]
+    result = palpate("check", tmp_path / "set", "--json")
+    assert result.returncode == 1
+    answer = json.loads(result.stdout)
+    assert answer["n_touches"] == 0
+    assert "none" in answer["problem"]
 
 
 def test_pictures_that_are_turned_flat_or_there_twice_are_noted(
-    palpate, told, tmp_path
+    palpate, answer_of, tmp_path
 ):
     root = tmp_path / "set"
     for number in range(4):
@@ -269,7 +269,7 @@ def test_pictures_that_are_turned_flat_or_there_twice_are_noted(
     exif[0x0112] = 6  # as large as the others once it is upright
     put(root / "mug" / "turned.png", np.eye(12, 10, dtype=np.uint8), exif=exif)
     (root / "notes.txt").write_text("hello")
-    notes = told("check", root)["notes"]
+    notes = answer_of("check", root)["notes"]
     for words in (
         "1 picture turned",
         "mug/flat.png",
@@ -299,7 +299,7 @@ def test_the_sheet_shows_touches_of_each_object(palpate, odd, tmp_path):
     assert "http" not in page.replace("http-equiv", "")
 
 
-def test_what_the_place_alone_would_name_is_said(palpate, tmp_path):
+def test_brightness_that_tells_objects_apart_by_itself_is_reported(palpate, tmp_path):
     """Brightness alone tells these two; nothing does where all are alike."""
     for number in range(16):
         for name in ("mug", "pen"):
@@ -345,24 +345,28 @@ def folders(root, *paths):
     ],
     ids=lambda value: value[0] if value else "",
 )
-def test_layouts_that_people_have(tmp_path, paths, objects, sessions):
+def test_common_layouts_are_read_as_objects_and_sessions(
+    tmp_path, paths, objects, sessions
+):
     touches = Touches.load(folders(tmp_path, *paths))
     assert np.unique(touches.object).tolist() == objects
-    found = None if touches.session is None else np.unique(touches.session).tolist()
-    assert found == sessions
+    session_names = (
+        None if touches.session is None else np.unique(touches.session).tolist()
+    )
+    assert session_names == sessions
 
 
-def test_two_folders_of_the_same_names_are_told(told, tmp_path):
+def test_two_folders_of_the_same_names_are_reported(answer_of, tmp_path):
     places = [
         f"{part}/{name}" for part in ("teach", "later") for name in ("mug", "pen")
     ]
     folders(tmp_path / "set", *places)
-    advice = told("check", tmp_path / "set")["advice"]
+    advice = answer_of("check", tmp_path / "set")["advice"]
     (line,) = (line for line in advice if "the same names" in line)
     assert line.startswith("the same names (mug, pen) are in later/ and teach/")
     assert "--levels -/object" in line
     folders(tmp_path / "other", "tools/saw", "tools/awl", "toys/car", "toys/top")
-    advice = told("check", tmp_path / "other")["advice"]
+    advice = answer_of("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)
 
 
@@ -370,12 +374,12 @@ def test_many_pictures_wrong_in_one_way_are_one_row(palpate, tmp_path):
     for name in ("mug", "pen"):
         for number in range(4):
             put(tmp_path / name / f"{number}.png")
-    done = palpate("check", tmp_path, "--levels", "session/object")
-    assert "and 5 more" in " ".join(done.stdout.split())
-    _, table = done.stdout.split("8 pictures cannot be used")
+    result = palpate("check", tmp_path, "--levels", "session/object")
+    assert "and 5 more" in " ".join(result.stdout.split())
+    _, table = result.stdout.split("8 pictures cannot be used")
     assert table.count("not named as levels") == 1
-    done = palpate("check", tmp_path, "--levels", "session/object", "--json")
-    assert len(json.loads(done.stdout)["bad"]) == 8
+    result = palpate("check", tmp_path, "--levels", "session/object", "--json")
+    assert len(json.loads(result.stdout)["bad"]) == 8
 
 
 @pytest.mark.parametrize(
@@ -391,13 +395,15 @@ def test_many_pictures_wrong_in_one_way_are_one_row(palpate, tmp_path):
     ],
     ids=lambda value: value[0],
 )
-def test_layouts_that_are_asked_about(palpate, tmp_path, paths, message):
+def test_ambiguous_layouts_are_refused_with_levels_to_give(
+    palpate, tmp_path, paths, message
+):
     folders(tmp_path / "set", *paths)
     with pytest.raises(TouchesError, match=message):
         Touches.load(tmp_path / "set")
-    done = palpate("check", tmp_path / "set")
-    assert done.returncode == 1
-    assert (" --levels " in done.stderr) == ("levels" in message)
+    result = palpate("check", tmp_path / "set")
+    assert result.returncode == 1
+    assert (" --levels " in result.stderr) == ("levels" in message)
 
 
 def test_levels_are_skipped_and_chosen(tmp_path):
@@ -434,14 +440,14 @@ def test_an_object_in_folders_of_its_own_is_one_row_with_a_fix(
     palpate, mixed, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    done = palpate("check", mixed)
-    assert done.returncode == 1
-    (row,) = (line for line in done.stdout.splitlines() if line.startswith("│"))
+    result = palpate("check", mixed)
+    assert result.returncode == 1
+    (row,) = (line for line in result.stdout.splitlines() if line.startswith("│"))
     assert "mug/ (6 pictures)" in row
     assert "in folders inside mug/ (first, second), unlike the others" in row
     assert f"move them up into mug/, or say {BY_FIRST}" in row
     bad = json.loads(palpate("check", mixed, "--json").stdout)["bad"]
-    assert {one["folder"] for one in bad} == {"mug"}
+    assert {fault["folder"] for fault in bad} == {"mug"}
     assert len(bad) == 6
     refused = palpate("learn", mixed, "-o", tmp_path / "m.palpate")
     assert f"Move them up into mug/, or say {BY_FIRST}." in refused.stderr
@@ -457,8 +463,8 @@ def test_objects_without_the_folders_that_levels_name_are_one_row(
 ):
     monkeypatch.setenv("COLUMNS", "250")
     words = ("--levels", "object/session")
-    done = palpate("check", mixed, *words)
-    (row,) = (line for line in done.stdout.splitlines() if line.startswith("│"))
+    result = palpate("check", mixed, *words)
+    (row,) = (line for line in result.stdout.splitlines() if line.startswith("│"))
     assert "ball/, pen/ (12 pictures)" in row
     assert "in one folder, where the others lie in two" in row
     assert f"say {BY_FIRST} instead" in row
@@ -481,9 +487,9 @@ def test_an_object_of_which_nothing_is_left_is_refused_by_name(
         assert no_mug in refused.stderr
         assert f"or take mug out of {mixed}" in refused.stderr
     assert not out.exists()
-    found = json.loads(palpate("check", mixed, "--json").stdout)
-    assert no_mug in found["problem"]
-    assert not any("--skip-bad" in line for line in found["advice"])
+    answer = json.loads(palpate("check", mixed, "--json").stdout)
+    assert no_mug in answer["problem"]
+    assert not any("--skip-bad" in line for line in answer["advice"])
     for picture in (odd / "pen").iterdir():
         picture.write_text("hello")
     refused = palpate("learn", odd, "--skip-bad", "-o", out)
@@ -497,7 +503,7 @@ def test_an_object_of_which_nothing_is_left_is_refused_by_name(
     assert "No picture of pen can be used: pen_0.png is" in refused.stderr
 
 
-def test_the_few_in_colour_are_named_and_what_is_flat_empty_or_no_png(
+def test_notes_name_the_few_in_colour_and_what_is_flat_empty_or_no_png(
     palpate, tmp_path
 ):
     rng = np.random.default_rng(0)
@@ -509,27 +515,29 @@ def test_the_few_in_colour_are_named_and_what_is_flat_empty_or_no_png(
     put(tmp_path / "pen" / "black.jpg", np.zeros((10, 12), np.uint8))
     put(tmp_path / "pen" / "old.bmp")
     (tmp_path / "cup").mkdir()
-    found = json.loads(palpate("check", tmp_path, "--json").stdout)
-    assert found["odd"] == {"coloured": ["pen/gel.jpg"], "flat": ["pen/black.jpg"]}
-    colour, flat, other, empty = found["notes"]
+    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    assert answer["odd"] == {"coloured": ["pen/gel.jpg"], "flat": ["pen/black.jpg"]}
+    colour, flat, other, empty = answer["notes"]
     assert colour.startswith("1 picture in colour (pen/gel.jpg) and 13 in grey, all")
     assert "nothing is seen: record again, or take out pen/black.jpg" in flat
     assert other == "1 file of .bmp left alone (pen/old.bmp): save as PNG"
     assert empty == "1 folder empty: cup/"
 
 
-def test_a_folder_of_bmp_alone_is_read_and_said_to_be(palpate, tmp_path):
+def test_a_folder_of_bmp_alone_is_read_and_a_note_says_so(palpate, tmp_path):
     for number in range(3):
         for name in ("mug", "pen"):
             put(tmp_path / name / f"{number}.bmp")
-    found = json.loads(palpate("check", tmp_path, "--json").stdout)
-    assert found["n_touches"] == 6
-    assert found["notes"] == [
+    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    assert answer["n_touches"] == 6
+    assert answer["notes"] == [
         "6 files of .bmp read in grey, none looked at: save them as PNG"
     ]
 
 
-def test_a_picture_of_no_contact_that_is_not_there(palpate, odd, tmp_path):
+def test_a_missing_picture_of_no_contact_is_refused_with_the_nearest_name(
+    palpate, odd, tmp_path
+):
     for name in ("loose.png", "mug/001.png"):
         shutil.copy(odd / "pen" / "001.png", odd / name)
     for near in (odd / "lose.png", "loose.png"):
@@ -541,7 +549,7 @@ def test_a_picture_of_no_contact_that_is_not_there(palpate, odd, tmp_path):
     assert "Give another --no-contact, or leave it out." in refused.stderr
 
 
-def test_a_path_that_is_nearly_there(palpate, odd, tmp_path):
+def test_a_mistyped_path_is_refused_with_the_nearest_name(palpate, odd, tmp_path):
     refused = palpate("check", odd.parent / "touchs")
     assert refused.returncode == 1
     assert f"Did you mean {odd}/?" in refused.stderr

@@ -59,8 +59,8 @@ def model(archive):
     return recogniser.save(archive.parent / "m.palpate")
 
 
-def test_learn_writes_a_model_that_recognises(told, archive, tmp_path):
-    learnt = told("learn", archive, "-o", tmp_path / "m.palpate")
+def test_learn_writes_a_model_that_recognises(answer_of, archive, tmp_path):
+    learnt = answer_of("learn", archive, "-o", tmp_path / "m.palpate")
     assert learnt["n_labels"] == 3
     assert ObjectRecogniser.load(learnt["model"]).classes_.tolist() == list(NAMES)
 
@@ -79,19 +79,19 @@ def test_learn_warns_of_few_objects_as_the_page_does(palpate, tmp_path):
     assert LiveSession(model=model).episode.limits == warning
     six.save(file)
     assert "It knows" not in palpate("learn", file, "-o", model).stdout
-    told = palpate("learn", file, "-o", model, "--label", "category").stdout
-    assert "It knows 2 categories and nothing else: " in told
+    printed = palpate("learn", file, "-o", model, "--label", "category").stdout
+    assert "It knows 2 categories and nothing else: " in printed
 
 
 def test_recognise_gives_one_episode_per_object(palpate, archive, model):
-    done = palpate("recognise", model, archive, "--json")
-    episodes = json.loads(done.stdout)["episodes"]
+    result = palpate("recognise", model, archive, "--json")
+    episodes = json.loads(result.stdout)["episodes"]
     assert [e["object"] for e in episodes] == list(NAMES)
     for episode in episodes:
         assert [b["touch"] for b in episode["beliefs"]] == list(range(1, 21))
         for belief in episode["beliefs"]:
-            known = sum(belief["posterior"].values())
-            assert known + belief["unknown"] == pytest.approx(1)
+            known_probability = sum(belief["posterior"].values())
+            assert known_probability + belief["unknown"] == pytest.approx(1)
             assert 0 <= belief["unknown"] <= 1
         assert episode["decision"] == episode["object"]
         assert 1 <= episode["touches_used"] <= 20
@@ -99,41 +99,41 @@ def test_recognise_gives_one_episode_per_object(palpate, archive, model):
 
 
 def test_recognise_takes_a_refusal_and_a_level(palpate, archive, model):
-    asked = ["--error", "0.05", "--refusal", "0.2", "--level", "any", "--json"]
-    done = palpate("recognise", model, archive, *asked)
-    assert done.returncode == 0, done.stderr
-    for episode in json.loads(done.stdout)["episodes"]:
+    options = ["--error", "0.05", "--refusal", "0.2", "--level", "any", "--json"]
+    result = palpate("recognise", model, archive, *options)
+    assert result.returncode == 0, result.stderr
+    for episode in json.loads(result.stdout)["episodes"]:
         assert (episode["decision"], episode["level"]) == (episode["object"], "object")
         assert episode["promise"]["level"] == 0.05
         assert episode["promise"]["n_units"] == 3
-    done = palpate("recognise", model, archive, "--level", "category")
-    assert done.returncode == 1
-    assert "the objects have none" in done.stderr
-    assert "--level" not in done.stdout
+    result = palpate("recognise", model, archive, "--level", "category")
+    assert result.returncode == 1
+    assert "the objects have none" in result.stderr
+    assert "--level" not in result.stdout
 
 
 @pytest.mark.parametrize("level", ["object", "any"])
-def test_only_what_is_named_has_a_level(told, archive, model, monkeypatch, level):
+def test_only_what_is_named_has_a_level(answer_of, archive, model, monkeypatch, level):
     plain = Belief.named
 
-    def named(self, *asked, **more):
-        decision = plain(self, *asked, **more)
+    def named(self, *arguments, **options):
+        decision = plain(self, *arguments, **options)
         if decision is None or self.best == NAMES[2]:
             return None
         return decision._replace(level="unknown", name="unknown")
 
     monkeypatch.setattr(Belief, "named", named)
-    episodes = told("recognise", model, archive, "--level", level)["episodes"]
+    episodes = answer_of("recognise", model, archive, "--level", level)["episodes"]
     decisions = [(e["decision"], e["level"]) for e in episodes]
     assert decisions == [("unknown", None), ("unknown", None), (None, None)]
 
 
 def test_recognise_draws_the_belief_for_people(palpate, archive, model):
-    done = palpate("recognise", model, archive)
-    assert done.returncode == 0
-    assert "Touches of mug:" in done.stdout
-    assert "touch   1" in done.stdout
-    assert "█" in done.stdout
+    result = palpate("recognise", model, archive)
+    assert result.returncode == 0
+    assert "Touches of mug:" in result.stdout
+    assert "touch   1" in result.stdout
+    assert "█" in result.stdout
 
 
 def test_recognise_counts_how_labelled_episodes_ended():
@@ -171,7 +171,7 @@ def printed(capsys):
     return lines
 
 
-def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(printed):
+def test_touches_left_out_are_dots_and_one_without_contact_has_no_bar(printed):
     """Each of the first touches, fewer later, the last; no bar without a contact."""
     lines = printed(14)
     assert lines[3] == "  touch 3: no contact, not counted"
@@ -189,39 +189,39 @@ def test_touches_left_out_are_dots_and_one_of_nothing_is_no_answer(printed):
 def test_dots_never_stand_for_one_touch(printed):
     for used in range(1, 40):
         numbers = [
-            int(found[1])
+            int(match[1])
             for line in printed(used)
-            if (found := re.search(r"touch +(\d+)", line))
+            if (match := re.search(r"touch +(\d+)", line))
         ]
         assert all(after - before != 2 for before, after in pairwise(numbers))
 
 
-def test_a_number_that_is_none_is_said_with_one_that_is(palpate, archive):
+def test_a_wrong_number_is_refused_with_a_right_one(palpate, archive):
     words = ["evaluate", "--train", archive, "--split", "last"]
     for more in (["--error", "5%"], ["--error=5%"]):
-        done = palpate(*words, *more)
-        assert done.returncode == 2
-        assert "--error must be a number such as 0.01, got '5%'." in done.stderr
-    done = palpate(*words, "--orders", "2.5")
-    assert "--orders must be a whole number such as 20, got '2.5'." in done.stderr
+        result = palpate(*words, *more)
+        assert result.returncode == 2
+        assert "--error must be a number such as 0.01, got '5%'." in result.stderr
+    result = palpate(*words, "--orders", "2.5")
+    assert "--orders must be a whole number such as 20, got '2.5'." in result.stderr
 
 
 def test_a_split_by_session_needs_sessions_and_says_how(palpate, archive):
-    done = palpate("evaluate", "--train", archive, "--split", "session")
-    assert done.returncode == 1
-    assert "--train must have a column 'session'" in done.stderr
-    assert "--levels object/session" in done.stderr
+    result = palpate("evaluate", "--train", archive, "--split", "session")
+    assert result.returncode == 1
+    assert "--train must have a column 'session'" in result.stderr
+    assert "--levels object/session" in result.stderr
 
 
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     report = tmp_path / "r.html"
     words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1,3"]
-    done = palpate(*words, "--report", report, "--json")
-    figures = json.loads(done.stdout)
+    result = palpate(*words, "--report", report, "--json")
+    figures = json.loads(result.stdout)
     assert set(figures["accuracy"]) == {"1", "3"}
     assert report.read_text().startswith("<!doctype html>")
-    assert done.stderr == ""
+    assert result.stderr == ""
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
@@ -230,9 +230,9 @@ def test_every_command_has_help_and_stands_in_the_docs(palpate, words):
     assert command.help
     assert all(parameter.help for parameter in command.params)
     assert any("--json" in parameter.opts for parameter in command.params)
-    asked = palpate(*words, "--help")
-    assert asked.returncode == 0
-    assert palpate(*words, "-h").stdout == asked.stdout
+    result = palpate(*words, "--help")
+    assert result.returncode == 0
+    assert palpate(*words, "-h").stdout == result.stdout
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     wanted = re.compile(rf"palpate {' '.join(words)}\b")
     assert any(wanted.search(page.read_text(encoding="utf-8")) for page in pages)
@@ -258,10 +258,10 @@ def test_help_loads_nothing_heavy():
         "heavy = {'numpy', 'sklearn', 'cv2', 'matplotlib', 'scipy', 'joblib'}\n"
         "assert not heavy & {*sys.modules}, heavy & {*sys.modules}"
     )
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
 
 
 def test_the_version_stands_in_one_place(palpate):
@@ -273,16 +273,16 @@ def test_the_version_stands_in_one_place(palpate):
 
 
 def test_a_shell_completes_verbs():
-    asked = {"COMP_WORDS": "palpate rec", "COMP_CWORD": "1"}
+    completion = {"COMP_WORDS": "palpate rec", "COMP_CWORD": "1"}
     code = "import sys; sys.argv = ['palpate']; import palpate.cli as c; c.main()"
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, **asked, "_PALPATE_COMPLETE": "complete_bash"},
+        env={**os.environ, **completion, "_PALPATE_COMPLETE": "complete_bash"},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.stdout.split() == ["recognise", "record"], done.stderr
+    assert result.stdout.split() == ["recognise", "record"], result.stderr
 
 
 @pytest.mark.parametrize(
@@ -298,34 +298,34 @@ def test_a_shell_completes_verbs():
     ],
 )
 def test_failures_say_what_to_do(palpate, arguments, code, message, tmp_path):
-    done = palpate(*arguments, cwd=tmp_path)
-    assert done.returncode == code
-    assert message in done.stderr
-    assert done.stdout == ""
-    assert "Traceback" not in done.stderr
+    result = palpate(*arguments, cwd=tmp_path)
+    assert result.returncode == code
+    assert message in result.stderr
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
     as_json = palpate(*arguments, "--json", cwd=tmp_path)
     assert as_json.returncode == code
-    assert list(told := json.loads(as_json.stdout)) == ["error"]
-    assert message in told["error"]
-    assert as_json.stderr == f"palpate: {told['error']}\n"
+    assert list(answer := json.loads(as_json.stdout)) == ["error"]
+    assert message in answer["error"]
+    assert as_json.stderr == f"palpate: {answer['error']}\n"
 
 
-def test_with_json_help_ends_well(palpate):
+def test_help_works_beside_json(palpate):
     assert palpate("learn", "--json", "-h").returncode == 0
 
 
-def test_touches_without_an_order_are_split_as_read_and_it_is_said(
+def test_touches_without_an_order_are_split_as_read_and_a_note_says_so(
     palpate, archive, tmp_path
 ):
     words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1"]
-    said = "The touches have no column order or time_s, which tells when each was made"
-    assert said in " ".join(palpate(*words).stdout.split())
-    assert said in json.loads(palpate(*words, "--json").stdout)["notes"][-1]
+    note = "The touches have no column order or time_s, which tells when each was made"
+    assert note in " ".join(palpate(*words).stdout.split())
+    assert note in json.loads(palpate(*words, "--json").stdout)["notes"][-1]
     touches = Touches.load(archive)
     path = tmp_path / "t.npz"
     for name in ("order", "time_s"):  # `record` writes the second
         touches.with_columns(**{name: np.arange(len(touches))}).save(path)
-        assert said not in palpate("evaluate", "--train", path, *words[3:]).stdout
+        assert note not in palpate("evaluate", "--train", path, *words[3:]).stdout
 
 
 def test_one_picture_is_recognised(palpate, tmp_path, rng):
@@ -336,8 +336,8 @@ def test_one_picture_is_recognised(palpate, tmp_path, rng):
             Image.fromarray(levels).save(tmp_path / "t" / name / f"{number}.png")
     palpate("learn", tmp_path / "t", "-o", tmp_path / "m.palpate")
     picture = tmp_path / "t" / "pen" / "3.png"
-    done = palpate("recognise", tmp_path / "m.palpate", picture, "--json")
-    (episode,) = json.loads(done.stdout)["episodes"]
+    result = palpate("recognise", tmp_path / "m.palpate", picture, "--json")
+    (episode,) = json.loads(result.stdout)["episodes"]
     assert episode["object"] is None
     (belief,) = episode["beliefs"]
     assert max(belief["posterior"], key=belief["posterior"].get) == "pen"
@@ -345,34 +345,34 @@ def test_one_picture_is_recognised(palpate, tmp_path, rng):
 
 def test_a_split_without_labels_is_refused(palpate, archive, tmp_path):
     Touches.load(archive).without("object").save(tmp_path / "bare.npz")
-    done = palpate("evaluate", "--train", tmp_path / "bare.npz", "--split", "last")
-    assert done.returncode == 1
-    assert "column 'object'" in done.stderr
+    result = palpate("evaluate", "--train", tmp_path / "bare.npz", "--split", "last")
+    assert result.returncode == 1
+    assert "column 'object'" in result.stderr
 
 
 def test_demo_without_data_says_where_to_get_it(palpate, monkeypatch, tmp_path):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
-    done = palpate("demo", "--real", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "PALPATE_DATA" in done.stderr
+    result = palpate("demo", "--real", cwd=tmp_path)
+    assert result.returncode == 1
+    assert "PALPATE_DATA" in result.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_doctor_knows_this_installation(told):
-    found = told("doctor")
-    assert found["healthy"]
-    assert {"numpy", "matplotlib"} <= {check["name"] for check in found["checks"]}
+def test_doctor_knows_this_installation(answer_of):
+    answer = answer_of("doctor")
+    assert answer["healthy"]
+    assert {"numpy", "matplotlib"} <= {check["name"] for check in answer["checks"]}
 
 
-def test_doctor_asks_for_what_the_package_is_made_with(palpate):
+def test_doctor_checks_every_dependency_of_the_package(palpate):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     lists = [project["dependencies"]]
     for extra, lines in project["optional-dependencies"].items():
         lists += [lines] * (extra not in ("test", "dev", "docs"))
     wanted = {re.split(r"[>=<\[]", line)[0] for lines in lists for line in lines}
-    found = json.loads(palpate("doctor", "--json").stdout)["checks"]
+    checks = json.loads(palpate("doctor", "--json").stdout)["checks"]
     wanted -= {"palpate"}  # an extra that brings another
-    assert {check["name"] for check in found} == wanted | {"Python", "PALPATE_DATA"}
+    assert {check["name"] for check in checks} == wanted | {"Python", "PALPATE_DATA"}
 
 
 @pytest.mark.parametrize(
@@ -384,19 +384,19 @@ def test_doctor_asks_for_what_the_package_is_made_with(palpate):
     ],
 )
 def test_doctor_says_what_to_type(palpate, monkeypatch, name, command, code):
-    known = metadata.version
+    original = metadata.version
 
-    def version(asked):
-        if asked == name:
+    def version(distribution):
+        if distribution == name:
             raise metadata.PackageNotFoundError(name)
-        return known(asked)
+        return original(distribution)
 
     monkeypatch.setattr(metadata, "version", version)
-    # What is to be typed stays in one line, however long the rest is.
+    # The command to type stays in one line, however long the other cells are.
     monkeypatch.setenv("PALPATE_DATA", "/a/folder/with/a/rather/long/name/indeed")
-    done = palpate("doctor")
-    assert done.returncode == code
-    (line,) = (line for line in done.stdout.splitlines() if f" {name} " in line)
+    result = palpate("doctor")
+    assert result.returncode == code
+    (line,) = (line for line in result.stdout.splitlines() if f" {name} " in line)
     cells = [cell.strip() for cell in line.strip("│┃").split("│")]
     assert cells == [name, "missing", command]
 
@@ -416,8 +416,8 @@ def test_help_breaks_its_lines_where_the_terminal_does(palpate, monkeypatch, wid
     """Each paragraph fills its lines: the first word of the next would not fit."""
     monkeypatch.setenv("COLUMNS", str(width))
     for verb in ("check", "learn", "recognise", "evaluate", "demo", "remount"):
-        said = palpate(verb, "--help").stdout
-        above = said[said.index("Usage") :].partition("╭")[0]
+        help_text = palpate(verb, "--help").stdout
+        above = help_text[help_text.index("Usage") :].partition("╭")[0]
         for paragraph in re.split(r"\n\s*\n", above):
             lines = paragraph.rstrip().splitlines()
             for line, after in pairwise(lines):
@@ -426,9 +426,9 @@ def test_help_breaks_its_lines_where_the_terminal_does(palpate, monkeypatch, wid
 
 def test_an_option_without_a_value_shows_no_type_of_one(palpate, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    said = palpate("learn", "--help").stdout
+    help_text = palpate("learn", "--help").stdout
     for name in ("--json", "--skip-bad", "--colour"):
-        (line,) = (line for line in said.splitlines() if f" {name} " in line)
+        (line,) = (line for line in help_text.splitlines() if f" {name} " in line)
         assert "<" not in line
 
 
@@ -436,16 +436,16 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "200")
     words = " ".join(palpate("learn", "--help").stdout.replace("│", " ").split())
     assert 'needs pip install "palpate[distributed]"' in words
-    shown = palpate("simulate", "array", "--help").stdout
-    assert "Side of a taxel, mm [0.65 pitch]." in " ".join(
-        shown.replace("│", " ").split()
+    words = " ".join(
+        palpate("simulate", "array", "--help").stdout.replace("│", " ").split()
     )
+    assert "Side of a taxel, mm [0.65 pitch]." in words
     names = ["[bold]mug[/bold]", ":cat: [/]"]
     with TouchLibrary.open(tmp_path / "[red]lab", create=True) as library:
         library.add(Touches(np.zeros((2, 3, 3)), object=names))
-    shown = palpate("library", "list", tmp_path / "[red]lab", "--objects").stdout
-    assert all(name in shown for name in names)
-    assert "[red]lab" in shown.replace("\n", "")
+    printed = palpate("library", "list", tmp_path / "[red]lab", "--objects").stdout
+    assert all(name in printed for name in names)
+    assert "[red]lab" in printed.replace("\n", "")
     refused = palpate("bench", "[plot]")
     assert "[plot]" in refused.stderr
     refused = palpate("live", "m.palpate", "--sensor", "[plot]")
@@ -479,11 +479,11 @@ def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):
 def test_a_model_larger_than_asked_for_is_refused_unread(
     palpate, archive, model, words
 ):
-    given = {"MODEL": model, "TOUCHES": archive}
-    arguments = [given.get(word, word) for word in words]
-    done = palpate(*arguments, "--max-model-mb", "0.001")
-    assert done.returncode == 1
-    assert "A model file must be at most 0.001 MB large" in done.stderr
+    paths = {"MODEL": model, "TOUCHES": archive}
+    arguments = [paths.get(word, word) for word in words]
+    result = palpate(*arguments, "--max-model-mb", "0.001")
+    assert result.returncode == 1
+    assert "A model file must be at most 0.001 MB large" in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -500,10 +500,10 @@ def test_a_model_larger_than_asked_for_is_refused_unread(
 def test_a_file_of_reading_options_is_checked(palpate, tmp_path, written, message):
     profile = tmp_path / "reading.toml"
     profile.write_text(written)
-    done = palpate("check", tmp_path, "--read", profile)
-    assert done.returncode == 1
-    assert re.search(message, " ".join(done.stderr.split()))
-    assert "Traceback" not in done.stderr
+    result = palpate("check", tmp_path, "--read", profile)
+    assert result.returncode == 1
+    assert re.search(message, " ".join(result.stderr.split()))
+    assert "Traceback" not in result.stderr
 
 
 def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
@@ -511,12 +511,12 @@ def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
     profile = tmp_path / "there" / "reading.toml"
     profile.write_text("no-contact = 'rest.png'")
     Image.fromarray(np.zeros((8, 8), np.uint8)).save(tmp_path / "touch.png")
-    done = palpate("check", tmp_path / "touch.png", "--read", profile)
-    assert done.returncode == 1
-    assert str(tmp_path / "there" / "rest.png") in "".join(done.stderr.split("\n"))
+    result = palpate("check", tmp_path / "touch.png", "--read", profile)
+    assert result.returncode == 1
+    assert str(tmp_path / "there" / "rest.png") in "".join(result.stderr.split("\n"))
 
 
-def test_what_is_typed_goes_before_a_file_even_if_it_is_usual(tmp_path):
+def test_an_option_that_is_typed_wins_over_a_file_even_at_its_default(tmp_path):
     profile = tmp_path / "reading.toml"
     profile.write_text("max-megapixels = 0.0001")
     assert Reading(read=profile).max_pixels == 100
@@ -525,7 +525,7 @@ def test_what_is_typed_goes_before_a_file_even_if_it_is_usual(tmp_path):
 
 
 @pytest.mark.slow
-def test_levels_of_folders_are_named(palpate, told, tmp_path):
+def test_levels_of_folders_are_named(palpate, answer_of, tmp_path):
     rng = np.random.default_rng(0)
     for name, level in (("mug", 60), ("pen", 150)):
         for session in ("mon", "tue"):
@@ -535,7 +535,7 @@ def test_levels_of_folders_are_named(palpate, told, tmp_path):
                 picture = rng.normal(level, 20, (16, 16)).clip(0, 255).astype(np.uint8)
                 Image.fromarray(picture).save(folder / f"{k}.png")
     archive, model = tmp_path / "set", tmp_path / "m.palpate"
-    learnt = told("learn", archive, "-o", model, "--levels", "object/session")
+    learnt = answer_of("learn", archive, "-o", model, "--levels", "object/session")
     assert learnt["labels"] == ["mug", "pen"]
     assert learnt["sessions"]["least"] == 2
     plain = palpate("learn", archive, "-o", model)
@@ -550,8 +550,8 @@ def test_levels_of_folders_are_named(palpate, told, tmp_path):
     from_file = palpate("learn", archive, "-o", model, "--read", profile, "--json")
     assert json.loads(from_file.stdout)["labels"] == ["mug", "pen"]
     beside = [archive, "-o", model, "--read", profile, "--levels", "category/object"]
-    given = palpate("learn", *beside, "--json")
-    assert json.loads(given.stdout)["labels"] == as_before["labels"]
+    overridden = palpate("learn", *beside, "--json")
+    assert json.loads(overridden.stdout)["labels"] == as_before["labels"]
     for words, why in (("session", "one of them object"), ("object/a b", "by a word")):
         refused = palpate("learn", archive, "-o", model, "--levels", words)
         assert refused.returncode == 2
@@ -568,7 +568,7 @@ def test_levels_of_folders_are_named(palpate, told, tmp_path):
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
-def test_what_cannot_be_meant_is_refused_before_anything_is_read(
+def test_a_wrong_choice_is_refused_before_anything_is_read(
     palpate, monkeypatch, tmp_path, words, message
 ):
     monkeypatch.setattr(Touches, "load", lambda *_, **__: pytest.fail("read"))
@@ -582,7 +582,7 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_read(
     assert "Did you mean 'last'?" in json.loads(refused.stdout)["error"]
 
 
-def test_touches_before_the_model_are_told(palpate, tmp_path):
+def test_touches_before_the_model_are_refused(palpate, tmp_path):
     model, touches = tmp_path / "m.palpate", tmp_path / "held"
     for verb, *more in (
         ["recognise"],
@@ -597,14 +597,16 @@ def test_touches_before_the_model_are_told(palpate, tmp_path):
         assert f"MODEL must come first, then TOUCHES, got {touches}" in refused.stderr
 
 
-def test_learning_says_first_what_was_learnt_and_of_what_little(palpate, tmp_path):
+def test_learning_says_first_what_was_learnt_then_which_objects_have_few_touches(
+    palpate, tmp_path
+):
     rng = np.random.default_rng(0)
     levels = rng.normal(np.repeat((60, 150), (20, 3))[:, None, None], 9, (23, 8, 8))
     Touches(levels, object=["mug"] * 20 + ["pen"] * 3).save(tmp_path / "t.npz")
     model = tmp_path / "m.palpate"
-    done = palpate("learn", tmp_path / "t.npz", "-o", model)
-    assert done.returncode == 0, done.stderr
-    first, few, *_ = done.stdout.splitlines()
+    result = palpate("learn", tmp_path / "t.npz", "-o", model)
+    assert result.returncode == 0, result.stderr
+    first, few, *_ = result.stdout.splitlines()
     assert first == f"Learnt 2 objects from 23 touches, saved as {model}."
     assert few == "Few touches of pen (3): 20 are a start, 60 are good."
 
@@ -619,6 +621,8 @@ def test_ctrl_c_while_the_command_is_imported_is_one_sentence():
         "builtins.__import__ = stopped\n"
         "command.main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 130
-    assert done.stderr == "palpate: Stopped by Ctrl-C before anything was begun.\n"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True
+    )
+    assert result.returncode == 130
+    assert result.stderr == "palpate: Stopped by Ctrl-C before anything was begun.\n"

@@ -14,7 +14,7 @@ TINTS = {"ball": (60, 0, 0), "pen": (0, 60, 0)}
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
-    """Eight of each thing, and as many of another part of the same things."""
+    """Eight pictures of each object to teach it, and eight new ones of it."""
     root, rng = tmp_path_factory.mktemp("gel"), np.random.default_rng(0)
     for part in ("taught", "new"):
         for name, tint in TINTS.items():
@@ -28,7 +28,7 @@ def pictures(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def models(pictures):
-    """Of the same pictures, in colour and in grey."""
+    """Models learnt from the same pictures, in colour and in grey."""
     return [
         ObjectRecogniser()
         .fit(Touches.load(pictures / "taught", colour=colour))
@@ -38,17 +38,17 @@ def models(pictures):
 
 
 def test_learning_says_that_colours_were_left(palpate, pictures):
-    def said(*colour):
+    def is_noted(*colour):
         model = pictures / "said.palpate"
-        done = palpate("learn", pictures / "taught", *colour, "-o", model)
-        assert done.returncode == 0, done.stderr
-        return "Pictures in colour were read in grey: --colour" in done.stdout
+        result = palpate("learn", pictures / "taught", *colour, "-o", model)
+        assert result.returncode == 0, result.stderr
+        return "Pictures in colour were read in grey: --colour" in result.stdout
 
-    assert said()
-    assert not said("--colour")
+    assert is_noted()
+    assert not is_noted("--colour")
 
 
-def test_evaluating_says_it_too(palpate, pictures):
+def test_evaluating_says_that_colours_were_left(palpate, pictures):
     words = "evaluate", "--train", pictures / "taught", "--test", pictures / "new"
     grey = json.loads(palpate(*words, "--json").stdout)
     assert "read in grey: --colour" in grey["recommendations"][0]
@@ -56,20 +56,20 @@ def test_evaluating_says_it_too(palpate, pictures):
     assert not any("read in grey" in s for s in coloured["recommendations"])
 
 
-def test_a_model_of_colours_reads_colours(palpate, told, pictures, models):
-    episodes = told("recognise", models[0], pictures / "new")["episodes"]
+def test_a_model_of_colours_reads_colours(palpate, answer_of, pictures, models):
+    episodes = answer_of("recognise", models[0], pictures / "new")["episodes"]
     assert [e["beliefs"][-1]["posterior"][e["object"]] > 0.9 for e in episodes] == [
         True,
         True,
     ]
     again = pictures / "again.palpate"
-    done = palpate("remount", models[0], pictures / "new", "-o", again)
-    assert done.returncode == 0, done.stderr
-    done = palpate(
+    result = palpate("remount", models[0], pictures / "new", "-o", again)
+    assert result.returncode == 0, result.stderr
+    result = palpate(
         *["learn", pictures / "new", "--extend", models[0]],
         *["-o", pictures / "extended.palpate"],
     )
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
 
 
 def test_grey_is_refused_where_colours_were_learnt(pictures, models):
@@ -81,10 +81,10 @@ def test_grey_is_refused_where_colours_were_learnt(pictures, models):
 
 
 def test_colours_are_refused_where_grey_was_learnt(palpate, pictures, models):
-    done = palpate("recognise", models[1], pictures / "new", "--colour")
-    assert done.returncode == 1
-    assert "must have one level a pixel" in done.stderr
-    assert "Leave --colour out" in done.stderr
+    result = palpate("recognise", models[1], pictures / "new", "--colour")
+    assert result.returncode == 1
+    assert "must have one level a pixel" in result.stderr
+    assert "Leave --colour out" in result.stderr
 
 
 def test_an_array_in_colour_is_one_picture_or_several(pictures, models):

@@ -26,32 +26,32 @@ def small(monkeypatch):
     monkeypatch.setattr(demo, "MOST_ATTEMPTS", 3)
 
 
-def test_it_explores_shows_beliefs_and_controls_and_ends_with_the_report(
+def test_demo_explores_shows_beliefs_and_controls_and_ends_with_the_report(
     palpate, small, tmp_path
 ):
-    done = palpate("demo", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    assert "touches the mug (learnt)" in done.stdout
-    assert "touches the plastic card (never learnt)" in done.stdout
+    result = palpate("demo", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert "touches the mug (learnt)" in result.stdout
+    assert "touches the plastic card (never learnt)" in result.stdout
     assert any(line.startswith("  touch   1  ") for line in lines)
     for name in ("disc centre", "brightness", "sorted pixels"):
-        assert name in done.stdout
+        assert name in result.stdout
     assert Path(lines[-1]).read_text(encoding="utf-8").startswith("<!")
     assert (tmp_path / "demo" / "six-objects.palpate").is_file()
 
 
 @pytest.mark.slow
-def test_its_json_is_one_object_with_everything(told, small, tmp_path):
-    found = told("demo", cwd=tmp_path)
-    assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= set(found)
-    assert [e["object"] for e in found["episodes"]] == ["mug", "plastic card"]
-    assert Path(found["report"]).is_file()
+def test_demo_prints_everything_as_one_json_object(answer_of, small, tmp_path):
+    answer = answer_of("demo", cwd=tmp_path)
+    assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= {*answer}
+    assert [e["object"] for e in answer["episodes"]] == ["mug", "plastic card"]
+    assert Path(answer["report"]).is_file()
 
 
 @pytest.fixture
 def recorded(monkeypatch, tmp_path, rng):
-    """Pictures of four objects, named as the recorded ones are, with little in them."""
+    """Small pictures of four objects, with names like those of the recorded ones."""
     demo = importlib.import_module("palpate.cli.demo")
     monkeypatch.setattr(demo, "RECORDED_TOUCHES", 12)
     folder = tmp_path / "data" / "bathtip" / "originals"
@@ -68,25 +68,27 @@ def recorded(monkeypatch, tmp_path, rng):
 
 
 def test_with_recorded_pictures_two_objects_are_unknown(palpate, recorded, tmp_path):
-    done = palpate("demo", "--real", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "Learnt 2 objects from 24 touches" in done.stdout
-    unknown = re.search(r"Now (\w+) and (\w+), recorded .* left out", done.stdout)
+    result = palpate("demo", "--real", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Learnt 2 objects from 24 touches" in result.stdout
+    unknown = re.search(r"Now (\w+) and (\w+), recorded .* left out", result.stdout)
     assert unknown is not None
     assert set(unknown.groups()) < set(RECORDED)
-    before, after = done.stdout.split("Now ")
+    before, after = result.stdout.split("Now ")
     for name in RECORDED:
         assert f"Touches of {name}:" in (after if name in unknown.groups() else before)
-    (area,) = [one for one in done.stdout.splitlines() if "unknown, ROC area" in one]
-    # Patterns that share nothing, in little noise.
+    (area,) = [
+        line for line in result.stdout.splitlines() if "unknown, ROC area" in line
+    ]
+    # The patterns have nothing in common, and the noise is small.
     assert float(area.split()[-2]) > 0.9
     assert (tmp_path / "demo" / "recorded-objects.palpate").is_file()
 
 
 @pytest.mark.slow
 @pytest.mark.realdata
-def test_real_pictures_leave_two_objects_unknown(told, data_folder, tmp_path):
-    found = told("demo", "--real", cwd=tmp_path)
-    assert found["n_labels"] == 8
-    assert len(found["episodes"]) == 10
-    assert found["unknown_auroc"]["10"] > 0.8
+def test_real_pictures_leave_two_objects_unknown(answer_of, data_folder, tmp_path):
+    answer = answer_of("demo", "--real", cwd=tmp_path)
+    assert answer["n_labels"] == 8
+    assert len(answer["episodes"]) == 10
+    assert answer["unknown_auroc"]["10"] > 0.8

@@ -1,4 +1,4 @@
-"""What a terminal would obey is shown, not printed raw."""
+"""Escape sequences, which a terminal would obey, are printed as visible text."""
 
 import io
 import re
@@ -24,10 +24,10 @@ def test_escapes_in_texts_of_a_library_are_shown(palpate, tmp_path):
         library.add(Touches(images, session=["\x1b[2J", "b"], object=["pen", "cup"]))
         key = library.list()[0].id
     for arguments in (["list", tmp_path], ["show", tmp_path, key]):
-        done = palpate("library", *arguments)
-        assert done.returncode == 0
-        assert "\x1b[2J" not in done.stdout
-        assert r"\x1b[2J" in done.stdout
+        result = palpate("library", *arguments)
+        assert result.returncode == 0
+        assert "\x1b[2J" not in result.stdout
+        assert r"\x1b[2J" in result.stdout
 
 
 def pictures(folder, names):
@@ -43,28 +43,28 @@ CLEAR = "\x1b]0;owned\x07\x1b[2J\x9b31m"
 
 
 def test_escapes_in_names_of_files_are_shown(palpate, tmp_path):
-    """In results, refusals and warnings alike, on both outputs."""
+    """They are visible text in results, refusals and warnings, on both outputs."""
     folder, model = tmp_path / f"things{CLEAR}", tmp_path / "m.palpate"
     names = [f"{o}{CLEAR}/{n}.png" for o in ("mug", "pen") for n in range(6)]
     pictures(folder, names)
-    asked = [
+    commands = [
         ["learn", folder, "-o", model, "--preset", "liu2014"],
         ["recognise", model, folder],
         ["check", folder],
         ["learn", folder / "nothing", "-o", model],
         ["evaluate", "--train", folder, "--test", folder, "--preset", "liu2014"],
     ]
-    said = []
-    for arguments in asked:
-        done = palpate(*arguments)
-        said.append(done.stdout + done.stderr)
+    outputs = []
+    for arguments in commands:
+        result = palpate(*arguments)
+        outputs.append(result.stdout + result.stderr)
     (folder / names[0]).write_bytes(b"no picture")
-    for arguments in (asked[0], [*asked[0], "--skip-bad"], asked[2]):
-        done = palpate(*arguments)
-        said.append(done.stdout + done.stderr)
-    for one in said:
-        assert not {"\x1b", "\x07", "\x9b"} & {*one}, repr(one)
-    assert sum(r"\x1b[2J" in one for one in said) >= 6
+    for arguments in (commands[0], [*commands[0], "--skip-bad"], commands[2]):
+        result = palpate(*arguments)
+        outputs.append(result.stdout + result.stderr)
+    for output in outputs:
+        assert not {"\x1b", "\x07", "\x9b"} & {*output}, repr(output)
+    assert sum(r"\x1b[2J" in output for output in outputs) >= 6
 
 
 def test_warnings_show_what_a_terminal_would_obey(palpate, monkeypatch):
@@ -75,9 +75,9 @@ def test_warnings_show_what_a_terminal_would_obey(palpate, monkeypatch):
         print(warnings.formatwarning(*about), file=sys.stderr)
 
     monkeypatch.setattr("palpate.cli.app", warned)
-    said = palpate("doctor").stderr
-    assert r"\x1b[2J" in said
-    assert "\x1b" not in said
+    printed = palpate("doctor").stderr
+    assert r"\x1b[2J" in printed
+    assert "\x1b" not in printed
     assert warnings.formatwarning is usual
 
 
@@ -103,30 +103,30 @@ def test_warnings_show_what_a_terminal_would_obey(palpate, monkeypatch):
 )
 @pytest.mark.parametrize("as_json", [False, True])
 def test_wrong_usage_shows_what_was_typed(palpate, tmp_path, arguments, as_json):
-    done = palpate(*arguments, *["--json"] * as_json, cwd=tmp_path)
-    assert done.returncode in (1, 2)
-    said = done.stdout + done.stderr
-    assert not {"\x1b", "\x07", "\x9b"} & {*said}, repr(said)
-    assert "owned" in said
+    result = palpate(*arguments, *["--json"] * as_json, cwd=tmp_path)
+    assert result.returncode in (1, 2)
+    printed = result.stdout + result.stderr
+    assert not {"\x1b", "\x07", "\x9b"} & {*printed}, repr(printed)
+    assert "owned" in printed
 
 
-def test_where_a_server_is_is_shown(monkeypatch, capsys):
-    """A host's name and a token that were given come back on both outputs."""
+def test_escapes_in_the_address_of_a_server_are_shown(monkeypatch, capsys):
+    """A given host name and a given token are printed again, on both outputs."""
     serve._say_where(CLEAR, 80, CLEAR, as_json=False)
     printed = capsys.readouterr()
-    for one in (printed.out, printed.err):
-        assert not {"\x1b", "\x07", "\x9b"} & {*one}, repr(one)
-        assert r"\x1b[2J" in one
+    for output in (printed.out, printed.err):
+        assert not {"\x1b", "\x07", "\x9b"} & {*output}, repr(output)
+        assert r"\x1b[2J" in output
 
 
-def test_what_a_sensor_says_of_itself_is_shown(monkeypatch, capsys):
+def test_escapes_in_what_a_sensor_says_of_itself_are_shown(monkeypatch, capsys):
     """Names of cameras come from the device, those of recordings from a file."""
-    refused = ContactError(f"{CLEAR} is pressed.")
+    refusal = ContactError(f"{CLEAR} is pressed.")
     sensor = SimpleNamespace(unfixed=f"{CLEAR} does not hold still.")
 
     def refuse(*, force=False):
         if not force:
-            raise refused
+            raise refusal
 
     session = SimpleNamespace(
         watch=SimpleNamespace(sensor=sensor), baseline=None, take_baseline=refuse
@@ -134,18 +134,18 @@ def test_what_a_sensor_says_of_itself_is_shown(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     need_baseline(session)
-    said = capsys.readouterr().err
-    assert not {"\x1b", "\x07", "\x9b"} & {*said}, repr(said)
-    assert said.count(r"\x1b[2J") == 2
+    printed = capsys.readouterr().err
+    assert not {"\x1b", "\x07", "\x9b"} & {*printed}, repr(printed)
+    assert printed.count(r"\x1b[2J") == 2
 
 
-def test_nothing_is_printed_past_the_one_function():
-    """What prints is `say`, or draws with rich and what `printable` returned."""
+def test_only_the_module_of_output_prints():
+    """Other modules call `say`, or give rich what `printable` returned."""
     folder = Path(cli.__file__).parent
     raw = re.compile(r"(?<![\w.])print\(|typer\.s?echo|\.write\(|Console\(|\.secho")
-    found = {
+    printing_files = {
         path.name
         for path in folder.glob("*.py")
         if path.name != "_output.py" and raw.search(path.read_text())
     }
-    assert not found
+    assert not printing_files

@@ -38,80 +38,80 @@ def model(learnt, tmp_path):
 
 
 def test_learning_writes_a_model_and_its_touches_and_goes_on(palpate, tmp_path):
-    wish = (
+    words = (
         "explore", "learn", "pen", "ball", "--touches", 4, "--sessions", 2,
         "--rows", 32, "--workers", 1, "--json", "--folder", "kept",
     )  # fmt: skip
-    done = palpate(*wish, "-o", "m.palpate", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["labels"] == ["ball", "pen"]
-    made = Touches.load(tmp_path / found["touches"])
-    assert made.object.tolist() == ["pen"] * 4 + ["ball"] * 4
-    assert made.columns["direction"].shape == (8, 3)
-    assert ObjectRecogniser.load(tmp_path / found["model"]).classes_.size == 2
-    # What was recorded is not touched again: its files keep their times.
+    result = palpate(*words, "-o", "m.palpate", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    answer = json.loads(result.stdout)
+    assert answer["labels"] == ["ball", "pen"]
+    touches = Touches.load(tmp_path / answer["touches"])
+    assert touches.object.tolist() == ["pen"] * 4 + ["ball"] * 4
+    assert touches.columns["direction"].shape == (8, 3)
+    assert ObjectRecogniser.load(tmp_path / answer["model"]).classes_.size == 2
+    # Recorded touches are not made again: their files keep their times.
     files = sorted((tmp_path / "kept").rglob("touch_*.npz"))
     times = [file.stat().st_mtime_ns for file in files]
-    again = palpate(*wish, "-o", "again.palpate", cwd=tmp_path)
+    again = palpate(*words, "-o", "again.palpate", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert [file.stat().st_mtime_ns for file in files] == times
-    assert np.array_equal(Touches.load(tmp_path / "again.npz").images, made.images)
+    assert np.array_equal(Touches.load(tmp_path / "again.npz").images, touches.images)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["informative", "random", "raster"])
-def test_every_strategy_comes_to_an_end(told, model, strategy):
-    found = told(
+def test_every_strategy_comes_to_an_end(answer_of, model, strategy):
+    answer = answer_of(
         "explore", "recognise", model, "ball", "--strategy", strategy,
         "--max-touches", 6,
     )  # fmt: skip
-    assert found["strategy"] == strategy
-    assert found["ended_by"] in ENDS
-    assert found["n_attempts"] == len(found["attempts"]) <= 6
-    for attempt in found["attempts"]:
+    assert answer["strategy"] == strategy
+    assert answer["ended_by"] in ENDS
+    assert answer["n_attempts"] == len(answer["attempts"]) <= 6
+    for attempt in answer["attempts"]:
         assert set(attempt["posterior"]) == {"ball", "box", "pen"}
         # Probabilities in doubles: rounding of four terms.
-        known = sum(attempt["posterior"].values())
-        assert abs(known + attempt["unknown"] - 1) < 1e-9
+        known_probability = sum(attempt["posterior"].values())
+        assert abs(known_probability + attempt["unknown"] - 1) < 1e-9
 
 
 def test_the_belief_is_drawn_and_faults_are_shown(palpate, model, tmp_path):
-    done = palpate(
+    result = palpate(
         "explore", "recognise", model, "box", "--strategy", "raster", "--error", 1e-6,
         "--max-touches", 3, "--fault", "1=no force", "--folder", "kept", cwd=tmp_path,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
     assert "touch   1" in lines[0]
     assert "reads nan" in lines[1]
     outcomes = [record.outcome for record in read_episode(tmp_path / "kept")]
     assert outcomes[:2] == ["touched", "force sensor"]
 
 
-def test_flags_faults_and_what_moved_the_belief_are_given(told, model):
-    found = told(
+def test_flags_faults_and_what_moved_the_belief_are_given(answer_of, model):
+    answer = answer_of(
         "explore", "recognise", model, "box", "--error", 1e-6, "--max-touches", 4,
         "--fault", "0=no frame", "--fault", "2=out of reach",
     )  # fmt: skip
-    outcomes = [attempt["outcome"] for attempt in found["attempts"]]
+    outcomes = [attempt["outcome"] for attempt in answer["attempts"]]
     assert outcomes == ["no frame", "touched", "nothing", "touched"]
-    flags = [attempt["flag"] for attempt in found["attempts"]]
+    flags = [attempt["flag"] for attempt in answer["attempts"]]
     assert [flag is None for flag in flags] == [True, False, True, False]
-    assert {moved["attempt"] for moved in found["explanation"]} == {1, 3}
-    for moved in found["explanation"]:
+    assert {moved["attempt"] for moved in answer["explanation"]} == {1, 3}
+    for moved in answer["explanation"]:
         assert moved["flag"] == flags[moved["attempt"]]
         assert {near["object"] for near in moved["nearest"]} <= {"ball", "box", "pen"}
 
 
-def test_a_refusal_reaches_the_belief(palpate, model, asked):
-    done = palpate(
+def test_a_refusal_reaches_the_belief(palpate, model, error_shares):
+    result = palpate(
         "explore", "recognise", model, "ball", "--strategy", "random",
         "--max-touches", 2, "--error", 0.02, "--refusal", 0.3,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    # One that is read is tried first, at the usual error.
-    assert asked - {(0.01, None)} == {(0.02, 0.3)}
+    assert result.returncode == 0, result.stderr
+    # A model that is read is tried first, at the usual error.
+    assert error_shares - {(0.01, None)} == {(0.02, 0.3)}
 
 
 FAULTS = (
@@ -121,20 +121,20 @@ FAULTS = (
 
 
 def test_every_fault_is_in_the_help(palpate):
-    shown = palpate("explore", "recognise", "--help").stdout
-    words = " ".join(shown.replace("│", " ").split())
+    help_text = palpate("explore", "recognise", "--help").stdout
+    words = " ".join(help_text.replace("│", " ").split())
     assert all(fault in words for fault in FAULTS)
 
 
-def test_fewer_touches_than_a_folder_holds(palpate, tmp_path):
+def test_fewer_touches_than_a_folder_holds_are_learnt(palpate, tmp_path):
     for touches in (4, 2):
-        done = palpate(
+        result = palpate(
             "explore", "learn", "pen", "ball", "--touches", touches, "--sessions", 1,
             "--rows", 32, "--workers", 1, "--folder", "kept", "-o", "m.palpate",
             cwd=tmp_path,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        assert f"Explored 2 objects with {2 * touches} touches." in done.stdout
+        assert result.returncode == 0, result.stderr
+        assert f"Explored 2 objects with {2 * touches} touches." in result.stdout
         assert len(Touches.load(tmp_path / "m.npz")) == 2 * touches
     assert len(read_episode(tmp_path / "kept" / "pen" / "0")) >= 4
 
@@ -189,10 +189,10 @@ def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
     program = start()
     _, errors = program.communicate(timeout=120)
     assert program.returncode == 0, errors
-    made = Touches.load(tmp_path / "m.npz")
-    assert made.object.tolist() == ["pen"] * 8 + ["ball"] * 8
+    touches = Touches.load(tmp_path / "m.npz")
+    assert touches.object.tolist() == ["pen"] * 8 + ["ball"] * 8
     kept_images = [image for image in images if image is not None]
-    assert all(map(np.array_equal, made.images, kept_images))
+    assert all(map(np.array_equal, touches.images, kept_images))
 
 
 @pytest.mark.parametrize(
@@ -228,27 +228,29 @@ def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
         (["recognise", "gone.palpate", "ball"], "no model file gone.palpate"),
     ],
 )
-def test_refusals(palpate, model, tmp_path, arguments, message):
+def test_a_wrong_argument_is_refused_and_leaves_no_file(
+    palpate, model, tmp_path, arguments, message
+):
     few = (
         ["learn", "--workers", "1", "--rows", "24", "--touches", "3"]
         if arguments[0] == "learn"
         else ["recognise"]
     )
-    done = palpate("explore", *few, *arguments[1:], cwd=tmp_path)
-    assert done.returncode == 1
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    result = palpate("explore", *few, *arguments[1:], cwd=tmp_path)
+    assert result.returncode == 1
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.npz", "m.palpate"]
 
 
-def test_what_is_believed_is_drawn_from_above(palpate, model, tmp_path):
+def test_the_belief_is_drawn_from_above(palpate, model, tmp_path):
     pytest.importorskip("matplotlib")
-    wish = ("explore", "recognise", model, "box", "--max-touches", 1)
-    done = palpate(*wish, "--picture", "above.png", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    words = ("explore", "recognise", model, "box", "--max-touches", 1)
+    result = palpate(*words, "--picture", "above.png", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
     assert (tmp_path / "above.png").read_bytes().startswith(b"\x89PNG")
     (tmp_path / "m.npz").unlink()
-    bare = palpate(*wish, "--strategy", "random", "--picture", "no.png", cwd=tmp_path)
+    bare = palpate(*words, "--strategy", "random", "--picture", "no.png", cwd=tmp_path)
     assert bare.returncode == 1
     assert "--picture needs to know where touches were made" in bare.stderr
     assert not (tmp_path / "no.png").exists()
@@ -256,15 +258,15 @@ def test_what_is_believed_is_drawn_from_above(palpate, model, tmp_path):
 
 def test_choosing_needs_the_touches_that_were_learnt(palpate, model, tmp_path):
     (tmp_path / "m.npz").unlink()
-    done = palpate("explore", "recognise", model, "ball")
-    assert done.returncode == 1
-    assert "--taught" in done.stderr
+    result = palpate("explore", "recognise", model, "ball")
+    assert result.returncode == 1
+    assert "--taught" in result.stderr
 
 
 def test_a_model_of_another_sensor_is_refused(palpate, tmp_path):
     rng = np.random.default_rng(0)
     touches = Touches(rng.random((8, 3, 8)), object=["a", "b"] * 4, geometry="none")
     path = ObjectRecogniser().fit(touches).save(tmp_path / "array.palpate")
-    done = palpate("explore", "recognise", path, "ball", "--strategy", "random")
-    assert done.returncode == 1
-    assert "must be of a dome camera, got one of 3 x 8" in done.stderr
+    result = palpate("explore", "recognise", path, "ball", "--strategy", "random")
+    assert result.returncode == 1
+    assert "must be of a dome camera, got one of 3 x 8" in result.stderr

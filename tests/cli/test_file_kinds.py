@@ -44,8 +44,8 @@ def pictures(folder, ending):
     pad = folder / "cup"
     pad.mkdir()
     for number, image in enumerate(IMAGES):
-        how = {"lossless": True} if ending == "webp" else {}
-        Image.fromarray(image).save(pad / f"{number}.{ending}", **how)
+        options = {"lossless": True} if ending == "webp" else {}
+        Image.fromarray(image).save(pad / f"{number}.{ending}", **options)
     return folder
 
 
@@ -57,13 +57,13 @@ def labelled(folder):
     return folder
 
 
-def text(folder, name, **how):
-    np.savetxt(folder / name, IMAGES.reshape(4, -1), fmt="%d", **how)
+def text(folder, name, **options):
+    np.savetxt(folder / name, IMAGES.reshape(4, -1), fmt="%d", **options)
     return folder / name
 
 
 def clocked(folder):
-    """Five lines or more whose first column rises evenly, without names."""
+    """Write lines of numbers without names; the first column is an even clock."""
     rows = IMAGES.reshape(8, 15)
     rows = np.column_stack([1e9 + 0.04 * np.arange(8), rows])
     np.savetxt(folder / "t.csv", rows, delimiter=",")
@@ -86,21 +86,21 @@ def npz(folder):
 
 
 def bag(folder, generation):
-    """A bag of ROS 1 or 2 of four pictures."""
+    """Write a bag of ROS 1 or 2 with four pictures."""
     typesys = pytest.importorskip("rosbags.typesys")
     package = pytest.importorskip(f"rosbags.rosbag{generation}")
-    known = {1: "ROS1_NOETIC", 2: "ROS2_HUMBLE"}[generation]
-    types = typesys.get_typestore(getattr(typesys.Stores, known))
-    kind, made = "sensor_msgs/msg/Image", types.types
+    store_name = {1: "ROS1_NOETIC", 2: "ROS2_HUMBLE"}[generation]
+    types = typesys.get_typestore(getattr(typesys.Stores, store_name))
+    kind, message_types = "sensor_msgs/msg/Image", types.types
     path = folder / ("t.bag" if generation == 1 else "bag")
-    how = {} if generation == 1 else {"version": 9}
-    with package.Writer(path, **how) as writer:
+    options = {} if generation == 1 else {"version": 9}
+    with package.Writer(path, **options) as writer:
         connection = writer.add_connection("/pad", kind, typestore=types)
         for number, image in enumerate(IMAGES):
-            stamp = made["builtin_interfaces/msg/Time"](5 + number, 0)
+            stamp = message_types["builtin_interfaces/msg/Time"](5 + number, 0)
             counted = (number,) if generation == 1 else ()
-            header = made["std_msgs/msg/Header"](*counted, stamp, "pad")
-            message = made[kind](header, 5, 6, "mono8", 0, 6, image.ravel())
+            header = message_types["std_msgs/msg/Header"](*counted, stamp, "pad")
+            message = message_types[kind](header, 5, 6, "mono8", 0, 6, image.ravel())
             serialize = getattr(
                 types, {1: "serialize_ros1", 2: "serialize_cdr"}[generation]
             )
@@ -162,21 +162,21 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_goes_into_a_library_as_it_is(kind, told, tmp_path):
+def test_a_file_goes_into_a_library_as_it_is(kind, answer_of, tmp_path):
     write, options, compare = KINDS[kind]
     (tmp_path / "files").mkdir()
     path, lab = write(tmp_path / "files"), tmp_path / "lab"
-    told("library", "add", lab, path, *options)
+    answer_of("library", "add", lab, path, *options)
     with TouchLibrary.open(lab) as library:
         touches = library.touches()
         assert touches.object is not None
         compare(touches.images)
 
 
-def test_what_a_running_topic_shows_must_be_said(palpate, tmp_path):
-    done = palpate("library", "add", tmp_path / "lab", "ros:/pad?domain=3")
-    assert done.returncode == 1
-    assert "--object NAME must be given with a running sensor" in done.stderr
+def test_touches_of_a_running_topic_need_the_name_of_an_object(palpate, tmp_path):
+    result = palpate("library", "add", tmp_path / "lab", "ros:/pad?domain=3")
+    assert result.returncode == 1
+    assert "--object NAME must be given with a running sensor" in result.stderr
     assert not (tmp_path / "lab").exists()
 
 
@@ -206,10 +206,10 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_what_cannot_be_read_is_refused_in_a_sentence(kind, palpate, tmp_path):
+def test_a_file_that_cannot_be_read_is_refused_in_a_sentence(kind, palpate, tmp_path):
     write, options = REFUSED[kind]
     path = write(tmp_path)
-    done = palpate("library", "add", tmp_path / "lab", path, *options)
-    assert done.returncode in (1, 2)
-    assert "Traceback" not in done.stderr
-    assert path.name in done.stderr.replace("\n", "")
+    result = palpate("library", "add", tmp_path / "lab", path, *options)
+    assert result.returncode in (1, 2)
+    assert "Traceback" not in result.stderr
+    assert path.name in result.stderr.replace("\n", "")

@@ -1,4 +1,4 @@
-"""A disk without room: one sentence with the name asked for; the old file stays."""
+"""A disk without room: one sentence names the output; the old file stays."""
 
 import errno
 import os
@@ -32,17 +32,19 @@ def no_room():
         ("evaluate --train {} --split last --touches 1 --orders 2 --report", "r.html"),
     ],
 )
-def test_an_output_without_room(palpate, tmp_path, rng, verb, name):
+def test_an_output_without_room_is_refused_and_the_old_file_stays(
+    palpate, tmp_path, rng, verb, name
+):
     archive, target = tmp_path / "touches.npz", tmp_path / name
     images = rng.uniform(0, 9, (24, 8, 8))
     Touches(images, object=["a", "b"] * 12, geometry="array").save(archive)
     target.write_bytes(b"old")
     with no_room():
-        done = palpate(*verb.format(archive).split(), target)
-    assert done.returncode == 1, done.stderr
-    assert f"{target} must be a place with room" in done.stderr
-    assert os.strerror(errno.EFBIG) in done.stderr
-    assert "Free space" in done.stderr
-    assert "Traceback" not in done.stderr
+        result = palpate(*verb.format(archive).split(), target)
+    assert result.returncode == 1, result.stderr
+    assert f"{target} must be a place with room" in result.stderr
+    assert os.strerror(errno.EFBIG) in result.stderr
+    assert "Free space" in result.stderr
+    assert "Traceback" not in result.stderr
     assert target.read_bytes() == b"old"
     assert {path.name for path in tmp_path.iterdir()} == {archive.name, name}

@@ -34,26 +34,26 @@ def archive(tmp_path):
 @pytest.fixture
 def folder(tmp_path, archive, palpate):
     folder = tmp_path / "library"
-    done = palpate("library", "add", folder, archive, "--session", "monday", "--json")
-    assert json.loads(done.stdout)["added"] == 60
+    result = palpate("library", "add", folder, archive, "--session", "monday", "--json")
+    assert json.loads(result.stdout)["added"] == 60
     return folder
 
 
 def test_adding_twice_adds_once(palpate, folder, archive):
-    done = palpate("library", "add", folder, archive, "--session", "monday")
-    assert done.stdout.startswith("0 new of 60 touches; 60 in")
+    result = palpate("library", "add", folder, archive, "--session", "monday")
+    assert result.stdout.startswith("0 new of 60 touches; 60 in")
 
 
 def test_touches_are_listed_and_shown(palpate, folder, tmp_path):
-    done = palpate("library", "list", folder, "--where", "object = mug", "--json")
-    rows = json.loads(done.stdout)["rows"]
+    result = palpate("library", "list", folder, "--where", "object = mug", "--json")
+    rows = json.loads(result.stdout)["rows"]
     assert len(rows) == 20
     assert {row["session"] for row in rows} == {"monday"}
-    done = palpate("library", "list", folder, "--objects")
-    assert all(name in done.stdout for name in NAMES)
+    result = palpate("library", "list", folder, "--objects")
+    assert all(name in result.stdout for name in NAMES)
     key = rows[3]["id"]
-    done = palpate("library", "show", folder, key, "-o", tmp_path / "i.npy", "--json")
-    assert json.loads(done.stdout)["object"] == "mug"
+    result = palpate("library", "show", folder, key, "-o", tmp_path / "i.npy", "--json")
+    assert json.loads(result.stdout)["object"] == "mug"
     assert np.load(tmp_path / "i.npy").shape == (3, 24)
     assert palpate("library", "show", folder, "zz").returncode == 1
     assert "mug" in palpate("library", "show", folder, key[:12]).stdout
@@ -63,32 +63,32 @@ def test_touches_are_listed_and_shown(palpate, folder, tmp_path):
 def test_objects_are_renamed_merged_retracted_and_restored(palpate, folder):
     assert "is now cup" in palpate("library", "rename", folder, "mug", "cup").stdout
     assert "part of pen" in palpate("library", "merge", folder, "cup", "pen").stdout
-    done = palpate("library", "retract", folder, "object = ball", "--reason", "wet")
-    assert done.stdout == "20 touches retracted.\n"
+    result = palpate("library", "retract", folder, "object = ball", "--reason", "wet")
+    assert result.stdout == "20 touches retracted.\n"
     stats = json.loads(palpate("library", "stats", folder, "--json").stdout)
     assert (stats["n_touches"], stats["n_retracted"], stats["n_objects"]) == (40, 20, 1)
-    done = palpate("library", "restore", folder, "object = ball")
-    assert done.stdout == "20 touches back.\n"
+    result = palpate("library", "restore", folder, "object = ball")
+    assert result.stdout == "20 touches back.\n"
     assert "n_touches" in palpate("library", "stats", folder).stdout
 
 
 def test_a_filter_to_retract_may_be_an_option_and_says_what_it_did(palpate, folder):
-    def told(*words):
-        done = palpate("library", *words, "--json")
-        return done.returncode, json.loads(done.stdout)
+    def outcome(*words):
+        result = palpate("library", *words, "--json")
+        return result.returncode, json.loads(result.stdout)
 
     where = "--where", "object = ball"
     why = "--reason", "wet"
-    assert told("retract", folder, *where, *why) == (0, {"retracted": 20})
-    assert told("retract", folder, *where, *why) == (0, {"retracted": 0})
-    assert told("restore", folder, *where) == (0, {"restored": 20})
+    assert outcome("retract", folder, *where, *why) == (0, {"retracted": 20})
+    assert outcome("retract", folder, *where, *why) == (0, {"retracted": 0})
+    assert outcome("restore", folder, *where) == (0, {"restored": 20})
     for words, got in ((why, "neither"), ((*why, *where, "object = pen"), "both")):
-        code, said = told("retract", folder, *words)
-        assert (code, said["error"][-len(got) - 1 :]) == (1, f"{got}.")
-    assert told("stats", folder)[1]["n_retracted"] == 0
-    assert told("rename", folder, "mug", "cup") == (0, {"old": "mug", "new": "cup"})
+        code, answer = outcome("retract", folder, *words)
+        assert (code, answer["error"][-len(got) - 1 :]) == (1, f"{got}.")
+    assert outcome("stats", folder)[1]["n_retracted"] == 0
+    assert outcome("rename", folder, "mug", "cup") == (0, {"old": "mug", "new": "cup"})
     merged = {"source": "cup", "into": "pen"}
-    assert told("merge", folder, "cup", "pen") == (0, merged)
+    assert outcome("merge", folder, "cup", "pen") == (0, merged)
 
 
 @pytest.mark.parametrize(
@@ -106,44 +106,44 @@ def test_a_filter_to_retract_may_be_an_option_and_says_what_it_did(palpate, fold
     ids=" ".join,
 )
 def test_a_misspelt_object_is_named_with_the_one_meant(palpate, folder, words):
-    done = palpate(*(folder if word == "LIB" else word for word in words))
-    assert done.returncode == 1
-    assert "library ('ball', 'mug', 'pen'), got " in done.stderr
-    assert done.stderr.endswith(" Did you mean 'mug'?\n")
+    result = palpate(*(folder if word == "LIB" else word for word in words))
+    assert result.returncode == 1
+    assert "library ('ball', 'mug', 'pen'), got " in result.stderr
+    assert result.stderr.endswith(" Did you mean 'mug'?\n")
 
 
 def test_names_that_were_merged_may_still_be_filtered_by(palpate, folder):
     palpate("library", "merge", folder, "mug", "pen")
-    done = palpate("library", "list", folder, "--where", "object = mug", "--json")
-    assert (done.returncode, json.loads(done.stdout)["rows"]) == (0, [])
+    result = palpate("library", "list", folder, "--where", "object = mug", "--json")
+    assert (result.returncode, json.loads(result.stdout)["rows"]) == (0, [])
 
 
 def test_a_check_finds_damage_and_repairs(palpate, folder):
     assert palpate("library", "check", folder).returncode == 0
     with closing(sqlite3.connect(folder / "library.sqlite")) as database, database:
         database.execute("UPDATE images SET image = x'00' WHERE number <= 3")
-    done = palpate("library", "check", folder, "--json")
-    assert done.returncode == 1
-    assert [len(p["touches"]) for p in json.loads(done.stdout)["problems"]] == [1] * 3
-    done = palpate("library", "check", folder, "--repair")
-    assert done.returncode == 0
-    assert "57 touches and 0 changes kept in a new database" in done.stdout
-    assert "Lost: 3 touches, 0 changes." in done.stdout
+    result = palpate("library", "check", folder, "--json")
+    assert result.returncode == 1
+    assert [len(p["touches"]) for p in json.loads(result.stdout)["problems"]] == [1] * 3
+    result = palpate("library", "check", folder, "--repair")
+    assert result.returncode == 0
+    assert "57 touches and 0 changes kept in a new database" in result.stdout
+    assert "Lost: 3 touches, 0 changes." in result.stdout
 
 
-def test_a_backup_and_the_history_are_had(palpate, folder, tmp_path):
+def test_the_history_is_listed_and_a_backup_is_made(palpate, folder, tmp_path):
     assert palpate("library", "rename", folder, "mug", "cup").returncode == 0
     where = ("--where", "object = pen", "--reason", "wet")
     assert palpate("library", "retract", folder, *where).returncode == 0
-    done = palpate("library", "history", folder)
-    assert "rename" in done.stdout
-    assert "old mug, new cup" in done.stdout
-    assert "20 touches, reason wet" in done.stdout
-    done = palpate("library", "history", folder, "--json")
-    changes = json.loads(done.stdout)["changes"]
+    result = palpate("library", "history", folder)
+    assert "rename" in result.stdout
+    assert "old mug, new cup" in result.stdout
+    assert "20 touches, reason wet" in result.stdout
+    result = palpate("library", "history", folder, "--json")
+    changes = json.loads(result.stdout)["changes"]
     assert [change["action"] for change in changes] == ["rename", "retract"]
-    done = palpate("library", "backup", folder, tmp_path / "copy")
-    assert done.stdout.startswith("60 touches in")
+    result = palpate("library", "backup", folder, tmp_path / "copy")
+    assert result.stdout.startswith("60 touches in")
     assert palpate("library", "check", tmp_path / "copy").returncode == 0
     again = palpate("library", "backup", folder, tmp_path / "copy")
     assert again.returncode == 1
@@ -152,41 +152,43 @@ def test_a_backup_and_the_history_are_had(palpate, folder, tmp_path):
 
 def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
     out = tmp_path / "some.parquet"
-    done = palpate("library", "export", folder, "-o", out, "--by", "object")
-    assert done.returncode == 0, done.stderr
+    result = palpate("library", "export", folder, "-o", out, "--by", "object")
+    assert result.returncode == 0, result.stderr
     assert (out / "object=pen" / "part-0.parquet").is_file()
-    done = palpate("library", "add", tmp_path / "other", out, "--json")
-    assert json.loads(done.stdout) == {
+    result = palpate("library", "add", tmp_path / "other", out, "--json")
+    assert json.loads(result.stdout) == {
         "library": str(tmp_path / "other"),
         "given": 60,
         "added": 60,
     }
     model = tmp_path / "m.palpate"
-    done = palpate("learn", out, "-o", model, "--json")
-    assert json.loads(done.stdout)["n_train_touches"] == 60
-    odd = palpate("library", "add", tmp_path / "other", out, "--where", "order > 1")
-    assert odd.returncode == 1
-    assert "--where must be left out for Parquet" in odd.stderr
-    odd = palpate("library", "export", folder, "-o", out, "--by", "colour")
-    assert odd.returncode == 1
-    assert "by must be one of" in odd.stderr
+    result = palpate("learn", out, "-o", model, "--json")
+    assert json.loads(result.stdout)["n_train_touches"] == 60
+    refused = palpate("library", "add", tmp_path / "other", out, "--where", "order > 1")
+    assert refused.returncode == 1
+    assert "--where must be left out for Parquet" in refused.stderr
+    refused = palpate("library", "export", folder, "-o", out, "--by", "colour")
+    assert refused.returncode == 1
+    assert "by must be one of" in refused.stderr
 
 
 def test_touches_are_exported(palpate, folder, tmp_path):
     pens = tmp_path / "pens.npz"
-    done = palpate("library", "export", folder, "-o", pens, "--where", "object=pen")
-    assert done.stdout.startswith("20 touches in")
+    result = palpate("library", "export", folder, "-o", pens, "--where", "object=pen")
+    assert result.stdout.startswith("20 touches in")
     assert len(Touches.load(pens)) == 20
 
 
-def test_verbs_take_a_library_with_a_filter(palpate, told, folder, archive, tmp_path):
+def test_verbs_take_a_library_with_a_filter(
+    palpate, answer_of, folder, archive, tmp_path
+):
     model = tmp_path / "m.palpate"
-    done = palpate("learn", folder, "--where", "object != pen", "-o", model, "--json")
-    assert json.loads(done.stdout)["n_train_touches"] == 40
-    wish = ("--where", "object = ball", "--error", "0.05")
-    [episode] = told("recognise", model, folder, *wish)["episodes"]
+    result = palpate("learn", folder, "--where", "object != pen", "-o", model, "--json")
+    assert json.loads(result.stdout)["n_train_touches"] == 40
+    words = ("--where", "object = ball", "--error", "0.05")
+    [episode] = answer_of("recognise", model, folder, *words)["episodes"]
     assert (episode["object"], len(episode["beliefs"])) == ("ball", 20)
-    figures = told(
+    figures = answer_of(
         "evaluate",
         *("--train", folder, "--where", "order < 10"),
         *("--test", folder, "--test-where", "order >= 10"),
@@ -202,8 +204,8 @@ def test_verbs_take_a_library_with_a_filter(palpate, told, folder, archive, tmp_
     assert "must name columns of the library" in refused.stderr
 
 
-def test_a_filter_in_a_file_is_of_the_training_touches_as_a_typed_one_is(
-    told, folder, tmp_path
+def test_a_filter_in_a_file_selects_training_touches_as_a_typed_one_does(
+    answer_of, folder, tmp_path
 ):
     with TouchLibrary.open(tmp_path / "test", create=True) as library:
         library.add(_touches(1))
@@ -211,25 +213,25 @@ def test_a_filter_in_a_file_is_of_the_training_touches_as_a_typed_one_is(
     profile = tmp_path / "reading.toml"
     profile.write_text("where = 'order < 10'")
     for filtered in (("--where", "order < 10"), ("--read", profile)):
-        figures = told("evaluate", *words, *filtered)
+        figures = answer_of("evaluate", *words, *filtered)
         assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 60)
 
 
-def test_a_model_is_extended_from_new_episodes(palpate, told, folder, tmp_path):
+def test_a_model_is_extended_from_new_episodes(palpate, answer_of, folder, tmp_path):
     old, new = tmp_path / "old.palpate", tmp_path / "new.palpate"
     palpate("learn", folder, "-o", old)
     refused = palpate("learn", folder, "--extend", old, "-o", new)
     assert "has not learnt, got none" in refused.stderr
     with TouchLibrary.open(folder) as library:
         library.add(_touches(1, ("cap",)), episode="new")
-    done = palpate(
+    result = palpate(
         *("learn", folder, "--where", "episode = new"),
         *("--extend", old, "-o", new, "--json"),
     )
-    assert json.loads(done.stdout)["n_labels"] == 4
+    assert json.loads(result.stdout)["n_labels"] == 4
     with TouchLibrary.open(folder) as library:
         library.add(_touches(2, ("mug",), 7), episode="more")
-    learnt = told("learn", folder, "--extend", new, "-o", new)
+    learnt = answer_of("learn", folder, "--extend", new, "-o", new)
     assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
 
 
@@ -281,15 +283,17 @@ def test_pictures_are_kept_in_colour_where_asked(palpate, tmp_path):
     Image.fromarray(flat).save(pictures / "cup" / "1.png")
     added = palpate("library", "add", tmp_path / "lab", pictures, "--colour")
     assert added.returncode == 0, added.stderr
-    done = palpate("library", "list", tmp_path / "lab", "--json")
-    assert json.loads(done.stdout)["rows"][0]["n_channels"] == 3
-    done = palpate("learn", tmp_path / "lab", "--colour", "-o", tmp_path / "m.palpate")
-    assert done.returncode == 1
-    assert "--colour must be left out for a library" in done.stderr
+    result = palpate("library", "list", tmp_path / "lab", "--json")
+    assert json.loads(result.stdout)["rows"][0]["n_channels"] == 3
+    result = palpate(
+        "learn", tmp_path / "lab", "--colour", "-o", tmp_path / "m.palpate"
+    )
+    assert result.returncode == 1
+    assert "--colour must be left out for a library" in result.stderr
 
 
 def test_films_and_tables_become_touches(palpate, tmp_path):
-    """A film by the detector, a CSV file by its lines; both with a name."""
+    """The detector finds touches in a film; each line of a CSV file is a touch."""
     cv2 = pytest.importorskip("cv2")
     film = tmp_path / "press.avi"
     out = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"FFV1"), 20, (64, 48))
@@ -300,12 +304,12 @@ def test_films_and_tables_become_touches(palpate, tmp_path):
         out.write(frame)
     out.release()
     lab = tmp_path / "lab"
-    done = palpate("library", "add", lab, film, "--object", "knob", "--begin", "5")
-    assert "1 new of 1 touch;" in done.stdout, done.stderr
+    result = palpate("library", "add", lab, film, "--object", "knob", "--begin", "5")
+    assert "1 new of 1 touch;" in result.stdout, result.stderr
     (tmp_path / "t.csv").write_text("object,a,b,c,d\npen,1,2,3,4\ncup,5,6,7,8\n")
-    done = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "2x2")
-    assert "2 new of 2 touches; 3 in" in done.stdout, done.stderr
-    odd = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "two")
-    assert "--shape must be rows x columns such as 16x16, got 'two'" in odd.stderr
+    result = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "2x2")
+    assert "2 new of 2 touches; 3 in" in result.stdout, result.stderr
+    refused = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "two")
+    assert "--shape must be rows x columns such as 16x16, got 'two'" in refused.stderr
     refused = palpate("library", "add", lab, film, "--where", "object = mug")
     assert "--where must be left out for a film" in refused.stderr

@@ -44,7 +44,7 @@ def recording(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(recording):
-    """What is learnt from them."""
+    """The file of a model that has learnt the recording."""
     recogniser = ObjectRecogniser().fit(Touches.load(recording))
     return recogniser.save(recording.with_name("model.palpate"))
 
@@ -56,11 +56,11 @@ def replay(recording):
 
 def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_path):
     library, archive = tmp_path / "library", tmp_path / "bar.npz"
-    done = palpate(
+    result = palpate(
         *["record", "bar", *replay, "--gap", "3", "--place", "bar", "-n", "4"],
         *["--library", str(library), "-o", str(archive), "--json"],
     )
-    assert json.loads(done.stdout) == {
+    assert json.loads(result.stdout) == {
         "object": "bar",
         "touches": 4,
         "library": str(library),
@@ -69,40 +69,40 @@ def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_p
     touches = Touches.load(archive)
     assert touches.object.tolist() == ["bar"] * 4
     assert touches.no_contact.shape == (12, 12)
-    assert "touch 4 of 4" in done.stderr
+    assert "touch 4 of 4" in result.stderr
 
 
-def test_an_address_may_say_what_options_say(told, recording, tmp_path):
+def test_the_address_of_a_sensor_may_hold_its_options(answer_of, recording, tmp_path):
     address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
     words = ["record", "bar", "--sensor", address, "-n", "3", "--rate", "200"]
-    assert told(*words, "--library", tmp_path / "l")["touches"] == 3
+    assert answer_of(*words, "--library", tmp_path / "l")["touches"] == 3
 
 
 def test_touches_of_a_running_sensor_are_added(palpate, recording, tmp_path):
     address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
     words = ["--object", "bar", "-n", "3", "--session", "monday", "--json"]
-    done = palpate("library", "add", tmp_path / "lab", address, *words)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["added"] == 3
+    result = palpate("library", "add", tmp_path / "lab", address, *words)
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["added"] == 3
     with TouchLibrary.open(tmp_path / "lab") as library:
         rows = library.list()
     assert [(row.object, row.session) for row in rows] == [("bar", "monday")] * 3
 
 
 def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
-    done = palpate(
+    result = palpate(
         *["record", "bar", "--sensor", "sim:bar10", "--rate", "50", "--gap", "10000"],
         *["--library", str(tmp_path / "l"), "--timeout", "0.3"],
     )
-    assert done.returncode == 1
-    assert "No touch in 0.3 s" in done.stderr
+    assert result.returncode == 1
+    assert "No touch in 0.3 s" in result.stderr
 
 
 def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
     listeners, event = [], SimpleNamespace(kind="state")
 
     class Lesson:
-        """Of which one touch more is stored, and told, just after they are counted."""
+        """A lesson that stores one touch more, and reports it, after each count."""
 
         def __init__(self, n_without_contact=0):
             self.ids, self._n_without = [], n_without_contact
@@ -128,7 +128,7 @@ def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
     messages = recorded(Lesson())
     assert "No touch" not in messages
     assert "without contact" not in messages
-    # As on the page, one without contact is stored and another one is asked for.
+    # As on the page, a touch without contact is stored and one more is asked for.
     messages = recorded(Lesson(n_without_contact=3))
     assert "without contact: it does not count" in messages
     assert "touch 2 of 2" in messages
@@ -136,56 +136,58 @@ def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
 
 
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
-    said = palpate(
+    result = palpate(
         "live", str(model), *replay, "--gap", "3", "--place", "bar", "-n", "6"
     )
-    assert said.returncode == 0
-    assert "touch   1" in said.stdout
-    done = palpate(
+    assert result.returncode == 0
+    assert "touch   1" in result.stdout
+    result = palpate(
         *["live", str(model), *replay, "--gap", "3", "--place", "disc", "-n", "5"],
         *["--episodes", "2", "--json"],
     )
-    episodes = json.loads(done.stdout)["episodes"]
+    episodes = json.loads(result.stdout)["episodes"]
     assert [episode["number"] for episode in episodes] == [1, 2]
     for episode in episodes:
         assert episode["best"] == "disc"
         assert 1 <= len(episode["touches"]) <= 5
 
 
-def test_live_says_what_the_camera_changes_by_itself(
+def test_live_warns_of_a_camera_that_changes_its_exposure(
     palpate, replay, model, monkeypatch
 ):
-    said = "does not keep exposure fixed"
-    monkeypatch.setattr("palpate.sensors.LiveSensor.unfixed", said)
+    warning = "does not keep exposure fixed"
+    monkeypatch.setattr("palpate.sensors.LiveSensor.unfixed", warning)
     words = ["live", model, *replay, "--gap", "3", "--place", "bar", "-n", "1"]
-    assert said in palpate(*words).stderr
+    assert warning in palpate(*words).stderr
 
 
 LEVELS = "--error", "0.02", "--refusal", "0.3"
 
 
-def test_live_decides_at_the_refusal_asked_for(palpate, replay, model, asked):
+def test_live_decides_at_the_refusal_asked_for(palpate, replay, model, error_shares):
     words = ["live", model, *replay, "--gap", "3", "-n", "2", *LEVELS, "--json"]
     (episode,) = json.loads(palpate(*words).stdout)["episodes"]
     assert (episode["error"], episode["refusal"]) == (0.02, 0.3)
     # A model that is read is tried first, at the usual error.
-    assert asked - {(0.01, None)} == {(0.02, 0.3)}
+    assert error_shares - {(0.01, None)} == {(0.02, 0.3)}
 
 
 def test_serve_decides_at_the_refusal_asked_for(
-    palpate, monkeypatch, recording, model, asked
+    palpate, monkeypatch, recording, model, error_shares
 ):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
-    ends, touches = [], Touches.load(recording)
+    episodes, touches = [], Touches.load(recording)
 
     def run(server, app):
-        asked.clear()
-        ends.append(app.state.session.post_touch(touches.images[0]))
+        error_shares.clear()
+        episodes.append(app.state.session.post_touch(touches.images[0]))
 
     monkeypatch.setattr(PageServer, "run", run)
     assert palpate("serve", "--model", model, "--port", "0", *LEVELS).returncode == 0
-    assert [(end["error"], end["refusal"]) for end in ends] == [(0.02, 0.3)]
-    assert asked == {(0.02, 0.3)}
+    assert [(episode["error"], episode["refusal"]) for episode in episodes] == [
+        (0.02, 0.3)
+    ]
+    assert error_shares == {(0.02, 0.3)}
 
 
 def test_a_model_of_colours_is_refused_with_a_grey_sensor(
@@ -195,13 +197,13 @@ def test_a_model_of_colours_is_refused_with_a_grey_sensor(
     colour = np.stack([grey.images] * 3, axis=-1)
     touches = Touches(colour, object=grey.object, channels=["r", "g", "b"])
     ObjectRecogniser().fit(touches).save(model)
-    done = palpate("live", model, *replay)
-    assert done.returncode == 1
-    said = " ".join(done.stderr.split())
-    assert "of images of 12 x 12 taxels in grey" in said
-    assert "got one of 12 x 12 taxels in colour" in said
-    assert "with colour=1" in said
-    assert "Traceback" not in said
+    result = palpate("live", model, *replay)
+    assert result.returncode == 1
+    message = " ".join(result.stderr.split())
+    assert "of images of 12 x 12 taxels in grey" in message
+    assert "got one of 12 x 12 taxels in colour" in message
+    assert "with colour=1" in message
+    assert "Traceback" not in message
 
 
 @pytest.mark.parametrize(
@@ -230,15 +232,17 @@ def test_a_model_of_colours_is_refused_with_a_grey_sensor(
         (["--sensor", "telepathy"], "camera:NAME"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(palpate, monkeypatch, tmp_path, words, message):
+def test_a_wrong_option_of_a_sensor_is_refused_in_one_sentence(
+    palpate, monkeypatch, tmp_path, words, message
+):
     monkeypatch.setenv("COLUMNS", "200")
-    done = palpate("record", "x", *words, "--library", tmp_path / "library")
-    assert done.returncode in (1, 2)
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    result = palpate("record", "x", *words, "--library", tmp_path / "library")
+    assert result.returncode in (1, 2)
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
 
 
-def test_serve_prints_an_address_that_opens_and_ends_when_told():
+def test_serve_prints_an_address_that_opens_and_ends_by_ctrl_c():
     pytest.importorskip("fastapi", reason='needs the extra "web"')
     process = subprocess.Popen(
         [sys.executable, "-m", "palpate", "serve", "--port", "0", "--json"],
@@ -246,17 +250,17 @@ def test_serve_prints_an_address_that_opens_and_ends_when_told():
         stderr=subprocess.PIPE,
         text=True,
     )
-    done = json.loads(process.stdout.readline())
-    assert done["address"].startswith("http://127.0.0.1:")
-    assert httpx.get(done["address"]).status_code == 401
+    server = json.loads(process.stdout.readline())
+    assert server["address"].startswith("http://127.0.0.1:")
+    assert httpx.get(server["address"]).status_code == 401
     answer = httpx.get(
-        done["address"], params={"token": done["token"]}, follow_redirects=True
+        server["address"], params={"token": server["token"]}, follow_redirects=True
     )
     assert "<title>palpate" in answer.text
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert out == ""
-    assert done["token"] not in err
+    assert server["token"] not in err
 
 
 @pytest.mark.parametrize(
@@ -275,18 +279,18 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
 ):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(PageServer, "run", lambda server, app: None)
-    done = palpate("serve", "--library", tmp_path / "l", "--port=0", *words)
-    assert done.returncode in (1, 2)
-    assert message in done.stderr
-    assert "Open http" not in done.stdout
+    result = palpate("serve", "--library", tmp_path / "l", "--port=0", *words)
+    assert result.returncode in (1, 2)
+    assert message in result.stderr
+    assert "Open http" not in result.stdout
     assert not (tmp_path / "l").exists()
 
 
 def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, model):
-    done = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
-    assert done.returncode == 1
-    assert "120 x 120 pixels" in done.stderr
-    assert "got one of 12 x 12" in done.stderr
+    result = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
+    assert result.returncode == 1
+    assert "120 x 120 pixels" in result.stderr
+    assert "got one of 12 x 12" in result.stderr
 
 
 def test_live_says_why_a_touch_was_not_taken(palpate, replay, model, monkeypatch):
@@ -294,9 +298,9 @@ def test_live_says_why_a_touch_was_not_taken(palpate, replay, model, monkeypatch
         raise ValueError("The touch is none.")
 
     monkeypatch.setattr("palpate.web.LiveSession._recognise", refuse)
-    done = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
-    assert done.returncode == 1
-    assert done.stderr.endswith("palpate: The touch is none.\n")
+    result = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
+    assert result.returncode == 1
+    assert result.stderr.endswith("palpate: The touch is none.\n")
 
 
 def test_record_says_that_the_disk_is_full(palpate, replay, tmp_path, monkeypatch):
@@ -310,20 +314,20 @@ def test_record_says_that_the_disk_is_full(palpate, replay, tmp_path, monkeypatc
 
     monkeypatch.setattr(TouchLibrary, "add", add)
     words = ["record", "bar", *replay, "--gap", "3", "--timeout", "20"]
-    done = palpate(*words, "--library", tmp_path / "l", "-n", "5")
-    assert done.returncode == 1
-    assert "palpate: No space left on device" in done.stderr
-    assert "2 touches of bar in" in done.stdout
+    result = palpate(*words, "--library", tmp_path / "l", "-n", "5")
+    assert result.returncode == 1
+    assert "palpate: No space left on device" in result.stderr
+    assert "2 touches of bar in" in result.stdout
 
 
 def test_a_name_with_blanks_is_recorded_and_written(palpate, replay, tmp_path):
     words = ["record", " tea  cup", *replay, "--gap", "3", "--place", "bar", "-n", "2"]
-    done = palpate(*words, "--library", tmp_path / "l", "-o", tmp_path / "cup.npz")
-    assert done.returncode == 0
+    result = palpate(*words, "--library", tmp_path / "l", "-o", tmp_path / "cup.npz")
+    assert result.returncode == 0
     assert Touches.load(tmp_path / "cup.npz").object.tolist() == ["tea cup"] * 2
 
 
-def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
+def test_a_model_learnt_of_a_library_knows_its_touches_and_sensor(
     palpate, recording, tmp_path
 ):
     folder, model = tmp_path / "library", tmp_path / "m.palpate"
@@ -332,8 +336,8 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
     with TouchLibrary.open(folder, create=True) as library:
         ids = library.add(recorded)
         library.add(recorded[:5].with_columns(object=["lone"] * 5))
-    known = "object != lone"
-    assert palpate("learn", folder, "--where", known, "-o", model).returncode == 0
+    where = "object != lone"
+    assert palpate("learn", folder, "--where", where, "-o", model).returncode == 0
     learnt = ObjectRecogniser.load(model)
     assert learnt.memory_.touch_ids.tolist() == ids
     memory = SensorMemory.from_dict(learnt.memory_.sensor)
@@ -356,13 +360,13 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
     monkeypatch.setattr(PageServer, "run", lambda server, app: None)
-    said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
-    starting, address, code = said.stdout.split("\n", 2)
+    result = palpate("serve", "--port", "0", "--host", "0.0.0.0")
+    starting, address, code = result.stdout.split("\n", 2)
     assert starting == "Starting; the address follows."
     assert re.match(r"Open http://[\d.]+:\d+/\?token=", address)
     assert "0.0.0.0" not in address  # no browser goes there
     assert "█" in code
-    assert "everybody on that network who knows the token" in said.stderr
+    assert "everybody on that network who knows the token" in result.stderr
     quiet = palpate("serve", "--port", "0")
     assert quiet.stderr == ""
     assert "█" not in quiet.stdout
@@ -374,8 +378,8 @@ def test_the_address_is_drawn_as_a_code_that_phones_read(palpate, monkeypatch):
     halves = {" ": (0, 0), "▄": (0, 1), "▀": (1, 0), "█": (1, 1)}
     codes = set()
     for _ in range(3):  # OpenCV's reader misses about 1 % of faultless codes
-        said = palpate("serve", "--port", "0", "--host", "0.0.0.0").stdout
-        _, address, *lines, _ = said.rstrip("\n").split("\n")
+        printed = palpate("serve", "--port", "0", "--host", "0.0.0.0").stdout
+        _, address, *lines, _ = printed.rstrip("\n").split("\n")
         rows = [[halves[c][half] for c in line] for line in lines for half in (0, 1)]
         drawn = np.kron(np.array(rows, np.uint8) * 255, np.ones((8, 8), np.uint8))
         read = cv2.QRCodeDetector().detectAndDecode(drawn)[0]
@@ -410,10 +414,10 @@ def test_the_core_of_the_loop_needs_none_of_the_extras():
         "print([m for m in ('fastapi', 'uvicorn', 'serial', 'cv2_enumerate_cameras') "
         "if m in sys.modules])"
     )
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    assert done.stdout.strip() == "[]"
+    assert result.stdout.strip() == "[]"
 
 
 def test_record_in_two_mountings_makes_two_sessions(
@@ -422,40 +426,40 @@ def test_record_in_two_mountings_makes_two_sessions(
     monkeypatch.setattr("sys.stdin", io.StringIO("\n" * 1000))
     archive = tmp_path / "bar.npz"
     words = ["--sessions", "2", "--changed", "new gel", "--library", tmp_path / "lab"]
-    done = palpate(
+    result = palpate(
         *["record", "bar", *replay, "--gap", "40", "--place", "bar", "-n", "4"],
         *[*words, "-o", archive],
     )
-    assert done.returncode == 0, done.stderr
-    assert "Lift the sensor and place it again" in done.stderr
+    assert result.returncode == 0, result.stderr
+    assert "Lift the sensor and place it again" in result.stderr
     names, counts = np.unique(Touches.load(archive).session, return_counts=True)
     assert counts.tolist() == [2, 2]
     assert sum("new gel" in name for name in names) == 1
     assert sum("placed again" in name for name in names) == 1
 
 
-def test_a_simulated_array_is_well(palpate, tmp_path):
+def test_a_simulated_array_is_reported_as_healthy(palpate, tmp_path):
     page = tmp_path / "health.html"
-    done = palpate(
+    result = palpate(
         *("sensor", "check", "--sensor", "sim:bar10?gap=9000&rate=100"),
         *("--seconds", "1", "--report", page, "--json"),
     )
-    found = json.loads(done.stdout)
+    answer = json.loads(result.stdout)
     # The machine may hold frames up; nothing else can be wrong with it.
-    held_up = [s for s in found["findings"] if "One frame" in s or "lost" in s]
-    assert found["findings"] == held_up
-    assert done.returncode == (1 if held_up else 0)
-    assert found["figures"]["frames"] > 24
+    held_up = [s for s in answer["findings"] if "One frame" in s or "lost" in s]
+    assert answer["findings"] == held_up
+    assert result.returncode == (1 if held_up else 0)
+    assert answer["figures"]["frames"] > 24
     assert "drift" in page.read_text()
     assert "http" not in page.read_text().replace("http-equiv", "")
 
 
-def test_a_touched_sensor_is_not_well(palpate):
-    done = palpate(
+def test_a_touched_sensor_is_not_reported_as_healthy(palpate):
+    result = palpate(
         "sensor", "check", "--sensor", "sim:bar10?rate=100", "--seconds", "1"
     )
-    assert done.returncode == 1
-    assert "touch" in done.stdout.splitlines()[0]
+    assert result.returncode == 1
+    assert "touch" in result.stdout.splitlines()[0]
 
 
 def test_reports_and_seconds_are_checked(palpate, tmp_path):
@@ -478,19 +482,19 @@ def test_a_library_that_is_served_already_is_named_with_its_address(
         assert used.returncode == 1
         assert "another program, perhaps a palpate that was not ended" in used.stderr
         assert "free one" in used.stderr
-    assert palpate(*words, "--port", "0").stderr == ""  # nobody serves it any more
+    assert palpate(*words, "--port", "0").stderr == ""  # no server has it any more
     app = create_app(LiveSession(), "token")
     with PageServer(library=library).running(app, log_level="error") as address:
         beside = palpate(*words, "--port", "0")
         assert beside.returncode == 0
-        there = f"{library} is served already, at {address}"
-        assert there in beside.stderr
+        message = f"{library} is served already, at {address}"
+        assert message in beside.stderr
         assert json.loads(beside.stdout)["address"]
         with closing(PageServer()) as taken:
             port = urlsplit(taken.address).port
             refused = palpate(*words, "--port", port)
         assert refused.returncode == 1
-        assert there in refused.stderr
+        assert message in refused.stderr
         assert f"port {port}" in refused.stderr
     assert palpate(*words, "--port", "0").stderr == ""
 
@@ -502,9 +506,9 @@ def test_ctrl_c_says_what_is_kept(palpate, monkeypatch, recording, tmp_path):
         raise KeyboardInterrupt
 
     def stopped(*words):
-        done = palpate(*words)
-        assert (done.returncode, done.stdout) == (130, "")
-        (line,) = done.stderr.splitlines()
+        result = palpate(*words)
+        assert (result.returncode, result.stdout) == (130, "")
+        (line,) = result.stderr.splitlines()
         return line
 
     monkeypatch.setattr("palpate.recognition.ObjectRecogniser.fit", stop)
@@ -526,9 +530,9 @@ def test_ctrl_c_says_what_is_kept(palpate, monkeypatch, recording, tmp_path):
     assert f"and {report} is as it was." in stopped(*words, "--report", report)
     assert report.read_text() == "before"
     assert "no file is half written" in stopped("check", tmp_path)
-    done = palpate("serve", "--port", "0", "--library", tmp_path / "desk")
-    assert done.returncode == 130
-    assert f"What was taught is kept in {tmp_path / 'desk'}." in done.stderr
+    result = palpate("serve", "--port", "0", "--library", tmp_path / "desk")
+    assert result.returncode == 130
+    assert f"What was taught is kept in {tmp_path / 'desk'}." in result.stderr
 
 
 def test_a_bad_picture_of_a_replay_names_the_command_that_lists_all(
@@ -540,10 +544,10 @@ def test_a_bad_picture_of_a_replay_names_the_command_that_lists_all(
     bad.write_text("no picture")
     for verb in ("serve", "record"):
         words = [verb, *["mug"] * (verb == "record"), "--library", tmp_path / "l"]
-        done = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
-        assert done.returncode == 1
-        assert "mug/1.png" in done.stderr
-        assert f"`palpate check {tmp_path / 'touches'}` lists all" in done.stderr
+        result = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
+        assert result.returncode == 1
+        assert "mug/1.png" in result.stderr
+        assert f"`palpate check {tmp_path / 'touches'}` lists all" in result.stderr
     absent = palpate("serve", "--sensor", f"replay:{tmp_path / 'nowhere'}")
     assert "palpate check" not in absent.stderr
 
@@ -555,7 +559,7 @@ def test_a_replay_without_rest_does_not_call_its_pictures_wrong(palpate, tmp_pat
         picture = rng.integers(0, 255, (80, 90), np.uint8)
         path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     words = ["record", "mug", "--library", tmp_path / "l"]
-    done = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
-    assert done.returncode == 1
-    assert "must show what touching nothing looks like" in done.stderr
-    assert "palpate check" not in done.stderr
+    result = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
+    assert result.returncode == 1
+    assert "must show what touching nothing looks like" in result.stderr
+    assert "palpate check" not in result.stderr

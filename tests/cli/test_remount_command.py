@@ -13,13 +13,13 @@ CENTRES = 4 * np.random.default_rng(7).normal(size=(4, 8))
 MOVE = np.array([6.0, -5, 4, 0, 7, -3, 5, 4])
 
 
-def visited(moved, n, seed, session):
+def visited(moved, n_each, seed, session):
     rng = np.random.default_rng(seed)
-    names = np.repeat(list("abcd"), n)
+    names = np.repeat(list("abcd"), n_each)
     images = CENTRES[["abcd".index(name) for name in names]] + moved
     images = images + rng.normal(size=images.shape)
-    told = {"object": names, "session": [session] * len(names)}
-    return Touches(images[:, None], geometry="none", **told)
+    labels = {"object": names, "session": [session] * len(names)}
+    return Touches(images[:, None], geometry="none", **labels)
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +42,9 @@ def remounted(palpate, files):
 
     def remount(touches, *options):
         model, output = files / "m.palpate", files / "o.palpate"
-        done = palpate("remount", model, files / touches, "-o", output, *options)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        result = palpate("remount", model, files / touches, "-o", output, *options)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
 
     return remount
 
@@ -52,24 +52,24 @@ def remounted(palpate, files):
 @pytest.mark.parametrize("unlabelled", [True, False])
 def test_remount_writes_a_model_for_the_session(remounted, files, unlabelled):
     options = ["--unlabelled"] if unlabelled else []
-    said = json.loads(remounted("tue.npz", "--json", *options))
-    assert said["changed"]
-    assert said["labelled"] != unlabelled
-    assert set(said["confirm"]) == set("abcd")
-    there = visited(MOVE, 10, 3, "tue")
-    assert ObjectRecogniser.load(files / "o.palpate").score(there) > 0.95
-    assert ObjectRecogniser.load(files / "m.palpate").score(there) < 0.9
+    answer = json.loads(remounted("tue.npz", "--json", *options))
+    assert answer["changed"]
+    assert answer["labelled"] != unlabelled
+    assert set(answer["confirm"]) == set("abcd")
+    tuesday = visited(MOVE, 10, 3, "tue")
+    assert ObjectRecogniser.load(files / "o.palpate").score(tuesday) > 0.95
+    assert ObjectRecogniser.load(files / "m.palpate").score(tuesday) < 0.9
 
 
-def test_remount_says_what_it_found(remounted, files):
+def test_remount_says_that_the_mounting_differs_and_what_to_confirm(remounted, files):
     tuesday = Touches.load(files / "tue.npz")
     few = np.concatenate([np.flatnonzero(tuesday.object == n)[:2] for n in "abcd"])
     tuesday[few].save(files / "few.npz")
-    said = remounted("few.npz")
-    assert "show another mounting or light" in said
-    assert "confirm 1 to 5 touches of each" in said
-    assert said.count(OTHER_SESSION) == 1
-    assert said.rstrip().endswith("o.palpate")
+    printed = remounted("few.npz")
+    assert "show another mounting or light" in printed
+    assert "confirm 1 to 5 touches of each" in printed
+    assert printed.count(OTHER_SESSION) == 1
+    assert printed.rstrip().endswith("o.palpate")
 
 
 def test_of_objects_with_five_confirmed_touches_no_more_are_asked_for(remounted):
@@ -78,7 +78,7 @@ def test_of_objects_with_five_confirmed_touches_no_more_are_asked_for(remounted)
 
 @pytest.fixture
 def doubted(files):
-    """Let rehearsed sessions say that a quarter of what touches tell is believed."""
+    """Let the model trust a quarter of what one confirmed object tells of a session."""
     learnt = ObjectRecogniser.load(files / "m.palpate")
     learnt.chosen_["rehearsal"] = {"share": 0.0, "trust": 0.25}
     learnt.save(files / "m.palpate")
@@ -87,18 +87,18 @@ def doubted(files):
 def test_where_each_object_is_confirmed_no_other_is_asked_for(
     remounted, files, doubted
 ):
-    """More touches of each are worth more still: how many there are is said."""
+    """More touches of each object still help, so the number so far is printed."""
     tuesday = Touches.load(files / "tue.npz")
     tuesday[[0, 6, 12, 18]].save(files / "four.npz")
     unlabelled = remounted("four.npz", "--unlabelled")
     assert "confirm 1 to 5 touches of each" in unlabelled
-    said = remounted("four.npz")
-    assert "By their labels" in said
-    assert "of more objects" not in said
-    assert "so far there are 4 of 4 objects" in said
+    printed = remounted("four.npz")
+    assert "By their labels" in printed
+    assert "of more objects" not in printed
+    assert "so far there are 4 of 4 objects" in printed
 
 
-def test_what_is_left_to_confirm_is_said(remounted, files):
+def test_objects_without_a_confirmed_touch_are_named(remounted, files):
     tuesday = Touches.load(files / "tue.npz")
     tuesday[np.isin(tuesday.object, ["a", "c"])].save(files / "some.npz")
     lines = remounted("some.npz").splitlines()
@@ -106,49 +106,53 @@ def test_what_is_left_to_confirm_is_said(remounted, files):
     assert set(sentence.rstrip(".").split("none yet: ")[1].split(", ")) == {"b", "d"}
 
 
-def test_what_one_object_tells_is_said_to_be_believed_in_part(
+def test_remount_says_that_one_object_is_trusted_in_part(
     palpate, remounted, files, doubted
 ):
     Touches.load(files / "tue.npz")[:1].save(files / "one.npz")
-    said = remounted("one.npz")
-    assert "By their labels, 1 touch tells what" in said
-    assert "tell of the others 25 % is believed, as rehearsed sessions" in said
+    printed = remounted("one.npz")
+    assert "By their labels, 1 touch tells what" in printed
+    assert "tell of the others 25 % is believed, as rehearsed sessions" in printed
     again = palpate("recognise", files / "o.palpate", files / "tue.npz")
     assert "a few touches more, with labels; see palpate remount." in again.stdout
 
 
-def test_recognise_warns_of_another_mounting(palpate, told, files):
+def test_recognise_warns_of_another_mounting(palpate, answer_of, files):
     model = files / "m.palpate"
     warned = palpate("recognise", model, files / "tue.npz")
     assert "see palpate remount" in warned.stdout
     assert OTHER_SESSION in warned.stdout
     calm = palpate("recognise", model, files / "mon.npz")
     assert "palpate remount" not in calm.stdout
-    said = told("recognise", model, files / "tue.npz")
-    assert said["mounting"]["changed"]
-    assert all(OTHER_SESSION in episode["why"] for episode in said["episodes"])
+    answer = answer_of("recognise", model, files / "tue.npz")
+    assert answer["mounting"]["changed"]
+    assert all(OTHER_SESSION in episode["why"] for episode in answer["episodes"])
 
 
-def test_nuisance_is_learnt_from_other_objects(palpate, told, files):
+def test_nuisance_is_learnt_from_other_objects(palpate, answer_of, files):
     days = [visited(k * MOVE / 4, 2, 10 + k, f"day {k}") for k in range(6)]
     renamed = Touches.concatenate(days)
     names = np.char.add("other ", renamed.object)
     renamed.with_columns(object=names).save(files / "others.npz")
     model, out = files / "m.palpate", files / "n.palpate"
-    learnt = told("sensor", "learn-nuisance", model, files / "others.npz", "-o", out)
+    learnt = answer_of(
+        "sensor", "learn-nuisance", model, files / "others.npz", "-o", out
+    )
     assert learnt["n_differences"] == 24
     few = palpate("sensor", "learn-nuisance", model, files / "tue.npz", "-o", out)
     assert few.returncode == 1
     assert "at least 20 things in several sessions" in few.stderr
 
 
-def test_learn_and_evaluate_say_what_to_expect_of_another_day(palpate, told, files):
+def test_learn_and_evaluate_say_what_to_expect_of_another_day(
+    palpate, answer_of, files
+):
     both = files / "both.npz"
     days = [visited(0, 6, 0, "mon"), visited(MOVE, 6, 1, "tue")]
     Touches.concatenate(days).save(both)
     learnt = palpate("learn", both, "-o", files / "two.palpate")
     assert "Taught in 2 sessions an object: expect" in learnt.stdout
-    one = palpate("learn", files / "mon.npz", "-o", files / "one.palpate")
-    assert "Taught in 1 session an object, and none in two" in one.stdout
+    monday = palpate("learn", files / "mon.npz", "-o", files / "one.palpate")
+    assert "Taught in 1 session an object, and none in two" in monday.stdout
     split = ["--split", "session", "--touches", "1", "--remount", "recentre"]
-    assert told("evaluate", "--train", both, *split)["remount"] == "recentre"
+    assert answer_of("evaluate", "--train", both, *split)["remount"] == "recentre"

@@ -20,12 +20,12 @@ def simulate(palpate):
 
 def test_all_parts_as_the_library_presses_them(simulate, tmp_path):
     path = tmp_path / "t.npz"
-    done = simulate("-o", path, "--presses", 2, "--seed", 5, "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["touches"] == str(path)
-    assert found["n_touches"] == 24
-    assert len(found["objects"]) == 12
+    result = simulate("-o", path, "--presses", 2, "--seed", 5, "--json")
+    assert result.returncode == 0, result.stderr
+    answer = json.loads(result.stdout)
+    assert answer["touches"] == str(path)
+    assert answer["n_touches"] == 24
+    assert len(answer["objects"]) == 12
     touches = Touches.load(path)
     expected = simulate_presses(n_presses=2, random_state=5)
     assert_array_equal(touches.images, expected.images)
@@ -40,10 +40,10 @@ def test_every_option_reaches_the_press(simulate, tmp_path):
         "--cover": 1.2, "--shift": 0.2, "--turn": 10, "--tilt": 0, "--roughness": 0,
         "--noise": 0, "--gain-spread": 0, "--dead-zone": 0, "--full-scale": 3000,
     }  # fmt: skip
-    pairs = [part for pair in options.items() for part in pair]
-    done = simulate("disc13", 8, "-o", path, *pairs)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == str(path)
+    words = [part for pair in options.items() for part in pair]
+    result = simulate("disc13", 8, "-o", path, *words)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.splitlines()[-1] == str(path)
     touches = Touches.load(path)
     assert touches.images.shape == (8, 12, 16)
     assert list(dict.fromkeys(touches.object)) == ["disc13", "square13"]
@@ -76,17 +76,19 @@ def test_every_option_reaches_the_press(simulate, tmp_path):
 def test_each_option_changes_the_images(simulate, changes, tmp_path):
     images = []
     for name, more in {"a.npz": (), "b.npz": changes}.items():
-        done = simulate("square13-hole8", "-o", tmp_path / name, "--presses", 3, *more)
-        assert done.returncode == 0, done.stderr
+        result = simulate(
+            "square13-hole8", "-o", tmp_path / name, "--presses", 3, *more
+        )
+        assert result.returncode == 0, result.stderr
         images.append(Touches.load(tmp_path / name).images)
     assert (images[0] != images[1]).any()
 
 
 def test_the_same_seed_writes_the_same_touches_with_any_workers(simulate, tmp_path):
-    one, two = tmp_path / "1.npz", tmp_path / "2.npz"
-    simulate("bar10", 12, "-o", one, "--presses", 30, "--seed", 3)
-    simulate("bar10", 12, "-o", two, "--presses", 30, "--seed", 3, "--workers", 2)
-    assert_array_equal(Touches.load(one).images, Touches.load(two).images)
+    serial, parallel = tmp_path / "1.npz", tmp_path / "2.npz"
+    simulate("bar10", 12, "-o", serial, "--presses", 30, "--seed", 3)
+    simulate("bar10", 12, "-o", parallel, "--presses", 30, "--seed", 3, "--workers", 2)
+    assert_array_equal(Touches.load(serial).images, Touches.load(parallel).images)
 
 
 @pytest.mark.parametrize(
@@ -105,8 +107,8 @@ def test_the_same_seed_writes_the_same_touches_with_any_workers(simulate, tmp_pa
     ],
 )
 def test_failures_say_what_to_do(simulate, arguments, code, message, tmp_path):
-    done = simulate(*arguments, cwd=tmp_path)
-    assert done.returncode == code
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    result = simulate(*arguments, cwd=tmp_path)
+    assert result.returncode == code
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
     assert list(tmp_path.iterdir()) == []

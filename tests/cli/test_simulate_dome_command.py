@@ -20,35 +20,35 @@ def test_dome_touches_objects_and_a_mesh_file(simulate, tmp_path):
     import trimesh
 
     trimesh.creation.box((30, 40, 50)).export(tmp_path / "brick.stl")
-    done = simulate(
+    result = simulate(
         "dome", "-o", "t.npz", "mug", "brick.stl", "--touches", 3, "--sessions", 2,
         "--rows", 64, "--cols", 64, "--workers", 1, "--json", cwd=tmp_path,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["n_touches"] == 6
-    made = Touches.load(tmp_path / "t.npz")
-    assert made.images.shape == (6, 64, 64)
-    assert set(made.object) == {"mug", "brick"}
-    assert made.geometry == "dome"
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["n_touches"] == 6
+    touches = Touches.load(tmp_path / "t.npz")
+    assert touches.images.shape == (6, 64, 64)
+    assert set(touches.object) == {"mug", "brick"}
+    assert touches.geometry == "dome"
 
 
 def test_pins_touch_the_basic_shapes(simulate, tmp_path):
-    done = simulate(
+    result = simulate(
         "pins", "-o", "t.npz", "edge", "nothing", "--touches", 2,
         "--rows", 80, "--cols", 80, "--workers", 1, cwd=tmp_path,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    made = Touches.load(tmp_path / "t.npz")
-    assert made.images.shape == (4, 80, 80)
+    assert result.returncode == 0, result.stderr
+    touches = Touches.load(tmp_path / "t.npz")
+    assert touches.images.shape == (4, 80, 80)
 
 
-def test_same_seed_same_touches(simulate, tmp_path):
+def test_the_same_seed_makes_the_same_touches(simulate, tmp_path):
     for name in ("a.npz", "b.npz"):
-        done = simulate(
+        result = simulate(
             "dome", "-o", name, "pen", "--touches", 2, "--rows", 48, "--cols", 48,
             "--seed", 7, cwd=tmp_path,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        assert result.returncode == 0, result.stderr
     first, second = (Touches.load(tmp_path / name) for name in ("a.npz", "b.npz"))
     assert np.array_equal(first.images, second.images)
 
@@ -59,26 +59,26 @@ def test_inches_are_read_as_the_help_says(simulate, tmp_path):
     assert "mm, cm, m or in" in simulate("dome", "--help", cwd=tmp_path).stdout
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "brick.stl")
     trimesh.creation.box((25.4, 50.8, 76.2)).export(tmp_path / "same.stl")
-    made = []
+    images = []
     for name, unit in (("brick", "in"), ("same", "mm"), ("same", "cm")):
-        done = simulate(
+        result = simulate(
             "dome", "-o", "t.npz", f"{name}.stl", "--unit", unit, "--touches", 2,
             "--rows", 32, "--cols", 32, "--workers", 1, cwd=tmp_path,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        made.append(Touches.load(tmp_path / "t.npz").images.astype(float))
+        assert result.returncode == 0, result.stderr
+        images.append(Touches.load(tmp_path / "t.npz").images.astype(float))
     # Corners in inches times 25.4 round otherwise in the last bit of a float32.
-    assert np.abs(made[0] - made[1]).max() <= 1
-    assert np.abs(made[0] - made[2]).max() > 1
+    assert np.abs(images[0] - images[1]).max() <= 1
+    assert np.abs(images[0] - images[2]).max() > 1
 
 
 def test_a_mesh_of_a_known_name_is_refused(simulate, tmp_path):
     import trimesh
 
     trimesh.creation.box((30, 40, 50)).export(tmp_path / "mug.stl")
-    done = simulate("dome", "mug", "mug.stl", "-o", "o.npz", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "got 'mug' as 'mug' and 'mug.stl'. Leave one out" in done.stderr
+    result = simulate("dome", "mug", "mug.stl", "-o", "o.npz", cwd=tmp_path)
+    assert result.returncode == 1
+    assert "got 'mug' as 'mug' and 'mug.stl'. Leave one out" in result.stderr
     assert not (tmp_path / "o.npz").exists()
 
 
@@ -100,9 +100,9 @@ def test_a_mesh_of_a_known_name_is_refused(simulate, tmp_path):
         (["pins", "-o", "t.npz", "mug", "--touches", "0"], "at least 1, got 0"),
     ],
 )
-def test_refusals_leave_nothing(simulate, tmp_path, arguments, message):
-    done = simulate(*arguments, cwd=tmp_path)
-    assert done.returncode == 1
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_refused_command_leaves_no_file(simulate, tmp_path, arguments, message):
+    result = simulate(*arguments, cwd=tmp_path)
+    assert result.returncode == 1
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
     assert list(tmp_path.iterdir()) == []

@@ -22,9 +22,9 @@ def test_a_name_is_an_argument_in_python_and_an_option_when_typed(folder, palpat
         pytest.raises(LibraryError, match=r"^where must name columns"),
     ):
         library.touches("objekt = 3")
-    done = palpate("library", "list", folder, "--where", "objekt = 3")
-    assert done.returncode == 1
-    assert done.stderr.startswith("palpate: --where must name columns")
+    result = palpate("library", "list", folder, "--where", "objekt = 3")
+    assert result.returncode == 1
+    assert result.stderr.startswith("palpate: --where must name columns")
 
 
 @pytest.mark.parametrize(
@@ -38,11 +38,11 @@ def test_a_name_is_an_argument_in_python_and_an_option_when_typed(folder, palpat
         (["library", "list", "LIB", "--where", "order = ("], "--where must go on"),
     ],
 )
-def test_functions_are_verbs(folder, palpate, words, text):
+def test_functions_in_a_message_are_named_as_commands(folder, palpate, words, text):
     places = {"LIB": str(folder), "GONE": str(folder / "gone")}
-    done = palpate(*(places.get(word, word) for word in words))
-    assert done.returncode == 1
-    assert text in done.stderr
+    result = palpate(*(places.get(word, word) for word in words))
+    assert result.returncode == 1
+    assert text in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -54,28 +54,28 @@ def test_functions_are_verbs(folder, palpate, words, text):
     ],
 )
 def test_options_of_a_sensor_are_named_as_they_are_typed(palpate, address, text):
-    done = palpate("live", "none.palpate", "--sensor", address, "--json")
-    assert text in done.stdout.replace("\\n", " ")
+    result = palpate("live", "none.palpate", "--sensor", address, "--json")
+    assert text in result.stdout.replace("\\n", " ")
 
 
-def test_what_a_verb_does_not_know_stays_as_it_is(palpate, tmp_path):
-    done = palpate("learn", tmp_path / "gone.npz", "-o", tmp_path / "m.palpate")
-    assert "--" not in done.stderr
-    assert "gone.npz must be" in done.stderr
+def test_a_message_that_names_no_option_stays_as_it_is(palpate, tmp_path):
+    result = palpate("learn", tmp_path / "gone.npz", "-o", tmp_path / "m.palpate")
+    assert "--" not in result.stderr
+    assert "gone.npz must be" in result.stderr
 
 
 def test_units_are_left_out_and_variables_of_the_environment_are_options(
     palpate, tmp_path
 ):
-    done = palpate("simulate", "array", "-o", tmp_path / "t.npz", "--pitch", "1e6")
-    assert done.stderr.startswith("palpate: --pitch must make at most")
+    result = palpate("simulate", "array", "-o", tmp_path / "t.npz", "--pitch", "1e6")
+    assert result.stderr.startswith("palpate: --pitch must make at most")
     model = tmp_path / "m.palpate"
     model.write_bytes(bytes(4000))
-    done = palpate("recognise", model, "x.npz", "--max-model-mb", "0.001")
-    assert "Set --max-model-mb higher." in done.stderr
+    result = palpate("recognise", model, "x.npz", "--max-model-mb", "0.001")
+    assert "Set --max-model-mb higher." in result.stderr
 
 
 @pytest.mark.parametrize("verb", ["recognise", "evaluate", "live", "serve"])
-def test_as_many_strangers_are_expected_as_in_python(palpate, verb):
-    shown = palpate(verb, "-h").stdout.partition("--strangers")[2]
-    assert f"[default: {STRANGERS}]" in shown[: shown.index("--", 400)]
+def test_the_default_of_strangers_is_that_of_python(palpate, verb):
+    help_text = palpate(verb, "-h").stdout.partition("--strangers")[2]
+    assert f"[default: {STRANGERS}]" in help_text[: help_text.index("--", 400)]

@@ -37,7 +37,7 @@ def drawn_touches(name, count, rng):
 
 
 def waited(condition, seconds=20.0):
-    """Wait until something is so; tell whether it became so."""
+    """Wait until a condition holds; return whether it does."""
     end = time.monotonic() + seconds
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
@@ -50,15 +50,15 @@ def drawn():
     rng = np.random.default_rng(1)
     names = ["disc", "bar", "both"]
     images = np.concatenate([drawn_touches(name, 30, rng) for name in names])
-    rest = np.zeros((SIDE, SIDE), np.uint8)
+    baseline = np.zeros((SIDE, SIDE), np.uint8)
     return Touches(
-        images, object=np.repeat(names, 30), no_contact=rest, geometry="array"
+        images, object=np.repeat(names, 30), no_contact=baseline, geometry="array"
     )
 
 
 @pytest.fixture(scope="session")
 def drawn_model(tmp_path_factory, drawn):
-    """Give the file of a model of the disc and the bar."""
+    """The file of a model of the disc and the bar."""
     path = tmp_path_factory.mktemp("model") / "two.palpate"
     two = drawn[np.flatnonzero(drawn.object != "both")]
     ObjectRecogniser("liu2014").fit(two).save(path)
@@ -87,7 +87,7 @@ def learning_apart():
 
 @pytest.fixture
 def learn_by(monkeypatch):
-    """Return what lets sessions learn by another function than a process's."""
+    """Return a function that sets the function by which sessions learn."""
 
     def learn(function):
         monkeypatch.setattr("palpate.web._session.learn_in_process", function)
@@ -97,7 +97,7 @@ def learn_by(monkeypatch):
 
 @pytest.fixture
 def learning_starts(monkeypatch):
-    """What is told each time the process that learns is to be started early."""
+    """A list that grows when the process that learns is to be started early."""
     starts = []
     name = "palpate.web._session.start_learning"
     monkeypatch.setattr(name, lambda: starts.append("learning"))
@@ -106,14 +106,14 @@ def learning_starts(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def learning_here(request):
-    """Learn in this process elsewhere: starting another one takes seconds."""
+    """Let all other tests learn in this process: starting another takes seconds."""
     if "learning_apart" not in request.fixturenames:
         request.getfixturevalue("learn_by")(learn_job)
         request.getfixturevalue("learning_starts")
 
 
 class Still(LiveSensor):
-    """A sensor that gives nothing by itself."""
+    """A sensor that gives no frames by itself."""
 
     def __init__(self, shape=(4, 4), geometry="array", unit="count", dtype=np.uint8):
         super().__init__("still", unit, shape, dtype, geometry)
@@ -136,9 +136,9 @@ class HandSensor(LiveSensor):
         self.pressed = self.unplugged = False
 
     def show(self, session, pressed):
-        """Be pressed, or not, until a session has followed some frames of it.
+        """Be pressed, or not, until a session has followed six more frames.
 
-        A press of a single frame is none, and three may be on their way.
+        A press must last more than one frame, and three may be on their way.
         """
         self.pressed = pressed
         enough = session.health.to_dict()["n_frames"] + 6
@@ -171,8 +171,8 @@ def serving(session, token=None, port=0, keep_alive_s=5, **limits):
     """Run the application of a session, on a free port; give address and token."""
     token = token or page_token()
     app = create_app(session, token, **limits)
-    how = {"log_level": "error", "timeout_keep_alive": keep_alive_s}
-    with PageServer(port=port).running(app, **how) as address:
+    options = {"log_level": "error", "timeout_keep_alive": keep_alive_s}
+    with PageServer(port=port).running(app, **options) as address:
         yield address.rstrip("/"), token
 
 
@@ -184,13 +184,13 @@ def serving_fixture():
 
 @pytest.fixture(scope="session")
 def connected():
-    """Return a context manager: a client of a served session, with its token or not."""
+    """Return a context manager: a client of a served session, signed in or not."""
 
     @contextmanager
-    def connect(session, token="token", *, known=True, **limits):
+    def connect(session, token="token", *, signed_in=True, **limits):
         with serving(session, token, **limits) as (address, _):
-            headers = {"Authorization": f"Bearer {token}"} if known else {}
-            # Nothing is encrypted: reading whom to trust takes longer than most tests.
+            headers = {"Authorization": f"Bearer {token}"} if signed_in else {}
+            # Nothing is encrypted, and loading certificates takes longer than a test.
             plain = {"verify": False, "follow_redirects": True}
             with httpx.Client(
                 base_url=address, headers=headers, timeout=30, **plain
@@ -221,7 +221,7 @@ def window():
 
 @pytest.fixture
 def page(window):
-    """A new tab, without what others were told to keep."""
+    """A new tab, without the cookies of earlier ones."""
     opened = window.new_page()
     opened.errors = []
     opened.on("pageerror", lambda error: opened.errors.append(str(error)))

@@ -85,45 +85,47 @@ def test_a_robot_hears_beliefs_with_the_header_of_its_touch(via, learnt):
         pressing(via, kinds=kinds) as process,
         recognising(via, learnt) as session,
     ):
-        heard = heard_by(process)
+        received = heard_by(process)
         beliefs = [
             {**touch.posterior, "unknown": touch.unknown}
             for touch in session.episode.touches
         ]
         frames_lost = session.health.to_dict()["n_dropped"]
     assert frames_lost == 0
-    assert [dict(one["results"]) for one in heard["belief"]] == beliefs
-    best = [one["results"][0][0] for one in heard["belief"]]
+    assert [dict(belief["results"]) for belief in received["belief"]] == beliefs
+    best = [belief["results"][0][0] for belief in received["belief"]]
     assert best[:2] == ["rows", "rows"]
-    for belief, end in zip(heard["belief"], heard["ends"], strict=True):
+    for belief, end in zip(received["belief"], received["ends"], strict=True):
         shares = [share for _, share in belief["results"]]
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) == pytest.approx(1.0, abs=1e-9)
         # To the nanosecond, that of one of the six frames of the press.
-        assert belief["stamp"] in heard["sent"]
-        assert 1 <= heard["sent"].index(end) - heard["sent"].index(belief["stamp"]) <= 6
+        stamps = received["sent"]
+        assert belief["stamp"] in stamps
+        assert 1 <= stamps.index(end) - stamps.index(belief["stamp"]) <= 6
         assert belief["frame_id"] == "pad"
-    assert len(heard["decision"]) == len(heard["belief"])
-    assert {one["text"] for one in heard["decision"]} <= {"", "rows", "columns"}
+    assert len(received["decision"]) == len(received["belief"])
+    decisions = {decision["text"] for decision in received["decision"]}
+    assert decisions <= {"", "rows", "columns"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("via", VIA)
-def test_what_is_commanded_is_done_or_refused(via, learnt, tmp_path):
+def test_each_command_is_answered_as_done_or_refused(via, learnt, tmp_path):
     commands = ["confirm knob", "dance", "start", "teach", "teach lid", "stop"]
     with (
         router(ENDPOINT) if via == "zenoh" else nullcontext(),
         pressing(via, kinds=["rows"] * 3, commands=commands) as process,
         recognising(via, learnt, tmp_path / "lab") as session,
     ):
-        heard = heard_by(process)
+        received = heard_by(process)
         assert session.teacher.lesson is None
-    answers = [one["text"] for one in heard["answer"]]
-    known = "start, object, teach, stop, confirm, learn, session"
+    answers = [answer["text"] for answer in received["answer"]]
+    choices = "start, object, teach, stop, confirm, learn, session"
     name_it = "Publish 'object NAME' to /palpate/command first."
     assert answers == [
         "done: 3 touches are kept as knob; learn to use them.",
-        f"refused: command must be one of {known}, got 'dance'.",
+        f"refused: command must be one of {choices}, got 'dance'.",
         "done: The next touch begins an episode.",
         f"refused: An object must be named, got none. {name_it}",
         "done: Touches teach lid.",
@@ -133,8 +135,8 @@ def test_what_is_commanded_is_done_or_refused(via, learnt, tmp_path):
         assert library.touches().object.tolist() == ["knob"] * 3
 
 
-def test_what_holds_a_number_is_met_by_nobody_else():
-    """Two runs of the tests on one machine heard each other's robots."""
+def test_runs_of_the_tests_at_the_same_time_have_different_numbers():
+    """Without it two runs on one machine received each other's messages."""
     others = [own_number() for _ in range(3)]
     assert len({NUMBER, *others}) == 4
 
@@ -155,22 +157,22 @@ def test_an_address_to_publish_at_is_checked_before_anything_starts(monkeypatch)
 @pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
 def test_the_command_publishes_too(learnt, tmp_path):
     where = f"domain={DOMAIN}"
-    line = ["live", str(learnt), "--sensor", f"ros:/pad?shape=12x12&{where}"]
-    line += ["--publish", f"ros:/palpate?{where}", "--json", "-n", "3"]
-    line += ["--timeout", "20"]
+    words = ["live", str(learnt), "--sensor", f"ros:/pad?shape=12x12&{where}"]
+    words += ["--publish", f"ros:/palpate?{where}", "--json", "-n", "3"]
+    words += ["--timeout", "20"]
     code = "import sys; from palpate.cli import main; sys.argv[0] = 'palpate'; main()"
     with pressing("dds", kinds=["rows"] * 3) as process:
-        command = [sys.executable, "-c", code, *line]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        (episode,) = json.loads(done.stdout)["episodes"]
+        command = [sys.executable, "-c", code, *words]
+        completed = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert completed.returncode == 0, completed.stderr
+        (episode,) = json.loads(completed.stdout)["episodes"]
         assert episode["touches"]
-        heard = heard_by(process)
-    assert heard["belief"][0]["results"][0][0] == "rows"
+        received = heard_by(process)
+    assert received["belief"][0]["results"][0][0] == "rows"
 
 
 @pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
-def test_how_learning_ended_is_a_second_answer():
+def test_the_end_of_learning_is_a_second_answer():
     session = LiveSession()
     node = open_node(DOMAIN, "dds")
     answers = node.subscribe("/desk/answer", STRING, reliable=True)

@@ -1,4 +1,4 @@
-"""Touches with places: what the page shows from above, and who is told why not."""
+"""Touches with places: what the page shows from above, or why it shows nothing."""
 
 import numpy as np
 import pytest
@@ -13,23 +13,23 @@ RADIUS_MM = {"disc": 60.0, "bar": 30.0}
 
 
 def on_ball(radius_mm, count, rng):
-    """Tips that met a ball's upper half straight on, and the ways that they came."""
-    out = rng.normal(size=(count, 3))
-    out[:, 2] = abs(out[:, 2])
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    return radius_mm * out, -out
+    """Return tips that met a ball's upper half straight on, and their directions."""
+    normals = rng.normal(size=(count, 3))
+    normals[:, 2] = abs(normals[:, 2])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return radius_mm * normals, -normals
 
 
 @pytest.fixture(scope="module")
 def balls(drawn):
-    """Touches of two balls, whose pictures tell them too, with their places."""
+    """Touches of two balls with places; their pictures tell the balls apart, too."""
     rng = np.random.default_rng(3)
     rows = np.concatenate(
         [np.flatnonzero(drawn.object == name)[:20] for name in RADIUS_MM]
     )
     places = [on_ball(radius, 20, rng) for radius in RADIUS_MM.values()]
-    tips, ways = (np.concatenate(part) for part in zip(*places, strict=True))
-    return drawn[rows].with_columns(position_mm=tips, direction=ways)
+    tips, directions = (np.concatenate(part) for part in zip(*places, strict=True))
+    return drawn[rows].with_columns(position_mm=tips, direction=directions)
 
 
 @pytest.fixture(scope="module")
@@ -55,16 +55,16 @@ def placed_client(placed):
     return placed
 
 
-def posted(client, image, tip, way, path="/api/touch", **more):
+def posted(client, image, tip, direction, path="/api/touch", **more):
     place = {
         "position_mm": np.asarray(tip).tolist(),
-        "direction": np.asarray(way).tolist(),
+        "direction": np.asarray(direction).tolist(),
     }
     return client.post(path, json={"image": image.tolist(), **place, **more})
 
 
-def seen(client):
-    """Return what is seen from above, once the map is learnt."""
+def view_from_above(client):
+    """Return the answer of the view from above, once the map is learnt."""
 
     def above():
         return client.get("/api/episode/above").json()
@@ -75,15 +75,17 @@ def seen(client):
 
 def touch_the_large_ball(client, drawn, count=5, aside_mm=(0, 0, 0)):
     images = drawn.images[drawn.object == "disc"][22:]
-    tips, ways = on_ball(RADIUS_MM["disc"], count, np.random.default_rng(5))
-    for image, tip, way in zip(images, tips + np.array(aside_mm), ways, strict=False):
-        assert posted(client, image, tip, way).status_code == 200
+    tips, directions = on_ball(RADIUS_MM["disc"], count, np.random.default_rng(5))
+    for image, tip, direction in zip(
+        images, tips + np.array(aside_mm), directions, strict=False
+    ):
+        assert posted(client, image, tip, direction).status_code == 200
     return tips + np.array(aside_mm)
 
 
 def test_places_tell_the_ball_and_where_it_stands(placed_client, drawn):
     tips = touch_the_large_ball(placed_client, drawn, aside_mm=(8, 0, 0))
-    above = seen(placed_client)
+    above = view_from_above(placed_client)
     assert above["sentence"].startswith("disc on face 0, a turn that cannot be told")
     assert above["pose"]["object"] == "disc"
     # Five contacts of 1.5 mm each, of a ball learnt to about a millimetre.
@@ -91,12 +93,14 @@ def test_places_tell_the_ball_and_where_it_stands(placed_client, drawn):
     assert (x, y) == (pytest.approx(8, abs=4), pytest.approx(0, abs=4))
     assert [touch["number"] for touch in above["touches"]] == [1, 2, 3, 4, 5]
     assert [touch["x_mm"] for touch in above["touches"]] == pytest.approx(tips[:, 0])
-    far = max(np.hypot(at["x_mm"] - x, at["y_mm"] - y) for at in above["surface"])
-    assert far == pytest.approx(RADIUS_MM["disc"], abs=4)
-    assert all(at["long_mm"] >= at["short_mm"] > 0 for at in above["surface"])
+    radius_mm = max(
+        np.hypot(patch["x_mm"] - x, patch["y_mm"] - y) for patch in above["surface"]
+    )
+    assert radius_mm == pytest.approx(RADIUS_MM["disc"], abs=4)
+    assert all(patch["long_mm"] >= patch["short_mm"] > 0 for patch in above["surface"])
 
 
-def test_a_new_episode_is_seen_anew(placed_client, drawn):
+def test_a_new_episode_has_a_new_view_from_above(placed_client, drawn):
     assert placed_client.get("/api/episode/above").json()["touches"] == []
     image = drawn.images[drawn.object == "disc"][22]
     placed_client.post("/api/touch", json={"image": image.tolist()})
@@ -104,7 +108,7 @@ def test_a_new_episode_is_seen_anew(placed_client, drawn):
     empty = {"touches": [], "misses": [], "surface": []}
     assert answer == {"sentence": "", "pose": None, **empty}
     posted(placed_client, image, [0, 0, 60], [0, 0, -1])
-    above = seen(placed_client)
+    above = view_from_above(placed_client)
     assert above["touches"] == [{"number": 2, "x_mm": 0.0, "y_mm": 0.0}]
     kept = Touches.load(archive(placed_client))
     assert np.isnan(kept.columns["position_mm"][0]).all()
@@ -118,11 +122,11 @@ def archive(client):
     return path
 
 
-def test_another_unit_is_told_and_the_touch_counts(placed_client, drawn):
+def test_another_unit_is_reported_and_the_touch_counts(placed_client, drawn):
     image = drawn.images[drawn.object == "disc"][22]
     answer = posted(placed_client, image, [0, 0, 60_000], [0, 0, -1])
     assert len(answer.json()["touches"]) == 1
-    above = seen(placed_client)
+    above = view_from_above(placed_client)
     assert "another unit or frame" in above["sentence"]
     assert above["surface"] == []
 
@@ -147,7 +151,7 @@ def test_the_belief_is_by_pictures_and_places_once_the_map_is_learnt(
     placed_client, drawn
 ):
     posted(placed_client, drawn.images[0], [0, 0, 60], [0, 0, -1])
-    seen(placed_client)
+    view_from_above(placed_client)
     placed_client.post("/api/episode/start")
     image = drawn.images[drawn.object == "bar"][22]
     alone = placed_client.post("/api/touch", json={"image": image.tolist()}).json()
@@ -157,9 +161,9 @@ def test_the_belief_is_by_pictures_and_places_once_the_map_is_learnt(
         pictures = placed_client.post("/api/touch", json=body).json()["touches"]
     placed_client.post("/api/episode/start")
     placed_client.post("/api/touch", json={"image": image.tolist()})
-    tips, ways = on_ball(RADIUS_MM["disc"], 4, np.random.default_rng(6))
-    for tip, way in zip(tips, ways, strict=True):
-        answer = posted(placed_client, image, tip, way, force_n=1.0).json()
+    tips, directions = on_ball(RADIUS_MM["disc"], 4, np.random.default_rng(6))
+    for tip, direction in zip(tips, directions, strict=True):
+        answer = posted(placed_client, image, tip, direction, force_n=1.0).json()
     assert answer["sentence"].endswith("(by pictures and places)")
     last = answer["touches"][-1]["posterior"]
     assert last["disc"] > pictures[-1]["posterior"]["disc"]
@@ -171,8 +175,8 @@ def test_the_belief_is_by_pictures_and_places_once_the_map_is_learnt(
 
 def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
     image = drawn.images[drawn.object == "disc"][22]
-    before = posted(placed_client, image, [0, 0, 60], [0, 0, -1])
-    seen(placed_client)
+    posted(placed_client, image, [0, 0, 60], [0, 0, -1])
+    view_from_above(placed_client)
     before = placed_client.get("/api/episode").json()["touches"][-1]
     body = {"position_mm": [0, 0, 40], "direction": [0, 0, -1], "miss": True}
     answer = placed_client.post("/api/touch", json=body)
@@ -181,7 +185,7 @@ def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
     assert touch["miss"]
     assert touch["note"] == "touch 2: nothing met"
     assert touch["posterior"]["bar"] > before["posterior"]["bar"]
-    above = seen(placed_client)
+    above = view_from_above(placed_client)
     assert above["misses"] == [{"number": 2, "x_mm": 0.0, "y_mm": 0.0}]
     path = "/api/episode/touches/2/picture"
     assert placed_client.get(path).status_code == 404
@@ -204,7 +208,7 @@ def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
 )
 def test_a_wrong_miss_is_refused(placed_client, drawn, more, words):
     posted(placed_client, drawn.images[0], [0, 0, 60], [0, 0, -1])
-    seen(placed_client)
+    view_from_above(placed_client)
     body = {"position_mm": [0, 0, 40], "direction": [0, 0, -1], "miss": True}
     answer = placed_client.post("/api/touch", json=body | more)
     assert answer.status_code in {400, 422}
@@ -238,26 +242,28 @@ def test_a_picture_has_its_place_in_the_address(placed_client, drawn):
     assert (touch["position_mm"], touch["direction"]) == ([1, 2, 3], [0, 0.6, -0.8])
 
 
-def test_what_is_taught_with_places_makes_a_map(make_session, connected, balls, drawn):
+def test_touches_taught_with_places_make_a_map(make_session, connected, balls, drawn):
     with connected(make_session(sensor=False), rate_hz=2000) as client:
-        for image, tip, way, name in zip(
+        for image, tip, direction, name in zip(
             balls.images,
             balls.columns["position_mm"],
             balls.columns["direction"],
             balls.object,
             strict=True,
         ):
-            answer = posted(client, image, tip, way, "/api/teach/touch", object=name)
+            answer = posted(
+                client, image, tip, direction, "/api/teach/touch", object=name
+            )
             assert answer.status_code == 200
         client.session.learn(wait=True)
         touch_the_large_ball(client, drawn)
-        assert seen(client)["pose"]["object"] == "disc"
+        assert view_from_above(client)["pose"]["object"] == "disc"
 
 
 def test_a_replay_tells_the_places_of_its_recording(balls, placed_model):
     large = balls[np.flatnonzero(balls.object == "disc")[:3]]
-    rest = np.zeros_like(large.images[0])
-    sensor = ReplaySensor(large, rate_hz=250, hold=3, gap=3, no_contact=rest)
+    baseline = np.zeros_like(large.images[0])
+    sensor = ReplaySensor(large, rate_hz=250, hold=3, gap=3, no_contact=baseline)
     with LiveSession(sensor, model=placed_model) as session:
         assert waited(lambda: len(session.episode.touches) >= 3)
     tips = [touch.position_mm for touch in session.episode.touches[:3]]
@@ -265,11 +271,11 @@ def test_a_replay_tells_the_places_of_its_recording(balls, placed_model):
     recorded = large.columns["position_mm"].tolist()
     first = recorded.index(list(tips[0]))
     assert [list(tip) for tip in tips] == (recorded[first:] + recorded[:first])
-    ways = [touch.direction for touch in session.episode.touches[:3]]
-    assert ways == pytest.approx(-np.array(tips) / RADIUS_MM["disc"])
+    directions = [touch.direction for touch in session.episode.touches[:3]]
+    assert directions == pytest.approx(-np.array(tips) / RADIUS_MM["disc"])
 
 
-def test_an_archive_that_cannot_be_read_is_told(
+def test_an_archive_that_cannot_be_read_is_reported(
     make_session, connected, placed_model, drawn, tmp_path
 ):
     model = tmp_path / "balls.palpate"
@@ -277,7 +283,7 @@ def test_an_archive_that_cannot_be_read_is_told(
     model.with_suffix(".npz").write_bytes(b"no archive")
     with connected(make_session(sensor=False, model=model, library=None)) as client:
         posted(client, drawn.images[0], [0, 0, 60], [0, 0, -1])
-        assert "balls.npz" in seen(client)["sentence"]
+        assert "balls.npz" in view_from_above(client)["sentence"]
 
 
 def test_touches_of_the_episode_are_taught_with_their_places(make_session, drawn):
@@ -296,11 +302,11 @@ def test_a_model_without_places_says_so(make_session, connected, drawn_model, dr
     session = make_session(sensor=False, model=drawn_model, library=None)
     with connected(session) as client:
         posted(client, drawn.images[0], [0, 0, 60], [0, 0, -1])
-        assert "taught without places" in seen(client)["sentence"]
+        assert "taught without places" in view_from_above(client)["sentence"]
 
 
 @pytest.mark.slow
-def test_the_page_shows_it_where_a_touch_has_a_place(
+def test_the_page_shows_the_view_from_above_where_a_touch_has_a_place(
     page, open_page, make_session, placed_model, drawn
 ):
     session = make_session(sensor=False, model=placed_model, library=None)

@@ -102,22 +102,22 @@ def _check_downloads(client, held_out):
     report = client.get("/api/episode/report").text
     assert report.count("<img") == 6
     assert "http" not in report
-    shown = client.get("/api/episode/touches/1/picture")
-    assert Image.open(io.BytesIO(shown.content)).size == (96, 96)
+    thumbnail = client.get("/api/episode/touches/1/picture")
+    assert Image.open(io.BytesIO(thumbnail.content)).size == (96, 96)
     assert client.get("/api/episode/touches/99/picture").status_code == 404
 
 
 def _check_nearest(client):
     nearest = client.get("/api/state").json()["nearest"]
-    assert [one["distance"] for one in nearest] == sorted(
-        one["distance"] for one in nearest
+    assert [neighbour["distance"] for neighbour in nearest] == sorted(
+        neighbour["distance"] for neighbour in nearest
     )
     assert nearest[0]["object"] == "disc"
-    shown = client.get(f"/api/touches/{nearest[0]['id']}/picture")
-    assert shown.headers["content-type"] == "image/png"
+    thumbnail = client.get(f"/api/touches/{nearest[0]['id']}/picture")
+    assert thumbnail.headers["content-type"] == "image/png"
 
 
-def test_objects_are_made_one_only_where_that_is_said(client, drawn):
+def test_objects_are_merged_only_where_merge_is_true(client, drawn):
     teach(client, drawn, "disc", 2)
     teach(client, drawn, "bar", 3)
     order = {"object": "bar", "name": "disc"}
@@ -130,7 +130,7 @@ def test_objects_are_made_one_only_where_that_is_said(client, drawn):
     assert objects == [{"name": "disc", "n_touches": 5}]
 
 
-def test_what_is_acknowledged_is_in_the_library(client, drawn):
+def test_an_acknowledged_touch_is_in_the_library(client, drawn):
     ids = teach(client, drawn, "disc", 3)
     library = TouchLibrary.open(client.session.teacher.folder)
     assert [row.id for row in library.list()] == ids
@@ -167,8 +167,8 @@ def test_numbers_are_read_however_json_is_written(untaught, body, image):
     headers = {"Content-Type": "application/json"}
     answer = untaught.post("/api/touch", content=body, headers=headers)
     assert answer.status_code == 200
-    (got,) = untaught.session.episode.images
-    np.testing.assert_array_equal(got, np.array(image, np.float32))
+    (stored,) = untaught.session.episode.images
+    np.testing.assert_array_equal(stored, np.array(image, np.float32))
 
 
 def test_the_name_of_an_object_may_look_like_rows(client):
@@ -182,11 +182,11 @@ def test_the_name_of_an_object_may_look_like_rows(client):
         answer = client.post("/api/teach/touch", content=body, headers=headers)
         assert answer.status_code == 200
         library = client.session.teacher.library
-        got = library.image(answer.json()["id"])
+        stored = library.image(answer.json()["id"])
         rows = library.list()
         assert len(rows) == number + 1
         assert rows[-1].object == json.loads(body)["object"]
-        np.testing.assert_array_equal(got, np.array([[7]], np.float32))
+        np.testing.assert_array_equal(stored, np.array([[7]], np.float32))
 
 
 @pytest.mark.parametrize("kind", ["<u1", ">u2", "<f4", ">f8"])
@@ -200,9 +200,9 @@ def test_arrays_are_touches_too(untaught, kind, order):
         "/api/touch/picture", content=written.getvalue(), headers=headers
     )
     assert answer.status_code == 200
-    (got,) = untaught.session.episode.images
-    np.testing.assert_array_equal(got, image)
-    assert got.dtype == image.dtype.newbyteorder("=")
+    (stored,) = untaught.session.episode.images
+    np.testing.assert_array_equal(stored, image)
+    assert stored.dtype == image.dtype.newbyteorder("=")
 
 
 def npy(image, cut=None):
@@ -211,7 +211,7 @@ def npy(image, cut=None):
     return written.getvalue()[:cut]
 
 
-def test_a_small_order_is_no_place_for_much(shared):
+def test_an_order_without_an_image_has_a_small_limit(shared):
     answer = shared.post("/api/teach", content=b" " * 70_000)
     assert answer.status_code == 413
     assert "at most 65536 bytes" in answer.json()["detail"]
@@ -236,7 +236,7 @@ def test_episodes_start_and_end(client, drawn):
     assert client.post("/api/episode/end").json()["open"] is False
     assert len(touch(client, drawn.images[1]).json()["touches"]) == 1
     assert client.post("/api/episode/start").json()["touches"] == []
-    # Programs are told all that the page is.
+    # Programs get all that the page gets.
     assert [*client.get("/api/state").json()["episode"]] == [
         *client.session.episode.to_dict()
     ]
@@ -323,7 +323,7 @@ def test_hostile_bodies_are_refused(shared, path, body):
 @pytest.mark.parametrize(
     "name", ["", " ", "x" * 81, "a\0b", "unknown", "\u202e", "\ud800"]
 )
-def test_names_that_are_none_are_refused(shared, drawn, name):
+def test_names_that_name_nothing_are_refused(shared, drawn, name):
     headers = {"Content-Type": "application/json"}
     body = json.dumps({"object": name, "image": drawn.images[0].tolist()})
     answer = shared.post("/api/teach/touch", content=body, headers=headers)
@@ -337,7 +337,7 @@ def test_an_image_must_suit_those_before_it(client, drawn):
     touch(client, drawn.images[0].astype(float))
 
 
-def test_what_this_server_cannot_do_is_said(untaught):
+def test_what_this_server_cannot_do_is_refused_with_the_reason(untaught):
     for path, body, words in [
         ("/api/baseline", {"force": False}, "no sensor"),
         ("/api/zero", {"force": False}, "no sensor"),
@@ -384,7 +384,7 @@ def test_an_image_of_nothing_but_nulls_is_refused_at_the_door(client, drawn, sha
         assert answer.status_code == 422
         assert "at least one number, got only NaN" in answer.json()["detail"]
     assert client.get("/api/state").json()["library"]["objects"] == []
-    # What comes after it is learnt as if it had never come.
+    # Later touches are learnt as if it had never come.
     for name in ("disc", "bar"):
         teach(client, drawn, name, 12)
     assert learnt(client)["model"]["objects"] == ["bar", "disc"]

@@ -1,6 +1,6 @@
-"""What axe-core, a checker of accessibility, finds on the page: nothing, in any state.
+"""axe-core, a checker of accessibility, finds no fault on the page, in any state.
 
-It is no part of this repository: `make check-page` fetches it from its package.
+The checker is no part of this repository: `make check-page` fetches its package.
 """
 
 import os
@@ -24,7 +24,8 @@ if not AXE.is_file():
 
 FAULTS = """async () => (await axe.run(document, {runOnly: ["wcag2a", "wcag2aa",
     "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]})).violations.map(
-    (one) => [one.id, one.help, one.nodes.map((node) => node.target.join(" "))])"""
+    (fault) => [fault.id, fault.help,
+    fault.nodes.map((node) => node.target.join(" "))])"""
 
 
 def check(page, *, sizes=((1280, 900), (390, 844))):
@@ -39,7 +40,9 @@ def check(page, *, sizes=((1280, 900), (390, 844))):
             assert faults == [], (width, scheme)
 
 
-def test_before_anything_is_there(page, hand, serving, tmp_path):
+def test_the_page_has_no_fault_before_there_is_a_baseline(
+    page, hand, serving, tmp_path
+):
     with serving(LiveSession(hand, library=tmp_path / "library")) as (address, token):
         page.goto(f"{address}/")  # the sign-in page
         check(page)
@@ -48,7 +51,9 @@ def test_before_anything_is_there(page, hand, serving, tmp_path):
         check(page)
 
 
-def test_while_teaching_and_after_a_restart(page, make_session, open_page, tmp_path):
+def test_the_page_has_no_fault_while_teaching_and_after_a_restart(
+    page, make_session, open_page, tmp_path
+):
     folder = tmp_path / "library"
     with open_page(make_session(library=folder)):
         page.fill("#name", "disc")
@@ -67,7 +72,9 @@ def test_while_teaching_and_after_a_restart(page, make_session, open_page, tmp_p
         check(page)
 
 
-def test_recognising_and_editing(page, taught, open_page, drawn):
+def test_the_page_has_no_fault_while_recognising_and_editing(
+    page, taught, open_page, drawn
+):
     with open_page(taught):
         expect(page.locator("#learnt")).to_have_text("2 objects learnt")
         check(page)
@@ -89,7 +96,9 @@ def test_recognising_and_editing(page, taught, open_page, drawn):
         check(page)
 
 
-def test_two_sensors_and_many_objects(page, open_page, make_session, drawn):
+def test_the_page_has_no_fault_with_two_sensors_and_many_objects(
+    page, open_page, make_session, drawn
+):
     sessions = [make_session(rate_hz=60.0) for _ in range(2)]
     names = [f"thing {n}" for n in np.arange(90) % 20]
     for session, placed in zip(sessions, ("disc", "bar"), strict=True):

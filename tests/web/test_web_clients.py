@@ -1,4 +1,4 @@
-"""Many pages at once, one of which stops reading: the others do not notice."""
+"""Many pages at once: where one stops reading, the others get all their frames."""
 
 import json
 import socket
@@ -16,9 +16,9 @@ from .conftest import waited
 N_CLIENTS = 20
 
 
-def heads(address, token, seconds):
+def frame_headers(address, token, seconds):
     """Read a websocket for some seconds; return the headers of its frames."""
-    found = []
+    headers = []
     url = address.replace("http", "ws") + f"/ws?token={token}"
     with connect(url, max_size=None) as page:
         end = time.monotonic() + seconds
@@ -29,8 +29,8 @@ def heads(address, token, seconds):
                 break
             if isinstance(message, bytes):
                 length = int.from_bytes(message[:4], "big")
-                found.append(json.loads(message[4 : 4 + length]))
-    return found
+                headers.append(json.loads(message[4 : 4 + length]))
+    return headers
 
 
 def stopped_reader(address, token):
@@ -64,9 +64,11 @@ def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
             )
         )
         posting.start()
-        found = []
+        pages = []
         readers = [
-            threading.Thread(target=lambda: found.append(heads(address, token, 3.0)))
+            threading.Thread(
+                target=lambda: pages.append(frame_headers(address, token, 3.0))
+            )
             for _ in range(N_CLIENTS)
         ]
         for reader in readers:
@@ -76,12 +78,12 @@ def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
         posting.join(60)
         slow.close()
     assert "must have 12 x 12 taxels, got 1300 x 2000" in refused[0].text
-    assert len(found) == N_CLIENTS
-    for frames in found:
-        numbers = [frame["number"] for frame in frames]
-        assert numbers == sorted(set(numbers))  # none twice, none out of order
+    assert len(pages) == N_CLIENTS
+    for headers in pages:
+        numbers = [frame["number"] for frame in headers]
+        assert numbers == sorted(set(numbers))  # no frame twice or out of order
         # 30 a second are offered for up to 3 s; a busy machine opens sockets slowly.
-        assert len(frames) >= 15
+        assert len(headers) >= 15
     assert session.watch.sensor.n_dropped == 0
 
 
@@ -101,12 +103,12 @@ def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch)
 def test_a_page_that_leaves_is_forgotten(make_session, serving):
     session = make_session()
     with serving(session) as (address, token):
-        assert heads(address, token, 0.5)
+        assert frame_headers(address, token, 0.5)
         assert waited(lambda: not len(session.listeners))
 
 
 @pytest.mark.parametrize("message", ["ping", "{}", "x" * 1000])
-def test_what_a_page_says_does_no_harm(make_session, serving, message):
+def test_a_message_of_a_page_does_no_harm(make_session, serving, message):
     with serving(make_session(sensor=False)) as (address, token):
         url = address.replace("http", "ws") + f"/ws?token={token}"
         with connect(url) as page:

@@ -23,8 +23,8 @@ def red_left(side=60):
 
 
 @pytest.fixture
-def shown(tmp_path, make_session, connected):
-    """Return what the page shows of one touch: blue, green, red."""
+def picture_of(tmp_path, make_session, connected):
+    """Return a function: the page's picture of a touch, in blue, green, red."""
 
     def show(image, channels):
         folder = tmp_path / "-".join(channels)
@@ -45,17 +45,17 @@ def shown(tmp_path, make_session, connected):
     return show
 
 
-def test_colour_is_shown_in_colour(shown):
-    picture = shown(red_left(), ["r", "g", "b"])
+def test_colour_is_shown_in_colour(picture_of):
+    picture = picture_of(red_left(), ["r", "g", "b"])
     assert picture.shape == (96, 96, 3)
     assert picture[48, 10].tolist() == [0, 0, 200]
     assert picture[48, 85].tolist() == [200, 0, 0]
-    turned = shown(red_left()[..., ::-1].copy(), ["b", "g", "r"])
+    turned = picture_of(red_left()[..., ::-1].copy(), ["b", "g", "r"])
     np.testing.assert_array_equal(turned, picture)
 
 
-def test_other_channels_are_shown_as_their_mean(shown):
-    picture = shown(red_left(), ["x", "y", "z"])
+def test_other_channels_are_shown_as_their_mean(picture_of):
+    picture = picture_of(red_left(), ["x", "y", "z"])
     assert len(np.unique(picture)) == 1
 
 
@@ -64,8 +64,8 @@ def hues(rng, count):
     row, col = np.mgrid[:24, :32]
     for hue in (98, 0, 0), (0, 50, 0):
         places = rng.uniform((8, 8), (16, 24), (count, 2))
-        apart = [(row - y) ** 2 + (col - x) ** 2 for y, x in places]
-        blobs = np.exp(-np.array(apart) / 30)[..., np.newaxis] * hue
+        squared_distances = [(row - y) ** 2 + (col - x) ** 2 for y, x in places]
+        blobs = np.exp(-np.array(squared_distances) / 30)[..., np.newaxis] * hue
         noise = rng.normal(scale=0.5, size=blobs.shape)
         yield np.rint(60 + blobs + noise).astype(np.uint8)
 
@@ -88,7 +88,9 @@ def posted(client, path, body):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("coded", [as_png, as_npy])
-def test_colour_comes_through_the_api(tmp_path, make_session, connected, rng, coded):
+def test_touches_in_colour_are_taught_and_recognised_by_the_api(
+    tmp_path, make_session, connected, rng, coded
+):
     library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"
     session = make_session(sensor=False, library=library)
     taught = dict(zip(("rose", "leaf"), hues(rng, 7), strict=True))
@@ -104,11 +106,11 @@ def test_colour_comes_through_the_api(tmp_path, make_session, connected, rng, co
         with connected(session) as client:
             for name, images in taught.items():
                 client.post("/api/episode/start")
-                said = posted(client, "/api/touch/picture", coded(images[6])).json()
-                assert said["best"] == name
+                answer = posted(client, "/api/touch/picture", coded(images[6])).json()
+                assert answer["best"] == name
             assert session.episode.as_touches().channels == ("r", "g", "b")
-            shown = client.get("/api/episode/touches/1/picture").content
-            assert seen(shown)[..., 1].max() > seen(shown)[..., 2].max()
+            picture = client.get("/api/episode/touches/1/picture").content
+            assert decoded(picture)[..., 1].max() > decoded(picture)[..., 2].max()
             grey = images[0][..., 1].copy()
             for body in as_png(grey), as_npy(grey):
                 refused = posted(client, "/api/touch/picture", body)
@@ -123,8 +125,8 @@ def test_colour_is_refused_where_grey_was_learnt(make_session, connected, drawn)
     with connected(make_session(sensor=False)) as client:
         path = "/api/teach/touch/picture?object=cup"
         assert posted(client, path, as_png(image)).status_code == 200
-        for asked, body in ("&colour=1", as_png(painted)), ("", as_npy(painted)):
-            refused = posted(client, path + asked, body)
+        for query, body in ("&colour=1", as_png(painted)), ("", as_npy(painted)):
+            refused = posted(client, path + query, body)
             assert refused.status_code == 422
             assert "must have 12 x 12 taxels in grey" in refused.text
             assert "got 12 x 12 with 3 channels" in refused.text
@@ -138,7 +140,7 @@ def test_colour_is_refused_where_grey_was_learnt(make_session, connected, drawn)
 
 def strongest(events):
     """Return the shown frame with most of a pattern; a colour alone is none."""
-    frames = [seen(event.picture) for event in [*events] if event.kind == "frame"]
+    frames = [decoded(event.picture) for event in [*events] if event.kind == "frame"]
     return max(frames, key=lambda frame: np.ptp(frame, axis=(0, 1)).max())
 
 
@@ -146,9 +148,9 @@ def strongest(events):
 def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connected):
     parts = np.concatenate([*hues(rng, 6)])
     images = np.concatenate([parts] * (len(names) // 3), axis=-1)
-    rest = np.full(images.shape[1:], 60, np.uint8)
+    baseline = np.full(images.shape[1:], 60, np.uint8)
     things = np.repeat(["rose", "leaf"], 6)
-    recorded = Touches(images, object=things, channels=[*names], no_contact=rest)
+    recorded = Touches(images, object=things, channels=[*names], no_contact=baseline)
     sensor = ReplaySensor(recorded, rate_hz=200, hold=3, gap=3)
     sensor.place(None)
     session, events = LiveSession(sensor, library=tmp_path / "library"), []
@@ -158,16 +160,16 @@ def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connec
         session.place("rose")
         assert waited(lambda: session.teacher.lesson is None)
         assert waited(lambda: session.episode.touches)
-        # Only some frames are shown: until one of them is a press.
+        # Only some frames are shown: wait until one of them is a press.
         assert waited(lambda: np.ptp(strongest(events), axis=(0, 1)).max() > 50)
         session.place(None)
         key = session.teacher.newest("rose", 3)[0].id
-        shown = seen(client.get(f"/api/touches/{key}/picture").content)
+        stored_picture = decoded(client.get(f"/api/touches/{key}/picture").content)
         assert client.get("/api/episode/touches/1/picture").status_code == 200
         assert session.teacher.touches("rose").channels == tuple(names)
         assert session.episode.as_touches().channels == tuple(names)
     assert session.trouble == ""
-    for picture in (strongest(events), shown):
+    for picture in (strongest(events), stored_picture):
         _, green, red = np.ptp(picture, axis=(0, 1))
         assert red > 50
         # Other channels are shown as one, in false colour.
@@ -223,7 +225,7 @@ class Gel:
         return True, np.rint(picture).astype(np.uint8)
 
 
-def seen(picture):
+def decoded(picture):
     return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
 
 
@@ -242,20 +244,20 @@ def camera(gel):
     return make
 
 
-def pressed_by(session, gel, hue, done):
-    """Let a thing press until something is done, and let what comes late pass."""
+def press_until(session, gel, hue, condition):
+    """Let a thing press until a condition holds, then wait for late frames."""
     gel.hue = hue
-    assert waited(done)
+    assert waited(condition)
     gel.hue = None
     time.sleep(0.3)
 
 
-def taught(session, gel):
+def teach_both(session, gel):
     """Teach both things, six touches each."""
     session.take_baseline()
     for hue in HUES:
         session.teach(hue, 6)
-        pressed_by(session, gel, hue, lambda: session.teacher.lesson is None)
+        press_until(session, gel, hue, lambda: session.teacher.lesson is None)
     assert session.trouble == ""
 
 
@@ -267,13 +269,13 @@ def test_a_colour_camera_teaches_what_differs_in_hue_alone(
     session = LiveSession(camera(colour=True), library=library)
     session.listeners.add(events.append)
     with connected(session) as client:
-        taught(session, gel)
+        teach_both(session, gel)
         session.learn(wait=True)
         assert session.learn_error == ""
         for hue in HUES:
             session.begin_episode()
             episode = session.episode
-            pressed_by(session, gel, hue, lambda e=episode: len(e.touches) > 2)
+            press_until(session, gel, hue, lambda e=episode: len(e.touches) > 2)
             assert session.end_episode()["best"] == hue
         touches = episode.as_touches()
         assert touches.channels == ("r", "g", "b")
@@ -281,17 +283,17 @@ def test_a_colour_camera_teaches_what_differs_in_hue_alone(
         # The leaf is greener than the gel, and no redder than its noise.
         change = (touches.images.max(axis=(1, 2)) - session.baseline.max()).mean(0)
         assert change[1] > 30 > change[0]
-        shown = seen(client.get("/api/episode/touches/1/picture").content)
-        assert (shown[..., 1] > shown[..., 2].max()).any()  # green above all red
+        picture = decoded(client.get("/api/episode/touches/1/picture").content)
+        assert (picture[..., 1] > picture[..., 2].max()).any()  # green above all red
         assert "data:image/png" in client.get("/api/episode/report").text
         assert client.get("/api/episode/archive").status_code == 200
 
         assert client.post("/api/baseline", json={"ask_press": True}).is_success
-        pressed_by(session, gel, "rose", lambda: session.watch.press is not None)
-        press = seen(client.get("/api/baseline/press").content)
+        press_until(session, gel, "rose", lambda: session.watch.press is not None)
+        press = decoded(client.get("/api/baseline/press").content)
         assert press[..., 2].max() > 2 * press[..., 1].max()
     frames = [event.picture for event in events if event.kind == "frame"]
-    assert any(np.ptp(seen(one).astype(int).mean((0, 1))) > 3 for one in frames)
+    assert any(np.ptp(decoded(frame).astype(int).mean((0, 1))) > 3 for frame in frames)
     with TouchLibrary.open(library) as kept:
         stored = kept.touches()
         assert stored.channels == ("r", "g", "b")
@@ -308,7 +310,7 @@ def test_a_model_of_the_other_kind_is_refused_with_the_fix(
 ):
     library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"
     with LiveSession(camera(colour=colour), library=library) as session:
-        taught(session, gel)
+        teach_both(session, gel)
         session.learn(wait=True)
         assert session.learn_error == ""
     kinds = ["colour", "grey"] if colour else ["grey", "colour"]
@@ -321,10 +323,10 @@ def test_a_model_of_the_other_kind_is_refused_with_the_fix(
     with LiveSession(camera(colour=not colour), library=library) as session:
         assert session.to_dict()["sensor"]["warnings"] == [session.watch.misfit]
         session.take_baseline()
-        pressed_by(session, gel, "rose", lambda: session.trouble != "")
+        press_until(session, gel, "rose", lambda: session.trouble != "")
         assert session.trouble == session.watch.misfit
         # One sensor of a library gives colour or grey, never both.
         session.teach("rose", 2)
-        pressed_by(session, gel, "rose", lambda: session.trouble != "")
+        press_until(session, gel, "rose", lambda: session.trouble != "")
         assert "channels like those in the library" in session.trouble
         assert len(session.teacher.library) == 12

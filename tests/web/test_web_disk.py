@@ -1,4 +1,4 @@
-"""A disk without room: said with 507, never a fault of the server."""
+"""A disk without room: the answer is 507, never a fault of the server."""
 
 import errno
 import io
@@ -16,7 +16,7 @@ def client(make_session, connected):
         yield client
 
 
-def full(*given, **named):
+def full(*arguments, **options):
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
@@ -33,7 +33,7 @@ def test_pictures_need_no_room_on_the_disk(client, drawn, monkeypatch):
 
 
 def test_a_touch_that_cannot_be_stored_is_not_acknowledged(client, drawn, monkeypatch):
-    def add(**named):
+    def add(**options):
         try:
             full()
         except OSError as error:
@@ -63,7 +63,7 @@ def test_a_database_without_room_lacks_room(client, drawn, monkeypatch, database
     client.session.post_lesson("cup", drawn.images[0])
     causes = [database_error, None]
 
-    def refuse(*given, **named):
+    def refuse(*arguments, **options):
         raise LibraryError("It is full.") from causes.pop(0)
 
     monkeypatch.setattr(client.session.teacher.library, "rename_object", refuse)

@@ -21,7 +21,7 @@ def _detected(image):
 def counts(session):
     """Return how many touches each object of the library has."""
     objects = session.to_dict()["library"]["objects"]
-    return {one["name"]: one["n_touches"] for one in objects}
+    return {entry["name"]: entry["n_touches"] for entry in objects}
 
 
 def test_a_touch_removed_comes_back_by_undo_after_a_restart(folder):
@@ -143,7 +143,7 @@ def test_the_objects_that_changed_since_it_learnt_are_known(folder):
         assert changed(session) == []  # another program has learnt since
 
 
-def test_what_is_undone_is_as_it_was_learnt(folder):
+def test_an_object_put_back_as_it_was_learnt_counts_as_unchanged(folder):
     with LiveSession(library=folder) as session:
         session.learn(wait=True)
         session.move_touches([session.teacher.newest("disc", 1)[0].id], "cup")
@@ -157,7 +157,7 @@ def test_what_is_undone_is_as_it_was_learnt(folder):
         assert not session.unlearnt
 
 
-def test_what_is_forgotten_comes_back_by_undo_and_is_learnt_again(folder):
+def test_a_forgotten_object_comes_back_by_undo_and_is_learnt_again(folder):
     with LiveSession(library=folder) as session:
         session.learn(wait=True)
         session.forget("disc")
@@ -172,8 +172,8 @@ def test_what_is_forgotten_comes_back_by_undo_and_is_learnt_again(folder):
 
 
 @pytest.mark.parametrize("error", [LearningError, MemoryError])
-def test_what_changed_stays_so_where_learning_fails(folder, learn_by, error):
-    """Also where this process has no memory for the model that was learnt."""
+def test_changed_objects_stay_changed_where_learning_fails(folder, learn_by, error):
+    """Learning may fail in its own process, or this one may lack memory for it."""
 
     def fail(*job):
         raise error("no memory")
@@ -239,8 +239,8 @@ def test_a_recording_that_begins_anew_is_not_stored_twice(tmp_path, drawn):
             assert waited(lambda opened=session: opened.teacher.lesson is None)
             session.place(None)
             assert session.teacher.library.count() == n_stored
-    said = "All 5 touches that were recorded here are stored: 2 of 3 of disc."
-    assert session.message == said
+    message = "All 5 touches that were recorded here are stored: 2 of 3 of disc."
+    assert session.message == message
 
 
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
@@ -249,7 +249,7 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
         for image in drawn.images[:3]:
             session._on_touch(_detected(image), 0.0)
         session.undo()
-    # The server was killed: nobody ended the lesson.
+    # Leaving the session does not end the lesson, as if the server was killed.
     with make_session(library=folder) as session:
         interrupted = session.to_dict()["library"]["interrupted"]
         assert interrupted == {"name": "shoe", "wanted": 8, "done": 2}
@@ -280,15 +280,15 @@ def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(
         assert len({row.episode for row in rows}) == n_started
         return len({row.session for row in rows})
 
-    for n_started, rest_s in ((1, 0), (2, 600), (3, 4000)):
+    for n_started, pause_s in ((1, 0), (2, 600), (3, 4000)):
         if folder.exists():
-            then = time.time() - rest_s
+            then = time.time() - pause_s
             os.utime(folder / "page.jsonl", (then, then))
         with make_session(library=folder) as session:
             session.teach("shoe", 2)
             session._on_touch(_detected(drawn.images[n_started]), 0.0)
             # After more than an hour it is another sitting.
-            assert sessions(n_started, session) == (2 if rest_s > 3600 else 1)
+            assert sessions(n_started, session) == (2 if pause_s > 3600 else 1)
     with make_session(library=folder) as session:
         session.place(None)
         assert waited(lambda: not session.watch.detector.touching)
@@ -299,22 +299,26 @@ def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(
         assert sessions(4, session) == 3
 
 
-def test_what_is_said_is_of_now(make_session, tmp_path, drawn, drawn_model):
+def test_the_message_is_of_what_happened_last(
+    make_session, tmp_path, drawn, drawn_model
+):
     with make_session(library=tmp_path / "library", model=drawn_model) as session:
         session.teach("both", 3)
         for image in drawn.images[60:62]:
-            said = session._take(image)
+            session._take(image)
         session.stop_teaching()
         assert session.message == "The lesson of both is over: 2 of 3 stored."
         session.teach("both", 1)
         # The model knows others: with this one there is something to learn.
-        said = session._take(drawn.images[63])
-        assert said == "Touch 1 of 1 of both is stored. Next: Learn, or another object."
-        session.message = said
-        said_while = []
-        session._learn_in_process = lambda changes: said_while.append(session.message)
+        message = session._take(drawn.images[63])
+        assert (
+            message == "Touch 1 of 1 of both is stored. Next: Learn, or another object."
+        )
+        session.message = message
+        messages = []
+        session._learn_in_process = lambda changes: messages.append(session.message)
         session.learn(wait=True)
-        assert said_while == ["Learning."]
+        assert messages == ["Learning."]
 
 
 def test_a_lesson_that_was_finished_is_not_offered(make_session, folder, drawn):

@@ -1,4 +1,4 @@
-"""From nothing to a recognised touch, made where nothing was taught."""
+"""From nothing taught to touches recognised in places that were never taught."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def of(name, after_one, after_eight, other):
     return {"name": name, "taken_for": other, **figures}
 
 
-def test_what_the_page_advises_is_what_is_taught():
+def test_advised_objects_are_read_from_the_advice():
     pair = teaching_advice(
         [of("a mug", 0.3, 0.5, "a cup"), of("a cup", 0.3, 0.5, "a mug")]
     )
@@ -27,13 +27,16 @@ def test_what_the_page_advises_is_what_is_taught():
     assert advised([f"{alike}, unless it is the same all over."]) == ["a mug"]
 
 
-def test_shares_are_of_episodes():
+def test_the_table_gives_shares_of_episodes():
     right = {"object": "pen", "right": "0" + "1" * 11, "first": "pen"}
     wrong = {"object": "cup", "right": "1" + "0" * 11, "first": "pen"}
     none = {"object": "mug", "right": "1" * 12, "first": None}
     stranger = {"object": "box", "right": "1" * 12, "first": "unknown"}
-    way = {"asked": [right, wrong, none, stranger], "taught": {"pen": 12, "cup": 22}}
-    line = table([{"in a row": way}] * 2).splitlines()[2]
+    outcome = {
+        "asked": [right, wrong, none, stranger],
+        "taught": {"pen": 12, "cup": 22},
+    }
+    line = table([{"in a row": outcome}] * 2).splitlines()[2]
     cells = [cell.strip() for cell in line.strip("|").split("|")]
     assert cells == ["in a row", "17", *["25"] * 4, "75", "0", "75", "0", "75"]
 
@@ -52,16 +55,17 @@ def test_three_recorded_things_are_recognised_where_they_were_not_taught(
         for name in names:
             desk.teach(name, N_TAUGHT, in_a_row=False, obey=True)
         state = session.to_dict()
-        stored = [one["n_touches"] for one in state["library"]["objects"]]
-        assert min(stored) == N_TAUGHT  # those without contact are stored beside
+        stored = [entry["n_touches"] for entry in state["library"]["objects"]]
+        assert min(stored) == N_TAUGHT  # touches without contact are stored beside
         assert sum(stored) - len(state["no_contact"]) == 3 * N_TAUGHT
         desk.learn()
         assert desk.follow_advice() <= 3
-        said = desk.ask()
-    asked = {name: set(desk.last[name]) for name in names}
-    assert all(not asked[name] & set(desk.taught[name]) for name in names)
+        records = desk.ask()
+    tested_rows = {name: set(desk.last[name]) for name in names}
+    assert all(not tested_rows[name] & set(desk.taught[name]) for name in names)
     # Chance is a third of the touches, and one thing of three after eight.
-    assert np.mean([one["right"][7] == "1" for one in said]) >= 2 / 3
-    assert np.mean([mark == "1" for one in said for mark in one["right"]]) > 0.6
-    assert all(len(one["right"]) == N_ASKED for one in said)
-    assert [one["first"] for one in said].count("unknown") <= 1
+    marks = [record["right"] for record in records]
+    assert np.mean([episode[7] == "1" for episode in marks]) >= 2 / 3
+    assert np.mean([mark == "1" for episode in marks for mark in episode]) > 0.6
+    assert all(len(episode) == N_ASKED for episode in marks)
+    assert [record["first"] for record in records].count("unknown") <= 1

@@ -1,4 +1,4 @@
-"""Nobody comes in without the token, and nobody brings too much."""
+"""No client comes in without the token, and none may send too much."""
 
 import json
 import logging
@@ -26,7 +26,7 @@ def client(make_session, connected):
     """A client that does not know the token."""
     session = make_session(sensor=False)
     with connected(
-        session, TOKEN, known=False, max_body=10_000, rate_hz=5000
+        session, TOKEN, signed_in=False, max_body=10_000, rate_hz=5000
     ) as client:
         yield client
 
@@ -39,7 +39,9 @@ def socket_address(client, query=""):
 def every_address(client):
     """Every path the application answers, API, page and files alike."""
     described = create_app(client.session, TOKEN).openapi()["paths"]
-    paths = [(method, path) for path, ways in described.items() for method in ways]
+    paths = [
+        (method, path) for path, methods in described.items() for method in methods
+    ]
     more = ["/", "/static/app.js", "/openapi.json", "/nowhere"]
     return [*paths, *(("get", path) for path in more)]
 
@@ -88,7 +90,7 @@ def test_the_right_token_opens_by_header_query_and_cookie(client):
         assert json.loads(socket.recv())["kind"] == "state"
 
 
-def test_who_comes_from_another_site_gets_the_page_and_the_cookie_at_once(client):
+def test_a_link_on_another_site_gets_the_page_and_the_cookie_at_once(client):
     """A strict cookie is not sent along with a redirect that another site caused."""
     client.cookies.clear()
     headers = {"Sec-Fetch-Site": "cross-site", "Accept": "text/html"}
@@ -107,8 +109,8 @@ def test_pages_of_other_sites_are_refused(client, origin):
     answer = client.post("/api/episode/start", headers=foreign)
     assert answer.status_code == 403
     assert "other sites" in answer.json()["detail"]
-    own = {**BEARER, "Origin": str(client.base_url)}
-    assert client.post("/api/episode/start", headers=own).status_code == 200
+    same_site = {**BEARER, "Origin": str(client.base_url)}
+    assert client.post("/api/episode/start", headers=same_site).status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -131,7 +133,7 @@ def test_only_names_of_this_server_are_answered(client, host, status):
     assert client.get("/api/health", headers=headers).status_code == status
 
 
-def test_a_name_that_was_given_is_answered(make_session, connected):
+def test_a_host_name_that_was_given_is_answered(make_session, connected):
     with connected(make_session(sensor=False), names=["desk.example"]) as client:
         for host, status in (("desk.example", 200), ("other.example", 403)):
             headers = {"Host": host}
@@ -165,27 +167,27 @@ def test_every_answer_says_what_a_browser_may_do(client, path, headers):
 def test_half_a_request_is_not_waited_for(make_session, connected, monkeypatch):
     monkeypatch.setattr("palpate.web._request_guard._HEAD_S", 0.2)
     monkeypatch.setattr("palpate.web._request_guard._PART_S", 0.2)
-    # What rests on a connection after an answer has as long as uvicorn keeps it.
+    # Half a request after an answer has as long as uvicorn keeps the connection.
     with connected(make_session(sensor=False), keep_alive_s=0.3) as client:
         _halves_end((client.base_url.host, client.base_url.port))
 
 
-def _halves_end(place):
-    whole = f"GET /static/style.css HTTP/1.1\r\nHost: {place[0]}\r\n\r\n".encode()
+def _halves_end(address):
+    whole = f"GET /static/style.css HTTP/1.1\r\nHost: {address[0]}\r\n\r\n".encode()
     for sent in (b"", b"GET / HTTP/1.1\r\nHo", whole + b"GET /"):
-        with socket.create_connection(place, timeout=30) as half:
+        with socket.create_connection(address, timeout=30) as half:
             half.sendall(sent)
             while half.recv(65536):  # to its end, or TimeoutError
                 pass
     head = whole[:-2].replace(b"GET", b"POST") + b"Content-Length: 9\r\n\r\n1234"
-    with socket.create_connection(place, timeout=30) as half:
+    with socket.create_connection(address, timeout=30) as half:
         half.sendall(head)
         assert half.recv(65536).startswith(b"HTTP/1.1 408")
 
 
 def test_a_slow_request_that_ends_in_time_is_answered(client):
-    place = client.base_url.host, client.base_url.port
-    with socket.create_connection(place, timeout=5) as slow:
+    address = client.base_url.host, client.base_url.port
+    with socket.create_connection(address, timeout=5) as slow:
         for part in (b"GET /static/style.css HT", b"TP/1.1\r\nHost: ::1\r\n", b"\r\n"):
             slow.sendall(part)
         assert slow.recv(100).startswith(b"HTTP/1.1 403")  # ::1 needs brackets
@@ -249,9 +251,9 @@ def test_tokens_are_long_and_never_alike():
     assert min(map(len, tokens)) >= 32  # 24 bytes in base64
 
 
-def idle_connections(place, count):
+def idle_connections(address, count):
     """Open connections that say nothing."""
-    return [socket.create_connection(place, timeout=30) for _ in range(count)]
+    return [socket.create_connection(address, timeout=30) for _ in range(count)]
 
 
 def test_idle_connections_give_way_to_whoever_comes(
@@ -261,18 +263,18 @@ def test_idle_connections_give_way_to_whoever_comes(
     monkeypatch.setattr("palpate.web._request_guard.most_waiting", lambda: 5)
     with connected(make_session(sensor=False)) as client:
         assert client.get("/api/health").status_code == 200  # and stays connected
-        place = client.base_url.host, client.base_url.port
-        held = idle_connections(place, 12)
-        for closed in held[:7]:
+        address = client.base_url.host, client.base_url.port
+        connections = idle_connections(address, 12)
+        for closed in connections[:7]:
             with suppress(ConnectionResetError):
                 assert closed.recv(1) == b""
         assert client.get("/api/health").status_code == 200
-        for one in held[7:]:
-            one.setblocking(False)
+        for connection in connections[7:]:
+            connection.setblocking(False)
             with pytest.raises(BlockingIOError):
-                one.recv(1)
-        for one in held:
-            one.close()
+                connection.recv(1)
+        for connection in connections:
+            connection.close()
 
 
 def test_connections_that_rest_after_their_token_are_bounded_too(
@@ -281,19 +283,20 @@ def test_connections_that_rest_after_their_token_are_bounded_too(
     monkeypatch.setattr("palpate.web._request_guard.most_waiting", lambda: 3)
     session = make_session(sensor=False)
     with connected(session) as client:
-        place = client.base_url.host, client.base_url.port
-        asked = b"GET /api/health HTTP/1.1\r\nHost: localhost\r\n"
-        asked += b"Authorization: Bearer token\r\n\r\n"
+        address = client.base_url.host, client.base_url.port
+        request = b"GET /api/health HTTP/1.1\r\nHost: localhost\r\n"
+        request += b"Authorization: Bearer token\r\n\r\n"
         with ExitStack() as stack:
-            held = []
+            connections = []
             for _ in range(6):
-                (one,) = idle_connections(place, 1)
-                stack.callback(one.close)
-                one.sendall(asked)
-                assert b" 200 " in one.recv(65536)
-                held.append(one)
+                (connection,) = idle_connections(address, 1)
+                stack.callback(connection.close)
+                connection.sendall(request)
+                assert b" 200 " in connection.recv(65536)
+                connections.append(connection)
             with suppress(ConnectionResetError):
-                while held[0].recv(65536):  # the rest of its answer, then the end
+                # What is left of its answer, then the end.
+                while connections[0].recv(65536):
                     pass
             assert client.get("/api/health").status_code == 200
 
@@ -302,7 +305,7 @@ def test_connections_that_rest_after_their_token_are_bounded_too(
 def test_too_many_requests_are_slowed_down_with_and_without_the_token_apart(
     make_session, connected, first
 ):
-    """Who has just been slowed down may still be told that a token is wrong."""
+    """A client that was slowed down still learns that its token is wrong."""
     status = {"wrong": 403, "right": 200}
     (second,) = {*status} - {first}
     with connected(make_session(sensor=False), TOKEN, rate_hz=5) as client:
@@ -321,7 +324,7 @@ def test_too_many_requests_are_slowed_down_with_and_without_the_token_apart(
         }
 
 
-def test_what_goes_wrong_again_and_again_is_said_once_a_minute(
+def test_a_repeated_error_is_logged_once_a_minute(
     make_session, connected, caplog, monkeypatch
 ):
     now_s = 0.0
@@ -333,9 +336,9 @@ def test_what_goes_wrong_again_and_again_is_said_once_a_minute(
         for now_s in (0.0, 1.0, 59.0, 61.0):
             log.error("accept() failed\nsocket %s", now_s)
             log.error("something else %s", now_s)
-    said = [record.getMessage().partition("\n")[0] for record in caplog.records]
-    assert said.count("accept() failed") == 2
-    assert len(said) == 6
+    messages = [record.getMessage().partition("\n")[0] for record in caplog.records]
+    assert messages.count("accept() failed") == 2
+    assert len(messages) == 6
     assert log.filters == before
 
 
@@ -363,7 +366,9 @@ def test_a_picture_that_takes_too_long_holds_up_nothing_else(
             go_on.set()
 
 
-def test_what_is_being_answered_is_not_hung_up_on(make_session, connected, monkeypatch):
+def test_a_connection_is_not_closed_while_it_is_answered(
+    make_session, connected, monkeypatch
+):
     """The limit is for heads: an answer, and a websocket, may take longer."""
     monkeypatch.setattr("palpate.web._request_guard._HEAD_S", 0.2)
     monkeypatch.setattr(

@@ -21,9 +21,9 @@ from palpate.web._images import (
 BYTES = ImageKind((2, 2), np.dtype(np.uint8), None)
 
 
-def npy(array, **how):
+def npy(array, **options):
     stream = io.BytesIO()
-    np.lib.format.write_array(stream, array, **how)
+    np.lib.format.write_array(stream, array, **options)
     return stream.getvalue()
 
 
@@ -33,13 +33,13 @@ def decoded(picture):
 
 @pytest.mark.parametrize("level", [0.0, 255.0])
 def test_whole_numbers_within_a_type_are_taken_as_it(level):
-    found = check_image(np.array([[1.0, 2.0], [3.0, level]], np.float32), BYTES)
-    assert found.dtype == np.uint8
-    assert_array_equal(found, [[1, 2], [3, level]])
+    image = check_image(np.array([[1.0, 2.0], [3.0, level]], np.float32), BYTES)
+    assert image.dtype == np.uint8
+    assert_array_equal(image, [[1, 2], [3, level]])
 
 
 @pytest.mark.parametrize("level", [-1.0, 256.0, 1.5, np.nan])
-def test_other_numbers_are_refused(level):
+def test_numbers_outside_a_type_are_refused(level):
     with pytest.raises(ValueError, match="whole numbers from 0 to 255"):
         check_image(np.array([[1.0, 2.0], [3.0, level]], np.float32), BYTES)
 
@@ -53,7 +53,7 @@ def test_an_image_of_its_type_is_as_it_is_and_floats_take_anything():
 
 
 @pytest.mark.parametrize(
-    ("shape", "kind", "told"),
+    ("shape", "kind", "message"),
     [
         ((2, 3), BYTES, "must have 2 x 2.*, got 2 x 3"),
         ((2, 2, 3), BYTES, "must have 2 x 2 .*in grey, got 2 x 2 with 3 channels"),
@@ -64,21 +64,21 @@ def test_an_image_of_its_type_is_as_it_is_and_floats_take_anything():
         ),
     ],
 )
-def test_an_image_of_another_size_is_refused_with_both(shape, kind, told):
-    with pytest.raises(ValueError, match=told):
+def test_an_image_of_another_size_is_refused_with_both(shape, kind, message):
+    with pytest.raises(ValueError, match=message):
         check_image(np.zeros(shape, np.uint8), kind)
 
 
-def test_numbers_come_in_as_they_were_saved():
+def test_arrays_come_in_as_they_were_saved():
     for image in (
         np.arange(12, dtype=">i4").reshape(3, 4),
         np.asfortranarray(np.arange(12.0).reshape(3, 4)),
         np.arange(24, dtype=np.float32).reshape(2, 3, 4),
     ):
-        found = read_picture(npy(image), "application/x-npy", colour=False)
-        assert_array_equal(found, image)
-        assert found.dtype.isnative
-        assert found.flags.c_contiguous
+        read = read_picture(npy(image), "application/x-npy", colour=False)
+        assert_array_equal(read, image)
+        assert read.dtype.isnative
+        assert read.flags.c_contiguous
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_numbers_come_in_as_they_were_saved():
     ],
     ids=["empty", "cut", "flat", "complex", "channels", "version", "short", "long"],
 )
-def test_other_arrays_are_refused(body):
+def test_arrays_that_are_no_image_are_refused(body):
     with pytest.raises(TouchesError, match=f"got {len(body)} other bytes"):
         read_picture(body, "application/x-npy", colour=False)
 
@@ -103,8 +103,8 @@ def test_other_arrays_are_refused(body):
 def test_infinity_is_refused_and_nan_is_a_dead_taxel():
     with pytest.raises(ValueError, match="must be finite"):
         read_picture(npy(np.array([[1.0, np.inf]])), "application/x-npy", colour=False)
-    rest, image = read_json(b'{"object": "mug", "image": [[0, 1.5], [2, null]]}')
-    assert rest == {"object": "mug"}
+    fields, image = read_json(b'{"object": "mug", "image": [[0, 1.5], [2, null]]}')
+    assert fields == {"object": "mug"}
     assert image.dtype == np.float32
     assert_array_equal(image, [[0, 1.5], [2, np.nan]])
 
@@ -124,12 +124,12 @@ def test_infinity_is_refused_and_nan_is_a_dead_taxel():
         b'{"image": [[1e999]]}',
     ],
 )
-def test_other_bodies_are_refused(body):
+def test_json_that_holds_no_image_is_refused(body):
     with pytest.raises(ValueError, match=r"body must be|must be finite"):
         read_json(body)
 
 
-def test_a_kind_that_is_none_is_named():
+def test_an_unknown_content_type_is_named_beside_the_known_ones():
     with pytest.raises(TouchesError, match=r"image/png, image/jpeg or .*'text/html'"):
         read_picture(b"", "text/html", colour=False)
 
@@ -170,18 +170,18 @@ def test_arrays_are_false_colours_over_the_widest_range_yet():
 
 
 @pytest.mark.parametrize(
-    ("shape", "told", "coloured"),
+    ("shape", "false_colour", "coloured"),
     [((48, 48), False, True), ((49, 48), False, False), ((49, 48), True, True)],
 )
-def test_pictures_of_cameras_are_grey(shape, told, coloured):
-    painter = FramePainter(shape, false_colour=told)
+def test_pictures_of_cameras_are_grey(shape, false_colour, coloured):
+    painter = FramePainter(shape, false_colour=false_colour)
     assert painter.coloured == coloured
     image = np.full(shape, 90, np.uint8)
-    shown = decoded(painter.paint(image))
-    assert (shown.ndim == 3) == coloured
+    picture = decoded(painter.paint(image))
+    assert (picture.ndim == 3) == coloured
     if not coloured:
         assert painter.content_type == "image/jpeg"
-        assert_allclose(shown, 90, atol=1)
+        assert_allclose(picture, 90, atol=1)
 
 
 def test_a_thumbnail_is_96_pixels_at_its_longer_side():

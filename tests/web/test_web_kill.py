@@ -1,4 +1,4 @@
-"""Killed while teaching: every acknowledged touch is there afterwards."""
+"""A server killed while teaching has stored every touch that it acknowledged."""
 
 import json
 import os
@@ -24,14 +24,14 @@ def killed_while_teaching(folder, after, seed):
         text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
-    told = json.loads(process.stdout.readline())
+    server = json.loads(process.stdout.readline())
     acknowledged = []
 
     def teach(number):
         rng = np.random.default_rng((seed, number))
-        headers = {"Authorization": f"Bearer {told['token']}"}
+        headers = {"Authorization": f"Bearer {server['token']}"}
         plain = {"headers": headers, "verify": False}  # nothing is encrypted
-        with httpx.Client(base_url=told["address"], **plain) as client:
+        with httpx.Client(base_url=server["address"], **plain) as client:
             while True:
                 image = rng.integers(0, 255, size=(8, 8)).tolist()
                 body = {"object": f"thing {number}", "image": image}

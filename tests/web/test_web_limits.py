@@ -32,7 +32,7 @@ def guard(rate_hz=5.0, max_body=100, names=()):
     return RequestGuard(app, "t" * 20, max_body, rate_hz, names)
 
 
-def asked(client="1.2.3.4", path="/api/state", query=b"", method="GET", **headers):
+def connection(client="1.2.3.4", path="/api/state", query=b"", method="GET", **headers):
     named = {"host": "localhost", **headers}
     return HTTPConnection(
         {
@@ -48,11 +48,11 @@ def asked(client="1.2.3.4", path="/api/state", query=b"", method="GET", **header
 
 
 def test_twice_the_rate_at_once_and_then_the_rate(clock):
-    """At 5 a second: ten, then one each 0.2 s, and ten again after long."""
+    """At 5 a second: ten, then one each 0.2 s, and ten again after a long pause."""
     limited, permits = guard(5.0), {}
 
     def n_let_in():
-        return sum(limited._in_time(asked(), permits) for _ in range(20))
+        return sum(limited._in_time(connection(), permits) for _ in range(20))
 
     assert n_let_in() == 10
     assert n_let_in() == 0
@@ -66,23 +66,23 @@ def test_twice_the_rate_at_once_and_then_the_rate(clock):
     assert n_let_in() == 10
 
 
-def test_exactly_one_permit_is_one(clock):
+def test_one_whole_permit_lets_one_request_in(clock):
     limited, permits = guard(0.5), {}  # one at once
-    assert [limited._in_time(asked(), permits) for _ in range(2)] == [True, False]
+    assert [limited._in_time(connection(), permits) for _ in range(2)] == [True, False]
     clock.s += 2.0
-    assert limited._in_time(asked(), permits)
+    assert limited._in_time(connection(), permits)
 
 
 def test_addresses_have_permits_of_their_own_up_to_a_thousand(clock):
     limited, permits = guard(0.5), {}
     for number in range(1000):
-        assert limited._in_time(asked(f"host{number}"), permits)
+        assert limited._in_time(connection(f"host{number}"), permits)
     assert len(permits) == 1000
-    assert not limited._in_time(asked("host999"), permits)
-    assert limited._in_time(asked("another"), permits)  # all are forgotten
+    assert not limited._in_time(connection("host999"), permits)
+    assert limited._in_time(connection("another"), permits)  # all are forgotten
     assert len(permits) == 1
-    assert limited._in_time(asked(None), permits)
-    assert not limited._in_time(asked(None), permits)
+    assert limited._in_time(connection(None), permits)
+    assert not limited._in_time(connection(None), permits)
 
 
 @pytest.mark.parametrize(
@@ -101,9 +101,9 @@ def test_addresses_have_permits_of_their_own_up_to_a_thousand(clock):
     ],
 )
 def test_where_the_token_may_stand(headers, status):
-    refusal = guard()._refusal(asked(**headers))
+    refusal = guard()._refusal(connection(**headers))
     assert (refusal and refusal[0]) == status
-    assert cookie_name(asked()) == "palpate_token_8765"
+    assert cookie_name(connection()) == "palpate_token_8765"
 
 
 @pytest.mark.parametrize(
@@ -111,30 +111,32 @@ def test_where_the_token_may_stand(headers, status):
 )
 def test_a_token_in_the_address_reads_alone(method, status):
     query = b"token=" + b"t" * 20
-    refusal = guard()._refusal(asked(query=query, method=method))
+    refusal = guard()._refusal(connection(query=query, method=method))
     assert (refusal and refusal[0]) == status
     assert refusal is None or "Send it as Authorization: Bearer" in refusal[1]
 
 
 @pytest.mark.parametrize(("n_fields", "status"), [(100, None), (101, 401)])
-def test_of_a_hundred_fields_the_token_is_looked_for(n_fields, status):
+def test_the_token_is_looked_for_in_up_to_a_hundred_fields(n_fields, status):
     query = b"&".join([b"token=" + b"t" * 20, *[b"a=b"] * (n_fields - 1)])
-    refusal = guard()._refusal(asked(query=query))
+    refusal = guard()._refusal(connection(query=query))
     assert (refusal and refusal[0]) == status
 
 
 @pytest.mark.parametrize("path", ["/static/style.css", "/static/icon.svg"])
-def test_how_the_page_looks_is_open_but_not_to_other_names(path):
-    assert guard()._refusal(asked(path=path)) is None
-    assert guard()._refusal(asked(path=path, host="rebound.example"))[0] == 403
+def test_style_and_icon_need_no_token_but_a_host_name_of_the_server(path):
+    assert guard()._refusal(connection(path=path)) is None
+    assert guard()._refusal(connection(path=path, host="rebound.example"))[0] == 403
     assert (
-        guard(names=["Desk.Example"])._refusal(asked(path=path, host="desk.example:1"))
+        guard(names=["Desk.Example"])._refusal(
+            connection(path=path, host="desk.example:1")
+        )
         is None
     )
 
 
 def body_of(parts, length=None, most=100, limited=None):
-    """What the guard reads of a body that comes in parts; and how many were read."""
+    """Return what the guard reads of a body in parts, and how many parts it read."""
     read = []
 
     async def receive():
@@ -145,8 +147,8 @@ def body_of(parts, length=None, most=100, limited=None):
 
     headers = [] if length is None else [(b"content-length", length)]
     request = Request({"type": "http", "method": "POST", "headers": headers}, receive)
-    found = asyncio.run((limited or guard())._body(request, most))
-    return found, len(read)
+    body = asyncio.run((limited or guard())._body(request, most))
+    return body, len(read)
 
 
 def test_a_body_may_be_as_long_as_its_limit():
@@ -160,14 +162,14 @@ def test_a_body_may_be_as_long_as_its_limit():
 
 def test_of_a_body_too_large_ten_times_the_limit_is_read():
     """The first 100 bytes are kept, 1000 dropped, and the part that is more."""
-    found, n_read = body_of([b"x" * 100] * 50)
-    assert (found, n_read) == (None, 12)
-    found, n_read = body_of([b"x" * 100] * 50, b"5000")
-    assert (found, n_read) == (None, 11)
+    body, n_read = body_of([b"x" * 100] * 50)
+    assert (body, n_read) == (None, 12)
+    body, n_read = body_of([b"x" * 100] * 50, b"5000")
+    assert (body, n_read) == (None, 11)
 
 
 def test_a_body_too_large_is_not_waited_for(monkeypatch):
-    """One that only was announced is refused once nothing comes."""
+    """A body that was only announced is refused once nothing comes."""
     monkeypatch.setattr(_request_guard, "_DROP_S", 0.05)
 
     async def never():
@@ -204,7 +206,7 @@ def test_images_may_be_large_and_words_may_not(path, most):
     async def send(message):
         sent.append(message.get("status"))
 
-    scope = {**asked(path=path, method="POST").scope, "app": None}
+    scope = {**connection(path=path, method="POST").scope, "app": None}
     scope["headers"] += [(b"authorization", b"Bearer " + b"t" * 20)]
     limited = RequestGuard(app, "t" * 20, 2**20, 100.0)
     while sizes:
@@ -212,25 +214,27 @@ def test_images_may_be_large_and_words_may_not(path, most):
     assert sent[:2] == [most, 413]
 
 
-def test_what_was_said_is_said_again_after_a_minute_and_a_thousand_are_kept(clock):
+def test_a_message_is_logged_again_after_a_minute_and_a_thousand_are_kept(clock):
     once = OncePerMinute()
 
-    def said(words):
+    def logged(words):
         return once.filter(SimpleNamespace(getMessage=lambda: words))
 
-    assert said("a\n1")
+    assert logged("a\n1")
     clock.s += 59.9
-    assert not said("a\n2")
+    assert not logged("a\n2")
     clock.s += 0.1
-    assert said("a")
-    assert all(said(str(number)) for number in range(999))
-    assert not said("a")  # one of a thousand
-    assert said("one more")  # and all are forgotten
-    assert said("a")
+    assert logged("a")
+    assert all(logged(str(number)) for number in range(999))
+    assert not logged("a")  # one of a thousand
+    assert logged("one more")  # and all are forgotten
+    assert logged("a")
 
 
 @pytest.mark.parametrize(("files", "most"), [(300, 100), (1024, 341), (10**6, 341)])
-def test_a_third_of_the_files_may_wait(monkeypatch, files, most):
+def test_waiting_connections_may_take_a_third_of_the_open_files(
+    monkeypatch, files, most
+):
     import resource
 
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
@@ -240,8 +244,8 @@ def test_a_third_of_the_files_may_wait(monkeypatch, files, most):
 class Waiting(PatientProtocol):
     """A connection that was made at a time, and says when it is aborted."""
 
-    def __init__(self, made_s, known, closing=False, busy=False):
-        self.signed_in, self._made_s, self.aborted = known, made_s, False
+    def __init__(self, made_s, signed_in, closing=False, busy=False):
+        self.signed_in, self._made_s, self.aborted = signed_in, made_s, False
         self.cycle = SimpleNamespace(response_complete=not busy)
         self.transport = SimpleNamespace(is_closing=lambda: closing, abort=self._abort)
 
@@ -250,20 +254,20 @@ class Waiting(PatientProtocol):
 
 
 def test_the_oldest_of_each_kind_gives_way(monkeypatch):
-    """Those that are answered, or close already, do not count."""
+    """Connections that are answered, or close already, do not count."""
     monkeypatch.setattr(_request_guard, "most_waiting", lambda: 2)
     strangers = [Waiting(made_s, False) for made_s in (5.0, 3.0, 4.0)]
-    known = [Waiting(made_s, True) for made_s in (1.0, 2.0)]
+    signed_in = [Waiting(made_s, True) for made_s in (1.0, 2.0)]
     others = [Waiting(0.0, True, closing=True), Waiting(0.0, True, busy=True)]
-    for one in (*strangers, *known, *others):
-        one.connections = {*strangers, *known, *others}
+    for waiting in (*strangers, *signed_in, *others):
+        waiting.connections = {*strangers, *signed_in, *others}
     strangers[0]._make_room()
-    assert [one.aborted for one in strangers] == [False, True, False]
-    assert not any(one.aborted for one in (*known, *others))
+    assert [waiting.aborted for waiting in strangers] == [False, True, False]
+    assert not any(waiting.aborted for waiting in (*signed_in, *others))
     third = Waiting(6.0, True)
-    third.connections = {*known, third}
+    third.connections = {*signed_in, third}
     third._make_room()
-    assert [one.aborted for one in (*known, third)] == [True, False, False]
+    assert [waiting.aborted for waiting in (*signed_in, third)] == [True, False, False]
 
 
 @pytest.mark.parametrize(
@@ -281,7 +285,7 @@ def test_the_oldest_of_each_kind_gives_way(monkeypatch):
         "?!",
     ],
 )
-def test_names_that_are_none_are_refused(name):
+def test_names_that_name_nothing_are_refused(name):
     with pytest.raises(ValueError, match="The name of an object must"):
         checked_name(name)
 

@@ -19,13 +19,13 @@ SMALL = np.arange(64, dtype=np.uint8).reshape(8, 8)
 
 
 def small_touches(name, count, start=0):
-    """Touches of 8 x 8 taxels, as another sensor than the drawn one gives them."""
+    """Touches of 8 x 8 taxels, as from another sensor than that of the drawn ones."""
     images = np.stack([np.roll(SMALL, start + n) for n in range(count)])
     return Touches(images, object=[name] * count, time_s=np.arange(count) + start)
 
 
 def settled(session):
-    """Wait until it has learnt; return what the model knows."""
+    """Wait until a session has learnt; return the names that its model knows."""
     assert waited(lambda: not session.learning, 60)
     assert session.learn_error == ""
     return session.recogniser.classes_.tolist()
@@ -48,9 +48,9 @@ def test_undo_leaves_out_what_was_taught_here_and_nothing_else(folder, drawn):
 
 @pytest.fixture(scope="module")
 def model_of_elsewhere(drawn, tmp_path_factory):
-    """Return what puts a model where it is told, as other programs write it.
+    """Return a function that writes a model to a path, as other programs do.
 
-    It is of names alone, no ids of touches.
+    The model has names, but no ids of touches.
     """
     learnt = tmp_path_factory.mktemp("elsewhere") / "m.palpate"
     ObjectRecogniser().fit(drawn[drawn.object != "both"][::2]).save(learnt)
@@ -84,7 +84,7 @@ def test_a_rename_that_would_lose_what_the_model_knows_is_refused(
         assert settled(session) == ["bar", "coin"]
 
 
-def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder):
+def test_an_object_renamed_elsewhere_is_known_by_its_touches(folder):
     model = folder / "model.palpate"
     learn_job(folder, model)
     with TouchLibrary.open(folder) as library:
@@ -150,8 +150,8 @@ def test_one_object_is_exported_whatever_else_there_is(
             assert (stored["images"] == small_touches(name, 3).images).all()
         ids = client.get("/api/objects/touches", params={"object": name, "limit": 2})
         rows = client.session.teacher.library.list(limit=None)
-        told = [row.id for row in rows if row.object == name]
-        assert [one["id"] for one in ids.json()] == [told[2], told[1]]
+        stored_ids = [row.id for row in rows if row.object == name]
+        assert [touch["id"] for touch in ids.json()] == [stored_ids[2], stored_ids[1]]
         disc = drawn.images[0]
         client.session.post_lesson(name, disc)  # now it has touches of two sizes
         answer = client.get("/api/objects/archive", params={"object": name})
@@ -163,8 +163,8 @@ def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch
     session = LiveSession(library=folder)
     listed, plain = [], TouchLibrary.list
 
-    def spy(self, *given, **named):
-        rows = plain(self, *given, **named)
+    def spy(self, *arguments, **options):
+        rows = plain(self, *arguments, **options)
         listed.append(len(rows))
         return rows
 
@@ -178,7 +178,7 @@ def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch
 
 
 def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch):
-    def refuse(self, where=None, **named):
+    def refuse(self, where=None, **options):
         raise AssertionError("all touches were read at once")
 
     monkeypatch.setattr(TouchLibrary, "touches", refuse)
@@ -216,14 +216,14 @@ def counts(session):
     return dict(zip(names.tolist(), n_touches.tolist(), strict=True))
 
 
-def test_what_the_model_knows_from_elsewhere_is_extended_and_never_replaced(
+def test_a_model_from_elsewhere_is_extended_and_never_replaced(
     tmp_path, drawn, model_of_elsewhere
 ):
-    given = model_of_elsewhere(tmp_path / "m.palpate")  # 15 of each
-    before = given.read_bytes()
+    base = model_of_elsewhere(tmp_path / "m.palpate")  # 15 of each
+    before = base.read_bytes()
     kept = tmp_path / "library" / "given-m.palpate"
     new = drawn.images[1:9:2]
-    with LiveSession(library=tmp_path / "library", model=given) as session:
+    with LiveSession(library=tmp_path / "library", model=base) as session:
         assert session.to_dict()["model"]["to_keep"] == str(kept)
         for image in new:
             session.post_lesson("disc", image)
@@ -245,8 +245,8 @@ def test_what_the_model_knows_from_elsewhere_is_extended_and_never_replaced(
         assert settled(session) == ["bar", "coin"]
         assert counts(session) == {"bar": 15, "coin": 18}
     assert kept.read_bytes() == before
-    # One more program that starts from the file that was written goes on from there.
-    with LiveSession(library=tmp_path / "library", model=given) as session:
+    # Another session that starts from the written file goes on from there.
+    with LiveSession(library=tmp_path / "library", model=base) as session:
         session.post_lesson("bar", drawn.images[31])
         session.learn(wait=True)
         assert counts(session) == {"bar": 16, "coin": 18}
@@ -258,8 +258,8 @@ def test_what_the_model_knows_from_elsewhere_is_extended_and_never_replaced(
 def test_touches_that_a_model_has_without_ids_count_once(
     tmp_path, drawn, model_of_elsewhere
 ):
-    given = model_of_elsewhere(tmp_path / "m.palpate")
-    with LiveSession(library=tmp_path / "library", model=given) as session:
+    base = model_of_elsewhere(tmp_path / "m.palpate")
+    with LiveSession(library=tmp_path / "library", model=base) as session:
         for image in drawn.images[:6:2]:
             session.post_lesson("disc", image)
         session.learn(wait=True)
@@ -267,7 +267,9 @@ def test_touches_that_a_model_has_without_ids_count_once(
         assert session.to_dict()["model"]["n_elsewhere"] == {"bar": 15, "disc": 12}
 
 
-def test_nothing_waits_for_a_sensor_that_is_not_there(make_session, connected):
+def test_a_lesson_that_would_wait_for_a_missing_sensor_is_refused(
+    make_session, connected
+):
     with connected(make_session(sensor=False)) as client:
         answer = client.post("/api/teach", json={"object": "cup"})
         assert answer.status_code == 409
@@ -279,7 +281,7 @@ def test_nothing_waits_for_a_sensor_that_is_not_there(make_session, connected):
 def test_of_an_object_of_two_sizes_those_of_the_sensor_are_exported(
     folder, make_session, with_sensor, side
 ):
-    """Without a sensor, those of the size of the newest."""
+    """Without a sensor, touches of the size of the newest one are exported."""
     with TouchLibrary.open(folder) as library:
         library.add(small_touches("disc", 3))
     session = make_session(sensor=with_sensor, library=folder)
@@ -291,7 +293,7 @@ def test_of_an_object_of_two_sizes_those_of_the_sensor_are_exported(
     assert len(touches) == (8 if side == 12 else 3)
 
 
-def test_what_was_never_taught_is_named_with_what_is_near(folder):
+def test_an_object_never_taught_is_refused_with_the_nearest_name(folder):
     with LiveSession(library=folder) as session:
         with pytest.raises(LibraryError, match="no object 'mug' in the library"):
             session.teacher.touches("mug")
@@ -306,5 +308,5 @@ def test_a_new_name_is_kept_without_the_blanks_around_it(folder, drawn):
         assert session.teacher.rename("disc", "  a  disc ", learnt=False) == "a disc"
         session.rename("bar", " long bar ")
         assert session.message == "bar is called long bar now."
-        names = [one["name"] for one in session.to_dict()["library"]["objects"]]
+        names = [entry["name"] for entry in session.to_dict()["library"]["objects"]]
     assert sorted(names) == ["a disc", "long bar", "tea cup"]

@@ -1,4 +1,4 @@
-"""What OpenAPI promises, tried with whatever its schemas allow and do not allow."""
+"""The promises of OpenAPI, tried with what its schemas allow and do not allow."""
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -14,7 +14,7 @@ from schemathesis.specs.openapi.checks import (  # noqa: E402
 )
 
 HEADERS = {"Authorization": "Bearer token"}
-# They take seconds; other tests try them.
+# These addresses take seconds; other tests try them.
 SLOW_BY_NATURE = ("/api/baseline", "/api/zero", "/api/learn")
 CHECKS = [
     not_a_server_error,
@@ -36,8 +36,8 @@ def api_schema(make_session, connected):
 @pytest.mark.slow
 def test_every_answer_is_one_that_was_promised(api_schema, mode):
     tried = set()
-    for found in api_schema.get_all_operations():
-        operation = found.ok()
+    for result in api_schema.get_all_operations():
+        operation = result.ok()
         if operation.path in SLOW_BY_NATURE:
             continue
         tried.add(operation.path)
@@ -45,15 +45,15 @@ def test_every_answer_is_one_that_was_promised(api_schema, mode):
     assert len(tried) > 15
 
 
-def test_it_says_how_the_token_is_sent(api_schema):
+def test_openapi_says_how_the_token_is_sent(api_schema):
     schema = api_schema.raw_schema
     ((name, scheme),) = schema["components"]["securitySchemes"].items()
     assert (scheme["type"], scheme["scheme"]) == ("http", "bearer")
     for path in schema["paths"].values():
-        assert all(way["security"] == [{name: []}] for way in path.values())
+        assert all(operation["security"] == [{name: []}] for operation in path.values())
 
 
-def test_a_name_that_goes_says_which_one_to_use(api_schema):
+def test_a_deprecated_address_says_which_one_to_use(api_schema):
     paths = api_schema.raw_schema["paths"]
     old, new = paths["/api/zero"]["post"], paths["/api/baseline"]["post"]
     assert old["deprecated"]

@@ -1,4 +1,4 @@
-"""The page in a real Chromium: taught, asked, reloaded, cut off, and looked at."""
+"""The page in a real Chromium: taught, tested, reloaded, cut off, and looked at."""
 
 import re
 import socket
@@ -26,7 +26,7 @@ class Relay:
     """A port before a port, so that the connection can be cut and come back."""
 
     def __init__(self, port):
-        self.target, self.pairs, self.cut = port, [], False
+        self.target, self.sockets, self.cut = port, [], False
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.port = self.listener.getsockname()[1]
         threading.Thread(target=self.accept, daemon=True).start()
@@ -45,27 +45,27 @@ class Relay:
             except OSError:
                 near.close()
                 continue
-            self.pairs += [near, far]
-            for one, other in ((near, far), (far, near)):
+            self.sockets += [near, far]
+            for source, target in ((near, far), (far, near)):
                 threading.Thread(
-                    target=self.pump, args=(one, other), daemon=True
+                    target=self.pump, args=(source, target), daemon=True
                 ).start()
 
     @staticmethod
-    def pump(one, other):
+    def pump(source, target):
         with suppress(OSError):
-            while data := one.recv(65536):
-                other.sendall(data)
+            while data := source.recv(65536):
+                target.sendall(data)
         with suppress(OSError):
-            other.shutdown(socket.SHUT_RDWR)
-        one.close()
+            target.shutdown(socket.SHUT_RDWR)
+        source.close()
 
     def cut_off(self):
         self.cut = True
-        for end in self.pairs:
+        for end in self.sockets:
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
-        self.pairs.clear()
+        self.sockets.clear()
 
     def close(self):
         self.cut_off()
@@ -119,7 +119,7 @@ def heading_of(session):
 
 
 def _reload(page):
-    """In the middle of an episode: the page comes back to where it was."""
+    """Reload in the middle of an episode: the page comes back to where it was."""
     clear(page)
     before = page.locator("#strip li").count()
     reason = page.inner_text("#reason")
@@ -128,7 +128,7 @@ def _reload(page):
     expect(page.locator("#reason")).to_have_text(reason)
 
 
-def test_the_whole_way_with_drawn_touches(page, make_session, serving):
+def test_drawn_touches_are_taught_recognised_and_forgotten(page, make_session, serving):
     """Teach two, recognise one, touch a third, and all that may happen."""
     session = make_session(rate_hz=100.0)
     with serving(session) as (address, token), ExitStack() as stack:
@@ -174,9 +174,9 @@ def test_real_touches_are_taught_and_a_held_out_one_recognised(
     learnt (docs/explanation/page.md says how often): the page says what was decided.
     """
     root = data_folder / "bathtip" / "originals"
-    rest = root / "baselineForCalibration.jpg"
+    baseline = root / "baselineForCalibration.jpg"
     folders = ("03_ball", "10_can", "04_softtoy")
-    parts = [Touches.load(root / name, no_contact=rest)[:40] for name in folders]
+    parts = [Touches.load(root / name, no_contact=baseline)[:40] for name in folders]
     labels = np.repeat(["ball", "can", "soft toy"], 40)
     images = np.concatenate([part.images for part in parts])
     real = Touches(images, object=labels, no_contact=parts[0].no_contact)
@@ -198,7 +198,7 @@ def test_real_touches_are_taught_and_a_held_out_one_recognised(
         expect(page.locator("#decision")).to_have_text(heading_of(session))
 
 
-def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, open_page):
+def test_the_page_can_be_used_by_keyboard_and_read_aloud(page, make_session, open_page):
     with open_page(make_session(), frames=True):
         page.keyboard.press("Tab")
         assert page.evaluate("document.activeElement.className") == "skip"
@@ -237,7 +237,7 @@ def fits(page):
     return page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_it_fits_a_phone(page, make_session, open_page):
+def test_the_page_fits_a_phone(page, make_session, open_page):
     resize(page, 320, 844)
     with open_page(make_session(), frames=True):
         assert fits(page)
@@ -251,7 +251,7 @@ def test_without_the_token_there_is_no_page(page, make_session, serving):
         assert page.goto(f"{address}/").status == 401
 
 
-def test_the_token_is_asked_for_and_then_known(page, make_session, serving):
+def test_the_page_asks_for_the_token_once(page, make_session, serving):
     with serving(make_session()) as (address, token):
         page.goto(f"{address}/")
         page.get_by_label("Token").fill("wrong")
@@ -338,7 +338,7 @@ def test_the_first_baseline_is_tried_by_a_press(page, hand, open_page, tmp_path)
         expect(page.locator("#strip li")).to_have_count(1)
 
 
-def test_what_the_camera_changes_by_itself_is_said(page, hand, open_page):
+def test_a_camera_that_changes_its_exposure_is_warned_of(page, hand, open_page):
     hand.unfixed = "The driver of camera 'dome' does not keep exposure fixed."
     with open_page(LiveSession(hand)):
         for width in (390, 1280):
@@ -347,7 +347,7 @@ def test_what_the_camera_changes_by_itself_is_said(page, hand, open_page):
             assert fits(page)
 
 
-def seen(page, selector):
+def in_sight(page, selector):
     """Whether something is wholly in the window, without scrolling to it."""
     box = page.locator(selector).bounding_box()
     size = page.viewport_size
@@ -371,9 +371,9 @@ def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, open_pa
             expect(page.locator("#stop")).to_be_focused()
             for place in (0, 10_000):
                 page.evaluate(f"window.scrollTo(0, {place})")
-                assert all(seen(page, one) for one in ("#steps", "#stop"))
+                assert all(in_sight(page, selector) for selector in ("#steps", "#stop"))
             page.evaluate("window.scrollTo(0, 0)")
-            assert size == PHONE or seen(page, "#progress-text")
+            assert size == PHONE or in_sight(page, "#progress-text")
         page.select_option("#placed", "disc")
         expect(page.locator("#lesson-strip li")).not_to_have_count(0)
         expect(page.locator("#belief")).to_be_visible(timeout=PATIENT)  # it is over
@@ -382,8 +382,8 @@ def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, open_pa
             resize(page, *size)
             page.evaluate("window.scrollTo(0, 0)")
             page.locator("#learn").scroll_into_view_if_needed()
-            assert seen(page, "#learn")
-            assert seen(page, "#fresh")
+            assert in_sight(page, "#learn")
+            assert in_sight(page, "#fresh")
 
 
 def test_an_unknown_object_is_taught_with_the_touches_just_made(
@@ -425,8 +425,8 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
 def test_an_answer_that_is_late_does_not_take_newer_touches_away(
     page, taught, open_page, drawn
 ):
-    asked = []
-    page.route("**/api/episode", lambda route: asked.append(route))
+    routes = []
+    page.route("**/api/episode", lambda route: routes.append(route))
     with open_page(taught):
         expect(page.locator("#bars")).to_be_attached()
         expect(page.locator("body")).to_have_attribute("data-online", "true")
@@ -440,28 +440,32 @@ def test_an_answer_that_is_late_does_not_take_newer_touches_away(
             .then((belief) => belief.addTouch(news)); }""",
             missed,
         )
-        while not asked:
+        while not routes:
             page.wait_for_timeout(10)
         taught.post_touch(drawn.images[1])
         expect(page.locator("#strip li")).to_have_count(2)
-        asked[0].fulfill(json=late)
+        routes[0].fulfill(json=late)
         page.evaluate("() => window.added")
         assert page.locator("#strip li").count() == 2
-        # And a touch that is told twice is one.
+        # A touch that is sent twice is one.
         page.evaluate(
-            "(news) => import('/static/belief.js').then((one) => one.addTouch(news))",
+            """(news) => import('/static/belief.js')
+            .then((belief) => belief.addTouch(news))""",
             late,
         )
         assert page.locator("#strip li").count() == 2
-        assert len(asked) == 1
+        assert len(routes) == 1
 
 
 @pytest.mark.slow
 def test_of_a_long_episode_the_last_dozen_pictures_are_loaded(
     page, taught, serving, drawn
 ):
-    asked = []
-    page.on("request", lambda one: "/picture" in one.url and asked.append(one.url))
+    urls = []
+    page.on(
+        "request",
+        lambda request: "/picture" in request.url and urls.append(request.url),
+    )
     with serving(taught) as (address, token):
         for number in range(60):
             taught.post_touch(drawn.images[number % 30])
@@ -469,18 +473,18 @@ def test_of_a_long_episode_the_last_dozen_pictures_are_loaded(
         expect(page.locator("#strip li")).to_have_count(12)
         expect(page.locator("#strip li").last).to_have_text("60")
         time.sleep(0.5)  # for requests that should not be
-        assert len([url for url in asked if "/episode/" in url]) == 12
+        assert len([url for url in urls if "/episode/" in url]) == 12
         # Thumbnails stand under their columns.
         columns, thumbs = page.evaluate(
             """() => [document.querySelectorAll('#history rect'),
             document.querySelectorAll('#strip img')].map((all) => [...new Set(
-            [...all].map((one) => one.getBoundingClientRect())
+            [...all].map((element) => element.getBoundingClientRect())
             .map((box) => Math.round(box.x + box.width / 2)))])"""
         )
         assert len(columns) == len(thumbs) == 12
         # A pixel of rounding either way.
         assert all(abs(a - b) <= 2 for a, b in zip(columns, thumbs, strict=True))
-        colour = "one => getComputedStyle(one).borderTopColor"
+        colour = "mark => getComputedStyle(mark).borderTopColor"
         mark = page.locator("#bars li .mark").first
         before = mark.inner_text(), mark.evaluate(colour)
         page.reload()
@@ -489,7 +493,7 @@ def test_of_a_long_episode_the_last_dozen_pictures_are_loaded(
         assert (mark.inner_text(), mark.evaluate(colour)) == before
 
 
-def test_names_that_are_taken_make_objects_one_and_the_focus_stays(
+def test_renaming_to_a_taken_name_merges_objects_and_keeps_the_focus(
     page, taught, open_page
 ):
     with open_page(taught):
@@ -515,7 +519,7 @@ def test_a_button_that_cannot_be_pressed_says_why(page, hand, open_page, tmp_pat
 
 
 @pytest.mark.slow
-def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
+def test_touches_that_are_alike_are_reported_while_teaching_and_after_learning(
     page, open_page, drawn, tmp_path
 ):
     """A disc touched twelve times in one place, and a bar that has two names."""
@@ -533,11 +537,11 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
         expect(page.locator("#elsewhere")).to_be_hidden()
         page.select_option("#placed", "disc")
         expect(page.locator("#elsewhere")).to_contain_text("touch it elsewhere")
-        page.select_option("#placed", "")  # a rest, to look at it
+        page.select_option("#placed", "")  # a pause, to look at the advice
         for size in (PHONE, DESK):
             resize(page, *size)
             expect(page.locator("#elsewhere")).to_contain_text("touch it elsewhere")
-            assert size == PHONE or seen(page, "#elsewhere")
+            assert size == PHONE or in_sight(page, "#elsewhere")
             expect(page.locator("#variety figcaption")).to_contain_text("1 of ")
             expect(page.locator("#variety circle")).to_have_count(1)
             expect(page.locator("#lesson-strip li").nth(1)).to_have_text("2 ≈ 1")
@@ -550,18 +554,18 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
         session.teacher.library.add(touches[np.arange(12, len(touches))])
         session.learn(wait=True)
         expect(page.locator("#status")).to_contain_text("What to teach next")
-        said = [one for one in session.advice if "taken for" in one]
-        assert said
+        confused = [advice for advice in session.advice if "taken for" in advice]
+        assert confused
         for size in (DESK, PHONE):
             resize(page, *size)
             expect(advice).to_have_count(len(session.advice))
-            expect(page.locator("#advice")).to_contain_text(said[0])
-            for one in session.to_dict()["quality"]:
-                heading = page.get_by_role("heading", name=one["name"], exact=True)
+            expect(page.locator("#advice")).to_contain_text(confused[0])
+            for figures in session.to_dict()["quality"]:
+                heading = page.get_by_role("heading", name=figures["name"], exact=True)
                 words = page.locator("li.object", has=heading).locator(".quality")
-                right = round(one["after_one"] * one["n_touches"])
+                right = round(figures["after_one"] * figures["n_touches"])
                 expect(words).to_contain_text(
-                    f"{right} of {one['n_touches']} touches right"
+                    f"{right} of {figures['n_touches']} touches right"
                 )
             expect(page.locator("#left-out")).to_be_visible()
             assert fits(page)
@@ -603,13 +607,13 @@ def test_long_names_and_many_pictures_fit_a_narrow_phone(
 
 def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, open_page):
     """Two pads with a gap between them; what each taxel reads is known."""
-    rest = np.full((4, 9), 5, np.float32)
-    rest[:, 4] = np.nan
-    rest[1, 7] = 250.25
-    touches = Touches(rest[None] + 9, object=["pen"], no_contact=rest)
+    baseline = np.full((4, 9), 5, np.float32)
+    baseline[:, 4] = np.nan
+    baseline[1, 7] = 250.25
+    touches = Touches(baseline[None] + 9, object=["pen"], no_contact=baseline)
     sensor = ReplaySensor(touches, rate_hz=50)
     sensor.place(None)
-    drawn = """() => {
+    corner_colours = """() => {
         const canvas = document.getElementById("image");
         const cell = canvas.width / 9;
         const at = (x, y) => [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
@@ -623,13 +627,14 @@ def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, open_page):
         expect(image).to_have_css("image-rendering", "pixelated")
         page.get_by_label("Numbers").check()
         expect(image).to_have_attribute("width", re.compile(r"^\d{3,}$"))
-        cell, low, gap, high = page.evaluate(drawn)
+        cell, low, gap, high = page.evaluate(corner_colours)
         assert cell == round(cell)
         assert set(low) == {"68,1,84,255"}  # viridis from its first colour to its last
         assert set(gap) == {"11,14,16,255"}
         assert set(high) == {"253,231,37,255"}
         answer = page.request.get(f"{address}/api/frame?token={token}").json()["image"]
-        assert answer == np.where(np.isnan(rest), None, rest.astype(object)).tolist()
+        levels = np.where(np.isnan(baseline), None, baseline.astype(object))
+        assert answer == levels.tolist()
         page.get_by_label("Numbers").uncheck()
         expect(image).to_have_attribute("width", "9")
 
@@ -653,7 +658,9 @@ def test_several_sensors_are_live_side_by_side(
                 session.post_touch(image)
         touches = [session.episode.touches[-1] for session in sessions]
         priors = {"disc": 0.95 / 2, "bar": 0.95 / 2, "nothing learnt": 0.05}
-        beliefs = [{**t.posterior, "nothing learnt": t.unknown} for t in touches]
+        beliefs = [
+            {**touch.posterior, "nothing learnt": touch.unknown} for touch in touches
+        ]
         assert beliefs[0].keys() == priors.keys()
         weights = {
             name: prior * np.prod([belief[name] / prior for belief in beliefs])
@@ -661,8 +668,8 @@ def test_several_sensors_are_live_side_by_side(
         }
         share = weights["disc"] / sum(weights.values())
         expect(page.locator("#together")).to_contain_text("All together: disc")
-        shown = re.search(r"disc >?([\d.]+)\s%", page.inner_text("#together"))
-        assert float(shown[1]) == pytest.approx(100 * share, abs=0.6)
+        match = re.search(r"disc >?([\d.]+)\s%", page.inner_text("#together"))
+        assert float(match[1]) == pytest.approx(100 * share, abs=0.6)
         tiles.nth(1).click()
         expect(page.locator(".tile[aria-current]")).to_contain_text("2 replay")
         assert page.url.endswith("/?sensor=2")

@@ -1,4 +1,4 @@
-"""The page leads: what comes first, one next button, touches edited, focus kept."""
+"""The page leads its user: its order, the next button, touches edited, the focus."""
 
 import re
 import shutil
@@ -23,8 +23,8 @@ def primary(page):
     """Return the ids of the next buttons that are in sight, but for dialogs."""
     return page.evaluate(
         """() => [...document.querySelectorAll('button.primary')]
-        .filter((one) => one.checkVisibility() && !one.closest('dialog'))
-        .map((one) => one.id)"""
+        .filter((button) => button.checkVisibility() && !button.closest('dialog'))
+        .map((button) => button.id)"""
     )
 
 
@@ -70,7 +70,7 @@ def test_each_state_has_one_step_and_at_most_one_next_button(
         assert (step(page), primary(page)) == ("step-2", ["learn"])
 
 
-def test_what_is_it_comes_first_once_something_is_learnt(
+def test_recognising_comes_first_once_something_is_learnt(
     page, taught, open_page, drawn
 ):
     with open_page(taught):
@@ -96,16 +96,16 @@ def test_what_is_it_comes_first_once_something_is_learnt(
 def test_the_heading_says_what_is_decided_and_nothing_else(
     page, taught, open_page, drawn
 ):
-    """What it may be stands below; the tile of a sensor says the same."""
+    """The sentence below it says what the object may be, and what was withdrawn."""
     disc, bar = (drawn.images[drawn.object == name] for name in ("disc", "bar"))
-    heading, seen = page.locator("#decision"), set()
+    heading, states = page.locator("#decision"), set()
     with open_page(taught, frames=True):
         expect(heading).to_have_text("Touch something")
         for image in [*disc[:2], *bar[:12]]:
             taught.post_touch(image)
             episode = taught.episode.episode
             state = episode.decision, episode.in_doubt
-            seen.add(state)
+            states.add(state)
             name = (
                 episode.decision
                 or ("Undecided", "Undecided again")[bool(episode.withdrawn)]
@@ -114,9 +114,9 @@ def test_the_heading_says_what_is_decided_and_nothing_else(
             expect(page.locator("#reason")).to_contain_text(episode.sentence)
             if episode.decision == "bar":
                 break
-        assert {("disc", False), ("bar", False)} <= seen
+        assert {("disc", False), ("bar", False)} <= states
         expect(page.locator("#reason")).to_contain_text("disc was withdrawn after")
-        said = taught.episode.to_dict()
+        answer = taught.episode.to_dict()
         for news, words, kind in (
             ({"decision": None, "withdrawn": []}, "Undecided", "undecided"),
             ({"decision": None}, "Undecided again", "undecided"),
@@ -127,7 +127,7 @@ def test_the_heading_says_what_is_decided_and_nothing_else(
             page.evaluate(
                 """async (episode) =>
                 (await import('/static/belief.js')).showEpisode(episode)""",
-                said | news,
+                answer | news,
             )
             expect(heading).to_have_text(words)
             expect(heading).to_have_class(kind)
@@ -148,8 +148,8 @@ def test_without_a_library_there_is_one_next_step(page, make_session, open_page,
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_what_is_said_covers_nothing(page, taught, open_page, width):
-    """However long it is, and wherever the page is scrolled to at the top."""
+def test_a_message_covers_nothing(page, taught, open_page, width):
+    """A long message, too, fits in the line above the belief."""
     page.set_viewport_size({"width": width, "height": 844})
     with open_page(taught, frames=True):
         for words in ("Short.", "A long sentence that wraps. " * 12):
@@ -210,19 +210,20 @@ def test_shares_are_rounded_as_in_reports_and_never_sum_to_more_than_all(
     drawn = rng.dirichlet(np.full(5, 0.2), 200)
     shares += [1 - 1e-9, 1, *drawn.ravel().tolist()]
     with open_page(LiveSession()):
-        shown = page.evaluate(
+        rounded = page.evaluate(
             """async (shares) => (await import("/static/dom.js")).percent
             && shares.map((await import("/static/dom.js")).percent)""",
             shares,
         )
-    assert [one.replace("\u00a0", " ") for one in shown] == [*map(figure_of, shares)]
+    rounded = [figure.replace("\u00a0", " ") for figure in rounded]
+    assert rounded == [*map(figure_of, shares)]
     assert [*map(figure_of, shares)][:13] == [
         *("0 %", "<0.1 %", "<0.1 %", "0.1 %", "9.9 %", "10 %", "29 %", "50 %"),
         *("98 %", "99.0 %", ">99.9 %", ">99.9 %", "100 %"),
     ]
     for belief in drawn:
         figures = [figure_of(share) for share in belief]
-        least = [float(one.strip("<> %")) * (one[0] != "<") for one in figures]
+        least = [float(figure.strip("<> %")) * (figure[0] != "<") for figure in figures]
         assert sum(least) <= 100 + 1e-9
 
 
@@ -267,7 +268,7 @@ def test_without_a_connection_nothing_can_be_pressed(page, taught, open_page):
 
 
 def test_nothing_covers_a_heading_below_the_steps(page, taught, open_page):
-    """Where nothing is said, what lies right under the steps is the page."""
+    """Without a message, the page itself begins right under the steps."""
     with open_page(taught, frames=True):
         page.evaluate("window.scrollTo(0, 200)")
         below = page.evaluate(
@@ -367,21 +368,21 @@ def test_an_interrupted_lesson_is_offered(page, make_session, open_page, tmp_pat
         session.watch.sensor.rate_hz = 20.0
         page.select_option("#placed", "disc")
         expect(page.locator("#lesson-strip li").nth(2)).to_be_visible(timeout=PATIENT)
-    done = len(session.teacher.lesson.ids)
+    n_stored = len(session.teacher.lesson.ids)
     session = make_session(library=folder)
     with open_page(session, frames=True):
-        expect(page.locator("#interrupted")).to_contain_text(f"shoe: {done} of 60")
+        expect(page.locator("#interrupted")).to_contain_text(f"shoe: {n_stored} of 60")
         assert primary(page) == ["resume"]
         page.click("#resume")
-        expect(page.locator("#step-2")).to_contain_text(f"shoe: {done} of 60")
+        expect(page.locator("#step-2")).to_contain_text(f"shoe: {n_stored} of 60")
         expect(page.locator("#stop")).to_be_focused()
         # The strip shows the newest twelve.
-        expect(page.locator("#lesson-strip li")).to_have_count(min(done, 12))
+        expect(page.locator("#lesson-strip li")).to_have_count(min(n_stored, 12))
 
 
 @pytest.mark.slow
 def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path):
-    """Letters differ where colours do not; the worst come first; names are whole."""
+    """Marks differ in their letters; the worst objects come first; names are whole."""
     rng = np.random.default_rng(0)
     names = [f"thing {n}" for n in range(18)] + ["a" * 60, "b" * 60]
     labels = np.repeat(names, 4)
@@ -399,9 +400,10 @@ def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path
         page.goto(f"{address}/?token={token}")
         cards = page.locator("li.object:visible")
         expect(cards).to_have_count(20)
-        after = {one["name"]: one["after_one"] for one in session.to_dict()["quality"]}
-        shown = [after[name] for name in cards.locator("h3").all_inner_texts()]
-        assert shown == sorted(shown)
+        quality = session.to_dict()["quality"]
+        after = {figures["name"]: figures["after_one"] for figures in quality}
+        shares = [after[name] for name in cards.locator("h3").all_inner_texts()]
+        assert shares == sorted(shares)
         page.select_option("#order", "name")
         assert cards.locator("h3").all_inner_texts()[0] == "a" * 60
         page.fill("#filter", "THING 1")
@@ -410,12 +412,12 @@ def test_twenty_objects_are_sifted_and_told_apart(page, serving, drawn, tmp_path
         marks = page.evaluate(
             """async (names) => {
             const { marked } = await import('/static/marks.js');
-            return [...marked(names)].map(([name, one]) => one.letters);
+            return [...marked(names)].map(([name, mark]) => mark.letters);
             }""",
             names,
         )
         assert len({*marks}) == 20
-        assert all(1 <= len(one) <= 3 for one in marks)
+        assert all(1 <= len(mark) <= 3 for mark in marks)
         for name in page.locator("#bars .name").all():
             assert name.evaluate("(e) => e.scrollWidth <= e.clientWidth")
         letters = page.locator("#bars .mark").all_inner_texts()
@@ -502,7 +504,7 @@ def test_the_report_of_an_evaluation_fits_a_phone(page, drawn, tmp_path):
     assert wide == []
 
 
-def test_what_is_named_can_be_put_on_the_desk_before_it_is_taught(
+def test_a_named_object_can_be_put_on_the_desk_before_it_is_taught(
     page, make_session, open_page
 ):
     session = make_session()

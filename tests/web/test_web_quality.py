@@ -1,4 +1,4 @@
-"""Whether what is taught will do: touches compared, left-out touches asked, advice."""
+"""Whether enough was taught: touches compared, left-out touches tested, advice."""
 
 import time
 
@@ -12,13 +12,13 @@ from palpate.web import LiveSession
 
 from .conftest import Still, waited
 
-REST = np.full((40, 60), 7.0)
+BASELINE = np.full((40, 60), 7.0)
 
 
 def pressed(row, col, force=100.0):
     """A round press of an array that rests at 7."""
     rows, cols = np.mgrid[:40, :60]
-    return REST + force * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 20)
+    return BASELINE + force * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 20)
 
 
 def lesson_of(sensor, folder="not-there"):
@@ -28,87 +28,89 @@ def lesson_of(sensor, folder="not-there"):
     return teacher
 
 
-def told(images, baseline=REST, noise=0.0):
-    """Return which touches of a lesson are alike."""
+def variety_of(images, baseline=BASELINE, noise=0.0):
+    """Return the variety of a lesson: which of its touches are alike."""
     variety = lesson_of(Still((4, 4, 3), "plane", "grey level")).lesson.variety
     for image in images:
         variety.add(image, baseline, noise)
     return variety
 
 
-def test_one_place_is_alike_however_hard_and_another_is_not():
+def test_touches_of_one_place_are_alike_however_hard_they_press():
     images = [pressed(10, 10), pressed(10, 10, 250), pressed(30, 45), pressed(30.2, 45)]
-    variety = told(images)
+    variety = variety_of(images)
     assert variety.like == [None, 1, None, 3]
     assert variety.n_new == 2
     dead = np.where(np.arange(60) == 3, np.nan, images[0])
-    assert told([dead, *images]).like == [None, 1, 1, None, 4]
+    assert variety_of([dead, *images]).like == [None, 1, 1, None, 4]
     line = [image[10:11] for image in images]
-    assert told(line, REST[10:11]).like[:2] == [None, 1]
+    assert variety_of(line, BASELINE[10:11]).like[:2] == [None, 1]
     colour = [np.stack([image] * 3, axis=-1) for image in images]
-    assert told(colour, np.stack([REST] * 3, axis=-1)).like == variety.like
+    assert variety_of(colour, np.stack([BASELINE] * 3, axis=-1)).like == variety.like
 
 
-def test_what_the_noise_of_the_sensor_hides_is_no_difference(rng):
+def test_differences_below_the_noise_of_the_sensor_do_not_count(rng):
     press, noise = pressed(10, 10, 30), 8.0
     images = [press + rng.normal(scale=noise, size=press.shape) for _ in range(6)]
     small = [image[::2, ::2] for image in images]  # no mean over neighbours
-    assert told(small, REST[::2, ::2]).n_new > 1
-    assert told(small, REST[::2, ::2], noise).n_new == 1
+    assert variety_of(small, BASELINE[::2, ::2]).n_new > 1
+    assert variety_of(small, BASELINE[::2, ::2], noise).n_new == 1
 
 
 def test_touches_that_have_nothing_in_common_are_a_root_of_two_apart():
-    variety = told([pressed(8, 8), pressed(32, 50), pressed(8, 8)])
-    first, other, again = ((one["x"], one["y"]) for one in variety.map())
+    variety = variety_of([pressed(8, 8), pressed(32, 50), pressed(8, 8)])
+    first, other, again = ((place["x"], place["y"]) for place in variety.map())
     assert_allclose(first, again, atol=1e-12)
     assert_allclose(np.hypot(*np.subtract(first, other)), 2**0.5, atol=1e-3)
-    assert [one["like"] for one in variety.map()] == [None, None, 1]
-    assert told([]).map() == []
-    (alone,) = told([pressed(8, 8)]).map()
+    assert [place["like"] for place in variety.map()] == [None, None, 1]
+    assert variety_of([]).map() == []
+    (alone,) = variety_of([pressed(8, 8)]).map()
     assert (alone["x"], alone["y"]) == (0, 0)
 
 
 def test_the_opposite_of_many_touches_stays_on_the_map():
     """A dark picture among bright ones is 5/3 from their middle; the map ends at 1."""
-    pressure = pressed(8, 8) - REST
-    places = told([*[REST + pressure] * 5, REST - pressure]).map()
-    xs = [one["x"] for one in places]
+    pressure = pressed(8, 8) - BASELINE
+    places = variety_of([*[BASELINE + pressure] * 5, BASELINE - pressure]).map()
+    xs = [place["x"] for place in places]
     assert_allclose(np.abs(xs), [0.2] * 5 + [1.0], atol=1e-6)
 
 
 @pytest.fixture(scope="module")
 def quality(drawn):
-    """Of the disc, and of a bar under two names."""
+    """A recogniser of the disc and of a bar under two names, and its quality."""
     bars = np.flatnonzero(drawn.object == "bar")
     names = drawn.object.copy()
     names[bars[::2]] = "rod"
-    known = drawn.with_columns(object=names)[np.flatnonzero(names != "both")]
-    recogniser = ObjectRecogniser().fit(known)
+    learnt = drawn.with_columns(object=names)[np.flatnonzero(names != "both")]
+    recogniser = ObjectRecogniser().fit(learnt)
     return recogniser, object_quality(recogniser)
 
 
 def test_left_out_touches_are_counted(quality):
-    recogniser, found = quality
-    bar, disc, rod = found
+    recogniser, qualities = quality
+    bar, disc, rod = qualities
     assert disc["name"] == "disc"
     assert (disc["after_one"], disc["after_eight"], disc["taken_for"]) == (1, 1, None)
     assert (bar["taken_for"], rod["taken_for"]) == ("rod", "bar")
-    assert [one["n_touches"] for one in found] == [15, 30, 15]
-    # Each touch by itself, one after the other.
-    said = recogniser.left_out_log_likelihood()
-    for one in found:
-        mine = said[recogniser.memory_.labels == one["name"]]
-        right = sum(recogniser.classes_[row.argmax()] == one["name"] for row in mine)
-        assert one["after_one"] == right / len(mine)
+    assert [figures["n_touches"] for figures in qualities] == [15, 30, 15]
+    # The same is counted from each left-out touch by itself.
+    log_likelihood = recogniser.left_out_log_likelihood()
+    for figures in qualities:
+        rows = log_likelihood[recogniser.memory_.labels == figures["name"]]
+        right = sum(
+            recogniser.classes_[row.argmax()] == figures["name"] for row in rows
+        )
+        assert figures["after_one"] == right / len(rows)
 
 
 def test_a_model_that_was_read_says_the_same(quality, tmp_path):
-    recogniser, found = quality
+    recogniser, qualities = quality
     read = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
-    assert object_quality(read) == found
+    assert object_quality(read) == qualities
 
 
-SOME = range(4)  # the worst
+WORST = range(4)
 EACH = "ten more touches of each, elsewhere."
 
 
@@ -118,7 +120,7 @@ def of(name, after_eight, other=None, after_one=0.8):
 
 
 @pytest.mark.parametrize(
-    ("qualities", "said"),
+    ("qualities", "advice"),
     [
         ([of("cup", 1.0, "mug"), of("mug", 0.95, "cup")], []),
         (
@@ -137,7 +139,7 @@ def of(name, after_eight, other=None, after_one=0.8):
             [of(str(n), 0.1 * n, "mug", 0.1 * n) for n in range(8)],
             [
                 f"{n} is taken for mug: ten more touches of {n}, elsewhere."
-                for n in SOME
+                for n in WORST
             ],
         ),
         (
@@ -150,12 +152,12 @@ def of(name, after_eight, other=None, after_one=0.8):
         ),
     ],
 )
-def test_advice_follows_from_the_figures(qualities, said):
-    assert teaching_advice(qualities) == said
+def test_advice_follows_from_the_figures(qualities, advice):
+    assert teaching_advice(qualities) == advice
 
 
 @pytest.mark.slow
-def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
+def test_a_lesson_in_one_place_is_reported_and_one_in_several_places_is_not(
     make_session, hand, tmp_path, drawn
 ):
     with LiveSession(hand, library=tmp_path / "library") as session:
@@ -184,7 +186,8 @@ def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
             time.sleep(0.3)
         assert session.advice == []
         session.learn(wait=True)
-        assert [one["after_eight"] for one in session.to_dict()["quality"]] == [1, 1]
+        qualities = session.to_dict()["quality"]
+        assert [figures["after_eight"] for figures in qualities] == [1, 1]
         session.post_lesson("cup", drawn.images[-1])
         session.post_lesson("cup", drawn.images[-2])
         session.learn(wait=True)
@@ -197,11 +200,11 @@ def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
 
 
 def test_touches_without_contact_do_not_count(drawn):
-    known = drawn[drawn.object != "both"]
-    images = known.images.copy()
+    learnt = drawn[drawn.object != "both"]
+    images = learnt.images.copy()
     images[:5] = drawn.no_contact  # of the disc
     about = {"no_contact": drawn.no_contact, "geometry": "array"}
-    touches = Touches(images, object=known.object, **about)
+    touches = Touches(images, object=learnt.object, **about)
     bar, disc = object_quality(ObjectRecogniser().fit(touches))
     assert (bar["n_touches"], disc["n_touches"]) == (30, 25)
     assert disc["after_one"] == 1
@@ -214,8 +217,8 @@ def test_a_lesson_asks_for_another_touch_where_one_shows_no_contact(
     empty[0, 0] = 1
     with make_session() as session:
         session.teach("disc", 3)
-        said = [session._take(image) for image in drawn.images[:2]]
-        assert said[-1] == "Touch 2 of 3 of disc is stored."
+        messages = [session._take(image) for image in drawn.images[:2]]
+        assert messages[-1] == "Touch 2 of 3 of disc is stored."
         assert "of disc shows no contact and does not count" in session._take(empty)
         state = session.to_dict()
         lesson = state["lesson"]
@@ -238,26 +241,27 @@ def test_a_lesson_asks_for_another_touch_where_one_shows_no_contact(
 
 
 @pytest.mark.parametrize("geometry", ["dome", "array", "plane"])
-def test_a_touch_without_contact_is_told_before_there_is_a_model(
+def test_a_touch_without_contact_is_reported_before_there_is_a_model(
     geometry, rng, tmp_path
 ):
     row, col = np.mgrid[:60, :80]
     pins = 60 * ((row % 6 < 2) & (col % 6 < 2))
-    rest = ((60 + pins) * (np.hypot(row - 30, col - 40) < 25)).astype(np.uint8)
-    images = np.tile(rest, (4, 1, 1))
+    baseline = ((60 + pins) * (np.hypot(row - 30, col - 40) < 25)).astype(np.uint8)
+    images = np.tile(baseline, (4, 1, 1))
     images[3, 0, 0] += 1
     images[:3, 20:40, 30:50] = rng.integers(0, 255, (3, 20, 20), dtype=np.uint8)
     teacher = lesson_of(Still((60, 80), geometry, "grey level"), tmp_path / "library")
-    said = [teacher.take(image, rest, 0.0) for image in images]
-    assert ["does not count" in words for words in said] == [False, False, False, True]
+    messages = [teacher.take(image, baseline, 0.0) for image in images]
+    uncounted = ["does not count" in message for message in messages]
+    assert uncounted == [False, False, False, True]
     assert "does not count" not in teacher.take(images[3], None, 0.0)
     teacher.close()
 
 
 def test_the_sentence_and_the_count_are_of_touches_that_count(make_session, drawn):
-    known = drawn[drawn.object != "both"]
+    learnt = drawn[drawn.object != "both"]
     with make_session(sensor=False) as session:
-        session._use(ObjectRecogniser().fit(known[::2]))
+        session._use(ObjectRecogniser().fit(learnt[::2]))
         for image in (drawn.no_contact, drawn.images[1], *[drawn.no_contact] * 2):
             session.post_touch(image)
         for image in drawn.images[3:9:2]:
@@ -270,14 +274,14 @@ def test_the_sentence_and_the_count_are_of_touches_that_count(make_session, draw
 
 @pytest.mark.parametrize(("n_touches", "first"), [(3, 1), (60, 1), (63, 4)])
 def test_the_newest_sixty_touches_are_on_the_map(n_touches, first, rng):
-    variety = told(rng.uniform(0, 99, (n_touches, 6, 6)), None, 0.1)
-    numbers = [one["number"] for one in variety.map()]
+    variety = variety_of(rng.uniform(0, 99, (n_touches, 6, 6)), None, 0.1)
+    numbers = [place["number"] for place in variety.map()]
     assert numbers == list(range(first, n_touches + 1))
 
 
 def test_a_touch_that_is_dropped_leaves_its_like_new(rng):
     image = rng.uniform(0, 99, (6, 6))
-    variety = told([image, rng.uniform(0, 99, (6, 6)), image], None, 0.1)
+    variety = variety_of([image, rng.uniform(0, 99, (6, 6)), image], None, 0.1)
     assert variety.like == [None, None, 1]
     assert variety.n_new == 2
     variety.drop(0)
@@ -288,8 +292,8 @@ def test_a_lesson_of_a_camera_keeps_its_channels(tmp_path):
     teacher = lesson_of(Still((4, 4, 3), "plane", "grey level"), tmp_path / "library")
     teacher.begin("mug", 2)
     image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
-    said = teacher.take(image, None, 1.0, {"force_n": 0.5})
-    assert said == "Touch 1 of 2 of mug is stored."
+    message = teacher.take(image, None, 1.0, {"force_n": 0.5})
+    assert message == "Touch 1 of 2 of mug is stored."
     [row] = teacher.newest("mug", 5)
     assert teacher.channels(row.id) == ["r", "g", "b"]
     assert teacher.touches("mug").columns["force_n"].tolist() == [0.5]
@@ -304,11 +308,11 @@ def test_colours_are_compared_one_by_one(rng):
     base = rng.uniform(0, 99, (6, 8))
     red, blue = np.zeros((6, 8, 3)), np.zeros((6, 8, 3))
     red[..., 0], blue[..., 2] = base, base
-    variety = told([red, blue, red], None, 0.1)
+    variety = variety_of([red, blue, red], None, 0.1)
     assert variety.like == [None, None, 1]
 
 
-def test_what_was_removed_or_moved_comes_back(tmp_path):
+def test_undo_brings_removed_and_moved_touches_back(tmp_path):
     teacher = lesson_of(Still((4, 4, 3), "plane", "grey level"), tmp_path / "library")
     images = np.arange(96, dtype=np.uint8).reshape(2, 4, 4, 3)
     keys = [teacher.store("mug", image, ("r", "g", "b"), None) for image in images]
@@ -317,13 +321,13 @@ def test_what_was_removed_or_moved_comes_back(tmp_path):
     assert teacher.undo() == ("mug", "What was removed of mug is back.")
     assert {row.id for row in teacher.newest("mug", 5)} == {*keys}
     assert teacher.move(keys, "cup") == "2 touches of mug moved to cup."
-    assert [one["name"] for one in teacher.to_dict()["objects"]] == ["cup"]
+    assert [entry["name"] for entry in teacher.to_dict()["objects"]] == ["cup"]
     assert teacher.undo() == ("mug", "What was moved to cup is back with mug.")
     assert {row.id for row in teacher.newest("mug", 5)} == {*keys}
     teacher.close()
 
 
-def test_what_a_name_is_worth_is_said_where_little_was_learnt(drawn, tmp_path):
+def test_limits_are_given_where_few_objects_or_touches_were_learnt(drawn, tmp_path):
     path = tmp_path / "m.palpate"
 
     def limits(touches):

@@ -22,8 +22,8 @@ def missing(hand):
 @pytest.fixture
 def fingers(make_session, drawn_model):
     """Two sensors before which nothing lies yet, and the model of both."""
-    how = {"model": drawn_model, "library": None, "rate_hz": 100.0}
-    return [make_session(**how) for _ in range(2)]
+    options = {"model": drawn_model, "library": None, "rate_hz": 100.0}
+    return [make_session(**options) for _ in range(2)]
 
 
 def test_each_sensor_has_an_episode_of_its_own(fingers, connected, drawn):
@@ -32,14 +32,14 @@ def test_each_sensor_has_an_episode_of_its_own(fingers, connected, drawn):
         for number, count in ((1, 2), (2, 3)):
             for image in discs[:count]:
                 body = {"image": image.tolist()}
-                asked = {"params": {"sensor": number}, "json": body}
-                assert client.post("/api/touch", **asked).status_code == 200
-        found = [
+                request = {"params": {"sensor": number}, "json": body}
+                assert client.post("/api/touch", **request).status_code == 200
+        episodes = [
             client.get("/api/episode", params={"sensor": number}).json()["touches"]
             for number in (1, 2)
         ]
-        assert [len(touches) for touches in found] == [2, 3]
-        assert client.get("/api/episode").json()["touches"] == found[0]
+        assert [len(touches) for touches in episodes] == [2, 3]
+        assert client.get("/api/episode").json()["touches"] == episodes[0]
         client.post("/api/episode/start", params={"sensor": 2})
         assert len(fingers[0].episode.touches) == 2
         assert fingers[1].episode.touches == []
@@ -58,13 +58,15 @@ def test_frames_and_states_of_all_go_through_one_websocket(fingers, serving):
                 data = socket.recv(timeout=10)
                 if isinstance(data, bytes):
                     data = data[4 : 4 + int.from_bytes(data[:4], "big")]
-                told = json.loads(data)
-                if told["kind"] in ("frame", "state"):
-                    seen.add((told["kind"], told["sensor_number"]))
+                event = json.loads(data)
+                if event["kind"] in ("frame", "state"):
+                    seen.add((event["kind"], event["sensor_number"]))
     assert seen == {(kind, n) for kind in ("frame", "state") for n in (1, 2)}
 
 
-def test_one_that_fails_is_said_and_the_other_goes_on(fingers, missing, connected):
+def test_a_sensor_that_fails_is_reported_and_the_other_goes_on(
+    fingers, missing, connected
+):
     with connected([LiveSession(missing), fingers[1]]) as client:
         first = client.get("/api/state").json()["sensor"]
         assert first["lost"] == "It is left out: it is unplugged"
@@ -75,21 +77,21 @@ def test_one_that_fails_is_said_and_the_other_goes_on(fingers, missing, connecte
         LiveSession.start_all([LiveSession(missing), LiveSession(missing)])
 
 
-def test_the_command_refuses_what_cannot_be(tmp_path):
-    def said(*arguments):
+def test_serve_refuses_a_sensor_named_twice_and_a_library_of_one_sensor(tmp_path):
+    def refusal(*arguments):
         result = CliRunner().invoke(app, ["serve", "--port", "0", *arguments])
         assert result.exit_code
         return " ".join(f"{result.output} {result.exception}".split())
 
     two = "--sensor", "sim:mug", "--sensor", "sim:mug"
-    assert "--sensor must name each once, got sim:mug, sim:mug. Sim" in said(*two)
+    assert "--sensor must name each once, got sim:mug, sim:mug. Sim" in refusal(*two)
     (tmp_path / "library.sqlite").touch()
     several = "--sensor", "sim:mug", "--sensor", "sim:box", "--library", str(tmp_path)
-    assert "name a --library that is none of one sensor" in said(*several)
+    assert "name a --library that is none of one sensor" in refusal(*several)
 
 
-def test_two_of_one_place_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
-    """The address tells them apart, in the folder of the library and on the page."""
+def test_two_sensors_of_one_kind_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
+    """Folders of the library, and names on the page, differ by the address."""
     served = []
     monkeypatch.setattr("palpate.web.create_app", lambda all_, *_, **__: [*all_])
     monkeypatch.setattr(PageServer, "run", lambda _, app: served.extend(app))

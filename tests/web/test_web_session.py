@@ -28,9 +28,9 @@ from .conftest import Still, waited
 @pytest.fixture(scope="module")
 def model(drawn, tmp_path_factory):
     """A model that knows the disc and the bar, and remembers its sensor."""
-    known = drawn[drawn.object != "both"][::2]
-    recogniser = ObjectRecogniser().fit(known)
-    memory = SensorMemory.of(known.images, known.no_contact)
+    learnt = drawn[drawn.object != "both"][::2]
+    recogniser = ObjectRecogniser().fit(learnt)
+    memory = SensorMemory.of(learnt.images, learnt.no_contact)
     recogniser.remember_sensor(memory.to_dict())
     return recogniser.save(tmp_path_factory.mktemp("model") / "m.palpate")
 
@@ -70,8 +70,8 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
     with session:
         assert waited(lambda: session.watch.detector.touching)
         # What is played cannot be lifted.
-        said = "disc touches the sensor. Put nothing on the desk"
-        with pytest.raises(ContactError, match=said):
+        message = "disc touches the sensor. Put nothing on the desk"
+        with pytest.raises(ContactError, match=message):
             session.take_baseline()
         session.place(None)
         assert waited(lambda: not session.watch.detector.touching)
@@ -96,8 +96,8 @@ def test_a_test_press_is_shown_and_not_stored(hand, tmp_path):
         with pytest.raises(SensorError, match="no test press"):
             session.press_difference()
         session.take_baseline(ask_press=True)
-        asked = session.to_dict()["sensor"]["press"]
-        assert asked == {"found": False, "lower": False, "number": 0}
+        press = session.to_dict()["sensor"]["press"]
+        assert press == {"found": False, "lower": False, "number": 0}
         press_once(hand, session)
         assert waited(lambda: session.watch.press is not None)
         assert session.to_dict()["sensor"]["press"]["found"]
@@ -130,12 +130,12 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
         assert (session.baseline == 20).all()
 
 
-def test_what_the_sensor_changes_by_itself_is_told(hand):
+def test_a_sensor_that_changes_its_exposure_is_warned_of(hand):
     hand.fixed, hand.unfixed = {"exposure": False}, "It does not keep exposure fixed."
     with LiveSession(hand) as session:
-        told = session.to_dict()["sensor"]
-        assert told["fixed"] == {"exposure": False}
-        assert told["warnings"] == [hand.unfixed]
+        state = session.to_dict()["sensor"]
+        assert state["fixed"] == {"exposure": False}
+        assert state["warnings"] == [hand.unfixed]
 
 
 def test_a_lesson_ends_the_test_press(hand, tmp_path):
@@ -165,7 +165,7 @@ def test_the_touches_of_an_episode_begin_a_lesson(make_session, drawn):
         session.stop_teaching()
 
 
-def test_a_sensor_that_has_changed_since_learning_is_told_of(model, drawn):
+def test_a_sensor_that_has_changed_since_learning_is_warned_of(model, drawn):
     same = LiveSession(ReplaySensor(drawn), model=model)
     assert same.to_dict()["sensor"]["warnings"] == []
     moved = drawn.with_columns(no_contact=drawn.no_contact + np.uint8(60))
@@ -174,7 +174,7 @@ def test_a_sensor_that_has_changed_since_learning_is_told_of(model, drawn):
     assert "At rest the sensor differs" in warning
 
 
-def test_a_sensor_that_is_lost_is_told_of_and_comes_back(hand):
+def test_a_sensor_that_is_lost_is_reported_and_comes_back(hand):
     hand.retry_s = 0.02
     with LiveSession(hand) as session:
         session.take_baseline()
@@ -225,7 +225,7 @@ def test_a_missing_sensor_leaves_no_library_behind(hand, tmp_path):
 def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
     model, drawn, tmp_path
 ):
-    """The job of the learning process, in this one."""
+    """The job of the learning process runs in this one."""
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(drawn[drawn.object == "both"][::2])
     output = tmp_path / "out.palpate"
@@ -255,7 +255,7 @@ def test_a_model_of_the_library_knows_its_touches_and_its_sensor(drawn, tmp_path
     assert (memory.no_contact == drawn.no_contact).all()
 
 
-def test_too_little_is_no_model(drawn, tmp_path):
+def test_touches_too_few_for_two_objects_make_no_model(drawn, tmp_path):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(drawn[drawn.object == "disc"])
         library.add(drawn[drawn.object == "bar"][:1])
@@ -270,7 +270,7 @@ def test_no_process_is_started_where_nothing_can_be_taught(learning_starts):
     assert learning_starts == []
 
 
-def test_one_learns_at_a_time(make_session):
+def test_learning_is_refused_while_the_session_learns(make_session):
     session = make_session(sensor=False)
     with session:
         session._learn_lock.acquire()
@@ -279,7 +279,7 @@ def test_one_learns_at_a_time(make_session):
         session._learn_lock.release()
 
 
-def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
+def test_changes_while_a_session_learns_are_learnt_afterwards(make_session, model):
     session = make_session(sensor=False)
     session._use(ObjectRecogniser.load(model))
     orders = []
@@ -292,7 +292,7 @@ def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
     assert orders == [[], [("disc", "")]]
 
 
-def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):
+def test_frames_go_on_while_a_session_learns(make_session, drawn, learning_apart):
     session = make_session(rate_hz=25.0)
     with session:
         session.teacher.library.add(drawn[::3])
@@ -330,13 +330,13 @@ def test_the_process_that_learns_stays_and_is_replaced_when_it_ends(
         os.kill(first, signal.SIGKILL)  # in the midst of it, or just before
         assert waited(lambda: not session.learning)
         assert "ended with -9; was memory short?" in session.learn_error
-        known = session.recogniser.classes_.tolist()
+        names = session.recogniser.classes_.tolist()
         session.learn(wait=True)
         assert (session.learn_error, learning_processes() != [first]) == ("", True)
-        assert session.recogniser.classes_.tolist() == known
+        assert session.recogniser.classes_.tolist() == names
 
 
-def test_what_cannot_be_opened_is_refused(tmp_path, drawn):
+def test_a_missing_model_and_wrong_arguments_are_refused(tmp_path, drawn):
     with pytest.raises(ModelFileError, match="no model file"):
         LiveSession(model=tmp_path / "none.palpate")
     with pytest.raises(ValueError, match="error must be finite and between"):
@@ -349,22 +349,22 @@ def test_what_cannot_be_opened_is_refused(tmp_path, drawn):
     session.stop()
 
 
-def test_another_mounting_is_told_after_ten_touches(make_session, drawn, model):
-    known = drawn[drawn.object != "both"]
+def test_another_mounting_is_reported_after_ten_touches(make_session, drawn, model):
+    learnt = drawn[drawn.object != "both"]
     with make_session(sensor=False, library=None, model=model) as session:
-        for image in known.images[1::6]:
+        for image in learnt.images[1::6]:
             session.post_touch(image)
         assert session.alarm == ""
-        for image in known.images[1::3]:
+        for image in learnt.images[1::3]:
             session.post_touch(image // 2 + 60)
         assert "sensor, mounting or light" in session.alarm
         assert session.advice[0] == session.to_dict()["alarm"] == session.alarm
 
 
-def test_touches_of_nothing_do_not_count_towards_the_mounting(
+def test_touches_without_contact_do_not_count_towards_the_mounting(
     make_session, drawn, model, monkeypatch
 ):
-    known = drawn[drawn.object != "both"]
+    learnt = drawn[drawn.object != "both"]
     checked = []
 
     def check(self, evidence):
@@ -373,13 +373,13 @@ def test_touches_of_nothing_do_not_count_towards_the_mounting(
 
     monkeypatch.setattr(ObjectRecogniser, "check_mounting", check)
     with make_session(sensor=False, library=None, model=model) as session:
-        for image in known.images[1:30:3]:
+        for image in learnt.images[1:30:3]:
             session.post_touch(np.zeros_like(image))
         assert {*session.episode.evidence.flags} == {"no contact"}
-        for image in known.images[1:28:3]:
+        for image in learnt.images[1:28:3]:
             session.post_touch(image)
         assert checked == []
-        session.post_touch(known.images[1])
+        session.post_touch(learnt.images[1])
         assert checked == [[""] * 10]
         assert session.alarm
 
@@ -395,7 +395,7 @@ def library_with_empty_touches(drawn, tmp_path):
     return tmp_path / "library", [ids[5], ids[41]]
 
 
-def test_learning_leaves_out_what_holds_no_number_and_names_it(
+def test_learning_leaves_out_touches_without_a_number_and_names_them(
     library_with_empty_touches, tmp_path
 ):
     folder, empty = library_with_empty_touches
@@ -414,7 +414,7 @@ def test_the_page_says_what_learning_left_out(library_with_empty_touches):
             assert key in session.message
 
 
-def test_a_library_is_refused_with_the_id_of_what_holds_no_number(
+def test_a_library_is_refused_with_the_ids_of_touches_without_a_number(
     library_with_empty_touches,
 ):
     folder, empty = library_with_empty_touches
@@ -423,5 +423,5 @@ def test_a_library_is_refused_with_the_id_of_what_holds_no_number(
             ValueError, match=f"NaN in touch {empty[0]}, {empty[1]}.*id"
         ):
             ObjectRecogniser("liu2014").fit(library.select())
-        rest = library.select(f"id != '{empty[0]}' and id != '{empty[1]}'")
-        assert len(ObjectRecogniser("liu2014").fit(rest).memory_) == 58
+        others = library.select(f"id != '{empty[0]}' and id != '{empty[1]}'")
+        assert len(ObjectRecogniser("liu2014").fit(others).memory_) == 58

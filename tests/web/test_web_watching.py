@@ -1,4 +1,4 @@
-"""What is said of a sensor that is followed, without threads and without a server."""
+"""The state of a sensor that is followed, without threads and without a server."""
 
 import json
 import queue
@@ -40,11 +40,14 @@ def frame(image, number=0):
         ((4, 5, 3), (4, 5), ("4 x 5 taxels in colour", "4 x 5 taxels in grey")),
     ],
 )
-def test_sizes_are_told_in_colour_where_that_differs(shape, other, sizes):
+def test_a_misfit_names_both_sizes_and_colour_where_that_differs(shape, other, sizes):
     watch = LiveSession(Still(shape)).watch
     watch.compare_with(learnt(other))
-    seen, got = sizes
-    assert f"images of {seen}, which still gives, got one of {got}." in watch.misfit
+    sensor_size, model_size = sizes
+    assert (
+        f"images of {sensor_size}, which still gives, got one of {model_size}."
+        in watch.misfit
+    )
 
 
 def test_a_model_of_other_images_is_a_misfit(watch):
@@ -66,7 +69,7 @@ def test_a_model_of_other_images_is_a_misfit(watch):
 
 
 @pytest.mark.parametrize(("level", "lower"), [(30, False), (10, True), (20, False)])
-def test_a_press_of_an_array_that_reads_lower_is_told(watch, level, lower):
+def test_a_press_of_an_array_that_reads_lower_is_reported(watch, level, lower):
     image = np.full((4, 4), 20, np.uint8)
     watch.detector.take_baseline([image] * 3)
     with pytest.raises(SensorError, match="There was no test press"):
@@ -79,11 +82,11 @@ def test_a_press_of_an_array_that_reads_lower_is_told(watch, level, lower):
     assert watch.to_dict()["press"] is None
 
 
-def test_what_a_sensor_is_like(watch):
-    said = watch.to_dict()
-    assert said["name"] == "still"
-    assert said["shape"] == [4, 4]
-    assert (said["baseline"], said["zero"], said["desk"]) == (False, False, None)
+def test_the_state_of_a_sensor_has_its_name_shape_and_baseline(watch):
+    state = watch.to_dict()
+    assert state["name"] == "still"
+    assert state["shape"] == [4, 4]
+    assert (state["baseline"], state["zero"], state["desk"]) == (False, False, None)
     watch.address, watch.failed = "serial:x", "It is left out."
     assert watch.to_dict()["name"] == "still (serial:x)"
     assert watch.to_dict()["lost"] == "It is left out."
@@ -95,7 +98,7 @@ def test_what_a_sensor_is_like(watch):
 def test_frames_go_to_those_who_take_frames(watch):
     all_events, others = [], []
     listeners = watch._listeners
-    watch._show(frame(np.zeros((4, 4), np.uint8)))  # nobody looks: nothing is painted
+    watch._show(frame(np.zeros((4, 4), np.uint8)))  # no listener: nothing is painted
     assert watch._health.to_dict()["frame_ms"] is None
     listeners.add(all_events.append)
     listeners.add(others.append, frames=False)
@@ -103,15 +106,15 @@ def test_frames_go_to_those_who_take_frames(watch):
     image = np.zeros((4, 4), np.uint8)
     watch._show(frame(image, 7))
     assert others == []
-    (shown,) = all_events
-    assert shown.kind == "frame"
-    assert shown.values["number"] == 7
-    assert shown.values["sensor_number"] == 1
-    assert shown.values["touching"] is False
-    assert shown.values["type"] == "image/png"
-    assert shown.picture.startswith(b"\x89PNG")
-    assert shown.image is image
-    assert json.loads(shown.text)["kind"] == "frame"
+    (event,) = all_events
+    assert event.kind == "frame"
+    assert event.values["number"] == 7
+    assert event.values["sensor_number"] == 1
+    assert event.values["touching"] is False
+    assert event.values["type"] == "image/png"
+    assert event.picture.startswith(b"\x89PNG")
+    assert event.image is image
+    assert json.loads(event.text)["kind"] == "frame"
     for kind in ("touch", "state"):
         listeners.notify(Event(kind))
     assert [event.kind for event in all_events] == ["frame", "touch", "state"]
@@ -133,18 +136,18 @@ def test_one_listener_goes_and_the_others_stay():
     assert stays[-1].values["sensor_number"] == 3
 
 
-def test_a_listener_that_fails_is_not_told_again_and_holds_up_nobody():
-    listeners, told = LiveSession().listeners, []
+def test_a_listener_that_fails_is_not_called_again_and_holds_up_nobody():
+    listeners, calls = LiveSession().listeners, []
 
     def fail(event):
-        told.append("fail")
+        calls.append("fail")
         raise OSError
 
     listeners.add(fail)
-    listeners.add(lambda event: told.append("well"))
+    listeners.add(lambda event: calls.append("well"))
     for _ in range(2):
         listeners.notify(Event("state"))
-    assert told == ["fail", "well", "well"]
+    assert calls == ["fail", "well", "well"]
 
 
 def test_a_baseline_is_of_ten_frames_that_come(watch):
@@ -169,9 +172,9 @@ def test_touches_are_tried_while_a_press_is_asked_for(watch, monkeypatch):
         assert watch.to_dict()["press"]["number"] == number
     assert watch._detected.empty()
     watch.end_press()
-    given = frame(touch.image)
-    watch._step(given)
-    assert watch._detected.get_nowait() == (touch, given.time_s)
+    last = frame(touch.image)
+    watch._step(last)
+    assert watch._detected.get_nowait() == (touch, last.time_s)
     with pytest.raises(queue.Empty):
         watch._detected.get_nowait()
 
