@@ -378,7 +378,7 @@ def test_a_connection_is_not_closed_while_it_is_answered(
     with slow as client, connect(socket_address(client, "?token=token")) as page:
         assert json.loads(page.recv())["kind"] == "state"
         answer = client.post("/api/touch", content=b"{}")
-        assert answer.status_code in (409, 422, 500)
+        assert answer.status_code == 422
         page.send("ping")
         kinds = []
         while "pong" not in kinds:
