@@ -160,20 +160,22 @@ def test_left_out_scores_through_landmarks_are_those_of_refitting(problem, n_lan
     settings = {"widths": [1.0], "ridges": [0.1], "n_landmarks": n_landmarks}
     machine = KernelRidgeClassifier(max_touches=10, **settings)
     machine.fit(X, labels, groups=groups)
-    marks = machine.touches_ + machine.mean_
-    assert len(marks) <= n_landmarks
+    landmarks = machine.touches_ + machine.mean_
+    assert len(landmarks) <= n_landmarks
 
     def kernel(a, b):
         return np.exp(-((a[:, None] - b) ** 2).sum(axis=2) / machine.unit_)
 
-    own = kernel(marks, marks) + 1e-8 * np.eye(len(marks))
-    features = np.linalg.solve(np.linalg.cholesky(own), kernel(marks, X)).T
+    between_landmarks = kernel(landmarks, landmarks) + 1e-8 * np.eye(len(landmarks))
+    features = np.linalg.solve(
+        np.linalg.cholesky(between_landmarks), kernel(landmarks, X)
+    ).T
     targets = (labels[:, None] == machine.classes_) - 1 / 3
     for group in range(5):
         out = groups == group
-        some = features[~out]
-        inner = some.T @ some + 0.1 * np.eye(len(marks))
-        slow = features[out] @ np.linalg.solve(inner, some.T @ targets[~out]) + 1 / 3
+        learnt = features[~out]
+        inner = learnt.T @ learnt + 0.1 * np.eye(len(landmarks))
+        slow = features[out] @ np.linalg.solve(inner, learnt.T @ targets[~out]) + 1 / 3
         assert_allclose(machine.left_out_scores_[out], slow, atol=1e-5)  # single
 
 
@@ -268,7 +270,7 @@ def test_touches_learnt_later_count_as_if_learnt_with_the_others(rng):
     first = machine.coefficients_.copy()
     # Ten of a known label, twice, one of them in a group that was there; then a new
     # label; then so many that all are learnt again.
-    known = machine
+    refitted = machine
     for more in (["mug"] * 10, ["pen"] * 10, ["cup"] * 12, ["tin"] * 200):
         new = np.array([places[name] for name in more])
         X = np.concatenate([X, new + 0.4 * rng.normal(size=new.shape)])
@@ -278,11 +280,11 @@ def test_touches_learnt_later_count_as_if_learnt_with_the_others(rng):
         groups = np.concatenate([groups, later])
         # What is learnt later may count less than the first touches.
         weights = np.where(np.arange(len(X)) < 600, 1.0, 0.25)
-        known = copy(known).refit(X, labels, groups=groups, weights=weights)
+        refitted = copy(refitted).refit(X, labels, groups=groups, weights=weights)
         last = groups == groups[-1]
-        coefficients, left_out = by_hand(known, X, labels, last, weights)
-        assert_allclose(known.coefficients_, coefficients, atol=1e-10)
-        assert_allclose(known.left_out_scores_[last], left_out, atol=1e-10)
+        coefficients, left_out = by_hand(refitted, X, labels, last, weights)
+        assert_allclose(refitted.coefficients_, coefficients, atol=1e-10)
+        assert_allclose(refitted.left_out_scores_[last], left_out, atol=1e-10)
     assert_array_equal(machine.coefficients_, first)
 
 
