@@ -2,7 +2,7 @@
 
 An arm on a straight line, and a force sensor that says what a test tells it to, in
 binary fractions, so that nothing is rounded: each step, each reading and each decision
-can be told beforehand. `JUST` is the least that matters.
+is known beforehand. `JUST` is the least that matters.
 """
 
 import dataclasses
@@ -88,11 +88,13 @@ def steps(first, last, step):
 
 
 def test_defaults_are_those_that_the_docstring_gives():
-    told = re.findall(r"^([\w, ]+) : .*default=(.*)$", inspect.getdoc(Guard), re.M)
+    documented = re.findall(
+        r"^([\w, ]+) : .*default=(.*)$", inspect.getdoc(Guard), re.M
+    )
     values = {
         name: value
-        for names, given in told
-        for name, value in zip(names.split(", "), given.split(", "), strict=True)
+        for names, defaults in documented
+        for name, value in zip(names.split(", "), defaults.split(", "), strict=True)
     }
     assert values == {name: str(value) for name, value in vars(Guard()).items()}
     assert dataclasses.replace(Guard(), force_n=0.5).limit_n == 3.0
@@ -398,7 +400,9 @@ def test_beyond_the_limit_the_sign_is_spoken_of_where_it_is_wrong(
     line = Line(lambda line: offset + force * (line.at >= 5))
     record = line.touch(guard(max_offset_n=2.5))
     assert record.outcome == "limit exceeded"
-    told = f"{force:.3f} N ({offset + force:.3f} with its offset), above the limit of 3"
-    assert told in record.message
+    message = (
+        f"{force:.3f} N ({offset + force:.3f} with its offset), above the limit of 3"
+    )
+    assert message in record.message
     assert record.image is None
     assert ("must be positive when something pushes" in record.message) == has_sign
