@@ -1,4 +1,4 @@
-"""The contract, on every sensor that needs no hardware, and on ones that break it."""
+"""The contract of sensors: those without hardware keep it, and broken ones do not."""
 
 import time
 from urllib.parse import quote
@@ -62,7 +62,7 @@ def recording(n=6, shape=(4, 5)):
     ],
     ids=lambda sensor: sensor.name,
 )
-def test_the_contract_is_kept(sensor):
+def test_every_sensor_without_hardware_keeps_the_contract(sensor):
     check_sensor(sensor)
 
 
@@ -198,8 +198,8 @@ def test_nothing_can_lie_before_a_simulated_sensor(kind):
 
 
 def test_simulated_touches_are_touches_of_what_lies_there():
-    how = {"rate_hz": 200, "hold": 4, "gap": 4, "ramp": 2}
-    with open_sensor("sim:disc13", **how) as sensor:
+    options = {"rate_hz": 200, "hold": 4, "gap": 4, "ramp": 2}
+    with open_sensor("sim:disc13", **options) as sensor:
         peaks = [int(sensor.read_next().image.max()) for _ in range(120)]
     assert max(peaks) > 30  # pressed
     assert min(peaks) <= 3  # and released: noise of half a level, six sd
@@ -254,11 +254,11 @@ def test_an_address_reaches_the_frames(tmp_path):
     with open_sensor(address) as sensor:
         levels = [int(sensor.read_next().image[0, 0]) for _ in range(5)]
     assert levels == [0, 10, 10, 0, 20]
-    one, two, other = (
+    first, same, other = (
         open_sensor(f"sim:mug?shape=24x24&seed={seed}") for seed in (1, 1, 2)
     )
     images = []
-    for sensor in (one, two, other):
+    for sensor in (first, same, other):
         with sensor:
             images.append(sensor.read_next().image)
     assert_array_equal(images[0], images[1])
@@ -379,8 +379,8 @@ def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rn
     rest = np.full((60, 80), 90, np.uint8)
     Image.fromarray(rest).save(tmp_path / "rest.png")
     address = f"replay:{tmp_path}/touches.npz"
-    given = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
-    assert_array_equal(given.no_contact(), rest)
+    sensor = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
+    assert_array_equal(sensor.no_contact(), rest)
     with pytest.raises(SensorError, match="as `no_contact`"):
         SensorOptions().open(address)
 
@@ -456,8 +456,10 @@ def test_what_a_device_tells_beside_its_frames_reaches_the_touch():
     detector = TouchDetector(np.zeros((2, 3)), begin=1.0)
     touch = None
     for number, level in enumerate([0, 5, 9, 4, 0]):
-        told = float(number), {"force_n": float(level)}
-        frame = Frame(np.full((2, 3), float(level)), number / 10, number, *told)
+        device_values = float(number), {"force_n": float(level)}
+        frame = Frame(
+            np.full((2, 3), float(level)), number / 10, number, *device_values
+        )
         touch = detector.update(frame) or touch
     assert (touch.device_time_s, touch.columns) == (2.0, {"force_n": 9.0})
 

@@ -76,7 +76,7 @@ def test_no_frame_is_lost_that_comes_together_with_the_first():
             assert np.array_equal(np.diff(times), np.ones(6))
 
 
-def test_the_contract_is_kept():
+def test_a_ros_sensor_keeps_the_contract():
     with peer("/t_contract"):
         check_sensor(RosSensor("/t_contract", (12, 12), domain=DOMAIN))
 
