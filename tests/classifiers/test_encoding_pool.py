@@ -51,7 +51,7 @@ def test_weights_are_a_minimum_of_the_stated_loss(problem, n_rare):
     pool = EncodingPool({"one": 1, "other": 1, "noise": 3}, together=False)
     left_out = pool.fit(X, labels, groups=groups).left_out_posteriors()
     codes = np.searchsorted(pool.classes_, labels)
-    # Each label adds the same.
+    # Each label adds the same to the loss.
     shares = len(codes) / 3 / np.bincount(codes)[codes]
 
     def loss(weights):

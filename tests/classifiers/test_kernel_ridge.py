@@ -114,7 +114,7 @@ def test_touches_far_from_the_origin_are_told_apart_as_well(problem, shift):
     )
 
 
-def test_what_is_learnt_about_the_touches_is_theirs(problem):
+def test_mean_touches_and_norms_are_those_of_the_training_touches(problem):
     X, labels, _ = problem
     machine = KernelRidgeClassifier().fit(X, labels)
     centred = X - X.mean(axis=0)
@@ -155,7 +155,7 @@ def test_all_touches_as_landmarks_are_the_machine_itself(problem):
 
 @pytest.mark.parametrize("n_landmarks", [5, 30])
 def test_left_out_scores_through_landmarks_are_those_of_refitting(problem, n_landmarks):
-    """With 5 landmarks groups of 12 touches are the larger of the two matrices."""
+    """With 5 landmarks a group of 12 touches gives the larger of the two matrices."""
     X, labels, groups = problem
     settings = {"widths": [1.0], "ridges": [0.1], "n_landmarks": n_landmarks}
     machine = KernelRidgeClassifier(max_touches=10, **settings)
@@ -207,7 +207,7 @@ def test_landmarks_are_spread_over_each_label_in_whatever_order(problem):
 
 
 def test_no_touch_is_more_like_another_than_that_itself(problem):
-    """Of touches far out the products exceed the squared lengths, by rounding."""
+    """Products of touches far out exceed their squared lengths, by rounding."""
     X, labels, _ = problem
     far = X + 1e7 * (labels == "pen")[:, None]
     machine = KernelRidgeClassifier(widths=[4.0]).fit(far, labels)
@@ -327,7 +327,7 @@ def test_learning_anew_forgets_what_was_solved_before(many):
     assert_array_equal(machine.coefficients_, fresh.coefficients_)
 
 
-def test_what_makes_more_touches_quick_is_not_copied_or_sent_away(many):
+def test_the_kernel_kept_for_later_touches_is_not_pickled(many):
     X, labels = many
     machine = KernelRidgeClassifier(max_choice_touches=100).fit(X, labels)
     # 600 x 600 values would be 2.9 MB.

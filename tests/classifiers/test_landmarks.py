@@ -94,7 +94,7 @@ def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
 
 @pytest.mark.parametrize("n_landmarks", [20, 200])
 def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
-    """Of 200 landmarks in four dimensions scores are differences of large numbers."""
+    """With 200 landmarks in four dimensions scores are differences of large numbers."""
     X, labels, groups = drawn(30, 20)
     machine = KernelRidgeClassifier(**SETTINGS | {"n_landmarks": n_landmarks})
     machine.fit(X, labels, groups=groups)
@@ -115,7 +115,7 @@ def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
 @pytest.mark.parametrize(
     ("n_labels", "n_each", "n_groups"), [(40, 6, 3), (400, 5, 5), (4, 300, 5)]
 )
-def test_of_very_many_answers_a_part_is_left_out(
+def test_a_part_of_very_many_answers_is_left_out(
     monkeypatch, n_labels, n_each, n_groups
 ):
     monkeypatch.setattr(MOST_ANSWERS, 2000)
@@ -152,7 +152,7 @@ def test_a_pool_of_a_part_left_out_is_nearly_that_of_all(monkeypatch):
     assert abs(of_part.score(new, new_labels) - of_all.score(new, new_labels)) < 0.03
 
 
-def test_of_few_answers_all_are_left_out():
+def test_all_of_few_answers_are_left_out():
     X, labels, groups = drawn(40, 6)
     machine = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
     assert_array_equal(machine.left_out_rows, np.arange(240))

@@ -147,7 +147,7 @@ def test_the_temperature_undoes_a_power(rng):
 def test_perfect_touches_have_a_finite_temperature():
     power = fit_temperature(np.full((50, 2), [0.9, 0.1]), np.zeros(50, int))
     sharp = sharpen(np.array([[0.9, 0.1]]), power)
-    # One touch in 52 is taken to be another: no more certain than that.
+    # One touch in 52 is taken to be another, which bounds how certain the rest are.
     assert_allclose(sharp[0, 0], 51 / 52, rtol=1e-3)
 
 

@@ -74,7 +74,7 @@ def solved(cp, task):
     # Clarabel doubts its last digits on some machines; the comparison of two forms
     # of the problem with each other and with ours is what counts.
     limits = {"tol_gap_rel": 1e-7, "tol_gap_abs": 1e-12, "tol_feas": 1e-7}
-    # With one length of steps or another it ends in failure now and then.
+    # Clarabel fails now and then with one length of steps, and not with another.
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Solution may be inaccurate")
         for longest in (0.95, 0.9, 0.8):

@@ -54,7 +54,7 @@ def kernels_of(left, right, kernels=BANK):
 
 
 def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
-    seen = []
+    thread_counts = []
 
     def threads():
         return {
@@ -64,7 +64,7 @@ def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
         }
 
     def noted(*matrices, **options):
-        seen.append(threads())
+        thread_counts.append(threads())
         return dpotrf(*matrices, **options)
 
     monkeypatch.setattr("palpate.classifiers.mkl._dense.dpotrf", noted)
@@ -75,8 +75,8 @@ def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
         MKLSVC(kernels=BANK, probability=False).fit(touches, labels)
         assert threads() == before
     assert 2 in before
-    assert seen
-    assert all(number == {1} for number in seen)
+    assert thread_counts
+    assert all(number == {1} for number in thread_counts)
 
 
 def test_each_pair_is_solved_to_its_gap_with_weights_that_sum_to_one(problem):
@@ -208,7 +208,7 @@ def test_pairs_of_unequal_classes_are_solved_as_if_alone(rng, counts):
         stack = kernels_of(X[chosen], X[chosen]) * scales
         alone = MKLSVC(kernels="precomputed", normalize=None, probability=False)
         alone.fit(stack, labels[chosen])
-        # Either within its gap of 1e-6.
+        # Either is within its gap of 1e-6.
         assert_allclose(objective, alone.objective_[0], rtol=2e-6)
 
 

@@ -126,7 +126,7 @@ def test_the_width_has_the_least_loss():
     stored, group, codes = machine._stored(X, labels, groups)
 
     def least_loss(width):
-        """Over temperatures, where no label is more than log 40 + 3 nats below."""
+        """The least over temperatures; no label is over log 40 + 3 nats below."""
         scores = machine._densities(stored, width, group)
         below = scores - scores.max(axis=1, keepdims=True)
 
