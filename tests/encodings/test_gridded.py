@@ -79,7 +79,7 @@ def test_unit_length_is_of_all_channels_together():
     ],
 )
 def test_a_slope_votes_for_its_direction_alone(image, direction):
-    """Of 4 directions (22.5, 67.5...) 0 and 90 degrees lie between two, as does 45."""
+    """0, 45 and 90 degrees each lie between two of 4 directions (22.5, 67.5...)."""
     votes = EdgeHistograms(4).fit_transform(image[np.newaxis]).reshape(7, 7, 4, 4)
     middle = votes[3, 3, 0]
     near = [(direction // 45 - 1) % 4, direction // 45]

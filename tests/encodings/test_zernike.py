@@ -199,7 +199,7 @@ def test_exact_moments_of_one_taxel_are_its_part_of_the_disc(cells, order):
         low, high = np.clip((np.array([i - 0.5, i + 0.5]) - row) / radius, -1, 1)
         left, right = (np.array([j - 0.5, j + 0.5]) - col) / radius
         for n, m in [(0, 0), (3, 1), (6, 4)]:
-            # Both parts are asked for at much the same places.
+            # Quadratures of both parts use much the same places.
             value = cache(partial(polynomial, n, m))
             for part in ("real", "imag"):
                 integral, _ = dblquad(
@@ -328,7 +328,7 @@ def test_the_disc_is_placed_to_a_part_of_a_taxel():
     centre, radius = (20.25, 23.7), 15.6
     x, y = coordinates(45, *centre, radius)
     encoded = moments(x**2 + 0 * y, 4, centre=centre, radius=radius)
-    # As the closed forms at 33 taxels.
+    # The tolerance is that of the closed forms at 33 taxels.
     assert_allclose(encoded[0, 0], 1 / 4, atol=1.4e-3)
     assert_allclose(encoded[2, 2], 1 / 4, atol=1.4e-3)
     off = moments(x**2 + 0 * y, 4, centre=(20.25, 24.2), radius=radius)
