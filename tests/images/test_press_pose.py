@@ -176,7 +176,7 @@ def test_doubt_covers_the_errors_of_a_template_of_few_presses(n_presses):
     poses = learnt.estimate(presses.images[test], presses.object[test])
     errors_deg = error_deg(poses.angle_deg, columns["angle_deg"][test], poses.symmetry)
     turns = poses.symmetry > 0
-    # Of some 80 errors, nearly all; without the template's share 50 and 70 %.
+    # Nearly all of some 80 errors; without the template's share 50 and 70 % of them.
     assert (errors_deg < 2 * poses.sd_deg)[turns].mean() > 0.75
     assert np.median(poses.sd_deg[turns]) < 6
 
@@ -252,7 +252,7 @@ def test_simulated_parts_are_placed_within_half_a_millimetre_and_five_degrees():
     true_symmetry = columns["symmetry"][~train]
     errors_deg = error_deg(poses.angle_deg, columns["angle_deg"][~train], true_symmetry)
     turns = (true_symmetry > 0) & (poses.symmetry > 0)
-    # Seen: 0.12 mm and 1.2 degrees.
+    # Measured: 0.12 mm and 1.2 degrees.
     assert np.median(away) < 0.2
     assert np.median(errors_deg[turns]) < 2
     for label in np.unique(presses.object):

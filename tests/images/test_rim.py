@@ -378,10 +378,10 @@ def test_sensors_without_a_rim_show_none(data_folder, name):
 
 
 def test_rims_are_found_on_one_thread_and_opencv_gets_its_own_back(monkeypatch):
-    before, seen, remap = cv2.getNumThreads(), [], cv2.remap
+    before, thread_counts, remap = cv2.getNumThreads(), [], cv2.remap
 
     def noted(*arguments, **named):
-        seen.append(cv2.getNumThreads())
+        thread_counts.append(cv2.getNumThreads())
         return remap(*arguments, **named)
 
     monkeypatch.setattr(cv2, "remap", noted)
@@ -395,7 +395,7 @@ def test_rims_are_found_on_one_thread_and_opencv_gets_its_own_back(monkeypatch):
             thread.join()
         with pytest.raises(ValueError, match=r"near\.radius must be positive"):
             find_rims(images, near=Circle(45, 60, -1))
-        assert set(seen) == {1}
+        assert set(thread_counts) == {1}
         assert cv2.getNumThreads() == 2
     finally:
         cv2.setNumThreads(before)
