@@ -156,7 +156,7 @@ def test_turning_by_any_angle_turns_the_picture():
 def test_rolling_the_sensor_is_turning_the_object_back():
     roll = SensorPose((0, 0, 50), (0, 0, -1), roll_rad=0.6)
     rolled = CLEAN.touch(placed("flat-to-edge"), roll).astype(int)
-    # Its axis points down, so a right-handed roll is clockwise from above.
+    # The sensor's axis points down: a right-handed roll is clockwise from above.
     turned = CLEAN.touch(placed("flat-to-edge", yaw_rad=0.6), DOWN).astype(int)
     # The same rays up to rounding; the solver stops a step sooner or later.
     assert np.abs(rolled - turned).mean() < 0.2
@@ -314,7 +314,7 @@ def test_no_contact_frame_is_as_bright_as_the_real_one(data_folder):
     real = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     ours = replace(CLEAN, image_shape=(480, 640)).no_contact()
     row, col = np.mgrid[:480, :640] + 0.5
-    # Each about its own disc; the real one is 4 pixels higher.
+    # Radii are about each picture's own disc; the real one is 4 pixels higher.
     real_radius = np.hypot(row - 206.5, col - 215.5)
     our_radius = np.hypot(row - 210, col - 213)
     for inner in range(0, 250, 10):

@@ -141,7 +141,7 @@ def test_each_colour_is_brighter_where_the_dent_leans_towards_its_light(ball):
     assert press.depth_mm <= gel.dome.max_depth_mm + 1e-6
     _, n_cols = gel.image_shape
     red = change[..., 0]
-    # Of a round dent one side leans towards the red light, and the other away.
+    # One side of a round dent leans towards the red light, and the other away.
     left, right = red[:, : n_cols // 2], red[:, n_cols // 2 :]
     assert left.mean() * right.mean() < 0
     # The three lights are 120 degrees apart: their changes, as shares, sum to about 0.

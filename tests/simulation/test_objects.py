@@ -86,7 +86,7 @@ def test_mug_is_hollow_and_has_a_handle():
 
 
 @pytest.mark.parametrize("thing", HOUSEHOLD + UNSEEN, ids=lambda o: o.name)
-def test_resting_poses_rest(thing):
+def test_resting_poses_have_ground_below_the_centre_of_mass(thing):
     """Below the centre of mass there is ground that the object stands on."""
     for number in range(len(thing.resting_rotations)):
         rotation = thing.resting_rotations[number]
@@ -155,7 +155,7 @@ def test_sensor_axes_are_right_handed_and_look_down_as_a_map():
     assert_allclose(slanted.axes[:, 2], np.array([1, 2, -3]) / np.sqrt(14))
 
 
-def test_pickle_builds_anew():
+def test_a_pickled_object_builds_its_mesh_anew():
     again = pickle.loads(pickle.dumps(find_object("pen")))
     assert "mesh" not in vars(again)
     assert_array_equal(again.mesh.vertices, find_object("pen").mesh.vertices)
