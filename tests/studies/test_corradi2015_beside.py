@@ -133,7 +133,7 @@ def test_moved_objects_are_tested_on_the_other_side_alone(rng):
     assert {row["recogniser"] for row in rows} > {"brightness", "sorted pixels"}
 
 
-def test_what_is_missing_is_said(rng, tmp_path):
+def test_missing_photographs_and_columns_are_named_as_skipped(rng, tmp_path):
     tasks, skipped = beside_tasks(PLAN, drawn(NAMES, 1, rng), tmp_path)
     assert tasks == []
     assert "no bathtip/visual_words50.npz" in skipped[0]

@@ -102,7 +102,7 @@ def test_timings_stand_beside_the_papers(result):
     assert all(row["unit"] == "ms" and row["ours"] > 0 for row in rows)
 
 
-def test_what_is_missing_is_said_and_json_holds_everything(result):
+def test_missing_touches_are_named_as_skipped_and_json_holds_everything(result):
     assert "`data` or PALPATE_DATA" in result["skipped"][0]
     assert json.loads(json.dumps(result))["study"] == "corradi2015"
 

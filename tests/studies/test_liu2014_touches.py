@@ -97,7 +97,9 @@ def test_features_are_joined_geometry_first(tiny_plan):
 
 
 @pytest.mark.parametrize("by_argument", [True, False], ids=["data", "environment"])
-def test_presses_are_found(by_argument, tmp_path, monkeypatch):
+def test_recorded_presses_are_found_by_argument_or_environment(
+    by_argument, tmp_path, monkeypatch
+):
     (tmp_path / "taxel10x10").mkdir()
     touches = Touches(np.ones((2, 10, 10)), object=["a", "b"])
     touches.save(tmp_path / "taxel10x10" / "taxel10x10.npz")
@@ -166,7 +168,7 @@ def test_footprints_lie_where_the_presses_are():
         ({"runs": 0}, "runs must be at least 1"),
     ],
 )
-def test_plans_are_checked(tiny_plan, changes, message):
+def test_plans_of_bad_sizes_are_refused(tiny_plan, changes, message):
     with pytest.raises(ValueError, match=message):
         tiny_plan(**changes)
 
