@@ -343,7 +343,7 @@ def test_two_objects_of_one_name_are_refused():
 
 def test_without_gymnasium_the_refusal_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    # Not there yet where this test comes first.
+    # The module is not imported yet where this test runs first.
     monkeypatch.delitem(sys.modules, "palpate.exploration.environment", raising=False)
     with pytest.raises(ImportError, match=r'pip install "palpate\[sim\]"'):
         importlib.import_module("palpate.exploration.environment")

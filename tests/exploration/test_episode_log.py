@@ -1,4 +1,4 @@
-"""What is recorded stays recorded, whatever kills the program and when."""
+"""Recorded touches stay recorded, whatever kills the program and when."""
 
 import json
 import os
@@ -222,8 +222,8 @@ def test_records_without_a_touch_make_no_touches():
 
 
 def test_records_in_colour_become_touches_with_channels():
-    seen = replace(_record(0), image=np.zeros((4, 5, 3), np.uint8))
-    assert as_touches([seen]).channels == ("r", "g", "b")
+    in_colour = replace(_record(0), image=np.zeros((4, 5, 3), np.uint8))
+    assert as_touches([in_colour]).channels == ("r", "g", "b")
 
 
 def test_gathering_gives_up_where_nothing_is(world, tmp_path):

@@ -24,21 +24,21 @@ class SlowlySure:
 
     def __init__(self, after=10**9, answer="ball", refusal=None):
         self.after, self.answer, self.refusal = after, answer, refusal
-        self.seen = []
+        self.images = []
 
     def start(self):
         return type(self)(self.after, self.answer, self.refusal)
 
     def update(self, touches):
-        self.seen.extend(touches.images)
+        self.images.extend(touches.images)
 
     def decide(self, error, refusal):
         assert refusal == self.refusal
-        return self.answer if len(self.seen) >= self.after else None
+        return self.answer if len(self.images) >= self.after else None
 
     def reason(self, error, refusal):
         assert refusal == self.refusal
-        return f"{len(self.seen)} touches seen."
+        return f"{len(self.images)} touches seen."
 
 
 NEAR = Hemisphere(radius_mm=100)
@@ -78,7 +78,7 @@ def test_nothing_counts_against_the_budget_but_not_for_the_belief(world):
 
 def test_the_belief_takes_in_every_touch_in_order(arm, sensor):
     end = explore(arm, sensor, SlowlySure(), STRATEGY, max_attempts=3)
-    for image, record in zip(end.belief.seen, end.history, strict=True):
+    for image, record in zip(end.belief.images, end.history, strict=True):
         assert np.array_equal(image, record.image)
 
 
@@ -156,7 +156,7 @@ def test_an_episode_in_pieces_is_the_whole_episode(world, tmp_path, strategy):
     whole = run(None, 9)
     for budget in (2, 3, 7, 9):
         pieces = run(tmp_path, budget)
-    assert len(pieces.belief.seen) == 9
+    assert len(pieces.belief.images) == 9
     for record, in_pieces in zip(whole.history, pieces.history, strict=True):
         assert record.position_mm == in_pieces.position_mm
         assert np.array_equal(record.image, in_pieces.image)
@@ -268,7 +268,7 @@ def test_each_attempt_is_passed_on_with_the_belief(arm, sensor):
         SlowlySure(),
         STRATEGY,
         max_attempts=3,
-        on_attempt=lambda record, belief: attempts.append((record, len(belief.seen))),
+        on_attempt=lambda record, belief: attempts.append((record, len(belief.images))),
     )
     assert [n_seen for _, n_seen in attempts] == [1, 2, 3]
     assert [record for record, _ in attempts] == end.history

@@ -22,7 +22,7 @@ from palpate.exploration import (
 )
 from palpate.simulation import SensorPose, find_object
 
-# As long steps in the air as are usual: what is promised follows from them.
+# Steps in the air are as long as usual: the promise follows from them.
 GUARD = faulty_arms.GUARD = faulty_arms.guard_of(air_step_mm=1.0)
 # Met lightly between touches: below the limit a way goes on.
 LIGHT = "object beside the way", "object too tall", "object too large"
@@ -158,7 +158,7 @@ def test_whatever_is_raised_on_the_way_out_the_arm_is_stopped():
 
 
 @pytest.mark.parametrize("stiffness_n_mm", [1.0, 5.0])
-def test_what_is_met_on_the_way_out_is_met_lightly(stiffness_n_mm):
+def test_an_object_on_the_way_out_is_met_lightly(stiffness_n_mm):
     """Something stands behind an arm that is inside the hemisphere."""
     arm = FaultyArm("", stiffness_n_mm)
     arm.pose = NEAR.pose(0.3, 0.9).advanced(60)

@@ -277,7 +277,7 @@ def test_one_reading_beyond_the_limit_ends_a_touch_whatever_the_mean():
     record = touch(arm)
     assert (record.outcome, record.travel_mm) == ("limit exceeded", 5)
     assert record.peak_force_n == pytest.approx(3.5)
-    # Not another reading, not another step: out.
+    # The arm comes out without another reading or step.
     assert arm.calls[-5:] == ["move", "read", "read", "read", "retract"]
 
 

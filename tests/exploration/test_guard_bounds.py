@@ -220,7 +220,7 @@ def test_the_force_at_the_bound_where_it_was_air_is_a_fault(still):
 @pytest.mark.parametrize(
     ("last", "first", "ends_mm"),
     [
-        # Over 2 mm it changes by three deviations of a mean of four, six of a reading
+        # In 2 mm the force changes by 3 deviations of a mean of four, six of a reading
         # divided by two: 0.09375 N, or by just less.
         (0.09375, 0.0, None),
         (0.09375 - JUST, 0.0, 12.0),
@@ -348,7 +348,7 @@ def test_an_arm_that_went_too_far_is_taken_back_as_far_as_it_says(ahead_mm, reac
 
 
 @pytest.mark.parametrize("n_equal", [4, 5])
-def test_so_many_equal_readings_and_no_fewer_are_a_stuck_sensor(n_equal):
+def test_a_sensor_is_stuck_at_as_many_equal_readings_as_stuck_after(n_equal):
     def says(line):
         number = len(line.read_at)
         same = 30 <= number < 30 + n_equal

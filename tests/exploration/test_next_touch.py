@@ -139,7 +139,7 @@ def test_a_landmark_tells_the_turn_but_not_the_object(touch_map):
     assert belief.doubt > 0.3
 
 
-def test_without_weight_on_places_it_is_the_plain_belief(recogniser, touches):
+def test_a_belief_without_weight_on_places_is_the_plain_one(recogniser, touches):
     single = TouchMap(n_turns=1).fit(recogniser, touches)
     single.touch_weight_, single.placed_weight_ = 1.0, 0.0
     single.correlation_ = 0.25
@@ -284,7 +284,7 @@ def test_chosen_touches_need_fewer_than_random_ones(touch_map, strategy):
     assert np.median(numbers[chosen]) <= 0.6 * np.median(numbers[random])
 
 
-def test_what_is_known_is_not_touched_again(strategy):
+def test_a_place_already_tried_is_not_chosen_again(strategy):
     pose = strategy.next_pose(None, [])
     nothing = TouchRecord("nothing", pose, (0.0, 0.0, 0.0))
     again = strategy.next_pose(None, [nothing])

@@ -281,7 +281,7 @@ def test_the_surface_can_be_drawn_from_above(surface_map):
     again = belief.plot_surface(history, start=pose)
     assert " ".join(again.get_title().split("\n")[1:]) == advice(belief, pose)
     arrow = again.texts[0]
-    # From outside along the approach, which comes from the right.
+    # The arrow comes from outside along the approach, here from the right.
     assert arrow.xyann[0] > arrow.xy[0] > belief.surface()[0][:, 0].max()
     pyplot.close("all")
 
@@ -482,9 +482,9 @@ def test_a_hemisphere_that_the_arm_cannot_reach_is_said_in_one_sentence(arm, sen
 @pytest.mark.parametrize("aim_mm", [10.0, None])
 def test_a_body_turned_is_met_where_its_mesh_on_that_side_is(aim_mm):
     """Lines aim at one height above the table, or at the box's middle."""
-    box, seen = find_object("box"), HEIGHTS >= 0
+    box, upper = find_object("box"), HEIGHTS >= 0
     usual, *others = [mesh_surface(box, face, CAMERA, aim_mm) for face in range(3)]
-    middles = (directions() * usual.mean_mm[..., None])[seen].reshape(-1, 3)
+    middles = (directions() * usual.mean_mm[..., None])[upper].reshape(-1, 3)
     body = aim_mm or 30.0, middles
     turned = turned_surfaces(body, aim_mm, CAMERA.membrane_radius_mm)
     # Top, nearest and farthest side of 160 x 110 x 60 mm on its three sides; on its
@@ -538,7 +538,7 @@ def test_a_first_contact_with_an_unlearnt_surface_has_the_density_of_the_process
     loose = Looseness(placement_mm=4, height_mm=3, sensor_mm=2)
     before = UnlearntSurfaces.before(np.array([50.0, 90.0]), 10.0, loose)
     first = before.met(np.array([70.0, 0, 0]))
-    # Of mean, turn-free part, roughness, placement along x, noise, and the sensor.
+    # Terms of mean, turn-free part, roughness, placement along x, noise, and sensor.
     variances = np.array(
         [100 + 900 + r**2 + 16 + n**2 + 4 for r in (4, 10, 25) for n in (1, 2, 4)]
     )

@@ -44,7 +44,7 @@ def test_a_touch_of_nothing_is_flagged_and_moves_nothing(touch_map, taught, noth
     assert belief.flags[:-1] == plain.flags
     assert_allclose(belief.log_joint, without.log_joint, atol=1e-12)
     assert belief.touches_used == 3
-    # Nor is the next touch worth less for it.
+    # The next touch is worth no less after a touch of nothing.
     assert_allclose(
         belief.update(box).log_joint, without.update(box).log_joint, atol=1e-12
     )

@@ -57,7 +57,7 @@ def test_closeness_is_a_bell_of_the_width_about_each_place(touch_map, width):
 
 
 def test_the_ratio_is_the_weighted_mean_over_the_plain_one(touch_map):
-    """Of three touches at two stations; none is compared with its own group."""
+    """Three touches at two stations; none is compared with its own group."""
     nearness, allowed = touch_map.left_out()
     closeness = touch_map.closeness(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
     tested = [0, 5, 120]
@@ -80,7 +80,7 @@ def test_the_ratio_is_the_weighted_mean_over_the_plain_one(touch_map):
     assert_allclose(nothing, 0)
 
 
-def test_of_nearness_the_nearest_has_one(touch_map):
+def test_the_nearest_touch_has_a_nearness_of_one(touch_map):
     squared = np.array([[4.0, 5.0, 4.0 + 2 * touch_map.bandwidth_**2]])
     expected = np.exp([0, -0.5 / touch_map.bandwidth_**2, -1])
     assert_allclose(touch_map._nearness(squared)[0], expected)
