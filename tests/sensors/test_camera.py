@@ -114,7 +114,7 @@ def test_exposure_is_fixed_where_the_driver_lets_it():
         assert "keep exposure and white balance and focus and gain" in sensor.unfixed
 
 
-def test_what_a_camera_does_not_have_is_not_missed():
+def test_settings_that_a_camera_does_not_have_are_not_missed():
     capture = FakeCapture()
     capture.settings |= {AUTO_FOCUS: -1, FOCUS: -1, GAIN: -1}
     with camera(capture) as sensor:
@@ -239,7 +239,7 @@ def test_an_address_says_what_of_the_picture_is_taken():
         ("fourcc=MJPEG", "fourcc must be four letters such as MJPG, got 'MJPEG'"),
     ],
 )
-def test_what_cannot_be_taken_is_refused_with_the_value(option, message):
+def test_parts_of_a_picture_that_cannot_be_taken_are_refused(option, message):
     with pytest.raises(ValueError, match=message):
         open_sensor(f"camera:0?shape=24x32&{option}")
 
@@ -298,7 +298,7 @@ def test_an_unplugged_camera_is_found_again():
         ),
     ],
 )
-def test_what_is_wrong_is_one_sentence_with_the_fix(capture, message):
+def test_a_camera_that_fails_is_one_sentence_with_the_fix(capture, message):
     with pytest.raises(SensorError, match=message):
         camera(capture).connect()
     assert capture.released == 1

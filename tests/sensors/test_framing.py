@@ -180,7 +180,7 @@ def test_lines_that_were_cut_are_counted(rng):
 
 
 def test_a_line_without_end_is_given_up():
-    """Longer than 32 letters a taxel and 8: one damaged frame, then the next."""
+    """A line over 32 letters a taxel and 8 is a damaged frame; the next is read."""
     framing = LineFraming((1, 2), checksum=False)
     assert framing.feed(b"1" * 72) == []
     assert framing.n_damaged == 0

@@ -167,7 +167,7 @@ def test_a_replay_plays_what_was_recorded_between_frames_of_nothing():
     assert sensor.objects == ("cup", "pen")
 
 
-def test_what_lies_on_the_desk_can_be_changed():
+def test_the_object_before_a_replay_can_be_changed():
     sensor = ReplaySensor(recording(), rate_hz=500, hold=1, gap=0)
     sensor.place("pen")
     with sensor:
@@ -205,7 +205,7 @@ def test_simulated_touches_are_touches_of_what_lies_there():
     assert min(peaks) <= 3  # and released: noise of half a level, six sd
 
 
-def test_sensors_by_name(tmp_path):
+def test_sensors_are_opened_by_their_address(tmp_path):
     recording().save(tmp_path / "touches.npz")
     replay = open_sensor(f"replay:{tmp_path / 'touches.npz'}", rate_hz=50, hold=3)
     assert replay.image_shape == (4, 5)
@@ -452,7 +452,7 @@ def test_a_burst_over_the_bound_is_counted_and_the_check_says_so():
         check_sensor(sensor)
 
 
-def test_what_a_device_tells_beside_its_frames_reaches_the_touch():
+def test_columns_of_a_device_beside_its_frames_reach_the_touch():
     detector = TouchDetector(np.zeros((2, 3)), begin=1.0)
     touch = None
     for number, level in enumerate([0, 5, 9, 4, 0]):

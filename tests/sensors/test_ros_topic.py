@@ -63,7 +63,7 @@ def test_frames_are_those_that_were_sent_with_their_stamps(what):
     numbers = [frame.device_time_s - 1000.5 for frame in frames]
     assert numbers == list(np.arange(numbers[0], numbers[0] + 40))
     assert all(np.ptp(frame.image) == 0 for frame in frames)
-    # Of a slow machine the 250th is sent before the first is read.
+    # On a slow machine the 250th frame is sent before the first is read.
     assert [int(frame.image[0, 0]) for frame in frames] == [n % 250 for n in numbers]
 
 

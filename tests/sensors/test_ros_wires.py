@@ -170,7 +170,7 @@ def test_where_to_publish_is_one_short_address():
 
 
 @needs_zenoh
-def test_without_a_router_or_with_a_configuration_that_is_none_it_says_so(monkeypatch):
+def test_a_missing_router_and_a_bad_configuration_are_named(monkeypatch):
     with pytest.raises(
         SensorError, match=r"Nobody publishes /zpad .* a router runs at"
     ):

@@ -194,7 +194,7 @@ def test_chance_is_no_drift(rng):
         images = rng.normal(scale=2.0, size=(24, 8, 8)) + 100
         report = health(as_frames(images, np.arange(24) / 50))
         squares.append(report["figures"]["drift"] ** 2)
-    # Of 64 taxels the mean square has a spread of 4 (2 / 64)^0.5 = 0.7; half of them,
+    # The mean square of 64 taxels has a spread of 4 (2 / 64)^0.5 = 0.7; half of them,
     # those below 0, count as 0: their mean is 0.7 / sqrt(2 pi) = 0.28.
     assert np.mean(squares) < 0.6
     assert 0.2 < np.mean(np.array(squares) == 0) < 0.8

@@ -147,7 +147,7 @@ def test_an_array_tells_the_step_of_its_numbers(terminal):
 
 
 def plain_line(image, number):
-    """What `Serial.println` of numbers with commas between writes."""
+    """Write a line as `Serial.println` does of numbers with commas between."""
     return ",".join(map(str, image.ravel())).encode() + b"\r\n"
 
 
@@ -249,7 +249,7 @@ def test_an_array_that_goes_away_while_it_is_listened_to_is_said():
 
 
 def test_lines_that_were_cut_are_counted_as_dropped(terminal):
-    """Of every four lines one loses its end, and its line break with it."""
+    """One line of every four loses its end, and its line break with it."""
 
     def packets():
         for number in range(80):

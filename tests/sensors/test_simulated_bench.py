@@ -32,7 +32,7 @@ def test_force_and_picture_are_those_of_the_dome(name):
     assert_allclose(bench.force_n, press.contact.force_n, rtol=0.05)
     picture = CAMERA.image(press).astype(float)
     assert_allclose(bench.frame().astype(float), picture, atol=6)
-    # That the picture is of this press and not of any: nothing pressed is far off.
+    # The picture is of this press and of no other: nothing pressed is far off.
     assert np.abs(CAMERA.no_contact() - picture).max() > 20
 
 

@@ -78,9 +78,9 @@ def test_one_count_is_no_touch_where_the_step_is_known():
     fine = TouchDetector()
     fine.step = 0.01
     fine.take_baseline(still)
-    # One taxel of 256 by one count is a change of 1/16: over 2 steps of 0.01.
+    # One count on one taxel of 256 is a change of 1/16: over 2 steps of 0.01.
     assert len([t for t in map(fine.update, flickers()) if t]) >= 4
-    # Nor does one count more in the second half count as coming down.
+    # One count more in the second half is not taken for something coming down.
     coming = [frame.image for frame in flickers(count=4)]
     detector.take_baseline(coming)
 
@@ -284,7 +284,7 @@ def test_a_press_is_of_four_neighbours(n_taxels, refused, rng):
 
 
 def test_large_images_are_looked_at_in_part():
-    """Of more than 160 a side every second pixel counts, and no other."""
+    """Images of more than 160 a side count by every second pixel alone."""
     rest = np.full((200, 161), 100, np.uint8)
     detector = TouchDetector(rest, begin=1.0)
     between = rest.copy()
@@ -327,7 +327,7 @@ def test_a_step_of_the_numbers_bounds_the_limit_from_below():
 
 
 def test_a_touch_after_a_short_flash_is_whole():
-    """What is kept of a flash that was no touch is not of the next."""
+    """Frames kept of a flash that was no touch are not part of the next touch."""
     detector = TouchDetector(REST, begin=10, end=5, summary="mean", min_frames=3)
     (touch,) = touches_of(detector, [0, 90, 90, 0, 0, 40, 40, 40, 40, 0])
     assert_array_equal(touch.image, REST + 40)
