@@ -11,7 +11,7 @@ from palpate.classifiers import (
     PolynomialKernel,
 )
 
-SOME = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
+BANK = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def landmarks():
 
     def make(n, **options):
         through = {"approximation": "nystroem", "n_landmarks": n, "random_state": 0}
-        return MKLSVC(kernels=SOME, **through, **options)
+        return MKLSVC(kernels=BANK, **through, **options)
 
     return make
 
@@ -47,7 +47,7 @@ def landmarks():
 @pytest.fixture
 def exact():
     """Return an unfitted machine of the same kernels, without landmarks."""
-    return lambda **options: MKLSVC(kernels=SOME, approximation="none", **options)
+    return lambda **options: MKLSVC(kernels=BANK, approximation="none", **options)
 
 
 @pytest.fixture

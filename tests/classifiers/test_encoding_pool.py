@@ -23,14 +23,17 @@ def problem(rng):
     return X, labels, np.tile(np.repeat(np.arange(5), 6), 3)
 
 
-def test_noise_weighs_nothing_beside_what_tells(problem):
+def test_noise_weighs_nothing_beside_a_part_that_tells(problem):
     X, labels, groups = problem
     pool = EncodingPool({"telling": 2, "noise": 3}, together=False)
     pool.fit(X, labels, groups=groups)
     assert pool.weights_["telling"] > 0.8
-    said = dict(zip(pool.weights_, pool.left_out_posteriors(), strict=True))
-    # What tells nothing says nothing, whatever it weighs.
-    assert said["noise"].std(axis=1).mean() < 0.1 * said["telling"].std(axis=1).mean()
+    posteriors = dict(zip(pool.weights_, pool.left_out_posteriors(), strict=True))
+    # A part of noise has flat posteriors, whatever its weight.
+    assert (
+        posteriors["noise"].std(axis=1).mean()
+        < 0.1 * posteriors["telling"].std(axis=1).mean()
+    )
     assert pool.score(X, labels) > 0.9
 
 
@@ -38,24 +41,24 @@ def test_pool_of_one_part_is_its_machine_at_another_temperature(problem):
     X, labels, groups = problem
     pool = EncodingPool({"all": 5}).fit(X, labels, groups=groups)
     alone = KernelRidgeClassifier(max_choice_touches=800).fit(X, labels, groups=groups)
-    said = pool.weights_["all"] * alone.log_likelihood(X)
-    assert_allclose(pool.log_likelihood(X), log_softmax(said, axis=1), atol=1e-9)
+    scaled = pool.weights_["all"] * alone.log_likelihood(X)
+    assert_allclose(pool.log_likelihood(X), log_softmax(scaled, axis=1), atol=1e-9)
 
 
 @pytest.mark.parametrize("n_rare", [30, 10], ids=["even", "rare"])
 def test_weights_are_a_minimum_of_the_stated_loss(problem, n_rare):
     X, labels, groups = (array[: 60 + n_rare] for array in problem)
     pool = EncodingPool({"one": 1, "other": 1, "noise": 3}, together=False)
-    every = pool.fit(X, labels, groups=groups).left_out_posteriors()
+    left_out = pool.fit(X, labels, groups=groups).left_out_posteriors()
     codes = np.searchsorted(pool.classes_, labels)
-    # Each label adds the same.
+    # Each label adds the same to the loss.
     shares = len(codes) / 3 / np.bincount(codes)[codes]
 
     def loss(weights):
-        pooled = log_softmax(np.tensordot(weights, every, 1), axis=1)
+        pooled = log_softmax(np.tensordot(weights, left_out, 1), axis=1)
         away = (weights - 1 / 3) * 3
-        told = pooled[np.arange(len(codes)), codes]
-        return -(shares * told).sum() + (away**2).sum() / 2
+        log_posterior = pooled[np.arange(len(codes)), codes]
+        return -(shares * log_posterior).sum() + (away**2).sum() / 2
 
     weights = np.array(list(pool.weights_.values()))
     for step in 0.01 * np.vstack([np.eye(3), -np.eye(3)]):
@@ -73,24 +76,24 @@ def test_machine_for_all_parts_learns_what_none_tells_alone(rng):
     # The label is the exclusive or of two signs: neither tells anything alone.
     X = rng.uniform(-1, 1, size=(200, 2))
     labels = np.where(X[:, 0] * X[:, 1] > 0, "same", "other")
-    apart = EncodingPool({"x": 1, "y": 1}, together=False).fit(X, labels)
-    both = EncodingPool({"x": 1, "y": 1}).fit(X, labels)
-    assert apart.score(X, labels) < 0.75
-    assert both.score(X, labels) > 0.9
-    assert both.weights_["all together"] == max(both.weights_.values())
+    separate = EncodingPool({"x": 1, "y": 1}, together=False).fit(X, labels)
+    together = EncodingPool({"x": 1, "y": 1}).fit(X, labels)
+    assert separate.score(X, labels) < 0.75
+    assert together.score(X, labels) > 0.9
+    assert together.weights_["all together"] == max(together.weights_.values())
 
 
-def test_it_keeps_the_contract_of_touch_classifiers(problem, tmp_path):
+def test_a_pool_keeps_the_contract_of_touch_classifiers(problem, tmp_path):
     X, labels, groups = problem
     pool = EncodingPool({"telling": 2, "noise": 3}).fit(X, labels, groups=groups)
     assert isinstance(pool, TouchClassifier)
     left_out = pool.left_out_log_likelihood()
     assert left_out.shape == (90, 3)
-    # Left out, touches are never told better than when they were learnt.
-    own = np.searchsorted(pool.classes_, labels)
+    # A touch is named no better when left out than when learnt.
+    codes = np.searchsorted(pool.classes_, labels)
     rows = np.arange(90)
     learnt = log_softmax(pool.log_likelihood(X), axis=1)
-    assert left_out[rows, own].mean() < learnt[rows, own].mean()
+    assert left_out[rows, codes].mean() < learnt[rows, codes].mean()
     again = read_model(write_model(tmp_path / "p.palpate", pool), EncodingPool)
     np.testing.assert_array_equal(again.log_likelihood(X), pool.log_likelihood(X))
 
@@ -99,13 +102,13 @@ def test_refit_keeps_weights_and_widths(problem):
     X, labels, groups = problem
     pool = EncodingPool({"telling": 2, "noise": 3}).fit(X, labels, groups=groups)
     weights = dict(pool.weights_)
-    some = labels != "pen"
-    pool.refit(X[some], labels[some], groups=groups[some])
+    without_pen = labels != "pen"
+    pool.refit(X[without_pen], labels[without_pen], groups=groups[without_pen])
     assert pool.weights_ == weights
     assert pool.classes_.tolist() == ["ball", "mug"]
     assert pool.left_out_log_likelihood().shape == (60, 2)
     with pytest.raises(ValueError, match="5 features"):
-        pool.refit(X[some, :4], labels[some], groups=groups[some])
+        pool.refit(X[without_pen, :4], labels[without_pen], groups=groups[without_pen])
 
 
 def test_any_touch_classifier_can_be_the_machine(problem):

@@ -47,22 +47,22 @@ def slow_log_likelihood(model, touches, labels, new, *, spread=None, kept=None):
     kept = np.ones((len(new), len(touches)), bool) if kept is None else kept
     columns = []
     for name in model.classes_:
-        own = labels == name
+        of_object = labels == name
         if model.bandwidth == "full":
             covariance = np.cov(spread.T)
         elif model.bandwidth == "pooled":
             covariance = np.diag(spread.var(axis=0, ddof=1))
         else:
-            covariance = np.diag(touches[own].var(axis=0, ddof=1))
+            covariance = np.diag(touches[of_object].var(axis=0, ddof=1))
         unit = model.scale * np.sqrt(np.diag(covariance))
         kernel = multivariate_normal(
             cov=covariance * model.scale**2 / np.outer(unit, unit)
         )
-        differences = (new[:, np.newaxis] - touches[own]) / unit
+        differences = (new[:, np.newaxis] - touches[of_object]) / unit
         densities = kernel.logpdf(differences) - np.log(unit).sum()
-        densities = densities.reshape(len(new), own.sum())
-        densities[~kept[:, own]] = -np.inf
-        n_met = np.maximum(kept[:, own].sum(axis=1), 1)
+        densities = densities.reshape(len(new), of_object.sum())
+        densities[~kept[:, of_object]] = -np.inf
+        n_met = np.maximum(kept[:, of_object].sum(axis=1), 1)
         columns.append(logsumexp(densities, axis=1) - np.log(n_met))
     return np.stack(columns, axis=1)
 
@@ -72,29 +72,29 @@ def slow_log_likelihood(model, touches, labels, new, *, spread=None, kept=None):
 @pytest.mark.parametrize(
     ("precision", "error"), [("single", SINGLE), ("double", DOUBLE)]
 )
-def test_against_the_definition(
+def test_densities_agree_with_the_definition(
     bandwidth, scale, precision, error, learnt, new_touches
 ):
     model = KernelDensityBayes(bandwidth, scale=scale, precision=precision)
-    found = model.fit(*learnt).log_likelihood(new_touches)
+    log_likelihood = model.fit(*learnt).log_likelihood(new_touches)
     slow = slow_log_likelihood(model, *learnt, new_touches)
-    assert found.dtype == np.float64
-    assert_allclose(found, slow, rtol=1e-5, atol=error)
+    assert log_likelihood.dtype == np.float64
+    assert_allclose(log_likelihood, slow, rtol=1e-5, atol=error)
 
 
 @each_bandwidth
 @pytest.mark.parametrize("distance", [30, 300, 1e5])
-def test_hundreds_of_deviations_away_it_stays_exact(
+def test_densities_hundreds_of_deviations_away_stay_exact(
     bandwidth, distance, learnt, new_touches
 ):
     model = KernelDensityBayes(bandwidth, precision="single").fit(*learnt)
     away = new_touches + distance * learnt[0].std(axis=0)
     slow = slow_log_likelihood(model, *learnt, away)
-    found = model.log_likelihood(away)
-    assert np.isfinite(found).all()
+    log_likelihood = model.log_likelihood(away)
+    assert np.isfinite(log_likelihood).all()
     # 1e-3 nats is promised; beyond 1e8 nats the digits of the covariance end first,
     # the smallest spread being 1e-6 of the size of the features.
-    assert_allclose(found, slow, rtol=1e-11, atol=1e-3)
+    assert_allclose(log_likelihood, slow, rtol=1e-11, atol=1e-3)
 
 
 def test_objects_far_apart_keep_finite_and_exact_likelihoods():
@@ -104,10 +104,10 @@ def test_objects_far_apart_keep_finite_and_exact_likelihoods():
     model = KernelDensityBayes(precision="single").fit(here, np.full(300, "near"))
     touches, labels = np.r_[here, there], np.repeat(["near", "far"], 300)
     model.refit(touches, labels)
-    found = model.log_likelihood(touches)
+    log_likelihood = model.log_likelihood(touches)
     slow = slow_log_likelihood(model, touches, labels, touches, spread=here)
-    assert_allclose(found, slow, rtol=1e-12, atol=1e-3)
-    assert found.min() < -1e5
+    assert_allclose(log_likelihood, slow, rtol=1e-12, atol=1e-3)
+    assert log_likelihood.min() < -1e5
     assert_array_equal(model.predict(touches), labels)
     assert np.isfinite(model.predict_log_proba(touches)).all()
 
@@ -151,8 +151,8 @@ def test_learning_and_forgetting_leave_the_others_to_the_bit(
         assert_array_equal(np.delete(with_it, place, axis=1), before)
         model.refit(touches, labels)
         assert_array_equal(model.log_likelihood(new_touches), before)
-    rest = labels != "thing 3"
-    model.refit(touches[rest], labels[rest])
+    others = labels != "thing 3"
+    model.refit(touches[others], labels[others])
     assert_array_equal(model.log_likelihood(new_touches), np.delete(before, 3, axis=1))
 
 
@@ -181,19 +181,19 @@ def test_leave_one_out_is_the_mean_over_the_other_touches(bandwidth, grouped, le
     touches, labels = np.r_[fitted, extra], np.r_[labels, np.full(9, "added")]
     groups = np.arange(159) // 3 if grouped else np.arange(159)
     model.refit(touches, labels, groups if grouped else None)
-    found = model.left_out_log_likelihood()
+    log_likelihood = model.left_out_log_likelihood()
     kept = groups[:, np.newaxis] != groups
     slow = slow_log_likelihood(
         model, touches, labels, touches, spread=fitted, kept=kept
     )
     # Covariances of 150 touches by two routes.
-    assert_allclose(found, slow, rtol=1e-8)
+    assert_allclose(log_likelihood, slow, rtol=1e-8)
 
 
 def test_left_out_object_without_other_touches_is_impossible():
     three = [[0.0], [1.0], [2.0]], ["a", "b", "b"]
-    found = KernelDensityBayes().fit(*three).left_out_log_likelihood()
-    assert_array_equal(np.isneginf(found), [[True, False], [False] * 2, [False] * 2])
+    left_out = KernelDensityBayes().fit(*three).left_out_log_likelihood()
+    assert_array_equal(np.isneginf(left_out), [[True, False], [False] * 2, [False] * 2])
     with pytest.raises(ValueError, match=r"one entry per training touch \(3\)"):
         KernelDensityBayes().fit(*three, groups=[0, 1])
 
@@ -211,9 +211,9 @@ def test_leave_one_out_keeps_the_order_of_learning(learnt):
         straight.left_out_log_likelihood()[shuffled],
         rtol=1e-9,
     )
-    rest = labels != "thing 4"
-    straight.refit(touches[rest], labels[rest])
-    assert_array_equal(np.sort(straight.order_), np.arange(rest.sum()))
+    others = labels != "thing 4"
+    straight.refit(touches[others], labels[others])
+    assert_array_equal(np.sort(straight.order_), np.arange(others.sum()))
     assert len(straight.left_out_log_likelihood()) == len(straight.order_)
 
 
@@ -297,12 +297,12 @@ def test_repeated_features_and_too_few_touches_lose_directions():
 
 def test_an_object_touched_once_takes_the_pooled_variances():
     touches, labels = [[0.0, 0.0], [1.0, 2.0], [3.0, 1.0]], ["once", "twice", "twice"]
-    own = KernelDensityBayes("per-object").fit(touches, labels)
+    per_object = KernelDensityBayes("per-object").fit(touches, labels)
     pooled = KernelDensityBayes("pooled").fit(touches, labels)
     new = [[0.5, 0.5], [9.0, -9.0]]
-    found = own.log_likelihood(new)
-    assert_allclose(found[:, 0], pooled.log_likelihood(new)[:, 0], rtol=1e-12)
-    assert (found[:, 1] != pooled.log_likelihood(new)[:, 1]).all()
+    log_likelihood = per_object.log_likelihood(new)
+    assert_allclose(log_likelihood[:, 0], pooled.log_likelihood(new)[:, 0], rtol=1e-12)
+    assert (log_likelihood[:, 1] != pooled.log_likelihood(new)[:, 1]).all()
 
 
 def test_variances_of_an_object_have_a_floor():
@@ -315,8 +315,10 @@ def test_variances_of_an_object_have_a_floor():
     sd_a = np.sqrt(0.5)  # unbiased, of 0 and 1
     at_a += norm.logpdf(0.5, 0, sd_a)
     at_b = norm.logpdf(0, 0, np.sqrt(0.01 * pooled)).sum()
-    found = model.log_likelihood([[2.0, 0.5], [5.0, 4.0]])
-    assert_allclose([found[0, 0], found[1, 1]], [at_a, at_b], rtol=1e-12)
+    log_likelihood = model.log_likelihood([[2.0, 0.5], [5.0, 4.0]])
+    assert_allclose(
+        [log_likelihood[0, 0], log_likelihood[1, 1]], [at_a, at_b], rtol=1e-12
+    )
 
 
 @each_bandwidth
@@ -334,7 +336,7 @@ def test_variances_that_overflow_are_refused():
 
 @pytest.mark.realdata
 @each_bandwidth
-def test_single_precision_on_real_touches(bandwidth, data_folder):
+def test_single_precision_agrees_with_double_on_real_touches(bandwidth, data_folder):
     with np.load(data_folder / "bathtip" / "bathtip50.npz") as archive:
         touches = archive["author_zernike_pca"].astype(float)
         labels = archive["object"]

@@ -1,4 +1,4 @@
-"""The index beside the exact sums that it stands for."""
+"""An index of densities against the exact sums that it replaces."""
 
 import sys
 
@@ -44,7 +44,7 @@ def test_likely_objects_are_exact(stored, bandwidth):
     assert index.quality(new).equal_decisions >= 0.99
 
 
-def test_with_all_objects_exact_it_is_the_model(stored, model):
+def test_an_index_with_all_objects_exact_is_the_model(stored, model):
     new = stored[2]
     index = KernelDensityIndex(model, n_exact=100, n_near=1000)
     assert index.n_exact == 6
@@ -81,9 +81,9 @@ def test_one_cell_per_object_is_a_normal_density():
     model = KernelDensityBayes("per-object", scale=0.05).fit(touches, labels)
     index = KernelDensityIndex(model, n_exact=1, n_cells=1)
     rough = index.log_likelihood([[3.0, 3.0]])[0, 0]
-    known = -(3**2 + 3**2) / 2 - np.log(2 * np.pi)
-    # Means and variances of 4,000 touches are off by 2 %, and 9 nats feel that.
-    assert abs(rough - known) < 0.4
+    expected = -(3**2 + 3**2) / 2 - np.log(2 * np.pi)
+    # Means and variances of 4,000 touches are off by 2 %, which shows in 9 nats.
+    assert abs(rough - expected) < 0.4
 
 
 def test_near_cells_are_nearly_all(stored, model):
@@ -97,13 +97,13 @@ def test_near_cells_are_nearly_all(stored, model):
 
 def test_the_same_seed_gives_the_same_index(stored, model):
     new = stored[2]
-    one, other = (KernelDensityIndex(model, n_exact=1) for _ in range(2))
-    np.testing.assert_array_equal(one.weights_, other.weights_)
-    np.testing.assert_array_equal(one.log_likelihood(new), other.log_likelihood(new))
+    first, second = (KernelDensityIndex(model, n_exact=1) for _ in range(2))
+    np.testing.assert_array_equal(first.weights_, second.weights_)
+    np.testing.assert_array_equal(first.log_likelihood(new), second.log_likelihood(new))
     stated = KernelDensityIndex(model, n_exact=1, random_state=0)
-    np.testing.assert_array_equal(one.weights_, stated.weights_)
-    another = KernelDensityIndex(model, n_exact=1, random_state=1)
-    assert not np.array_equal(one.weights_, another.weights_)
+    np.testing.assert_array_equal(first.weights_, stated.weights_)
+    other_seed = KernelDensityIndex(model, n_exact=1, random_state=1)
+    assert not np.array_equal(first.weights_, other_seed.weights_)
 
 
 def test_without_faiss_the_extra_is_named(model, monkeypatch):

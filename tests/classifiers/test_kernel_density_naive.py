@@ -65,9 +65,11 @@ def test_far_touches_keep_finite_and_exact_likelihoods(learnt, new_touches):
     def width(values, feature):
         return 0.1 * learnt[0][:, feature].std(ddof=1)
 
-    found = model.log_likelihood(far)
-    assert found.max() < -1e6
-    assert_allclose(found, slow_log_likelihood(learnt, far, width), rtol=ROUNDING)
+    log_likelihood = model.log_likelihood(far)
+    assert log_likelihood.max() < -1e6
+    assert_allclose(
+        log_likelihood, slow_log_likelihood(learnt, far, width), rtol=ROUNDING
+    )
     assert np.isfinite(model.log_likelihood(np.full((1, 7), 1e308))).all()
 
 
@@ -99,9 +101,9 @@ def test_labels_without_spread_get_a_bandwidth():
     scott = KernelDensityNaiveBayes("scott", min_bandwidth=0.05).fit(values, labels)
     assert_allclose(scott.bandwidths_[:2, 0], [(4 / 3) ** 0.2, 0.05], rtol=1e-12)
     silverman = KernelDensityNaiveBayes("silverman").fit(values, labels)
-    own = values[3:].std(ddof=1)
+    sd = values[3:].std(ddof=1)
     assert_allclose(
         silverman.bandwidths_[:, 0] * pooled,
-        [0.9 * pooled, 1e-2 * pooled, 0.9 * own * 5**-0.2],
+        [0.9 * pooled, 1e-2 * pooled, 0.9 * sd * 5**-0.2],
         rtol=1e-12,
     )

@@ -114,7 +114,7 @@ def test_touches_far_from_the_origin_are_told_apart_as_well(problem, shift):
     )
 
 
-def test_what_is_learnt_about_the_touches_is_theirs(problem):
+def test_mean_touches_and_norms_are_those_of_the_training_touches(problem):
     X, labels, _ = problem
     machine = KernelRidgeClassifier().fit(X, labels)
     centred = X - X.mean(axis=0)
@@ -155,25 +155,27 @@ def test_all_touches_as_landmarks_are_the_machine_itself(problem):
 
 @pytest.mark.parametrize("n_landmarks", [5, 30])
 def test_left_out_scores_through_landmarks_are_those_of_refitting(problem, n_landmarks):
-    """With 5 landmarks groups of 12 touches are the larger of the two matrices."""
+    """With 5 landmarks a group of 12 touches gives the larger of the two matrices."""
     X, labels, groups = problem
     settings = {"widths": [1.0], "ridges": [0.1], "n_landmarks": n_landmarks}
     machine = KernelRidgeClassifier(max_touches=10, **settings)
     machine.fit(X, labels, groups=groups)
-    marks = machine.touches_ + machine.mean_
-    assert len(marks) <= n_landmarks
+    landmarks = machine.touches_ + machine.mean_
+    assert len(landmarks) <= n_landmarks
 
     def kernel(a, b):
         return np.exp(-((a[:, None] - b) ** 2).sum(axis=2) / machine.unit_)
 
-    own = kernel(marks, marks) + 1e-8 * np.eye(len(marks))
-    features = np.linalg.solve(np.linalg.cholesky(own), kernel(marks, X)).T
+    between_landmarks = kernel(landmarks, landmarks) + 1e-8 * np.eye(len(landmarks))
+    features = np.linalg.solve(
+        np.linalg.cholesky(between_landmarks), kernel(landmarks, X)
+    ).T
     targets = (labels[:, None] == machine.classes_) - 1 / 3
     for group in range(5):
         out = groups == group
-        some = features[~out]
-        inner = some.T @ some + 0.1 * np.eye(len(marks))
-        slow = features[out] @ np.linalg.solve(inner, some.T @ targets[~out]) + 1 / 3
+        learnt = features[~out]
+        inner = learnt.T @ learnt + 0.1 * np.eye(len(landmarks))
+        slow = features[out] @ np.linalg.solve(inner, learnt.T @ targets[~out]) + 1 / 3
         assert_allclose(machine.left_out_scores_[out], slow, atol=1e-5)  # single
 
 
@@ -205,7 +207,7 @@ def test_landmarks_are_spread_over_each_label_in_whatever_order(problem):
 
 
 def test_no_touch_is_more_like_another_than_that_itself(problem):
-    """Of touches far out the products exceed the squared lengths, by rounding."""
+    """Products of touches far out exceed their squared lengths, by rounding."""
     X, labels, _ = problem
     far = X + 1e7 * (labels == "pen")[:, None]
     machine = KernelRidgeClassifier(widths=[4.0]).fit(far, labels)
@@ -268,7 +270,7 @@ def test_touches_learnt_later_count_as_if_learnt_with_the_others(rng):
     first = machine.coefficients_.copy()
     # Ten of a known label, twice, one of them in a group that was there; then a new
     # label; then so many that all are learnt again.
-    known = machine
+    refitted = machine
     for more in (["mug"] * 10, ["pen"] * 10, ["cup"] * 12, ["tin"] * 200):
         new = np.array([places[name] for name in more])
         X = np.concatenate([X, new + 0.4 * rng.normal(size=new.shape)])
@@ -278,11 +280,11 @@ def test_touches_learnt_later_count_as_if_learnt_with_the_others(rng):
         groups = np.concatenate([groups, later])
         # What is learnt later may count less than the first touches.
         weights = np.where(np.arange(len(X)) < 600, 1.0, 0.25)
-        known = copy(known).refit(X, labels, groups=groups, weights=weights)
+        refitted = copy(refitted).refit(X, labels, groups=groups, weights=weights)
         last = groups == groups[-1]
-        coefficients, left_out = by_hand(known, X, labels, last, weights)
-        assert_allclose(known.coefficients_, coefficients, atol=1e-10)
-        assert_allclose(known.left_out_scores_[last], left_out, atol=1e-10)
+        coefficients, left_out = by_hand(refitted, X, labels, last, weights)
+        assert_allclose(refitted.coefficients_, coefficients, atol=1e-10)
+        assert_allclose(refitted.left_out_scores_[last], left_out, atol=1e-10)
     assert_array_equal(machine.coefficients_, first)
 
 
@@ -325,7 +327,7 @@ def test_learning_anew_forgets_what_was_solved_before(many):
     assert_array_equal(machine.coefficients_, fresh.coefficients_)
 
 
-def test_what_makes_more_touches_quick_is_not_copied_or_sent_away(many):
+def test_the_kernel_kept_for_later_touches_is_not_pickled(many):
     X, labels = many
     machine = KernelRidgeClassifier(max_choice_touches=100).fit(X, labels)
     # 600 x 600 values would be 2.9 MB.

@@ -18,7 +18,7 @@ def fitted(vectors, **options):
     return MKLSVC(probability=False, **options).fit(vectors, labels)
 
 
-def given(*matrices):
+def stacked(*matrices):
     return np.stack(matrices, axis=2)
 
 
@@ -56,13 +56,13 @@ def test_trace_and_variance_become_one(vectors, kind, reference):
         if kind == "features":
             machine = fitted(vectors, **options)
         else:
-            machine = fitted(given(*matrices), **options | {"kernels": "precomputed"})
+            machine = fitted(stacked(*matrices), **options | {"kernels": "precomputed"})
         # The widest Gaussian differs from 1 by 1e-6: ten digits of its variance.
         assert_allclose(machine.kernel_scales_ * amount, 1, rtol=1e-8)
 
 
 def test_a_kernel_that_tells_nothing_apart_gets_no_weight():
-    stack = given(np.zeros((2, 2)), np.full((2, 2), 2.0), np.eye(2))
+    stack = stacked(np.zeros((2, 2)), np.full((2, 2), 2.0), np.eye(2))
     for normalize, scales in (
         ("trace", [0, 1 / 4, 1 / 2]),
         ("variance", [0, 0, 2]),
@@ -100,7 +100,7 @@ def test_overflow_is_refused_with_the_kernel_that_did():
 
 @pytest.mark.parametrize("matrix", [np.ones((3, 3)), np.zeros((3, 3))])
 def test_singular_matrices_are_kernels(matrix):
-    machine = fitted(given(np.eye(3), matrix), kernels="precomputed", normalize=None)
+    machine = fitted(stacked(np.eye(3), matrix), kernels="precomputed", normalize=None)
     assert machine.weights_.shape == (1, 2)
 
 
@@ -109,4 +109,4 @@ def test_rounding_of_single_precision_is_forgiven(rng):
     gram = (points @ points.T).astype(np.float32)
     # Rank 3 of 40: single precision leaves eigenvalues around -1e-6.
     assert np.linalg.eigvalsh(gram.astype(float))[0] < -1e-8
-    assert fitted(given(gram), kernels="precomputed", C=1.0).n_features_in_ == 40
+    assert fitted(stacked(gram), kernels="precomputed", C=1.0).n_features_in_ == 40

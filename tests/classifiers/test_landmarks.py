@@ -39,22 +39,22 @@ def refitted_from_scratch(machine, X, labels, groups):
     return regression.learn(X - machine.mean_, codes, len(machine.classes_))
 
 
-@pytest.mark.parametrize("way", ["add", "extend", "forget", "both"])
-def test_changes_are_learnt_by_what_they_add_to_the_sums(way):
+@pytest.mark.parametrize("change", ["add", "extend", "forget", "both"])
+def test_changes_are_learnt_by_what_they_add_to_the_sums(change):
     X, labels, groups = drawn(10, 12)
     first = labels != "object 04"
-    if way == "extend":
+    if change == "extend":
         first = np.ones(len(labels), bool)
         first[-6:] = False
-    if way == "forget":
+    if change == "forget":
         first[:] = True
     machine = KernelRidgeClassifier(**SETTINGS)
     machine.fit(X[first], labels[first], groups=groups[first])
     before = machine._summed.regression
     rows = np.flatnonzero(first)
-    if way in ("add", "extend", "both"):
+    if change in ("add", "extend", "both"):
         rows = np.concatenate([rows, np.flatnonzero(~first)])
-    if way in ("forget", "both"):
+    if change in ("forget", "both"):
         rows = rows[labels[rows] != "object 07"]
     machine.refit(X[rows], labels[rows], groups=groups[rows])
     again = machine._summed.regression
@@ -87,14 +87,14 @@ def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
     monkeypatch.setattr("palpate.classifiers._landmarks.TOUCHES_A_TASK", 70)
     monkeypatch.setattr("palpate.classifiers._landmarks.TOUCHES_AT_ONCE", 16)
     with parallel_config("threading", n_jobs=2):
-        apart = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
-    assert_allclose(apart.scores(X), whole.scores(X), atol=1e-5)
-    assert_allclose(apart.left_out_scores_, whole.left_out_scores_, atol=1e-5)
+        in_blocks = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
+    assert_allclose(in_blocks.scores(X), whole.scores(X), atol=1e-5)
+    assert_allclose(in_blocks.left_out_scores_, whole.left_out_scores_, atol=1e-5)
 
 
 @pytest.mark.parametrize("n_landmarks", [20, 200])
 def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
-    """Of 200 landmarks in four dimensions scores are differences of large numbers."""
+    """With 200 landmarks in four dimensions scores are differences of large numbers."""
     X, labels, groups = drawn(30, 20)
     machine = KernelRidgeClassifier(**SETTINGS | {"n_landmarks": n_landmarks})
     machine.fit(X, labels, groups=groups)
@@ -115,7 +115,7 @@ def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
 @pytest.mark.parametrize(
     ("n_labels", "n_each", "n_groups"), [(40, 6, 3), (400, 5, 5), (4, 300, 5)]
 )
-def test_of_very_many_answers_a_part_is_left_out(
+def test_a_part_of_very_many_answers_is_left_out(
     monkeypatch, n_labels, n_each, n_groups
 ):
     monkeypatch.setattr(MOST_ANSWERS, 2000)
@@ -132,27 +132,27 @@ def test_of_very_many_answers_a_part_is_left_out(
     assert len(chosen) >= min(n_labels, 25)
     # Whole groups first: of each label at most one is not whole.
     for code in chosen:
-        own = rows[codes[rows] == code]
-        counts = np.unique(groups[own], return_counts=True)[1]
+        of_label = rows[codes[rows] == code]
+        counts = np.unique(groups[of_label], return_counts=True)[1]
         assert (counts < n_each // n_groups).sum() <= 1
 
 
 def test_a_pool_of_a_part_left_out_is_nearly_that_of_all(monkeypatch):
     X, labels, groups = drawn(30, 20)
     parts = {"first": 2, "second": 2}
-    every = EncodingPool(parts).fit(X, labels, groups=groups)
+    of_all = EncodingPool(parts).fit(X, labels, groups=groups)
     monkeypatch.setattr(MOST_ANSWERS, 9000)
-    some = EncodingPool(parts).fit(X, labels, groups=groups)
-    rows = some.left_out_rows
-    assert len(rows) < len(every.left_out_rows) == 600
-    assert some.left_out_log_likelihood().shape == (len(rows), 30)
-    parts_alike = every.left_out_by_part()[:, rows].argmax(axis=2)
-    assert (some.left_out_by_part().argmax(axis=2) == parts_alike).mean() > 0.97
-    new, own, _ = drawn(30, 5, seed=1)
-    assert abs(some.score(new, own) - every.score(new, own)) < 0.03
+    of_part = EncodingPool(parts).fit(X, labels, groups=groups)
+    rows = of_part.left_out_rows
+    assert len(rows) < len(of_all.left_out_rows) == 600
+    assert of_part.left_out_log_likelihood().shape == (len(rows), 30)
+    parts_alike = of_all.left_out_by_part()[:, rows].argmax(axis=2)
+    assert (of_part.left_out_by_part().argmax(axis=2) == parts_alike).mean() > 0.97
+    new, new_labels, _ = drawn(30, 5, seed=1)
+    assert abs(of_part.score(new, new_labels) - of_all.score(new, new_labels)) < 0.03
 
 
-def test_of_few_answers_all_are_left_out():
+def test_all_of_few_answers_are_left_out():
     X, labels, groups = drawn(40, 6)
     machine = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
     assert_array_equal(machine.left_out_rows, np.arange(240))
@@ -215,23 +215,25 @@ def test_large_scores_are_bent_and_frequent_labels_leant_against(rng):
     X, labels = rng.normal(size=(6, 2)), np.repeat(["mug", "pen"], [4, 2])
     machine = KernelRidgeClassifier(widths=[1.0], ridges=[0.1]).fit(X, labels)
     machine.temperature_, machine.bend_ = 10.0, 0.5
-    for scores, found in (
+    for scores, log_likelihood in (
         (machine.scores(X), machine.log_likelihood(X)),
         (machine.left_out_scores_, machine.left_out_log_likelihood()),
     ):
         mug, pen = (10 * scores / (1 + 0.5 * np.abs(scores))).T
-        assert_allclose(found[:, 0] - found[:, 1], mug - pen - np.log(4 / 2))
+        assert_allclose(
+            log_likelihood[:, 0] - log_likelihood[:, 1], mug - pen - np.log(4 / 2)
+        )
 
 
 def test_very_many_touches_are_stored_in_single_precision(rng):
     labels = np.tile(["mug", "pen"], 50_001)
     X = rng.normal(size=(len(labels), 2)) + (labels == "pen")[:, None]
-    asked = np.r_[X[:20], [[40.0, -40.0], [300.0, 300.0]]]
+    new_touches = np.r_[X[:20], [[40.0, -40.0], [300.0, 300.0]]]
     many = KernelDensityBayes().fit(X, labels)
     exact = KernelDensityBayes(precision="double").fit(X, labels)
     assert (many.points_.dtype, exact.points_.dtype) == (np.float32, np.float64)
-    wanted = exact.log_likelihood(asked)
+    wanted = exact.log_likelihood(new_touches)
     # The error that is promised where tiles answer; far away the rounded touches are
     # answered exactly, of which 300 bandwidths make the largest difference.
-    assert_allclose(many.log_likelihood(asked)[:-1], wanted[:-1], atol=1e-3)
-    assert_allclose(many.log_likelihood(asked)[-1], wanted[-1], rtol=1e-6)
+    assert_allclose(many.log_likelihood(new_touches)[:-1], wanted[:-1], atol=1e-3)
+    assert_allclose(many.log_likelihood(new_touches)[-1], wanted[-1], rtol=1e-6)

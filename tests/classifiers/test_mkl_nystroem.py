@@ -11,7 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 def test_a_linear_kernel_needs_no_more_directions_than_features(draw, landmarks):
     X, y = draw(50)
-    ranks = [one.shape[1] for one in landmarks(30).fit(X, y).feature_maps_]
+    ranks = [
+        feature_map.shape[1] for feature_map in landmarks(30).fit(X, y).feature_maps_
+    ]
     # A polynomial of degree 2 in 6 features has 28 monomials.
     assert ranks[2:] == [28, 6]
 
@@ -38,9 +40,11 @@ def test_j_rises_to_the_exact_one_from_above(draw, exact, landmarks):
     X, codes = draw(150)
     options = {"C": 100, "probability": False}
     whole = exact(**options).fit(X, codes)
-    found = [landmarks(n, **options).fit(X, codes).objective_[0] for n in (5, 30, 150)]
-    assert found[0] > found[1] > found[2] * (1 - 1e-6)
-    assert_allclose(found[2], whole.objective_[0], rtol=2e-6)
+    objectives = [
+        landmarks(n, **options).fit(X, codes).objective_[0] for n in (5, 30, 150)
+    ]
+    assert objectives[0] > objectives[1] > objectives[2] * (1 - 1e-6)
+    assert_allclose(objectives[2], whole.objective_[0], rtol=2e-6)
 
 
 def test_more_classes_votes_and_probabilities(draw, exact, landmarks):
@@ -57,10 +61,10 @@ def test_more_classes_votes_and_probabilities(draw, exact, landmarks):
 
 def test_the_seed_decides_the_landmarks(draw, landmarks):
     X, codes = draw(200)
-    one, same = landmarks(20).fit(X, codes), landmarks(20).fit(X, codes)
-    assert_array_equal(one.predict_proba(X), same.predict_proba(X))
+    machine, same = landmarks(20).fit(X, codes), landmarks(20).fit(X, codes)
+    assert_array_equal(machine.predict_proba(X), same.predict_proba(X))
     other = landmarks(20).set_params(random_state=1).fit(X, codes)
-    assert np.abs(one.touches_ - other.touches_).max() > 0
+    assert np.abs(machine.touches_ - other.touches_).max() > 0
 
 
 def test_more_landmarks_than_touches_are_all_touches(draw, landmarks):
@@ -87,8 +91,8 @@ print(json.dumps({"gib": peak / 2**20, "gap": machine.gap_[0]}))
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak from /proc")
 def test_a_hundred_thousand_touches_need_less_than_four_gib():
     command = [sys.executable, "-c", _MEASURE, "100000"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    measured = json.loads(done.stdout)
+    result = subprocess.run(command, check=True, capture_output=True, text=True)
+    measured = json.loads(result.stdout)
     assert measured["gap"] <= 1e-6
     # Four kernel matrices alone would be 298 GiB.
     assert measured["gib"] < 4

@@ -47,10 +47,10 @@ def test_sigmoids_minimise_platts_loss(rng):
     labels = np.where(rng.random((5, 40)) < 0.4, 1.0, -1.0)
     scores = 0.7 * labels + rng.normal(size=(5, 40))
     sigmoids = fit_sigmoids(scores, labels)
-    for found, score, label in zip(sigmoids, scores, labels, strict=True):
+    for sigmoid, score, label in zip(sigmoids, scores, labels, strict=True):
         best = minimize(platt_loss, [0, 0], (score, label), tol=1e-12)
         # Where the optimiser without derivatives stops.
-        assert_allclose(found, best.x, atol=1e-4)
+        assert_allclose(sigmoid, best.x, atol=1e-4)
 
 
 def test_sigmoids_of_padded_rows_are_those_of_the_touches(rng):
@@ -95,7 +95,7 @@ def test_coupling_minimises_the_pairwise_squares(rng):
     pairs, n_classes = all_pairs(4), 4
     second = rng.uniform(0.1, 0.9, size=6)
     decisions = np.log(second / (1 - second))[None]
-    (found,) = couple(decisions, np.repeat(IDENTITY, 6, axis=0), pairs)
+    (coupled,) = couple(decisions, np.repeat(IDENTITY, 6, axis=0), pairs)
 
     def loss(p):
         i, j = pairs.T
@@ -105,7 +105,7 @@ def test_coupling_minimises_the_pairwise_squares(rng):
     start = np.full(n_classes, 1 / n_classes)
     best = minimize(loss, start, constraints=constraint, tol=1e-14)
     # SLSQP's own accuracy.
-    assert_allclose(found, best.x, atol=1e-5)
+    assert_allclose(coupled, best.x, atol=1e-5)
 
 
 def test_probabilities_side_with_the_votes_at_the_least_change(rng):
@@ -147,7 +147,7 @@ def test_the_temperature_undoes_a_power(rng):
 def test_perfect_touches_have_a_finite_temperature():
     power = fit_temperature(np.full((50, 2), [0.9, 0.1]), np.zeros(50, int))
     sharp = sharpen(np.array([[0.9, 0.1]]), power)
-    # One touch in 52 is taken to be another: no more certain than that.
+    # One touch in 52 is taken to be another, which bounds how certain the rest are.
     assert_allclose(sharp[0, 0], 51 / 52, rtol=1e-3)
 
 

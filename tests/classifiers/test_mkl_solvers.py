@@ -42,7 +42,7 @@ PROBLEMS = [
     pytest.param(4, 60, 1000.0, False, id="n60-C1000"),
     pytest.param(5, 60, 30.0, True, id="n60-C30"),
 ]
-SOME = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
+BANK = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
 
 
 def problem(seed, n, kernels=None, large=True):
@@ -74,7 +74,7 @@ def solved(cp, task):
     # Clarabel doubts its last digits on some machines; the comparison of two forms
     # of the problem with each other and with ours is what counts.
     limits = {"tol_gap_rel": 1e-7, "tol_gap_abs": 1e-12, "tol_feas": 1e-7}
-    # With one length of steps or another it ends in failure now and then.
+    # Clarabel fails now and then with one length of steps, and not with another.
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Solution may be inaccurate")
         for longest in (0.95, 0.9, 0.8):
@@ -145,8 +145,10 @@ def test_any_norm_closes_its_gap(norm):
 
 def test_j_falls_as_the_norm_lets_more_weight_in():
     task = problem(5, 40)
-    found = [solve(task.kernels, task.labels, 10, norm=p).objective for p in (1, 2, 5)]
-    assert found[0] > found[1] > found[2]
+    objectives = [
+        solve(task.kernels, task.labels, 10, norm=p).objective for p in (1, 2, 5)
+    ]
+    assert objectives[0] > objectives[1] > objectives[2]
 
 
 def test_simplemkl_stops_at_the_gap_of_the_paper():
@@ -196,7 +198,7 @@ def test_two_touches_have_a_closed_form():
 
 @pytest.mark.parametrize("solver", [solve_interior, solve_simplemkl])
 def test_the_larger_of_two_proportional_kernels_takes_all_weight(solver):
-    task = problem(0, 30, SOME[:1])
+    task = problem(0, 30, BANK[:1])
     both = np.concatenate([task.kernels, 3 * task.kernels])
     ours = solve(both, task.labels, 10, solver, tol=1e-8)
     assert_allclose(ours.weights, [0, 1], atol=1e-4)
@@ -205,7 +207,7 @@ def test_the_larger_of_two_proportional_kernels_takes_all_weight(solver):
 
 
 def test_a_kernel_twice_changes_nothing():
-    task = problem(1, 30, SOME)
+    task = problem(1, 30, BANK)
     twice = np.concatenate([task.kernels, task.kernels[:2]])
     once = solve(task.kernels, task.labels, 10, tol=1e-8)
     assert_allclose(
@@ -214,7 +216,7 @@ def test_a_kernel_twice_changes_nothing():
 
 
 def test_opposite_labels_give_the_opposite_machine():
-    task = problem(2, 30, SOME)
+    task = problem(2, 30, BANK)
     here = solve(task.kernels, task.labels, 10, tol=1e-9)
     there = solve(task.kernels, -task.labels, 10, tol=1e-9)
     assert_allclose(there.objective, here.objective, rtol=1e-8)
@@ -224,26 +226,26 @@ def test_opposite_labels_give_the_opposite_machine():
 
 def test_j_falls_as_kernels_are_added():
     task = problem(3, 40)
-    found = [
+    objectives = [
         solve(task.kernels[:m], task.labels, 10, tol=1e-8).objective
         for m in (1, 4, 8, 16, 22)
     ]
     # Never up by more than the gap.
-    assert (np.diff(found) <= 2e-8 * found[0]).all()
-    assert found[-1] < found[0]
+    assert (np.diff(objectives) <= 2e-8 * objectives[0]).all()
+    assert objectives[-1] < objectives[0]
 
 
 def test_scaling_kernels_and_price_against_each_other_changes_nothing():
-    task = problem(4, 30, SOME)
-    one = solve(task.kernels, task.labels, 10, tol=1e-9)
+    task = problem(4, 30, BANK)
+    unscaled = solve(task.kernels, task.labels, 10, tol=1e-9)
     for scale in (1e-6, 1e6):
-        other = solve(scale * task.kernels, task.labels, 10 / scale, tol=1e-9)
-        assert_allclose(scale * other.objective, one.objective, rtol=1e-8)
-        assert_allclose(scale * other.alpha, one.alpha, atol=1e-3)
+        scaled = solve(scale * task.kernels, task.labels, 10 / scale, tol=1e-9)
+        assert_allclose(scale * scaled.objective, unscaled.objective, rtol=1e-8)
+        assert_allclose(scale * scaled.alpha, unscaled.alpha, atol=1e-3)
 
 
 def test_a_batch_is_its_problems_and_padding_is_nothing():
-    tasks = [problem(seed, n, SOME) for seed, n in ((0, 20), (1, 30), (2, 26))]
+    tasks = [problem(seed, n, BANK) for seed, n in ((0, 20), (1, 30), (2, 26))]
     kernels, labels = np.ones((3, 4, 30, 30)), np.zeros((3, 30))
     for row, task in enumerate(tasks):
         n = len(task.labels)
@@ -342,13 +344,13 @@ def test_diagonals_are_those_of_the_matrices(vectors):
 
 def bank_of(X, n_landmarks, normalize="trace"):
     random = np.random.RandomState(0)
-    return NystroemBank(SOME, X, normalize, n_landmarks, random)
+    return NystroemBank(BANK, X, normalize, n_landmarks, random)
 
 
 def test_features_of_all_touches_are_the_kernels(draw):
     X, _ = draw(40)
     bank = bank_of(X, 40, normalize="variance")
-    exact = FeatureBank(SOME, X, "variance")
+    exact = FeatureBank(BANK, X, "variance")
     # Directions below 1e-10 of the largest are dropped.
     assert_allclose(bank.scales, exact.scales, rtol=1e-6)
     features = bank.features(bank.centred)
@@ -387,8 +389,8 @@ def test_newtons_step_is_that_of_the_whole_matrices(rng, norm, draw):
         task = Task(system, bound, norm)
         step_to = system.newton(task, point, system.view(task, point))
         steps.append(step_to(wanted))
-        made = left * steps[-1].right + right * steps[-1].left
-        assert_allclose(made, left * wanted, rtol=1e-8)
+        change = left * steps[-1].right + right * steps[-1].left
+        assert_allclose(change, left * wanted, rtol=1e-8)
     # The same linear system, eliminated in two orders.
     for name in ("left", "right", "bias", "level"):
         ours, reference = (getattr(step, name) for step in steps)
@@ -421,7 +423,7 @@ def test_features_computed_again_are_those_kept(monkeypatch, draw, landmarks):
 def test_auto_takes_landmarks_when_a_pair_is_too_large(monkeypatch, draw):
     monkeypatch.setattr(_svc, "_MOST_TOUCHES", 100)
     X, codes = draw(120)
-    machine = MKLSVC(kernels=SOME, n_landmarks=20, random_state=0)
+    machine = MKLSVC(kernels=BANK, n_landmarks=20, random_state=0)
     assert len(machine.fit(X, codes).feature_maps_) == 4
     assert len(machine.fit(X[:90], codes[:90]).feature_maps_) == 0
     # Many touches, but no pair of classes has more than 100.

@@ -20,10 +20,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 from palpate.recognition import read_model, write_model
 
-SOME = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
+BANK = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
 
 
-@parametrize_with_checks([MKLSVC(kernels=SOME, normalize="variance", norm=2, C=1)])
+@parametrize_with_checks([MKLSVC(kernels=BANK, normalize="variance", norm=2, C=1)])
 def test_common_checks(estimator, check):
     check(estimator)
 
@@ -42,7 +42,7 @@ def problem(rng):
     return X, labels
 
 
-def kernels_of(left, right, kernels=SOME):
+def kernels_of(left, right, kernels=BANK):
     squared = ((left[:, None] - right) ** 2).sum(axis=2)
     product = left @ right.T
     by_kind = {
@@ -54,7 +54,7 @@ def kernels_of(left, right, kernels=SOME):
 
 
 def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
-    seen = []
+    thread_counts = []
 
     def threads():
         return {
@@ -63,20 +63,20 @@ def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
             if pool["user_api"] == "blas"
         }
 
-    def noted(*matrices, **how):
-        seen.append(threads())
-        return dpotrf(*matrices, **how)
+    def noted(*matrices, **options):
+        thread_counts.append(threads())
+        return dpotrf(*matrices, **options)
 
     monkeypatch.setattr("palpate.classifiers.mkl._dense.dpotrf", noted)
     labels = np.arange(120) % 2
     touches = rng.normal(size=(120, 3)) + labels[:, np.newaxis]
     with threadpool_limits(limits=2, user_api="blas"):
         before = threads()
-        MKLSVC(kernels=SOME, probability=False).fit(touches, labels)
+        MKLSVC(kernels=BANK, probability=False).fit(touches, labels)
         assert threads() == before
     assert 2 in before
-    assert seen
-    assert all(number == {1} for number in seen)
+    assert thread_counts
+    assert all(number == {1} for number in thread_counts)
 
 
 def test_each_pair_is_solved_to_its_gap_with_weights_that_sum_to_one(problem):
@@ -94,42 +94,42 @@ def test_one_kernel_is_scikit_learns_machine(problem):
     ours = MKLSVC(C=3, kernels=[GaussianKernel(2.0)], normalize=None, tol=1e-10)
     theirs = SVC(C=3, gamma=1 / 8, tol=1e-10, decision_function_shape="ovo")
     others = X + 0.3
-    found = ours.fit(X, labels).pair_decisions(others)
+    decisions = ours.fit(X, labels).pair_decisions(others)
     # Scikit-learn's pairs speak for their first class when there are several.
     expected = -theirs.fit(X, labels).decision_function(others)
     # A gap of 1e-10 moves decisions by sqrt(2 gap J k(x, x)), about 5e-5.
-    assert_allclose(found, expected, atol=2e-4)
+    assert_allclose(decisions, expected, atol=2e-4)
     assert_array_equal(ours.predict(others), theirs.predict(others))
 
 
 def test_weights_and_multipliers_give_the_decisions(problem):
     X, labels = problem
-    machine = MKLSVC(kernels=SOME, C=50, probability=False).fit(X, labels)
+    machine = MKLSVC(kernels=BANK, C=50, probability=False).fit(X, labels)
     stack = kernels_of(X + 0.1, X) * machine.kernel_scales_
     full = np.zeros((6, 48))
     full[:, machine.support_] = machine.dual_coef_
     expected = np.einsum("xik,pk,pi->xp", stack, machine.weights_, full)
-    found = machine.pair_decisions(X + 0.1)
-    assert_allclose(found, expected + machine.intercept_, rtol=1e-9, atol=1e-9)
+    decisions = machine.pair_decisions(X + 0.1)
+    assert_allclose(decisions, expected + machine.intercept_, rtol=1e-9, atol=1e-9)
 
 
 def test_precomputed_kernels_are_the_same_machine(problem):
     X, labels = problem
     others = X + 0.2
-    by_features = MKLSVC(kernels=SOME).fit(X, labels)
-    given = MKLSVC(kernels="precomputed").fit(kernels_of(X, X), labels)
+    by_features = MKLSVC(kernels=BANK).fit(X, labels)
+    precomputed = MKLSVC(kernels="precomputed").fit(kernels_of(X, X), labels)
     # The same problem up to rounding of the kernels.
-    assert_allclose(given.objective_, by_features.objective_, rtol=1e-9)
+    assert_allclose(precomputed.objective_, by_features.objective_, rtol=1e-9)
     for method in ("predict_proba", "decision_function", "pair_decisions"):
-        ours = getattr(given, method)(kernels_of(others, X))
+        ours = getattr(precomputed, method)(kernels_of(others, X))
         assert_allclose(ours, getattr(by_features, method)(others), atol=1e-5)
 
 
 def test_precomputed_kernels_are_cut_along_touches_by_cross_validation(problem):
     X, labels = problem
-    features = cross_val_score(MKLSVC(kernels=SOME, probability=False), X, labels)
-    given = MKLSVC(kernels="precomputed", probability=False)
-    assert_array_equal(cross_val_score(given, kernels_of(X, X), labels), features)
+    features = cross_val_score(MKLSVC(kernels=BANK, probability=False), X, labels)
+    precomputed = MKLSVC(kernels="precomputed", probability=False)
+    assert_array_equal(cross_val_score(precomputed, kernels_of(X, X), labels), features)
 
 
 def test_a_single_precomputed_kernel_may_be_a_matrix(problem):
@@ -145,7 +145,7 @@ def test_a_single_precomputed_kernel_may_be_a_matrix(problem):
 def test_every_normalisation_and_norm_learns(problem, normalize, norm):
     X, labels = problem
     C = 1000 if normalize == "trace" else 1
-    machine = MKLSVC(C=C, kernels=SOME, normalize=normalize, norm=norm).fit(X, labels)
+    machine = MKLSVC(C=C, kernels=BANK, normalize=normalize, norm=norm).fit(X, labels)
     assert machine.score(X, labels) > 0.8
     assert_allclose((machine.weights_**norm).sum(axis=1), 1, rtol=1e-9)
 
@@ -165,7 +165,7 @@ def test_trace_normalisation_is_a_change_of_price_for_one_kernel(problem):
 @pytest.mark.parametrize("C", [10, 100, 1000])
 def test_simplemkl_is_the_same_machine(problem, C):
     X, labels = problem
-    interior = MKLSVC(C, kernels=SOME, probability=False).fit(X, labels)
+    interior = MKLSVC(C, kernels=BANK, probability=False).fit(X, labels)
     walk = clone(interior).set_params(solver="simplemkl", tol=1e-6).fit(X, labels)
     assert (walk.gap_ <= 1e-6).all()
     # Either is within its gap of 1e-6.
@@ -183,7 +183,7 @@ def test_simplemkl_is_the_same_machine(problem, C):
         pytest.param(np.repeat([0.0, 2.0], 10), id="floats"),
     ],
 )
-def test_any_labels(rng, labels):
+def test_labels_of_any_kind_are_learnt(rng, labels):
     X = rng.normal(size=(20, 3)) + 3 * np.repeat([[1], [0]], 10, axis=0)
     machine = MKLSVC().fit(X, labels)
     predicted = machine.predict(X)
@@ -196,10 +196,10 @@ def test_any_labels(rng, labels):
 
 # Pairs of the latter are solved together, padded.
 @pytest.mark.parametrize("counts", [[3, 17, 40], [10, 12, 11]])
-def test_classes_of_unequal_size(rng, counts):
+def test_pairs_of_unequal_classes_are_solved_as_if_alone(rng, counts):
     labels = rng.permutation(np.repeat([0, 1, 2], counts))
     X = rng.normal(size=(len(labels), 4)) + 3 * np.eye(3, 4)[labels]
-    together = MKLSVC(kernels=SOME, probability=False).fit(X, labels)
+    together = MKLSVC(kernels=BANK, probability=False).fit(X, labels)
     scales = together.kernel_scales_
     for (first, second), objective in zip(
         together.pairs_, together.objective_, strict=True
@@ -208,7 +208,7 @@ def test_classes_of_unequal_size(rng, counts):
         stack = kernels_of(X[chosen], X[chosen]) * scales
         alone = MKLSVC(kernels="precomputed", normalize=None, probability=False)
         alone.fit(stack, labels[chosen])
-        # Either within its gap of 1e-6.
+        # Either is within its gap of 1e-6.
         assert_allclose(objective, alone.objective_[0], rtol=2e-6)
 
 
@@ -221,8 +221,8 @@ def test_sigmoids_are_fitted_to_five_blocks_of_each_class_left_out(rng):
         members = np.flatnonzero(codes == code)
         places = [5 * place // len(members) for place in range(len(members))]
         blocks[members] = places if len(members) > 1 else -1
-    one = {"kernels": [LinearKernel()], "normalize": None, "C": 10}
-    machine = MKLSVC(**one).fit(X, codes)
+    linear = {"kernels": [LinearKernel()], "normalize": None, "C": 10}
+    machine = MKLSVC(**linear).fit(X, codes)
     for pair, sigmoid in zip(machine.pairs_, machine.sigmoids_, strict=True):
         rows = np.flatnonzero(np.isin(codes, pair))
         labels = np.where(codes[rows] == pair[1], 1.0, -1.0)
@@ -245,10 +245,10 @@ def test_sigmoids_are_fitted_to_five_blocks_of_each_class_left_out(rng):
         assert_allclose(sigmoid, best.x, rtol=0.01, atol=0.003)
 
 
-def test_in_a_pipeline_under_grid_search(problem):
+def test_a_pipeline_with_the_machine_is_searched_over_a_grid(problem):
     X, labels = problem
     pipeline = make_pipeline(StandardScaler(), MKLSVC(probability=False))
-    grid = {"mklsvc__C": [1, 1000], "mklsvc__kernels": [SOME, [LinearKernel()]]}
+    grid = {"mklsvc__C": [1, 1000], "mklsvc__kernels": [BANK, [LinearKernel()]]}
     search = GridSearchCV(pipeline, grid, cv=2).fit(X, labels)
     assert search.best_score_ > 0.5
     assert search.predict(X).shape == (48,)
@@ -256,7 +256,7 @@ def test_in_a_pipeline_under_grid_search(problem):
 
 def test_clone_pickle_and_repetition_give_the_same_machine(problem):
     X, labels = problem
-    machine = MKLSVC(kernels=SOME).fit(X, labels)
+    machine = MKLSVC(kernels=BANK).fit(X, labels)
     again = clone(machine).fit(X, labels)
     loaded = pickle.loads(pickle.dumps(machine))
     for other in (again, loaded):
@@ -265,7 +265,7 @@ def test_clone_pickle_and_repetition_give_the_same_machine(problem):
 
 @pytest.mark.parametrize(
     "machine",
-    [MKLSVC(kernels=SOME), MKLSVC(approximation="nystroem", kernels=SOME)],
+    [MKLSVC(kernels=BANK), MKLSVC(approximation="nystroem", kernels=BANK)],
     ids=["exact", "landmarks"],
 )
 def test_a_model_file_keeps_the_machine(problem, machine, tmp_path):
@@ -294,7 +294,7 @@ def test_probabilities_are_calibrated(rng):
         codes = rng.integers(5, size=n)
         return rng.normal(size=(n, 6)) + 1.5 * np.eye(5, 6)[codes], codes
 
-    machine = MKLSVC(kernels=SOME, C=100).fit(*draw(150))
+    machine = MKLSVC(kernels=BANK, C=100).fit(*draw(150))
     X, codes = draw(4000)
     chances = machine.predict_proba(X)
     # Bayes' own log loss here, from the densities that made the touches.
@@ -346,7 +346,7 @@ def test_one_touch_in_a_class_is_enough(rng):
     assert np.isfinite(machine.predict_proba(X)).all()
 
 
-def test_touches_seen_twice_under_two_labels(rng):
+def test_touches_learnt_twice_under_two_labels_have_finite_answers(rng):
     X = np.repeat(rng.normal(size=(6, 2)), 2, axis=0)
     machine = MKLSVC().fit(X, np.tile(["a", "b"], 6))
     assert (machine.gap_ <= 1e-6).all()

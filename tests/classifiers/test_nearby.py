@@ -31,9 +31,9 @@ def drawn(n_labels=20, n_each=6, seed=0, noise=0.3):
     return X[order], np.array([f"part {c:03d}" for c in codes])[order], groups[order]
 
 
-def slow_scores(machine, X, labels, asked, out):
+def slow_scores(machine, X, labels, new_touches, out):
     """Log densities as the docstring has them, in double precision."""
-    squared = ((asked[:, None] - X) ** 2).sum(axis=2)
+    squared = ((new_touches[:, None] - X) ** 2).sum(axis=2)
     exponent = np.where(out, -np.inf, -squared / 2 / machine.width_**2)
     with np.errstate(divide="ignore"):
         return np.stack(
@@ -49,10 +49,10 @@ def slow_scores(machine, X, labels, asked, out):
 def test_densities_are_those_of_each_labels_own_touches():
     X, labels, groups = drawn()
     machine = NearbyTouches().fit(X, labels, groups=groups)
-    asked = drawn(seed=1)[0]
-    none = np.zeros((len(asked), len(X)), bool)
-    slow = slow_scores(machine, X, labels, asked, none)
-    centred = (asked - machine.mean_).astype(np.float32)
+    new_touches = drawn(seed=1)[0]
+    none = np.zeros((len(new_touches), len(X)), bool)
+    slow = slow_scores(machine, X, labels, new_touches, none)
+    centred = (new_touches - machine.mean_).astype(np.float32)
     assert_allclose(machine._densities(centred, machine.width_), slow, rtol=1e-4)
 
 
@@ -60,34 +60,34 @@ def test_touches_are_left_out_with_their_group():
     X, labels, groups = drawn()
     machine = NearbyTouches().fit(X, labels, groups=groups)
     slow = slow_scores(machine, X, labels, X, groups[:, None] == groups)
-    asked, group, _ = machine._stored(X, labels, groups)
-    densities = machine._densities(asked, machine.width_, group)
+    stored, group, _ = machine._stored(X, labels, groups)
+    densities = machine._densities(stored, machine.width_, group)
     assert_allclose(densities, slow, rtol=1e-4)
 
 
 def test_within_the_list_ridge_regression_decides():
     X, labels, groups = drawn()
     machine = NearbyTouches().fit(X, labels, groups=groups)
-    one = drawn(seed=1)[0][0]
+    touch = drawn(seed=1)[0][0]
     listed = np.array([1, 4, 7, 8])
     rows = np.isin(labels, machine.classes_[listed])
     squared = ((X[rows, None] - X[rows]) ** 2).sum(axis=2)
     kernel = np.exp(-machine.scale_ * squared) + machine.ridge_ * np.eye(rows.sum())
-    own = np.exp(-machine.scale_ * ((X[rows] - one) ** 2).sum(axis=1))
+    similarities = np.exp(-machine.scale_ * ((X[rows] - touch) ** 2).sum(axis=1))
     targets = (labels[rows][:, None] == machine.classes_[listed]) - 1 / 4
-    slow = own @ np.linalg.solve(kernel, targets) + 1 / 4
-    centred = (one - machine.mean_).astype(np.float32)
+    slow = similarities @ np.linalg.solve(kernel, targets) + 1 / 4
+    centred = (touch - machine.mean_).astype(np.float32)
     assert_allclose(machine._scores(centred, listed), slow, atol=1e-4)
 
 
 def test_the_list_keeps_its_probability_and_the_others_theirs():
     X, labels, groups = drawn(n_labels=40)
     machine = NearbyTouches().fit(X, labels, groups=groups)
-    asked = drawn(n_labels=40, seed=1)[0]
-    centred = (asked - machine.mean_).astype(np.float32)
+    new_touches = drawn(n_labels=40, seed=1)[0]
+    centred = (new_touches - machine.mean_).astype(np.float32)
     densities = machine._densities(centred, machine.width_)
     by_density = np.exp(machine._log_posterior(densities))
-    posterior = np.exp(machine.log_likelihood(asked))
+    posterior = np.exp(machine.log_likelihood(new_touches))
     assert_allclose(posterior.sum(axis=1), 1)
     lists = np.argsort(-densities, axis=1)[:, :20]
     outside = np.ones(posterior.shape, bool)
@@ -95,7 +95,7 @@ def test_the_list_keeps_its_probability_and_the_others_theirs():
     assert_allclose(posterior[outside], by_density[outside], atol=1e-12)
     changed = np.abs(posterior - by_density) > 1e-9
     # Within the list the regression shares out anew what it has in all.
-    assert (changed & ~outside).sum() > 0.5 * len(asked) * 20
+    assert (changed & ~outside).sum() > 0.5 * len(new_touches) * 20
 
 
 def test_a_label_all_of_whose_touches_are_left_out_is_impossible():
@@ -103,9 +103,9 @@ def test_a_label_all_of_whose_touches_are_left_out_is_impossible():
     groups = np.where(labels == "part 003", 0, np.arange(1, len(labels) + 1))
     machine = NearbyTouches().fit(X, labels, groups=groups)
     left_out = machine.left_out_log_likelihood()
-    mine = labels == "part 003"
-    assert (left_out[mine, 3] == -np.inf).all()
-    assert np.isfinite(left_out[~mine]).all()
+    of_label = labels == "part 003"
+    assert (left_out[of_label, 3] == -np.inf).all()
+    assert np.isfinite(left_out[~of_label]).all()
     assert np.isfinite(machine.temperature_)
 
 
@@ -123,16 +123,16 @@ def test_one_group_of_all_touches_leaves_nothing_to_tell_by():
 def test_the_width_has_the_least_loss():
     X, labels, groups = drawn(n_labels=40)
     machine = NearbyTouches().fit(X, labels, groups=groups)
-    asked, group, own = machine._stored(X, labels, groups)
+    stored, group, codes = machine._stored(X, labels, groups)
 
     def least_loss(width):
-        """Over temperatures, where no label is more than log 40 + 3 nats below."""
-        scores = machine._densities(asked, width, group)
+        """The least over temperatures; no label is over log 40 + 3 nats below."""
+        scores = machine._densities(stored, width, group)
         below = scores - scores.max(axis=1, keepdims=True)
 
         def loss(temperature):
             shaped = np.maximum(np.exp(temperature) * below, -np.log(40) - 3)
-            return -log_softmax(shaped, axis=1)[np.arange(len(own)), own].mean()
+            return -log_softmax(shaped, axis=1)[np.arange(len(codes)), codes].mean()
 
         return minimize_scalar(loss, bounds=(-10, 3), method="bounded").fun
 
@@ -149,8 +149,8 @@ def test_more_touches_are_stored_with_the_width_that_was_chosen():
     machine.refit(X, labels, groups=groups)
     assert machine.width_ == width
     assert "part 007" in machine.classes_
-    asked, truth, _ = drawn(seed=2)
-    assert machine.score(asked, truth) > 0.7
+    new_touches, truth, _ = drawn(seed=2)
+    assert machine.score(new_touches, truth) > 0.7
 
 
 def test_many_touches_are_told_in_pieces(monkeypatch):
@@ -177,6 +177,6 @@ def test_a_pool_takes_what_can_tell_so_many_labels(monkeypatch, n_labels, most, 
     monkeypatch.setattr("palpate.classifiers._kernel_ridge._MOST_TARGETS", most)
     X, labels, groups = drawn(n_labels, 6 if n_labels < 100 else 2)
     pool = EncodingPool({"a": 3, "b": 2}).fit(X, labels, groups=groups)
-    assert {type(one) for one in pool.machines_.values()} == {kind}
+    assert {type(machine) for machine in pool.machines_.values()} == {kind}
     again = pool.refit(X, labels, groups=groups)
     assert_array_equal(again.classes_, np.unique(labels))

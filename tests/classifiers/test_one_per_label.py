@@ -48,10 +48,12 @@ def test_machines_are_scikit_learns(kernel, gamma, learnt, rng):
         ),
     ],
 )
-def test_who_wins(values, winner, monkeypatch):
+def test_the_last_label_that_claims_wins_or_else_the_largest_value(
+    values, winner, monkeypatch
+):
     model = OnePerLabelSVC().fit([[0.0], [1.0], [2.0]], [0, 1, 2])
-    said = np.array([values])
-    monkeypatch.setattr(model, "decision_values", lambda X: said)
+    decisions = np.array([values])
+    monkeypatch.setattr(model, "decision_values", lambda X: decisions)
     assert_array_equal(model.predict([[0.0]]), [winner])
 
 

@@ -1,4 +1,4 @@
-"""What a belief asks of every classifier, and what each refuses with a sentence."""
+"""The protocol that a belief needs of every classifier, and what each refuses."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ CLASSIFIERS = [
     NearbyTouches(),
     FromProbabilities(GaussianNB()),
 ]
-every = pytest.mark.parametrize("classifier", CLASSIFIERS, ids=repr)
+each_classifier = pytest.mark.parametrize("classifier", CLASSIFIERS, ids=repr)
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_scikit_learn_contract(estimator, check):
     check(estimator)
 
 
-@every
+@each_classifier
 def test_every_classifier_keeps_the_protocol(classifier, separate):
     features, labels, groups = separate
     model = classifier.fit(features, labels, groups=groups)
@@ -64,15 +64,15 @@ def test_every_classifier_keeps_the_protocol(classifier, separate):
     assert right.mean() > 0.8
 
 
-@every
+@each_classifier
 def test_learning_again_takes_other_touches(classifier, separate):
     features, labels, groups = separate
     model = classifier.fit(features, labels, groups=groups)
-    rest = labels != "b"
-    model.refit(features[rest], labels[rest], groups=groups[rest])
+    others = labels != "b"
+    model.refit(features[others], labels[others], groups=groups[others])
     assert model.classes_.tolist() == ["a", "c"]
     assert model.left_out_log_likelihood().shape == (40, 2)
-    assert_array_equal(model.predict(features[rest][[0, -1]]), ["a", "c"])
+    assert_array_equal(model.predict(features[others][[0, -1]]), ["a", "c"])
 
 
 @pytest.mark.parametrize("n_neighbors", [1, 3])
@@ -95,7 +95,7 @@ def test_two_labels_are_left_out_too(separate):
     assert (machine.classes_[left_out.argmax(axis=1)] == labels).mean() > 0.9
 
 
-@every
+@each_classifier
 def test_touches_to_tell_are_checked_as_those_to_learn(classifier, separate):
     features, labels, _ = separate
     model = classifier.fit(features, labels)
@@ -125,8 +125,10 @@ def test_prior_by_counts_shifts_the_posterior_only(kind, separate):
 def test_probabilities_are_logarithms_above_a_floor(separate):
     features, labels, _ = separate
     model = FromProbabilities(GaussianNB()).fit(features, labels)
-    own = GaussianNB().fit(features, labels).predict_proba(features)
-    assert_allclose(model.log_likelihood(features), np.log(np.maximum(own, 1e-12)))
+    posteriors = GaussianNB().fit(features, labels).predict_proba(features)
+    assert_allclose(
+        model.log_likelihood(features), np.log(np.maximum(posteriors, 1e-12))
+    )
 
 
 def test_a_label_of_one_group_is_impossible_where_that_is_left_out():
@@ -188,10 +190,10 @@ PUBLIC_CLASSIFIERS = [
     MKLSVC,
     OnePerLabelSVC,
 ]
-every_public = pytest.mark.parametrize("classifier", PUBLIC_CLASSIFIERS)
+each_public_classifier = pytest.mark.parametrize("classifier", PUBLIC_CLASSIFIERS)
 
 
-@every_public
+@each_public_classifier
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
@@ -205,14 +207,14 @@ def test_labels_of_several_kinds_are_refused(classifier, labels, message):
         classifier().fit(np.eye(3), labels)
 
 
-@every_public
+@each_public_classifier
 def test_labels_of_one_kind_may_be_objects(classifier, rng):
     X = rng.normal(size=(20, 2)) + np.repeat([[0, 0], [4, 0]], 10, axis=0)
     names = np.repeat(["a", "b"], 10).astype(object)
     assert set(classifier().fit(X, names).predict(X)) == {"a", "b"}
 
 
-@every_public
+@each_public_classifier
 def test_features_whose_squares_leave_the_range_are_refused(classifier, rng):
     X, labels = 1e200 * rng.normal(size=(20, 2)), np.repeat(["a", "b"], 10)
     with pytest.raises(ValueError, match=r"X must .*[Ss]cale the features"):

@@ -97,7 +97,7 @@ def test_place_angle_and_gain_do_not_matter(rng):
 @pytest.mark.parametrize(
     ("normalise", "power"), [("energy", 0), ("total", 0), (None, 1)]
 )
-def test_what_gain_does_is_an_option(normalise, power, touches):
+def test_normalising_decides_how_moments_follow_gain(normalise, power, touches):
     encoder = CentroidMoments(normalise=normalise).fit(touches)
     louder = encoder.transform(3 * touches)
     assert_allclose(louder, 3**power * encoder.transform(touches), rtol=1e-9)

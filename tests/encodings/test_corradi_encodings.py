@@ -67,9 +67,9 @@ def turned(image, angle_deg):
 def test_hu_moments_of_two_squares():
     image = np.zeros((1, 20, 20))
     image[0, 13:17, 13:17], image[0, 10:12, 10:12] = 0.5, 1
-    known = [0.74537037, 0.35116598, 0.10404918, 0.04064421, 0.00264312, 0.02408546, 0]
+    exact = [0.74537037, 0.35116598, 0.10404918, 0.04064421, 0.00264312, 0.02408546, 0]
     # Eight decimals are given.
-    assert_allclose(HuMoments(levels="raw").fit_transform(image)[0], known, atol=5e-9)
+    assert_allclose(HuMoments(levels="raw").fit_transform(image)[0], exact, atol=5e-9)
 
 
 def by_definition(image):
@@ -125,7 +125,7 @@ def test_hu_moments_stay_when_the_image_turns_and_the_last_sees_mirrors(rng):
     mirrored = hu.transform(images[:, :, ::-1])
     # Resampling, in decades.
     assert_allclose(around[:, :4], straight[:, :4], atol=0.02)
-    # A sign that a mirror does not change, and one that it does.
+    # A mirror changes the sign of the seventh moment alone.
     assert_allclose(mirrored[:, :6], straight[:, :6], atol=1e-6)
     assert_allclose(mirrored[:, 6], -straight[:, 6], atol=1e-6)
 
@@ -147,11 +147,13 @@ def test_without_mass_hu_moments_are_zero(levels):
     assert_array_equal(HuMoments(levels=levels).fit_transform(blank), 0)
 
 
-def test_first_hu_moments(rng):
+def test_fewer_hu_moments_are_the_first_of_the_seven(rng):
     images = blobs(rng)
-    some = HuMoments(3).fit(images)
-    assert_array_equal(some.transform(images), HuMoments().fit_transform(images)[:, :3])
-    assert some.get_feature_names_out().tolist() == ["hu1", "hu2", "hu3"]
+    first = HuMoments(3).fit(images)
+    assert_array_equal(
+        first.transform(images), HuMoments().fit_transform(images)[:, :3]
+    )
+    assert first.get_feature_names_out().tolist() == ["hu1", "hu2", "hu3"]
 
 
 def test_scaled_pixels_are_means_over_areas(rng):
@@ -184,9 +186,9 @@ def test_turned_images_have_nearly_the_same_pixels(encoder, rng):
     straight = encoder.fit_transform(images)
     around = encoder.transform(np.stack([turned(image, 100) for image in images]))
     away = np.linalg.norm(around - straight, axis=1)
-    # Two interpolations; images not regularised would be as far as others are.
-    apart = np.linalg.norm(straight - straight[::-1], axis=1)
-    assert (away < 0.15 * apart).all()
+    # Two interpolations; without regularising, turned images are as far as others.
+    to_another = np.linalg.norm(straight - straight[::-1], axis=1)
+    assert (away < 0.15 * to_another).all()
 
 
 @pytest.mark.parametrize("encoder", [OrientedPCA, ZernikePCA])
@@ -203,7 +205,9 @@ def test_principal_components_are_uncorrelated_and_fall(encoder, rng):
 
 
 @pytest.mark.parametrize("encoder", [OrientedPCA, ZernikePCA])
-def test_number_of_components(encoder, rng):
+def test_components_are_as_many_as_asked_or_as_touches_or_as_hold_the_share(
+    encoder, rng
+):
     images = rng.normal(size=(12, 16, 16))
     whole = encoder(None).fit(images)
     # Twelve touches about their mean span eleven directions; the twelfth is empty.
@@ -221,7 +225,7 @@ def test_number_of_components(encoder, rng):
 
 @pytest.mark.parametrize("encoder", [OrientedPCA, ZernikePCA])
 @pytest.mark.parametrize("scale", [1e-300, 1e-170, 1e170, 1e300])
-def test_components_do_not_hang_on_the_size_of_levels(encoder, scale, rng):
+def test_components_do_not_depend_on_the_size_of_levels(encoder, scale, rng):
     images = rng.normal(size=(12, 16, 16))
     plain, scaled = encoder().fit(images), encoder().fit(scale * images)
     assert scaled.n_components_ == plain.n_components_ > 1
@@ -229,8 +233,8 @@ def test_components_do_not_hang_on_the_size_of_levels(encoder, scale, rng):
     shares = scaled.explained_variance_ratio_
     assert_allclose(shares, plain.explained_variance_ratio_, rtol=1e-9)
     expected = scale * np.abs(plain.transform(images))
-    found = np.abs(scaled.transform(scale * images))
-    assert_allclose(found, expected, rtol=0, atol=1e-8 * expected.max())
+    scores = np.abs(scaled.transform(scale * images))
+    assert_allclose(scores, expected, rtol=0, atol=1e-8 * expected.max())
 
 
 def test_test_touches_do_not_move_the_components(rng):

@@ -26,10 +26,10 @@ def draw_ellipse(size, across, down):
 
 def walk(image):
     """(column, row) of the outer boundary, by OpenCV."""
-    found = cv2.findContours(
+    contours = cv2.findContours(
         image.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
-    (outline,) = found[0]
+    (outline,) = contours[0]
     return outline[:, 0].astype(float)
 
 
@@ -56,7 +56,7 @@ def with_loops(outline):
     [draw_hexagon(33, 10.0), draw_ellipse(41, 18, 7), draw_ellipse(85, 2, 40)],
     ids=["hexagon", "ellipse", "narrow"],
 )
-def test_equations_of_the_paper_with_loops(image):
+def test_descriptors_are_the_equations_of_the_paper(image):
     outline = walk(image[0])
     encoded = FourierDescriptors(n=len(outline) - 1).fit_transform(image)[0]
     assert_allclose(encoded, with_loops(outline), atol=1e-12)
@@ -111,10 +111,10 @@ def evenly(outline, n_points):
     sides = [np.hypot(*(end - start)) for start, end in zip(outline, ends, strict=True)]
     points = []
     for k in range(n_points):
-        rest, side = k * sum(sides) / n_points, 0
-        while rest > sides[side]:
-            rest, side = rest - sides[side], side + 1
-        share = rest / sides[side]
+        remaining, side = k * sum(sides) / n_points, 0
+        while remaining > sides[side]:
+            remaining, side = remaining - sides[side], side + 1
+        share = remaining / sides[side]
         points.append((1 - share) * outline[side] + share * ends[side])
     return np.array(points)
 

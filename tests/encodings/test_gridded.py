@@ -32,9 +32,9 @@ def smooth(rng):
 def as_if_alike(encoder, images, changed):
     """Mean distance of changed images to themselves over that to the others."""
     before, after = encoder.fit(images).transform(images), encoder.transform(changed)
-    apart = np.linalg.norm(before[:, None] - after, axis=2)
-    own = np.trace(apart) / len(apart)
-    return own / apart[~np.eye(len(apart), dtype=bool)].mean()
+    distances = np.linalg.norm(before[:, None] - after, axis=2)
+    to_themselves = np.trace(distances) / len(distances)
+    return to_themselves / distances[~np.eye(len(distances), dtype=bool)].mean()
 
 
 def test_cells_are_means_of_equal_squares():
@@ -79,7 +79,7 @@ def test_unit_length_is_of_all_channels_together():
     ],
 )
 def test_a_slope_votes_for_its_direction_alone(image, direction):
-    """Of 4 directions (22.5, 67.5...) 0 and 90 degrees lie between two, as does 45."""
+    """0, 45 and 90 degrees each lie between two of 4 directions (22.5, 67.5...)."""
     votes = EdgeHistograms(4).fit_transform(image[np.newaxis]).reshape(7, 7, 4, 4)
     middle = votes[3, 3, 0]
     near = [(direction // 45 - 1) % 4, direction // 45]
@@ -246,8 +246,8 @@ def test_slopes_are_recovered(dented):
     flat = np.full((12, 16, 3), 100.0)
     encoder = PhotometricGradients(LIGHTS, baseline=flat).fit(lit(dented))
     roots = encoder.transform(lit(dented))
-    found = (np.sign(roots) * roots**2).reshape(5, 2, 12, 16)
-    assert_allclose(np.moveaxis(found, 1, 3), dented, atol=1e-9)
+    slopes = (np.sign(roots) * roots**2).reshape(5, 2, 12, 16)
+    assert_allclose(np.moveaxis(slopes, 1, 3), dented, atol=1e-9)
 
 
 def test_what_all_lights_share_is_no_slope(dented):

@@ -66,14 +66,14 @@ def test_levels_may_be_given(images):
 
 
 def test_grey_is_repeated_and_colour_is_averaged(images, rng):
-    three = OnnxEncoding(network(shape=("n", 3, "h", "w"))).fit(images)
-    assert three.width_ == 6
-    assert_allclose(*three.transform(images)[:, :2].T, atol=1e-6)
+    repeated = OnnxEncoding(network(shape=("n", 3, "h", "w"))).fit(images)
+    assert repeated.width_ == 6
+    assert_allclose(*repeated.transform(images)[:, :2].T, atol=1e-6)
     colours = rng.random((5, 6, 8, 3))
-    one = OnnxEncoding(network(), mean=0, std=1).fit(colours)
+    averaged = OnnxEncoding(network(), mean=0, std=1).fit(colours)
     grey = OnnxEncoding(network(), mean=0, std=1).fit(images)
     expected = grey.transform(colours.mean(axis=3))
-    assert_allclose(one.transform(colours), expected, atol=1e-6)
+    assert_allclose(averaged.transform(colours), expected, atol=1e-6)
 
 
 def test_images_are_resized_to_what_the_network_takes(images):
@@ -184,7 +184,7 @@ def test_every_damaged_byte_is_refused_or_harmless(images, rng):
 
 
 @pytest.mark.parametrize(
-    ("made", "message"),
+    ("options", "message"),
     [
         ({"shape": ("n", 2, "h", "w")}, "1 or 3 channels.* got .*2"),
         ({"shape": ("n", 5)}, "must take float images"),
@@ -199,9 +199,9 @@ def test_every_damaged_byte_is_refused_or_harmless(images, rng):
         ({"nodes": inside("Shape")}, "cannot be run|must give floats"),
     ],
 )
-def test_a_network_of_other_shapes_is_refused(images, made, message):
+def test_a_network_of_other_shapes_is_refused(images, options, message):
     with pytest.raises(ValueError, match=message):
-        OnnxEncoding(network(**made)).fit(images)
+        OnnxEncoding(network(**options)).fit(images)
 
 
 def test_an_image_must_not_be_encoded_by_its_neighbours(images):

@@ -76,7 +76,7 @@ def test_wide_kernels_are_ordinary_pca(features, new):
     )
 
 
-def test_signs_do_not_hang_on_the_order_of_the_touches(features, new, rng):
+def test_signs_do_not_depend_on_the_order_of_the_touches(features, new, rng):
     order = rng.permutation(len(features))
     straight = KernelPCA(6).fit(features).transform(new)
     shuffled = KernelPCA(6).fit(features[order]).transform(new)
@@ -84,12 +84,12 @@ def test_signs_do_not_hang_on_the_order_of_the_touches(features, new, rng):
 
 
 def test_a_share_of_variance_keeps_as_few_as_hold_it(features):
-    every = KernelPCA().fit(features).explained_variance_ratio_
-    assert every.sum() == pytest.approx(1)
+    ratios = KernelPCA().fit(features).explained_variance_ratio_
+    assert ratios.sum() == pytest.approx(1)
     for share in (0.3, 0.8, 0.99):
         encoder = KernelPCA(share).fit(features)
-        assert encoder.n_components_ == np.searchsorted(np.cumsum(every), share) + 1
-    assert KernelPCA(1.0).fit(features).n_components_ == len(every)
+        assert encoder.n_components_ == np.searchsorted(np.cumsum(ratios), share) + 1
+    assert KernelPCA(1.0).fit(features).n_components_ == len(ratios)
 
 
 def test_components_without_variance_do_not_exist():
@@ -206,11 +206,11 @@ def test_groups_are_left_out_whole(rng):
     direction = np.eye(8)
     groups = np.repeat(np.arange(5), 6)
     # Every group has a direction of its own, which the others cannot know.
-    own = direction[groups] * rng.choice([-1, 1], size=(30, 1))
-    own = own + 0.01 * rng.normal(size=(30, 8))
-    kept = PrincipalShare(0.95).fit(own)
-    assert kept.unexplained(own, kept.transform(own)).mean() < 0.05
-    assert kept.left_out_unexplained(own, groups).min() > 0.7
+    features = direction[groups] * rng.choice([-1, 1], size=(30, 1))
+    features = features + 0.01 * rng.normal(size=(30, 8))
+    kept = PrincipalShare(0.95).fit(features)
+    assert kept.unexplained(features, kept.transform(features)).mean() < 0.05
+    assert kept.left_out_unexplained(features, groups).min() > 0.7
 
 
 def test_one_group_alone_is_not_unexplained(touches):

@@ -37,8 +37,8 @@ def test_turned_drawings_keep_their_magnitudes(rng):
 @pytest.mark.realdata
 def test_turned_pictures_keep_their_magnitudes_after_cropping(data_folder, rng):
     cv2 = pytest.importorskip("cv2")
-    found = sorted((data_folder / "bathtip" / "originals").glob("*/*/*.jpg"))
-    chosen = [str(found[i]) for i in rng.choice(len(found), 6, replace=False)]
+    paths = sorted((data_folder / "bathtip" / "originals").glob("*/*/*.jpg"))
+    chosen = [str(paths[i]) for i in rng.choice(len(paths), 6, replace=False)]
     images = np.stack([cv2.imread(path, cv2.IMREAD_GRAYSCALE) for path in chosen])
     rims = DomeCrop(SIZE).fit(images).rims(images)
     turned = []
@@ -51,8 +51,8 @@ def test_turned_pictures_keep_their_magnitudes_after_cropping(data_folder, rng):
         turned.append(affine_transform(image.astype(float), turn, offset))
     # A radius of 195 pixels stays in the frame whatever the angle.
     straight, around = (
-        standardise_discs(crop_discs(some, rims, 195, SIZE))
-        for some in (images, np.stack(turned))
+        standardise_discs(crop_discs(pictures, rims, 195, SIZE))
+        for pictures in (images, np.stack(turned))
     )
     # Cropping keeps or drops whole cells: one cell less, and the rim cuts kept ones.
     encoder = encoder_named("zernike", radius=SIZE / 2 - 1).fit(straight)

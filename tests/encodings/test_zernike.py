@@ -106,23 +106,23 @@ CLOSED_FORMS = [
     [(33, 1.4e-3), (300, 1.8e-5)],
 )
 @pytest.mark.parametrize(("image", "expected"), CLOSED_FORMS)
-def test_closed_forms(image, expected, size, tolerance):
-    got = moments(image(*coordinates(size)), order=4)
-    assert len(got) == 9
-    for degree, value in got.items():
+def test_moments_have_their_closed_forms(image, expected, size, tolerance):
+    encoded = moments(image(*coordinates(size)), order=4)
+    assert len(encoded) == 9
+    for degree, value in encoded.items():
         assert abs(value - expected.get(degree, 0)) < tolerance, degree
 
 
-def test_closed_form_of_a_smaller_disc():
+def test_a_smaller_disc_has_its_closed_form():
     # Each taxel holds its mean over 10 x 10 points of the disc r <= 1/2.
     x, y = coordinates(3000)
     fine = x[:1] ** 2 + y[:, :1] ** 2 <= 0.25
     image = fine.reshape(300, 10, 300, 10).mean(axis=(1, 3))
-    got = moments(image)
+    encoded = moments(image)
     expected = [1 / 4, -9 / 16, 15 / 32, -21 / 256, -135 / 512]
     # The edge is blurred over one taxel, 1/75 of the smaller disc's diameter.
-    assert_allclose([got[n, 0] for n in range(0, 9, 2)], expected, atol=2e-4)
-    assert max(abs(v) for (n, m), v in got.items() if m % 4) < 1e-12
+    assert_allclose([encoded[n, 0] for n in range(0, 9, 2)], expected, atol=2e-4)
+    assert max(abs(v) for (n, m), v in encoded.items() if m % 4) < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -153,9 +153,9 @@ def test_noll_moments_are_orthonormal(j, closed_form):
     x, y = coordinates(300)
     image = closed_form(np.hypot(x, y), np.arctan2(y, x))
     encoder = ZernikeMoments(4, output="noll", weight="noll")
-    found = encoder.fit_transform(image[np.newaxis])[0]
+    encoded = encoder.fit_transform(image[np.newaxis])[0]
     # Second order in the taxel's side, times the polynomial's steep rim.
-    assert_allclose(found, np.arange(1, 16) == j, atol=2e-4)
+    assert_allclose(encoded, np.arange(1, 16) == j, atol=2e-4)
 
 
 @pytest.mark.parametrize("order", range(41))
@@ -169,11 +169,11 @@ def test_every_order_agrees_with_a_direct_sum(order, rng):
         radius=6.7,
         repeat_negative=True,
     )
-    found = encoder.fit_transform(image[np.newaxis])[0]
+    encoded = encoder.fit_transform(image[np.newaxis])[0]
     row, col = np.mgrid[:13, :16]
     x, y = (col - 7.1) / 6.7, (row - 5.8) / 6.7
     inside = np.hypot(x, y) <= 1
-    for (n, m), value in zip(encoder.indices_, found, strict=True):
+    for (n, m), value in zip(encoder.indices_, encoded, strict=True):
         waves = polynomial(n, m, x, y).conj()
         direct = (image * waves)[inside].sum() * (n + 1) / np.pi / 6.7**2
         # Legendre products lose up to 3e-11 at order 20; the basis above does not.
@@ -195,11 +195,11 @@ def test_exact_moments_of_one_taxel_are_its_part_of_the_disc(cells, order):
     for i, j in cells:
         image = np.zeros((9, 9))
         image[i, j] = 1
-        got = moments(image, order, centre=(row, col), radius=radius, weight="none")
+        encoded = moments(image, order, centre=(row, col), radius=radius, weight="none")
         low, high = np.clip((np.array([i - 0.5, i + 0.5]) - row) / radius, -1, 1)
         left, right = (np.array([j - 0.5, j + 0.5]) - col) / radius
         for n, m in [(0, 0), (3, 1), (6, 4)]:
-            # Both parts are asked for at much the same places.
+            # Quadratures of both parts use much the same places.
             value = cache(partial(polynomial, n, m))
             for part in ("real", "imag"):
                 integral, _ = dblquad(
@@ -215,7 +215,7 @@ def test_exact_moments_of_one_taxel_are_its_part_of_the_disc(cells, order):
                     epsabs=1e-9,
                 )
                 # What the adaptive quadrature promises at kinks of the limits.
-                assert abs(getattr(got[n, m], part) - integral) < 1e-7, (n, m)
+                assert abs(getattr(encoded[n, m], part) - integral) < 1e-7, (n, m)
 
 
 @pytest.mark.parametrize("order", [15, 25])
@@ -247,14 +247,14 @@ def test_separable_method_agrees_with_the_dense_basis(method, order, rng):
 
 def test_agrees_with_mahotas(rng):
     features = pytest.importorskip("mahotas.features", reason="mahotas not installed")
-    image = rng.uniform(0.1, 1, size=(50, 60))  # it drops what is not positive
+    image = rng.uniform(0.1, 1, size=(50, 60))  # mahotas drops what is not positive
     encoder = ZernikeMoments(method="sample", centre=(24.3, 30.6), radius=21.7)
     ours = encoder.fit_transform(image[np.newaxis])[0]
     theirs = features.zernike_moments(image, 21.7, 15, cm=(24.3, 30.6))
     row, col = np.mgrid[:50, :60]
     inside = np.hypot(row - 24.3, col - 30.6) <= 21.7
-    # It divides by the sum of the image, we measure areas in squared radii. Its
-    # factorial sums lose 5e-12 at order 15.
+    # mahotas divides by the sum of the image, we measure areas in squared radii.
+    # Its factorial sums lose 5e-12 at order 15.
     assert_allclose(ours, theirs * image[inside].sum() / 21.7**2, atol=1e-10)
 
 
@@ -263,7 +263,7 @@ def test_agrees_with_centrosome(rng):
     image = rng.normal(size=(51, 51))
     x, y = coordinates(51)
     degrees = ZernikeMoments(15).fit(image[np.newaxis]).indices_
-    # It measures the angle from the y axis, so the axes change places.
+    # centrosome measures the angle from the y axis, so the axes change places.
     values = peer.construct_zernike_polynomials(y.copy(), x.copy(), degrees)
     factor = (degrees[:, 0] + 1) / np.pi * (2 / 51) ** 2
     theirs = (image[..., None] * values.conj()).sum(axis=(0, 1)) * factor
@@ -274,10 +274,10 @@ def test_agrees_with_centrosome(rng):
 @pytest.mark.parametrize("size", [7, 33, 100, 300])
 @pytest.mark.parametrize("order", [15, 20])
 def test_a_constant_image_has_no_other_moment(size, order):
-    found = ZernikeMoments(order).fit_transform(np.full((1, size, size), 200.0))[0]
-    assert_allclose(found[0], 200, rtol=1e-12)
+    encoded = ZernikeMoments(order).fit_transform(np.full((1, size, size), 200.0))[0]
+    assert_allclose(encoded[0], 200, rtol=1e-12)
     # 1e-6 of the level is promised, 3e-11 of it the separable method's digits.
-    assert found[1:].max() < 200 * 1e-9
+    assert encoded[1:].max() < 200 * 1e-9
 
 
 @METHODS
@@ -300,10 +300,10 @@ def test_any_turn_keeps_the_magnitudes(rng):
     encoder = ZernikeMoments(output="complex").fit(images)
     straight, *turned = encoder.transform(images)
     size = np.linalg.norm(straight)
-    for angle, found in zip(angles, turned, strict=True):
+    for angle, encoded in zip(angles, turned, strict=True):
         phase = np.exp(-1j * encoder.indices_[:, 1] * angle)
         # Taxels are squares: 1e-5 to 5e-5 at this size.
-        assert np.linalg.norm(found - straight * phase) < 5e-4 * size
+        assert np.linalg.norm(encoded - straight * phase) < 5e-4 * size
 
 
 def test_magnitudes_forgive_a_turn_only_about_the_right_disc():
@@ -327,10 +327,10 @@ def test_magnitudes_forgive_a_turn_only_about_the_right_disc():
 def test_the_disc_is_placed_to_a_part_of_a_taxel():
     centre, radius = (20.25, 23.7), 15.6
     x, y = coordinates(45, *centre, radius)
-    got = moments(x**2 + 0 * y, 4, centre=centre, radius=radius)
-    # As the closed forms at 33 taxels.
-    assert_allclose(got[0, 0], 1 / 4, atol=1.4e-3)
-    assert_allclose(got[2, 2], 1 / 4, atol=1.4e-3)
+    encoded = moments(x**2 + 0 * y, 4, centre=centre, radius=radius)
+    # The tolerance is that of the closed forms at 33 taxels.
+    assert_allclose(encoded[0, 0], 1 / 4, atol=1.4e-3)
+    assert_allclose(encoded[2, 2], 1 / 4, atol=1.4e-3)
     off = moments(x**2 + 0 * y, 4, centre=(20.25, 24.2), radius=radius)
     # (x + d)^2 holds the tilt 2 d x, whose moment is d: here half a taxel.
     assert_allclose(off[1, 1], 0.5 / radius, rtol=0.02)
@@ -356,9 +356,9 @@ def test_a_turned_real_touch_keeps_its_encoding(data_folder, rng):
         image = images[i].astype(float)
         turned = affine_transform(image, turn, offset=centre - turn @ centre)
         encoder = ZernikeMoments(centre=tuple(centre), radius=44, drop_constant=True)
-        straight, found = encoder.fit_transform(np.stack([image, turned]))
+        straight, around = encoder.fit_transform(np.stack([image, turned]))
         # Resampling alone changes up to 1.8e-3.
-        assert np.linalg.norm(found - straight) < 2e-3 * np.linalg.norm(straight)
+        assert np.linalg.norm(around - straight) < 2e-3 * np.linalg.norm(straight)
 
 
 @METHODS
@@ -414,12 +414,12 @@ def test_one_taxel_has_the_value_of_the_polynomial_at_its_centre(order):
     encoder = ZernikeMoments(
         order, method="sample", output="complex", weight="none", radius=6.0
     )
-    found = encoder.fit_transform(images).conj()
+    encoded = encoder.fit_transform(images).conj()
     x, y = (col - 4) / 6, (row - 4) / 6
     values = [polynomial(n, m, x, y) / 36 for n, m in encoder.indices_.tolist()]
     # Two digits are lost by order 10, three more by order 20.
     atol = 1e-15 if order == 4 else 1e-11
-    assert_allclose(found, np.stack(values, axis=1), rtol=0, atol=atol)
+    assert_allclose(encoded, np.stack(values, axis=1), rtol=0, atol=atol)
 
 
 def test_noll_list_is_table_1_of_corradi_2014():

@@ -14,7 +14,7 @@ METHODS = pytest.mark.parametrize("method", ["exact", "sample"])
 
 
 @METHODS
-def test_outputs_and_weights_are_one_set_of_moments(method, touches):
+def test_all_outputs_and_weights_come_from_one_set_of_moments(method, touches):
     def encode(**options):
         return ZernikeMoments(7, method=method, **options).fit_transform(touches)
 
@@ -75,8 +75,8 @@ def test_the_default_disc_is_inscribed_to_the_outer_edge(touches):
     default = ZernikeMoments().fit(wide)
     assert default.centre_ == (4.5, 9.5)
     assert default.radius_ == 5
-    given = ZernikeMoments(centre=(4.5, 9.5), radius=5).fit_transform(wide)
-    assert_array_equal(default.transform(wide), given)
+    explicit = ZernikeMoments(centre=(4.5, 9.5), radius=5).fit_transform(wide)
+    assert_array_equal(default.transform(wide), explicit)
     around = ZernikeMoments(disc="circumscribed").fit(wide)
     assert_allclose(around.radius_, np.hypot(5, 10))
 
@@ -97,10 +97,10 @@ def test_any_real_type_is_encoded_as_float64(dtype, order, rng):
     images = rng.integers(0, 2 if dtype is bool else 256, (3, 30, 30)).astype(dtype)
     before = images.copy()
     encoder = ZernikeMoments(order).fit(images)
-    found = encoder.transform(images)
-    assert found.dtype == np.float64
+    encoded = encoder.transform(images)
+    assert encoded.dtype == np.float64
     # The same sums of the same numbers.
-    assert_allclose(found, encoder.transform(images.astype(float)), rtol=1e-12)
+    assert_allclose(encoded, encoder.transform(images.astype(float)), rtol=1e-12)
     assert_array_equal(images, before)
 
 

@@ -2,7 +2,7 @@
 
 Everything about it is known on paper: the tip touches at `radius_mm` from the middle
 and meets `stiffness_n_mm` beyond. Run as a program it gathers touches into a folder,
-and says the number of each once it is recorded, until it is killed.
+and prints the number of each once it is recorded, until it is killed.
 """
 
 import sys
@@ -59,8 +59,8 @@ class BallSensor:
         self.arm = arm
 
     def read(self):
-        way = np.asarray(self.arm.pose.direction)
-        return np.outer(way, way)
+        direction = np.asarray(self.arm.pose.direction)
+        return np.outer(direction, direction)
 
     def no_contact(self):
         return None
@@ -68,13 +68,13 @@ class BallSensor:
 
 def main(folder, n_touches, delay_s):
     arm = BallArm(delay_s=float(delay_s))
-    strategy = Told(Hemisphere(radius_mm=100), 5)
+    strategy = Announcing(Hemisphere(radius_mm=100), 5)
     gather(arm, BallSensor(arm), strategy, folder, n_touches=int(n_touches))
     print("done", flush=True)
 
 
-class Told(RandomHemisphere):
-    """Says how many attempts it was shown: so many are recorded."""
+class Announcing(RandomHemisphere):
+    """Prints how many attempts are recorded whenever it chooses the next."""
 
     def next_pose(self, belief, history):
         print(len(history), flush=True)

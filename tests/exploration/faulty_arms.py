@@ -26,17 +26,19 @@ from palpate.exploration import (
 from palpate.simulation import DomeCamera, SensorPose, find_object
 
 NEAR = Hemisphere(radius_mm=100)
-KNOWN = {field.name for field in fields(Guard)}
+GUARD_FIELDS = {field.name for field in fields(Guard)}
 
 
-def guard_of(**asked):
-    """Return a guard for the hemisphere of 100 mm; what a revision lacks is left out.
+def guard_of(**settings):
+    """Return a guard for the hemisphere of 100 mm, without fields that `Guard` lacks.
 
     In the air steps are of 0.5 mm: 2.5 N of what has 5 N/mm.
     """
     usual = {"timeout_s": 1e9, "max_travel_mm": 110.0, "air_step_mm": 0.5}
     usual |= {"expected_n_mm": 0.8, "frame_change": 2.0}
-    return Guard(**{name: n for name, n in (usual | asked).items() if name in KNOWN})
+    return Guard(
+        **{name: n for name, n in (usual | settings).items() if name in GUARD_FIELDS}
+    )
 
 
 GUARD = guard_of()
@@ -189,8 +191,8 @@ class Undecided:
 
 def exploring(arm):
     """Touch five times as `explore` does."""
-    asked = {"guard": GUARD, "max_attempts": 5}
-    return explore(arm, arm, Undecided(), RandomHemisphere(NEAR, 1), **asked).history
+    options = {"guard": GUARD, "max_attempts": 5}
+    return explore(arm, arm, Undecided(), RandomHemisphere(NEAR, 1), **options).history
 
 
 def gathering(arm):
@@ -231,22 +233,22 @@ def teaching(arm):
     guard = guard_of(limit_n=5.0, lag_readings=0)
     with put_before(arm) as (room, _), mock.patch.object(room, "QUICK_GUARD", guard):
         thing = find_object("ball")
-        how = {"n_touches": 3, "n_sessions": 1, "n_jobs": 1}
+        options = {"n_touches": 3, "n_sessions": 1, "n_jobs": 1}
         camera = DomeCamera(image_shape=(8, 8))
         with recorded() as history:
-            room.explore_to_learn([thing], camera=camera, **how)
+            room.explore_to_learn([thing], camera=camera, **options)
         return history
 
 
 @contextmanager
 def recorded():
-    """Keep what `gather` returns: of touches that were taught the images are left."""
+    """Keep the records of `gather`: touches that are taught keep only their images."""
     history = []
     room = import_module("palpate.exploration._simulated_objects")
     usual = room.gather
 
-    def kept(*given, **asked):
-        history.extend(usual(*given, **asked))
+    def kept(*arguments, **options):
+        history.extend(usual(*arguments, **options))
         return history
 
     with mock.patch.object(room, "gather", kept):
@@ -260,8 +262,8 @@ def playing(arm):
             ["ball", "mug"], camera=DomeCamera(image_shape=(8, 8)), guard=GUARD
         )
         env.reset(seed=0)
-        for way in ((1, 0, 1), (0, 1, 1), (-1, 0, 1)):
-            env.step({"action": np.array(way), "prediction": np.zeros(2)})
+        for direction in ((1, 0, 1), (0, 1, 1), (-1, 0, 1)):
+            env.step({"action": np.array(direction), "prediction": np.zeros(2)})
         return env.history
 
 

@@ -33,9 +33,9 @@ def _small(name=NAME, **options):
 
 @pytest.fixture
 def env():
-    made = _small()
-    yield made
-    made.close()
+    environment = _small()
+    yield environment
+    environment.close()
 
 
 def _act(out, logits):
@@ -66,10 +66,10 @@ def test_the_flat_form_is_the_same_episode_in_vectors(env):
         vector, reward, *_ = flat.step(np.float32([0.3, 0, 1, 0.1, -0.05, 0]))
         whole, expected, *_ = env.step(_act([0.3, 0, 1], [2, -1, 0]))
         assert reward == pytest.approx(expected, rel=1e-6)  # logits as float32
-        image, rest = vector[: 32 * 32], vector[32 * 32 :]
+        image, numbers = vector[: 32 * 32], vector[32 * 32 :]
         assert_allclose(image * 255, whole["image"].ravel(), rtol=1e-6)
-        assert_array_equal(rest[:3], whole["place"])
-        assert_array_equal(rest[3:], [whole["touched"][0], whole["touches_left"][0]])
+        assert_array_equal(numbers[:3], whole["place"])
+        assert_array_equal(numbers[3:], [whole["touched"][0], whole["touches_left"][0]])
     with pytest.raises(ValueError, match=r"a vector of \(6,\), got \(3,\)"):
         flat.env.step(np.zeros(3))
 
@@ -80,8 +80,8 @@ def test_what_is_rendered_is_the_last_frame():
         env.unwrapped.render()
     env.reset(seed=1)
     assert_array_equal(env.render()[..., 0], CAMERA.no_contact())
-    seen, *_ = env.step(_act([0, 0, 1], [0, 0, 0]))
-    assert_array_equal(env.render(), np.repeat(seen["image"], 3, axis=2))
+    observation, *_ = env.step(_act([0, 0, 1], [0, 0, 0]))
+    assert_array_equal(env.render(), np.repeat(observation["image"], 3, axis=2))
     with pytest.raises(ValueError, match=r"render_mode must be .*rgb_array"):
         type(env.unwrapped)(render_mode="ansi")
 
@@ -134,10 +134,10 @@ def test_place_is_where_the_ball_is(env):
 )
 def test_every_action_is_a_touch_from_above(env, out, like):
     env.reset(seed=5)
-    one, *_ = env.step(_act(out, [0, 0, 0]))
+    first, *_ = env.step(_act(out, [0, 0, 0]))
     env.reset(seed=5)
-    two, *_ = env.step(_act(like, [0, 0, 0]))
-    assert_array_equal(one["image"], two["image"])
+    second, *_ = env.step(_act(like, [0, 0, 0]))
+    assert_array_equal(first["image"], second["image"])
 
 
 def test_strategies_can_play(env):
@@ -157,20 +157,20 @@ def test_strategies_can_play(env):
 def test_several_in_one_process_are_the_single_ones(env, name, mode):
     options = {"objects": OBJECTS, "camera": CAMERA, "max_touches": 2}
     several = gymnasium.make_vec(name, 3, vectorization_mode=mode, **options)
-    seen, _ = several.reset(seed=5)
+    observation, _ = several.reset(seed=5)
     several.action_space.seed(1)
     actions = several.action_space.sample()
-    seen, rewards, *_ = several.step(actions)
+    observation, rewards, *_ = several.step(actions)
     for number in range(3):
-        one = _small(name, max_touches=2)
-        one.reset(seed=5 + number)
+        single = _small(name, max_touches=2)
+        single.reset(seed=5 + number)
         if isinstance(actions, dict):
             action = {part: actions[part][number] for part in actions}
-            expected, reward, *_ = one.step(action)
-            assert_array_equal(seen["image"][number], expected["image"])
+            expected, reward, *_ = single.step(action)
+            assert_array_equal(observation["image"][number], expected["image"])
         else:
-            expected, reward, *_ = one.step(actions[number])
-            assert_array_equal(seen[number], expected)
+            expected, reward, *_ = single.step(actions[number])
+            assert_array_equal(observation[number], expected)
         assert rewards[number] == pytest.approx(reward)
     # The second step ends every episode; the one after it begins others.
     *_, over, _ = several.step(actions)
@@ -220,21 +220,21 @@ def _places_alone(surface_map, **options):
 
 def test_the_gains_add_up_to_what_is_believed_of_the_truth(surface_map):
     env = _places_alone(surface_map, attempt_nats=0.25, error=0.001)
-    seen, _ = env.reset(seed=1, options={"object": "mug"})
+    observation, _ = env.reset(seed=1, options={"object": "mug"})
     names = [*surface_map.recogniser.classes_, "unknown"]
     assert names == ["ball", "box", "mug", "unknown"]
     # A stranger comes in one of twenty, and none of three objects is likelier.
-    assert_allclose(seen["belief"], [0.95 / 3] * 3 + [0.05], rtol=1e-6)
-    assert not seen["attempts"].any()
+    assert_allclose(observation["belief"], [0.95 / 3] * 3 + [0.05], rtol=1e-6)
+    assert not observation["attempts"].any()
     total = 0.0
     for number, out in enumerate(([1, 0, 1], [0, 1, 1]), start=1):
-        seen, reward, *_, info = env.step(np.float32(out))
+        observation, reward, *_, info = env.step(np.float32(out))
         total += reward
-        assert seen in env.observation_space
-        assert seen["touches_left"] == 1 - number / 4
-    after = max(float(seen["belief"][2]), np.exp(-5))
+        assert observation in env.observation_space
+        assert observation["touches_left"] == 1 - number / 4
+    after = max(float(observation["belief"][2]), np.exp(-5))
     assert total == pytest.approx(np.log(after / (0.95 / 3)) - 2 * 0.25, abs=1e-5)
-    rows = seen["attempts"].reshape(4, 4)
+    rows = observation["attempts"].reshape(4, 4)
     assert_allclose(rows[:2, :3], np.array([[1, 0, 1], [0, 1, 1]]) / np.sqrt(2), 1e-6)
     assert not rows[2:].any()
     assert info["outcome"] == "touched"
@@ -247,8 +247,8 @@ def test_an_episode_ends_where_the_belief_decides(surface_map):
     for number in range(12):
         angle = 2.4 * number
         action = np.float32([np.cos(angle), np.sin(angle), 0.8])
-        seen, _, ended, truncated, info = env.step(action)
-        likely = float(seen["belief"].max()) >= 0.8
+        observation, _, ended, truncated, info = env.step(action)
+        likely = float(observation["belief"].max()) >= 0.8
         # The ball is like no other: it is decided before the budget ends.
         assert (info["decision"] is not None) == ended == likely
         if ended:
@@ -270,18 +270,18 @@ def test_an_object_that_was_never_learnt_is_unknown(surface_map):
 
 @pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
 def test_several_places_alone_are_the_single_ones(surface_map, mode):
-    how = {"surface_map": surface_map, "camera": CAMERA, "vectorization_mode": mode}
-    several = gymnasium.make_vec(BELIEF, 2, max_touches=4, **how)
+    options = {"surface_map": surface_map, "camera": CAMERA, "vectorization_mode": mode}
+    several = gymnasium.make_vec(BELIEF, 2, max_touches=4, **options)
     several.reset(seed=5)
     actions = np.float32([[1, 0, 1], [0, 1, 1]])
-    seen, rewards, *_ = several.step(actions)
+    observation, rewards, *_ = several.step(actions)
     for number in range(2):
         env = _places_alone(surface_map)
         env.reset(seed=5 + number)
         expected, reward, *_ = env.step(actions[number])
         assert rewards[number] == pytest.approx(reward)
         for part, values in expected.items():
-            assert_array_equal(seen[part][number], values)
+            assert_array_equal(observation[part][number], values)
 
 
 def test_an_unknown_object_is_refused(env):
@@ -343,7 +343,7 @@ def test_two_objects_of_one_name_are_refused():
 
 def test_without_gymnasium_the_refusal_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    # Not there yet where this test comes first.
+    # The module is not imported yet where this test runs first.
     monkeypatch.delitem(sys.modules, "palpate.exploration.environment", raising=False)
     with pytest.raises(ImportError, match=r'pip install "palpate\[sim\]"'):
         importlib.import_module("palpate.exploration.environment")

@@ -1,4 +1,4 @@
-"""What is recorded stays recorded, whatever kills the program and when."""
+"""Recorded touches stay recorded, whatever kills the program and when."""
 
 import json
 import os
@@ -35,19 +35,19 @@ def _record(number=0, outcome="touched", **changes):
 
 
 def test_records_come_back_as_they_were(tmp_path):
-    told = {"message": "the “hand” slipped\n", "retracted": False, "travel_mm": 3.5}
-    records = [_record(0), _record(1, "nothing"), _record(2, "no frame", **told)]
+    fields = {"message": "the “hand” slipped\n", "retracted": False, "travel_mm": 3.5}
+    records = [_record(0), _record(1, "nothing"), _record(2, "no frame", **fields)]
     with EpisodeLog(tmp_path / "new" / "folder", {"seed": 1}) as log:
         for record in records:
             log.append(record)
-    for one, two in zip(records, read_episode(log.folder), strict=True):
-        assert one.to_dict() == two.to_dict()
-        assert_array_equal(one.start.position_mm, two.start.position_mm)
-        if one.image is None:
-            assert two.image is None
+    for written, restored in zip(records, read_episode(log.folder), strict=True):
+        assert written.to_dict() == restored.to_dict()
+        assert_array_equal(written.start.position_mm, restored.start.position_mm)
+        if written.image is None:
+            assert restored.image is None
         else:
-            assert_array_equal(one.image, two.image)
-            assert one.image.dtype == two.image.dtype
+            assert_array_equal(written.image, restored.image)
+            assert written.image.dtype == restored.image.dtype
 
 
 def test_an_episode_goes_on_where_it_ended(tmp_path):
@@ -166,42 +166,42 @@ def test_leftovers_of_a_killed_program_are_swept(tmp_path):
 
 
 def _run_until_killed(folder, after):
-    """Gather in a process that is killed once it says `after` touches.
+    """Gather in a process that is killed once it prints `after` or more.
 
-    Returns what it said, and with which code it ended.
+    Returns the lines that it printed, and its exit code.
     """
     command = [sys.executable, str(WORLD), str(folder), str(N_TOUCHES), "1e-5"]
-    said = []
+    lines = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout:
-            said.append(line.strip())
-            if said[-1].isdigit() and int(said[-1]) >= after:
+            lines.append(line.strip())
+            if lines[-1].isdigit() and int(lines[-1]) >= after:
                 # Into the approach, the writing, or the next choice: it varies.
                 time.sleep(0.002 * (after % 7))
                 process.kill()
-    return said, process.returncode
+    return lines, process.returncode
 
 
 @pytest.mark.slow
 def test_killed_again_and_again_no_recorded_touch_is_lost(tmp_path, world):
-    folder, n_recorded, seen = tmp_path / "killed", 0, {}
+    folder, n_recorded, contents = tmp_path / "killed", 0, {}
     for after in (1, 15):
-        said, code = _run_until_killed(folder, after)
+        lines, code = _run_until_killed(folder, after)
         assert code == -signal.SIGKILL
         files = {p.name: p.read_bytes() for p in folder.glob("touch_*")}
-        # Each number said is of attempts that were recorded by then.
-        assert len(files) >= max(int(word) for word in said) >= n_recorded
-        assert all(files[name] == content for name, content in seen.items())
+        # Each number printed is of attempts that were recorded by then.
+        assert len(files) >= max(int(word) for word in lines) >= n_recorded
+        assert all(files[name] == content for name, content in contents.items())
         assert len(read_episode(folder)) == len(files)
-        n_recorded, seen = len(files), files
-    said, code = _run_until_killed(folder, N_TOUCHES + 1)
-    assert (said[-1], code) == ("done", 0)
+        n_recorded, contents = len(files), files
+    lines, code = _run_until_killed(folder, N_TOUCHES + 1)
+    assert (lines[-1], code) == ("done", 0)
     arm = world.BallArm()
-    strategy = world.Told(Hemisphere(radius_mm=100), 5)
+    strategy = world.Announcing(Hemisphere(radius_mm=100), 5)
     never_killed = gather(arm, world.BallSensor(arm), strategy, n_touches=N_TOUCHES)
-    for one, two in zip(read_episode(folder), never_killed, strict=True):
-        assert one.position_mm == two.position_mm
-        assert_array_equal(one.image, two.image)
+    for recorded, expected in zip(read_episode(folder), never_killed, strict=True):
+        assert recorded.position_mm == expected.position_mm
+        assert_array_equal(recorded.image, expected.image)
 
 
 def test_records_become_touches(tmp_path):
@@ -222,8 +222,8 @@ def test_records_without_a_touch_make_no_touches():
 
 
 def test_records_in_colour_become_touches_with_channels():
-    seen = replace(_record(0), image=np.zeros((4, 5, 3), np.uint8))
-    assert as_touches([seen]).channels == ("r", "g", "b")
+    in_colour = replace(_record(0), image=np.zeros((4, 5, 3), np.uint8))
+    assert as_touches([in_colour]).channels == ("r", "g", "b")
 
 
 def test_gathering_gives_up_where_nothing_is(world, tmp_path):

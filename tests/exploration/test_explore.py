@@ -1,4 +1,4 @@
-"""Episodes: they end when they should, and go on after anything."""
+"""Episodes end when they should, and go on after anything."""
 
 import numpy as np
 import pytest
@@ -24,21 +24,21 @@ class SlowlySure:
 
     def __init__(self, after=10**9, answer="ball", refusal=None):
         self.after, self.answer, self.refusal = after, answer, refusal
-        self.seen = []
+        self.images = []
 
     def start(self):
         return type(self)(self.after, self.answer, self.refusal)
 
     def update(self, touches):
-        self.seen.extend(touches.images)
+        self.images.extend(touches.images)
 
     def decide(self, error, refusal):
         assert refusal == self.refusal
-        return self.answer if len(self.seen) >= self.after else None
+        return self.answer if len(self.images) >= self.after else None
 
     def reason(self, error, refusal):
         assert refusal == self.refusal
-        return f"{len(self.seen)} touches seen."
+        return f"{len(self.images)} touches seen."
 
 
 NEAR = Hemisphere(radius_mm=100)
@@ -46,7 +46,7 @@ STRATEGY = RandomHemisphere(NEAR, 1)
 
 
 @pytest.mark.parametrize("answer", ["ball", "unknown"])
-def test_it_stops_when_decided(arm, sensor, answer):
+def test_an_episode_stops_when_decided(arm, sensor, answer):
     end = explore(arm, sensor, SlowlySure(4, answer), STRATEGY)
     assert end.decision == answer
     assert end.ended_by == ("unknown" if answer == "unknown" else "decision")
@@ -56,14 +56,14 @@ def test_it_stops_when_decided(arm, sensor, answer):
 
 
 def test_the_refusal_is_what_was_asked_for(arm, sensor):
-    knower = SlowlySure(2, refusal=0.2)
-    assert explore(arm, sensor, knower, STRATEGY, refusal=0.2).decision == "ball"
-    knower = SlowlySure(refusal=0.2)
+    recogniser = SlowlySure(2, refusal=0.2)
+    assert explore(arm, sensor, recogniser, STRATEGY, refusal=0.2).decision == "ball"
+    recogniser = SlowlySure(refusal=0.2)
     with pytest.raises(AssertionError):
-        explore(arm, sensor, knower, STRATEGY, max_attempts=1)
+        explore(arm, sensor, recogniser, STRATEGY, max_attempts=1)
 
 
-def test_it_stops_when_the_budget_is_spent(arm, sensor):
+def test_an_episode_stops_when_its_budget_is_spent(arm, sensor):
     end = explore(arm, sensor, SlowlySure(), STRATEGY, max_attempts=6)
     assert (end.decision, end.ended_by, end.n_touches) == (None, "budget", 6)
     assert "6 attempts" in end.reason
@@ -78,7 +78,7 @@ def test_nothing_counts_against_the_budget_but_not_for_the_belief(world):
 
 def test_the_belief_takes_in_every_touch_in_order(arm, sensor):
     end = explore(arm, sensor, SlowlySure(), STRATEGY, max_attempts=3)
-    for image, record in zip(end.belief.seen, end.history, strict=True):
+    for image, record in zip(end.belief.images, end.history, strict=True):
         assert np.array_equal(image, record.image)
 
 
@@ -90,7 +90,7 @@ def test_the_arm_goes_round_the_object(arm, sensor):
         assert not inside or tuple(np.round(pose.direction, 9)) in lines
 
 
-def test_faults_in_a_row_end_it(arm, sensor, tmp_path):
+def test_faults_in_a_row_end_an_episode(arm, sensor, tmp_path):
     arm.read_force = lambda: np.nan
     end = explore(arm, sensor, SlowlySure(), STRATEGY, tmp_path, max_faults=3)
     assert (end.ended_by, len(end.history)) == ("faults", 3)
@@ -98,7 +98,7 @@ def test_faults_in_a_row_end_it(arm, sensor, tmp_path):
     assert len(read_episode(tmp_path)) == 3
 
 
-def test_a_fault_now_and_then_does_not(arm, sensor):
+def test_a_fault_now_and_then_does_not_end_an_episode(arm, sensor):
     plain = sensor.read
 
     def every_other():
@@ -112,7 +112,7 @@ def test_a_fault_now_and_then_does_not(arm, sensor):
     assert end.decision == "ball"
 
 
-def test_an_arm_that_will_not_retract_ends_it_at_once(arm, sensor, tmp_path):
+def test_an_arm_that_will_not_retract_ends_an_episode_at_once(arm, sensor, tmp_path):
     def never(way_mm):
         raise RobotError("no power")
 
@@ -156,10 +156,10 @@ def test_an_episode_in_pieces_is_the_whole_episode(world, tmp_path, strategy):
     whole = run(None, 9)
     for budget in (2, 3, 7, 9):
         pieces = run(tmp_path, budget)
-    assert len(pieces.belief.seen) == 9
-    for one, two in zip(whole.history, pieces.history, strict=True):
-        assert one.position_mm == two.position_mm
-        assert np.array_equal(one.image, two.image)
+    assert len(pieces.belief.images) == 9
+    for record, in_pieces in zip(whole.history, pieces.history, strict=True):
+        assert record.position_mm == in_pieces.position_mm
+        assert np.array_equal(record.image, in_pieces.image)
 
 
 def test_a_finished_episode_is_not_touched_again(arm, sensor, tmp_path):
@@ -184,7 +184,7 @@ class Chokes(SlowlySure):
         super().update(touches)
 
 
-def test_what_the_recogniser_cannot_take_is_no_frame_and_it_goes_on(
+def test_a_touch_that_the_recogniser_refuses_is_no_frame_and_ends_nothing(
     arm, sensor, tmp_path
 ):
     end = explore(arm, sensor, Chokes(2), Raster(NEAR), tmp_path, max_faults=20)
@@ -194,10 +194,10 @@ def test_what_the_recogniser_cannot_take_is_no_frame_and_it_goes_on(
     assert (end.decision, end.n_touches) == ("ball", 2)
     fault = end.history[bright.index(True)]
     assert "cannot take this frame: ValueError: too bright" in fault.message
-    # On the disk as told, with the frame that was refused.
-    for one, two in zip(read_episode(tmp_path), end.history, strict=True):
-        assert one.to_dict() == two.to_dict()
-        assert np.array_equal(one.image, two.image)
+    # The disk holds the same records, with the frame that was refused.
+    for restored, record in zip(read_episode(tmp_path), end.history, strict=True):
+        assert restored.to_dict() == record.to_dict()
+        assert np.array_equal(restored.image, record.image)
 
 
 def test_a_recogniser_that_takes_nothing_ends_as_faults(arm, sensor, tmp_path):
@@ -244,7 +244,7 @@ def test_after_bad_frames_an_episode_goes_on(world, tmp_path, knows_the_ball, ba
     assert len(end.history) == 3 + end.n_touches == 3 + end.belief.touches_used
 
 
-def test_touches_recorded_for_another_recogniser_do_not_stop_it(
+def test_touches_recorded_for_another_recogniser_do_not_stop_an_episode(
     world, tmp_path, knows_the_ball
 ):
     sensor = world.BallSensor(world.BallArm())
@@ -260,26 +260,26 @@ def test_touches_recorded_for_another_recogniser_do_not_stop_it(
     assert [record.outcome for record in kept] == ["touched"] * 2
 
 
-def test_each_attempt_is_told(arm, sensor):
-    told = []
+def test_each_attempt_is_passed_on_with_the_belief(arm, sensor):
+    attempts = []
     end = explore(
         arm,
         sensor,
         SlowlySure(),
         STRATEGY,
         max_attempts=3,
-        on_attempt=lambda record, belief: told.append((record, len(belief.seen))),
+        on_attempt=lambda record, belief: attempts.append((record, len(belief.images))),
     )
-    assert [n_seen for _, n_seen in told] == [1, 2, 3]
-    assert [record for record, _ in told] == end.history
+    assert [n_seen for _, n_seen in attempts] == [1, 2, 3]
+    assert [record for record, _ in attempts] == end.history
 
 
 @pytest.fixture(scope="module")
 def knows_the_ball(world):
     """A recogniser of the ball and a cube that differs everywhere."""
     sensor = world.BallSensor(world.BallArm())
-    way = RandomHemisphere(NEAR, 2)
-    taught = gather(sensor.arm, sensor, way, n_touches=40)
+    strategy = RandomHemisphere(NEAR, 2)
+    taught = gather(sensor.arm, sensor, strategy, n_touches=40)
     ball = as_touches(taught, object="ball", geometry="none").images
     images = np.concatenate([ball, ball + np.eye(3)])
     names = ["ball"] * 40 + ["cube"] * 40
@@ -297,8 +297,8 @@ def test_a_folder_that_holds_more_touches_gives_those_that_were_asked_for(
 
     more, fewer, anew = run(7), run(4), run(4, None)
     assert len(more) == 7
-    for one, two in zip(fewer, anew, strict=True):
-        assert one.position_mm == two.position_mm
+    for stored, fresh in zip(fewer, anew, strict=True):
+        assert stored.position_mm == fresh.position_mm
     assert len(read_episode(tmp_path)) == 7
     with pytest.raises(ValueError, match=r"of 5 x 4 taxels.*got \(3, 3\) in att"):
         run(9, size=(5, 4))

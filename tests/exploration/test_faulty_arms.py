@@ -22,7 +22,7 @@ from palpate.exploration import (
 )
 from palpate.simulation import SensorPose, find_object
 
-# As long steps in the air as are usual: what is promised follows from them.
+# Steps in the air are as long as usual: the promise follows from them.
 GUARD = faulty_arms.GUARD = faulty_arms.guard_of(air_step_mm=1.0)
 # Met lightly between touches: below the limit a way goes on.
 LIGHT = "object beside the way", "object too tall", "object too large"
@@ -49,12 +49,12 @@ def ended(arm, path):
 def test_no_force_above_the_promise_goes_untold(fault, path, stiffness_n_mm):
     arm = FaultyArm(fault, stiffness_n_mm)
     attempts, error = ended(arm, path)
-    told = error is not None or any(record.faulty for record in attempts)
+    reported = error is not None or any(record.faulty for record in attempts)
     # What the force to stop at, an offset of half a newton, and one step in the air
     # add up to; more must be told.
     quiet_n = (GUARD.force_n + 0.5) / SHARE.get(fault, 1.0)
     quiet_n += stiffness_n_mm * GUARD.air_step_mm
-    assert arm.peak_n <= quiet_n or told
+    assert arm.peak_n <= quiet_n or reported
     if path in ("touch", "come out") and fault == "object too large":
         return  # somebody else has put the arm into it
     step_mm = max(GUARD.way_step_mm, GUARD.air_step_mm, 3.5)
@@ -83,16 +83,16 @@ def test_an_arm_is_pulled_out_or_stopped_whatever_is_raised(fault, path):
     arm = FaultyArm(fault)
     attempts, _ = ended(arm, path)
     assert arm.stopped or not arm.inside
-    # Somebody who goes on all the same is told again at every attempt.
-    said = [record.retracted for record in attempts]
-    assert said == sorted(said, reverse=True)
+    # Once an attempt ends without a retreat, so do all after it.
+    retracted = [record.retracted for record in attempts]
+    assert retracted == sorted(retracted, reverse=True)
     if attempts and arm.inside:
         assert not attempts[-1].retracted
     if path in ("explore", "gather", "teach"):
-        assert all(said[:-1])  # the episode ends there
+        assert all(retracted[:-1])  # the episode ends there
 
 
-def test_interrupted_twice_it_is_out_and_the_interrupt_goes_on():
+def test_an_arm_interrupted_twice_is_out_and_the_interrupt_goes_on():
     arm = FaultyArm("interrupted in contact and when pulled back")
     with pytest.raises(KeyboardInterrupt):
         faulty_arms.touching(arm)
@@ -150,7 +150,7 @@ def test_whatever_is_raised_on_a_way_the_arm_is_clear_or_stopped():
     assert "was stopped" in history[0].message
 
 
-def test_whatever_is_raised_on_the_way_out_it_is_stopped():
+def test_whatever_is_raised_on_the_way_out_the_arm_is_stopped():
     arm = InterruptedOnItsWay("parked in contact")
     with pytest.raises(KeyboardInterrupt):
         faulty_arms.coming_out(arm)
@@ -158,7 +158,7 @@ def test_whatever_is_raised_on_the_way_out_it_is_stopped():
 
 
 @pytest.mark.parametrize("stiffness_n_mm", [1.0, 5.0])
-def test_what_is_met_on_the_way_out_is_met_lightly(stiffness_n_mm):
+def test_an_object_on_the_way_out_is_met_lightly(stiffness_n_mm):
     """Something stands behind an arm that is inside the hemisphere."""
     arm = FaultyArm("", stiffness_n_mm)
     arm.pose = NEAR.pose(0.3, 0.9).advanced(60)
@@ -195,7 +195,7 @@ def test_a_late_force_sensor_is_waited_for(lag, stiffness_n_mm):
     assert arm.peak_n <= guard.force_n + 0.5 * stiffness_n_mm + 0.1
 
 
-def test_one_that_is_later_than_is_waited_for_is_refused():
+def test_a_force_sensor_later_than_is_waited_for_is_refused():
     arm = FaultyArm("lags by 60")
     guard = Guard(lag_readings=20, timeout_s=1e9, max_travel_mm=110.0)
     history = explore(

@@ -1,4 +1,4 @@
-"""No force sensor, however wrong, lets the arm press harder than is promised.
+"""No force sensor, however wrong, lets the arm press harder than `Guard` promises.
 
 A wall of springs stands across a straight line, so the true force is known on paper at
 every moment; the force sensor is wrong in every way that can be combined.
@@ -43,7 +43,7 @@ class SpringWall:
         self.stuck_noise_n = wrong.pop("stuck_noise_n", 0.0)
         assert not wrong, wrong
         self.rng = np.random.default_rng(0)
-        self.said, self.late = 0.0, []
+        self.reading_n, self.late = 0.0, []
         self.pose, self.n_read = START, 0
         self.calls, self.steps = [], []
         self.stuck_depth_mm = None
@@ -82,13 +82,15 @@ class SpringWall:
             if self.stuck_depth_mm is None:
                 self.stuck_depth_mm = self.depth_mm
                 if self.stuck_n is None:
-                    self.stuck_n = self.said
+                    self.stuck_n = self.reading_n
             return self.stuck_n + self.stuck_noise_n * noise
         force = self.late[max(len(self.late) - 1 - self.delay, 0)]
-        self.said = force + self.offset + self.drift * self.n_read + self.noise * noise
+        self.reading_n = (
+            force + self.offset + self.drift * self.n_read + self.noise * noise
+        )
         if self.quantum:
-            self.said = round(self.said / self.quantum) * self.quantum
-        return self.said
+            self.reading_n = round(self.reading_n / self.quantum) * self.quantum
+        return self.reading_n
 
     def retract(self, way_mm):
         self.calls.append("retract")
@@ -169,7 +171,7 @@ def test_the_true_force_passes_the_limit_by_one_step_at_most(world):
 
 @quick
 @given(following, st.sampled_from([0.01, 0.05, 0.2]))
-def test_a_coarse_force_sensor_passes_it_by_no_more(world, quantum):
+def test_a_coarse_force_sensor_passes_the_limit_by_no_more(world, quantum):
     arm = SpringWall(quantum=quantum, **world)
     touch(arm, Guard(max_travel_mm=40, stuck_after=None, flat_mm=20))
     assert_bounded(arm)
@@ -195,7 +197,7 @@ def test_a_sensor_that_repeats_itself_is_found_in_three_steps(world, at_n, stuck
 @given(st.floats(0.1, 100), st.floats(0.06, 0.6), st.floats(1e-6, 0.005))
 @example(0.3, 0.06, 0.005)
 @example(100.0, 0.06, 0.005)
-def test_one_that_sticks_noisily_in_contact_is_found_by_not_changing(
+def test_a_sensor_that_sticks_noisily_in_contact_is_found_by_not_changing(
     stiffness, stuck_n, noise
 ):
     arm = SpringWall(
@@ -214,7 +216,7 @@ def test_one_that_sticks_noisily_in_contact_is_found_by_not_changing(
 
 @quick
 @given(stiffnesses, st.floats(1e-4, 0.02))
-def test_a_dead_and_noisy_one_is_found_by_the_tactile_image(stiffness, noise):
+def test_a_dead_and_noisy_sensor_is_found_by_the_tactile_image(stiffness, noise):
     arm = SpringWall(
         stiffness=stiffness, sticks_at_n=0, stuck_n=0.05, stuck_noise_n=noise
     )
@@ -227,7 +229,7 @@ def test_a_dead_and_noisy_one_is_found_by_the_tactile_image(stiffness, noise):
     assert arm.peak_n / stiffness <= deepest + 1e-9
 
 
-def test_without_the_image_a_dead_and_noisy_one_is_bounded_by_the_travel():
+def test_without_the_image_the_travel_bounds_a_dead_and_noisy_sensor():
     arm = SpringWall(sticks_at_n=0, stuck_n=0.05, stuck_noise_n=0.01)
     touch(arm)
     assert arm.peak_n / arm.stiffness <= 40 - arm.wall_mm + 1e-9
@@ -266,7 +268,7 @@ class Scripted(SpringWall):
         return self.says(self) + 2.0**-30 * (-1) ** self.n_read
 
 
-def test_one_reading_beyond_the_limit_ends_it_though_their_mean_does_not():
+def test_one_reading_beyond_the_limit_ends_a_touch_whatever_the_mean():
     def third_reading_at_5_mm(arm):
         since = arm.calls[::-1].index("move")
         return 3.5 if arm.travel_mm == 5 and since == 3 else 0.0
@@ -275,7 +277,7 @@ def test_one_reading_beyond_the_limit_ends_it_though_their_mean_does_not():
     record = touch(arm)
     assert (record.outcome, record.travel_mm) == ("limit exceeded", 5)
     assert record.peak_force_n == pytest.approx(3.5)
-    # Not another reading, not another step: out.
+    # The arm comes out without another reading or step.
     assert arm.calls[-5:] == ["move", "read", "read", "read", "retract"]
 
 
@@ -310,7 +312,7 @@ def test_the_bounds_are_where_they_are_said_to_be(reading, outcome):
     ("reading", "outcome"),
     [(3.0, "touched"), (0.75, "touched"), (-0.125, "nothing"), (0.125, "force not")],
 )
-def test_a_reading_at_a_bound_itself(reading, outcome):
+def test_a_reading_at_a_bound_itself_counts_as_that_bound_says(reading, outcome):
     guard = Guard(
         max_travel_mm=12, force_n=0.75, contact_n=0.125, stuck_after=None, flat_mm=20
     )

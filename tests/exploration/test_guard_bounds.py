@@ -2,7 +2,7 @@
 
 An arm on a straight line, and a force sensor that says what a test tells it to, in
 binary fractions, so that nothing is rounded: each step, each reading and each decision
-can be told beforehand. `JUST` is the least that matters.
+is known beforehand. `JUST` is the least that matters.
 """
 
 import dataclasses
@@ -88,11 +88,13 @@ def steps(first, last, step):
 
 
 def test_defaults_are_those_that_the_docstring_gives():
-    told = re.findall(r"^([\w, ]+) : .*default=(.*)$", inspect.getdoc(Guard), re.M)
+    documented = re.findall(
+        r"^([\w, ]+) : .*default=(.*)$", inspect.getdoc(Guard), re.M
+    )
     values = {
         name: value
-        for names, given in told
-        for name, value in zip(names.split(", "), given.split(", "), strict=True)
+        for names, defaults in documented
+        for name, value in zip(names.split(", "), defaults.split(", "), strict=True)
     }
     assert values == {name: str(value) for name, value in vars(Guard()).items()}
     assert dataclasses.replace(Guard(), force_n=0.5).limit_n == 3.0
@@ -218,7 +220,7 @@ def test_the_force_at_the_bound_where_it_was_air_is_a_fault(still):
 @pytest.mark.parametrize(
     ("last", "first", "ends_mm"),
     [
-        # Over 2 mm it changes by three deviations of a mean of four, six of a reading
+        # In 2 mm the force changes by 3 deviations of a mean of four, six of a reading
         # divided by two: 0.09375 N, or by just less.
         (0.09375, 0.0, None),
         (0.09375 - JUST, 0.0, 12.0),
@@ -346,7 +348,7 @@ def test_an_arm_that_went_too_far_is_taken_back_as_far_as_it_says(ahead_mm, reac
 
 
 @pytest.mark.parametrize("n_equal", [4, 5])
-def test_so_many_equal_readings_and_no_fewer_are_a_stuck_sensor(n_equal):
+def test_a_sensor_is_stuck_at_as_many_equal_readings_as_stuck_after(n_equal):
     def says(line):
         number = len(line.read_at)
         same = 30 <= number < 30 + n_equal
@@ -398,7 +400,9 @@ def test_beyond_the_limit_the_sign_is_spoken_of_where_it_is_wrong(
     line = Line(lambda line: offset + force * (line.at >= 5))
     record = line.touch(guard(max_offset_n=2.5))
     assert record.outcome == "limit exceeded"
-    told = f"{force:.3f} N ({offset + force:.3f} with its offset), above the limit of 3"
-    assert told in record.message
+    message = (
+        f"{force:.3f} N ({offset + force:.3f} with its offset), above the limit of 3"
+    )
+    assert message in record.message
     assert record.image is None
     assert ("must be positive when something pushes" in record.message) == has_sign

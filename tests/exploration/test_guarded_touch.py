@@ -15,7 +15,7 @@ def test_the_ball_world_keeps_the_contracts(arm, sensor):
     assert isinstance(sensor, TouchSensor)
 
 
-def test_it_stops_at_the_force_and_comes_back(arm, sensor):
+def test_a_touch_stops_at_the_force_and_the_arm_comes_back(arm, sensor):
     record = guarded_touch(arm, sensor, START)
     assert record.outcome == "touched"
     # 0.735 N at 0.2 N/mm is 3.675 mm deep; steps of 0.25 mm end at the next one.

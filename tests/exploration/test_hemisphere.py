@@ -47,9 +47,9 @@ def test_low_elevations_can_be_left_out():
 def test_poses_follow_from_the_seed_and_the_number_of_attempts_alone():
     first, again = (_poses(RandomHemisphere(HEMISPHERE, 3), 5) for _ in range(2))
     other = _poses(RandomHemisphere(HEMISPHERE, 4), 5)
-    for one, two, three in zip(first, again, other, strict=True):
-        assert np.array_equal(one.position_mm, two.position_mm)
-        assert not np.allclose(one.position_mm, three.position_mm)
+    for pose, same, other_pose in zip(first, again, other, strict=True):
+        assert np.array_equal(pose.position_mm, same.position_mm)
+        assert not np.allclose(pose.position_mm, other_pose.position_mm)
 
 
 def test_raster_visits_every_place_once_and_begins_again():
@@ -80,8 +80,8 @@ def _assert_clear(start, end):
     assert way[-1] is end
     places = np.array([pose.position_mm for pose in way]) - CENTRE
     shares = np.linspace(0, 1, 21)[:, None]
-    for one, two in pairwise(places):
-        line = (1 - shares) * one + shares * two
+    for here, there in pairwise(places):
+        line = (1 - shares) * here + shares * there
         # A straight piece of 0.2 rad dips 300 (1 - cos 0.1) = 1.5 mm inside.
         assert np.linalg.norm(line, axis=1).min() > 298.4
         # Between points above the ground a straight line stays above it.

@@ -42,10 +42,10 @@ def _out(azimuth, elevation=0.3):
 def _images(name, azimuth, rng):
     """Images at azimuths of an object that is not turned."""
     away = np.abs((azimuth + np.pi) % (2 * np.pi) - np.pi)
-    shown = np.where((away < 0.4) & (name == "marked"), MARK, ELSEWHERE)
+    pattern = np.where((away < 0.4) & (name == "marked"), MARK, ELSEWHERE)
     quarter = np.abs((azimuth - np.pi / 2 + np.pi) % (2 * np.pi) - np.pi)
-    shown = np.where(quarter < 0.4, LANDMARK, shown)
-    return PATTERNS[shown] + 0.1 * rng.normal(size=(len(azimuth), 3, 3))
+    pattern = np.where(quarter < 0.4, LANDMARK, pattern)
+    return PATTERNS[pattern] + 0.1 * rng.normal(size=(len(azimuth), 3, 3))
 
 
 def _touches(seed=0, n_touches=120):
@@ -84,7 +84,7 @@ def strategy(touch_map):
     return InformativeTouch(touch_map, Hemisphere(lowest_rad=0.05), n_rings=3)
 
 
-def _one(name, azimuth, turn=0.0, seed=1):
+def _touch_at(name, azimuth, turn=0.0, seed=1):
     """A touch at an azimuth of the world on an object turned by an angle."""
     rng = np.random.default_rng(seed)
     at = np.array([azimuth])
@@ -109,7 +109,7 @@ def test_places_help_where_they_should(touch_map):
 
 def test_a_place_tells_its_own_pattern_from_others(touch_map, recogniser):
     code = list(recogniser.classes_).index("marked")
-    mark = _one("marked", 0.0)
+    mark = _touch_at("marked", 0.0)
     features = recogniser.encoder_.transform(mark)
     at_mark = touch_map.placed_ratio(features, _out(np.array([0.0])))[0, code, 0]
     at_back = touch_map.placed_ratio(features, _out(np.array([np.pi])))[0, code, 0]
@@ -123,8 +123,8 @@ def test_turning_the_world_turns_the_belief(touch_map):
     azimuths = [0.1, 1.6, 2.9]
     straight, turned = touch_map.start(), touch_map.start()
     for azimuth in azimuths:
-        straight.update(_one("marked", azimuth))
-        turned.update(_one("marked", azimuth + 4 * STEP, turn=4 * STEP))
+        straight.update(_touch_at("marked", azimuth))
+        turned.update(_touch_at("marked", azimuth + 4 * STEP, turn=4 * STEP))
     assert_allclose(turned.log_joint, np.roll(straight.log_joint, 4, axis=1), atol=1e-8)
     assert_allclose(
         list(turned.posterior.values()), list(straight.posterior.values()), atol=1e-8
@@ -133,18 +133,20 @@ def test_turning_the_world_turns_the_belief(touch_map):
 
 def test_a_landmark_tells_the_turn_but_not_the_object(touch_map):
     turn = 5 * STEP
-    belief = touch_map.start().update(_one("plain", np.pi / 2 + turn, turn))
+    belief = touch_map.start().update(_touch_at("plain", np.pi / 2 + turn, turn))
     for log_turns in belief.log_joint:
         assert abs(int(log_turns.argmax()) - 5) <= 1
     assert belief.doubt > 0.3
 
 
-def test_without_weight_on_places_it_is_the_plain_belief(recogniser, touches):
+def test_a_belief_without_weight_on_places_is_the_plain_one(recogniser, touches):
     single = TouchMap(n_turns=1).fit(recogniser, touches)
     single.touch_weight_, single.placed_weight_ = 1.0, 0.0
     single.correlation_ = 0.25
-    evidence = Touches.concatenate([_one("marked", a, seed=7) for a in (0.1, 0.2, 2.0)])
-    trust, recogniser.sequence_calibration_ = (
+    evidence = Touches.concatenate(
+        [_touch_at("marked", a, seed=7) for a in (0.1, 0.2, 2.0)]
+    )
+    calibration, recogniser.sequence_calibration_ = (
         recogniser.sequence_calibration_,
         SequenceCalibration(1.0, 0.25),
     )
@@ -153,11 +155,11 @@ def test_without_weight_on_places_it_is_the_plain_belief(recogniser, touches):
         for name, share in recogniser.start().update(evidence).posterior.items():
             assert belief.posterior[name] == pytest.approx(share, abs=1e-12)
     finally:
-        recogniser.sequence_calibration_ = trust
+        recogniser.sequence_calibration_ = calibration
 
 
 def test_touches_one_by_one_or_at_once(touch_map):
-    evidence = [_one("marked", a, seed=7) for a in (0.1, 1.2, 2.0)]
+    evidence = [_touch_at("marked", a, seed=7) for a in (0.1, 1.2, 2.0)]
     one_by_one = touch_map.start()
     for touch in evidence:
         one_by_one.update(touch)
@@ -170,12 +172,12 @@ def test_the_belief_decides(touch_map):
     belief = touch_map.start()
     assert belief.log_joint.shape == (touch_map.n_objects, touch_map.n_turns)
     assert belief.decide() is None
-    belief.update(_one("marked", 0.0))
+    belief.update(_touch_at("marked", 0.0))
     assert belief.best == "marked"
     assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
     assert belief.doubt == pytest.approx(1 - belief.posterior["marked"])
     for seed in range(20):
-        belief.update(_one("marked", [0.0, np.pi / 2][seed % 2], seed=seed))
+        belief.update(_touch_at("marked", [0.0, np.pi / 2][seed % 2], seed=seed))
     assert belief.decide(0.2) == "marked"
     assert belief.reason(0.2).startswith("marked, 9")
     assert "marked" in repr(belief)
@@ -189,7 +191,11 @@ def test_before_any_touch_all_turns_are_alike(strategy):
 
 
 def test_gain_is_the_mutual_information_worked_out_slowly(touch_map, strategy):
-    belief = touch_map.start().update(_one("marked", 1.6)).update(_one("marked", 0.5))
+    belief = (
+        touch_map.start()
+        .update(_touch_at("marked", 1.6))
+        .update(_touch_at("marked", 0.5))
+    )
     gain = strategy.expected_gain(belief, [])
     places = strategy._candidates
     nearness, allowed = touch_map.left_out()
@@ -227,7 +233,7 @@ def test_knowing_the_turn_it_goes_to_the_side_that_differs(strategy, turn_steps)
     turn = turn_steps * STEP
     belief, history = strategy.touch_map.start(), []
     for seed in range(3):
-        touch = _one("plain", np.pi / 2 + turn, turn, seed=seed)
+        touch = _touch_at("plain", np.pi / 2 + turn, turn, seed=seed)
         belief.update(touch)
         history.append(_record(touch))
     pose = strategy.next_pose(belief, history)
@@ -239,14 +245,15 @@ def test_knowing_the_turn_it_goes_to_the_side_that_differs(strategy, turn_steps)
 def test_a_plain_belief_is_helped_by_the_attempts(strategy, recogniser):
     turn = 5 * STEP
     history = [
-        _record(_one("plain", np.pi / 2 + turn, turn, seed=seed)) for seed in range(3)
+        _record(_touch_at("plain", np.pi / 2 + turn, turn, seed=seed))
+        for seed in range(3)
     ]
     belief = recogniser.start()
     for record in history:
         belief.update(record.image)
     away = _azimuth(strategy.next_pose(belief, history)) - turn
     assert abs((away + np.pi) % (2 * np.pi) - np.pi) < 0.4
-    # Asked about another episode, it forgets this one.
+    # For another episode the strategy forgets this one.
     assert_allclose(
         strategy.expected_gain(recogniser.start(), []), strategy.expected_gain(None, [])
     )
@@ -260,7 +267,7 @@ def test_chosen_touches_need_fewer_than_random_ones(touch_map, strategy):
         belief, history = touch_map.start(), []
         while belief.posterior[name] < 0.95 and len(history) < 40:
             azimuth = choose(belief, history, rng)
-            touch = _one(name, azimuth, turn, seed=rng.integers(1000))
+            touch = _touch_at(name, azimuth, turn, seed=rng.integers(1000))
             belief.update(touch)
             history.append(_record(touch))
         return len(history)
@@ -277,12 +284,12 @@ def test_chosen_touches_need_fewer_than_random_ones(touch_map, strategy):
     assert np.median(numbers[chosen]) <= 0.6 * np.median(numbers[random])
 
 
-def test_what_is_known_is_not_touched_again(strategy):
+def test_a_place_already_tried_is_not_chosen_again(strategy):
     pose = strategy.next_pose(None, [])
     nothing = TouchRecord("nothing", pose, (0.0, 0.0, 0.0))
     again = strategy.next_pose(None, [nothing])
-    apart = np.linalg.norm(np.asarray(pose.direction) - np.asarray(again.direction))
-    assert apart > strategy.touch_map.width_
+    distance = np.linalg.norm(np.asarray(pose.direction) - np.asarray(again.direction))
+    assert distance > strategy.touch_map.width_
 
 
 @pytest.mark.parametrize(
@@ -297,7 +304,7 @@ def test_what_is_known_is_not_touched_again(strategy):
     ],
 )
 def test_the_promise_of_a_place(height_map, monkeypatch, gain, fresh, best):
-    """Of two beside one that was touched, as far away as they are fresh.
+    """Two places lie beside a touched one, as far away as they are fresh.
 
     At a distance of d the share 1 - exp(-d^2 / (2 width^2)) is still to be had.
     """
@@ -317,7 +324,7 @@ def test_being_sure_leaves_nothing_to_learn(touch_map, strategy):
     assert_allclose(gain, 0, atol=1e-5)
 
 
-def test_objects_that_feel_alike_promise_next_to_nothing():
+def test_objects_of_alike_touches_promise_next_to_nothing():
     rng = np.random.default_rng(3)
     azimuth = rng.uniform(-np.pi, np.pi, 160)
     alike = Touches(
@@ -332,7 +339,7 @@ def test_objects_that_feel_alike_promise_next_to_nothing():
     assert np.abs(gain).max() < 0.1
 
 
-def test_it_says_what_it_is(strategy):
+def test_the_repr_of_a_strategy_names_hemisphere_and_speed(strategy):
     assert repr(strategy).startswith("InformativeTouch(hemisphere=Hemisphere(")
     slower = InformativeTouch(strategy.touch_map, strategy.hemisphere, speed_mm_s=50.0)
     faster = InformativeTouch(strategy.touch_map, strategy.hemisphere, speed_mm_s=99.0)
@@ -346,15 +353,15 @@ def test_it_says_what_it_is(strategy):
 def recorded():
     """Two objects that differ above a height of 1 alone; training and test touches."""
 
-    def made(seed):
+    def drawn(seed):
         rng = np.random.default_rng(seed)
         places = np.column_stack([rng.uniform(-2, 2, 120), rng.uniform(0, 1, 120)])
         names = np.repeat(["cone", "post"], 60)
-        shown = np.where((places[:, 0] > 1) & (names == "cone"), MARK, ELSEWHERE)
-        images = PATTERNS[shown] + 0.3 * rng.normal(size=(120, 3, 3))
+        pattern = np.where((places[:, 0] > 1) & (names == "cone"), MARK, ELSEWHERE)
+        images = PATTERNS[pattern] + 0.3 * rng.normal(size=(120, 3, 3))
         return Touches(images, object=names, geometry="none"), places
 
-    return made(0), made(1)
+    return drawn(0), drawn(1)
 
 
 @pytest.fixture(scope="module")
@@ -383,7 +390,7 @@ def test_the_chooser_never_sees_images(height_map, recorded):
     assert chooser.next_touch(belief, [first]) != first
 
 
-def test_every_order_is_an_order(height_map, recorded):
+def test_every_order_has_each_touch_once(height_map, recorded):
     touches, places = recorded[1]
     for chooser in (RandomRecorded(60, 1), RasterRecorded(places[:60])):
         order, *_ = look_at_recorded(height_map, touches[:60], places[:60], chooser)

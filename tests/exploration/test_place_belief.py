@@ -1,4 +1,4 @@
-"""The belief with places: what is met moves it as geometry says, and it says so."""
+"""A belief with places: contacts and misses move it as geometry says."""
 
 import copy
 
@@ -62,10 +62,10 @@ def surface_map(recogniser, taught):
 
 @pytest.fixture(scope="module")
 def low_map():
-    """Of an arm that aims low, whatever stands there."""
+    """A map of touches by an arm that aims low, whatever stands there."""
     things = [find_object(name) for name in NAMES]
-    how = {"n_sessions": 6, "faces": "all", "guarded": False, "known_height": False}
-    taught = explore_to_learn(things, 36, CAMERA, **how)
+    options = {"n_sessions": 6, "faces": "all", "guarded": False, "known_height": False}
+    taught = explore_to_learn(things, 36, CAMERA, **options)
     return SurfaceMap(n_turns=12).fit(
         ObjectRecogniser(rehearse=False).fit(taught), taught
     )
@@ -73,7 +73,7 @@ def low_map():
 
 @pytest.fixture(scope="module")
 def elsewhere_map(recogniser, taught):
-    """Of touches whose places are counted from above the table."""
+    """A map of touches whose places are counted from above the table."""
     places = np.array(taught.columns["position_mm"])
     places[:, 2] += 300
     moved = taught.with_columns(position_mm=places)
@@ -110,17 +110,17 @@ def _contacts(surface, pose, azimuths):
     return out_of_frames(local, np.asarray(pose))
 
 
-def _weighed(found):
-    shares = np.exp(found.log_evidence - found.log_evidence.max())
+def _weighed(place_filter):
+    shares = np.exp(place_filter.log_evidence - place_filter.log_evidence.max())
     return shares / shares.sum()
 
 
 def test_the_filter_finds_the_turn_and_the_place_of_an_oval():
     oval, pose = _oval(90, 50), (0.6, 5.0, -4.0, 0.0)
-    found = PlaceFilter.before(SurfaceTable([oval]), 36, Looseness())
+    place_filter = PlaceFilter.before(SurfaceTable([oval]), 36, Looseness())
     for point in _contacts(oval, pose, np.arange(12) * 2.4):
-        found = found.met(point)
-    best = found.mean[_weighed(found).argmax()]
+        place_filter = place_filter.met(point)
+    best = place_filter.mean[_weighed(place_filter).argmax()]
     # An oval looks alike every half turn. Tables are straight lines of 5 degrees, and
     # each contact is believed to 1.8 mm.
     assert abs((best[0] - 0.6 + np.pi / 2) % np.pi - np.pi / 2) < np.deg2rad(4)
@@ -130,31 +130,35 @@ def test_the_filter_finds_the_turn_and_the_place_of_an_oval():
 def test_contacts_tell_two_sizes_apart_as_their_densities_say():
     small, large = _oval(50, 50), _oval(60, 60)
     loose = Looseness(placement_mm=1e-3, height_mm=1e-3, sensor_mm=1e-3, shift_share=0)
-    found = PlaceFilter.before(SurfaceTable([small, large]), 4, loose)
-    found = found.met(np.array([50.0, 0, 0]))
+    place_filter = PlaceFilter.before(SurfaceTable([small, large]), 4, loose)
+    place_filter = place_filter.met(np.array([50.0, 0, 0]))
     # 10 mm off at a variance of 1.25 mm2, and what nothing explains: 0.03 over 150 mm.
     normal = 0.97 / np.sqrt(2 * np.pi * 1.25)
     expected = np.log(normal + 2e-4) - np.log(normal * np.exp(-100 / 2.5) + 2e-4)
-    assert_allclose(found.log_evidence[0] - found.log_evidence[4], expected, atol=0.02)
+    assert_allclose(
+        place_filter.log_evidence[0] - place_filter.log_evidence[4], expected, atol=0.02
+    )
 
 
 def test_free_space_speaks_against_what_reaches_into_it():
     small, large = _oval(30, 30), _oval(80, 80)
-    found = PlaceFilter.before(SurfaceTable([small, large]), 4, Looseness())
+    place_filter = PlaceFilter.before(SurfaceTable([small, large]), 4, Looseness())
     # Past the small one at 50 mm, through the large one.
-    found = found.met_nothing(np.array([200.0, 50, 0]), np.array([-200.0, 50, 0]))
-    assert found.log_evidence[0] > -0.1
-    assert found.log_evidence[4] < -2
+    place_filter = place_filter.met_nothing(
+        np.array([200.0, 50, 0]), np.array([-200.0, 50, 0])
+    )
+    assert place_filter.log_evidence[0] > -0.1
+    assert place_filter.log_evidence[4] < -2
 
 
 def test_an_object_that_shifts_is_followed():
     oval, azimuths = _oval(90, 50), np.arange(40) * 2.4
-    found = PlaceFilter.before(SurfaceTable([oval]), 36, Looseness())
+    place_filter = PlaceFilter.before(SurfaceTable([oval]), 36, Looseness())
     for number, azimuth in enumerate(azimuths):
         slid = 0.2 * number  # 8 mm in the end, a twentieth of its size
         point = _contacts(oval, (0.6, slid, 0, 0), np.array([azimuth]))[0]
-        found = found.met(point)
-    best = found.mean[_weighed(found).argmax()]
+        place_filter = place_filter.met(point)
+    best = place_filter.mean[_weighed(place_filter).argmax()]
     assert_allclose(best[1:3], [8, 0], atol=2.5)
 
 
@@ -187,7 +191,7 @@ def test_probabilities_sum_to_one_and_a_copy_goes_on_by_itself(surface_map):
     assert isinstance(belief, PlaceBelief)
 
 
-def test_before_any_touch_it_is_the_prior(surface_map):
+def test_before_any_touch_the_belief_is_the_prior(surface_map):
     prior = {"box": 0.2, "mug": 0.5, "pen": 0.3}
     assert surface_map.start(prior, 0).posterior == pytest.approx(prior)
 
@@ -220,10 +224,10 @@ def test_misses_are_evidence_and_faults_are_none(surface_map):
 
 
 def test_a_stronger_press_is_a_deeper_contact(surface_map):
-    tip, way = np.array([[60.0, 0, 0]]), np.array([[-1.0, 0, 0]])
-    usual = surface_map.middles(tip, way, np.array([surface_map.force_n_]))
-    harder = surface_map.middles(tip, way, np.array([surface_map.force_n_ + 0.3]))
-    unknown = surface_map.middles(tip, way, np.array([np.nan]))
+    tip, direction = np.array([[60.0, 0, 0]]), np.array([[-1.0, 0, 0]])
+    usual = surface_map.middles(tip, direction, np.array([surface_map.force_n_]))
+    harder = surface_map.middles(tip, direction, np.array([surface_map.force_n_ + 0.3]))
+    unknown = surface_map.middles(tip, direction, np.array([np.nan]))
     assert_allclose(usual, [[80, 0, 0]])
     # 0.3 N at 0.3 N/mm: the same surface is met 1 mm earlier with the usual force.
     assert_allclose(harder, [[81, 0, 0]])
@@ -267,14 +271,17 @@ def test_the_surface_can_be_drawn_from_above(surface_map):
     pose = stand.hemisphere.pose(0.0, 0.5)
     missed = TouchRecord("nothing", pose, (9.0, 8.0, 7.0), travel_mm=300.0)
     axes = belief.plot_surface([*history, missed])
-    shown = {one.get_label(): one.get_offsets() for one in axes.collections}
-    assert_allclose(shown["met"], [record.position_mm[:2] for record in history])
-    assert_allclose(shown["nothing"], [[9, 8]])
-    assert len(axes.patches) == len(shown["expected"]) == len(belief.surface()[0])
+    offsets = {
+        collection.get_label(): collection.get_offsets()
+        for collection in axes.collections
+    }
+    assert_allclose(offsets["met"], [record.position_mm[:2] for record in history])
+    assert_allclose(offsets["nothing"], [[9, 8]])
+    assert len(axes.patches) == len(offsets["expected"]) == len(belief.surface()[0])
     again = belief.plot_surface(history, start=pose)
     assert " ".join(again.get_title().split("\n")[1:]) == advice(belief, pose)
     arrow = again.texts[0]
-    # From outside along the approach, which comes from the right.
+    # The arrow comes from outside along the approach, here from the right.
     assert arrow.xyann[0] > arrow.xy[0] > belief.surface()[0][:, 0].max()
     pyplot.close("all")
 
@@ -297,13 +304,13 @@ def test_a_mesh_stands_in_for_touches(recogniser, taught):
 
 def test_choosing_is_the_same_after_the_same_history(surface_map):
     belief, history, stand = _touched(surface_map, "mug", 3)
-    one = InformativeTouch(surface_map, stand.hemisphere)
-    pose = one.next_pose(belief, history)
+    strategy = InformativeTouch(surface_map, stand.hemisphere)
+    pose = strategy.next_pose(belief, history)
     again = InformativeTouch(surface_map, stand.hemisphere)
     # Without the belief it follows the history itself.
     followed = again.next_pose(None, history)
     assert_allclose(pose.position_mm, followed.position_mm)
-    gains = one.expected_gain(belief, history)
+    gains = strategy.expected_gain(belief, history)
     assert np.isfinite(gains).all()
     assert gains.shape == (6 * 16,)
 
@@ -337,8 +344,8 @@ def test_seconds_are_a_cost(surface_map):
     cheap = InformativeTouch(surface_map, stand.hemisphere, nats_per_second=0)
     last = history[-1].direction
     far, near = (
-        np.arccos(np.clip(one.next_pose(belief, history).direction @ last, -1, 1))
-        for one in (cheap, dear)
+        np.arccos(np.clip(strategy.next_pose(belief, history).direction @ last, -1, 1))
+        for strategy in (cheap, dear)
     )
     # The nearest candidate: rings are 10 to 18 degrees apart, places on them 22.5.
     assert near < np.deg2rad(15) < far
@@ -346,8 +353,8 @@ def test_seconds_are_a_cost(surface_map):
 
 def test_advice_is_a_sentence(surface_map):
     belief, _, stand = _touched(surface_map, "box", 4)
-    said = advice(belief, stand.hemisphere.pose(0.0, 0.1))
-    assert "from 3 o'clock, to tell the box from the " in said
+    sentence = advice(belief, stand.hemisphere.pose(0.0, 0.1))
+    assert "from 3 o'clock, to tell the box from the " in sentence
     above = advice(belief, stand.hemisphere.pose(0.0, np.pi / 2))
     assert above.startswith("Touch the top, from straight above")
 
@@ -390,7 +397,9 @@ def test_a_touch_without_a_place_counts_by_its_picture(surface_map, name):
     assert (belief.touches_used, belief.n_contacts) == (2, 1)
 
 
-def test_places_that_are_missing(surface_map, recogniser, taught):
+def test_places_missing_from_training_are_refused_with_their_touch(
+    surface_map, recogniser, taught
+):
     places = np.array(taught.columns["position_mm"])
     places[7] = np.nan
     with pytest.raises(ValueError, match=r"in touch 7, and no place in 1 of 108 "):
@@ -443,7 +452,9 @@ def test_an_object_without_a_map_is_named(taught):
         SurfaceMap().fit(ObjectRecogniser().fit(part), part)
 
 
-def test_without_places_it_is_said(recogniser, taught):
+def test_touches_without_places_and_meshes_of_other_objects_are_refused(
+    recogniser, taught
+):
     kept = {"object": taught.object, "direction": taught.columns["direction"]}
     bare = Touches(taught.images, geometry="dome", **kept)
     learnt = ObjectRecogniser("corradi2015").fit(bare)
@@ -470,10 +481,10 @@ def test_a_hemisphere_that_the_arm_cannot_reach_is_said_in_one_sentence(arm, sen
 
 @pytest.mark.parametrize("aim_mm", [10.0, None])
 def test_a_body_turned_is_met_where_its_mesh_on_that_side_is(aim_mm):
-    """With lines that aim at one height above the table, or at the box's middle."""
-    box, seen = find_object("box"), HEIGHTS >= 0
+    """Lines aim at one height above the table, or at the box's middle."""
+    box, upper = find_object("box"), HEIGHTS >= 0
     usual, *others = [mesh_surface(box, face, CAMERA, aim_mm) for face in range(3)]
-    middles = (directions() * usual.mean_mm[..., None])[seen].reshape(-1, 3)
+    middles = (directions() * usual.mean_mm[..., None])[upper].reshape(-1, 3)
     body = aim_mm or 30.0, middles
     turned = turned_surfaces(body, aim_mm, CAMERA.membrane_radius_mm)
     # Top, nearest and farthest side of 160 x 110 x 60 mm on its three sides; on its
@@ -490,7 +501,7 @@ def _extent(surface):
 def test_bodies_are_turned_where_the_ground_is_known(
     low_map, surface_map, elsewhere_map
 ):
-    """Three ways to turn each, aimed at one height or at the middle of each face."""
+    """Each body is turned three ways, aimed at one height or at its face's middle."""
     for learnt in (low_map, surface_map):
         assert learnt.turns_bodies_
         pens = [face for name, face in learnt.states_ if name == "pen"]
@@ -527,7 +538,7 @@ def test_a_first_contact_with_an_unlearnt_surface_has_the_density_of_the_process
     loose = Looseness(placement_mm=4, height_mm=3, sensor_mm=2)
     before = UnlearntSurfaces.before(np.array([50.0, 90.0]), 10.0, loose)
     first = before.met(np.array([70.0, 0, 0]))
-    # Of mean, turn-free part, roughness, placement along x, noise, and the sensor.
+    # Terms of mean, turn-free part, roughness, placement along x, noise, and sensor.
     variances = np.array(
         [100 + 900 + r**2 + 16 + n**2 + 4 for r in (4, 10, 25) for n in (1, 2, 4)]
     )

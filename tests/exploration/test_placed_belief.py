@@ -1,4 +1,4 @@
-"""What a belief with places shares with the plain one: marks, prior, costs, reasons."""
+"""A belief with places shares flags, prior, costs and reasons with the plain one."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def _of(taught, name, n_touches):
     return taught[np.flatnonzero(taught.object == name)[:n_touches]]
 
 
-def test_a_touch_of_nothing_is_marked_and_moves_nothing(touch_map, taught, nothing):
+def test_a_touch_of_nothing_is_flagged_and_moves_nothing(touch_map, taught, nothing):
     box = _of(taught, "box", 2)
     belief, without = touch_map.start().update(box), touch_map.start().update(box)
     belief.update(nothing)
@@ -44,7 +44,7 @@ def test_a_touch_of_nothing_is_marked_and_moves_nothing(touch_map, taught, nothi
     assert belief.flags[:-1] == plain.flags
     assert_allclose(belief.log_joint, without.log_joint, atol=1e-12)
     assert belief.touches_used == 3
-    # Nor is the next touch worth less for it.
+    # The next touch is worth no less after a touch of nothing.
     assert_allclose(
         belief.update(box).log_joint, without.update(box).log_joint, atol=1e-12
     )
@@ -57,12 +57,14 @@ def test_touches_count_as_in_the_plain_belief(touch_map, taught):
     assert placed.promise(0.1) == plain.promise(0.1)
     assert placed.flags == plain.flags
     # Touches are floored one by one, and together: the same but for rounding.
-    for one, other in zip(placed.explain(2, 1), plain.explain(2, 1), strict=True):
-        assert one.pop("nats") == pytest.approx(other.pop("nats"))
-        assert one == other
+    for placed_touch, plain_touch in zip(
+        placed.explain(2, 1), plain.explain(2, 1), strict=True
+    ):
+        assert placed_touch.pop("nats") == pytest.approx(plain_touch.pop("nats"))
+        assert placed_touch == plain_touch
 
 
-def test_the_prior_is_where_it_starts(touch_map, taught):
+def test_a_belief_starts_at_its_prior(touch_map, taught):
     prior = {"ball": 0.2, "box": 0.5, "pen": 0.3}
     belief = touch_map.start(prior, strangers=0)
     assert belief.posterior == pytest.approx(prior)

@@ -100,7 +100,7 @@ def test_a_table_is_looked_up_as_it_was_made():
 
 def test_lines_meet_an_ellipse_where_they_should():
     table, offset = SurfaceTable([_ellipse(60, 40)]), np.array([0.0, 10.0, 0.0])
-    far, way = np.array([[200.0, 10, 0]]), np.array([[-1.0, 0, 0]])
-    radius, _ = met_along(table, np.zeros(1, int), far, way)
+    far, direction = np.array([[200.0, 10, 0]]), np.array([[-1.0, 0, 0]])
+    radius, _ = met_along(table, np.zeros(1, int), far, direction)
     assert offset[1] == far[0, 1]
     assert_allclose(radius, 60 * np.sqrt(1 - (10 / 40) ** 2), atol=0.5)

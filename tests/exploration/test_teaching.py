@@ -16,22 +16,22 @@ CAMERA = DomeCamera(image_shape=(24, 24), n_nodes=20)
 BOX, PEN = find_object("box"), find_object("pen")
 
 
-def test_touches_of_every_object_and_session():
-    made = explore_to_learn([PEN, BOX], 3, CAMERA, n_sessions=2)
-    assert made.images.shape == (6, 24, 24)
-    assert made.object.tolist() == ["pen"] * 3 + ["box"] * 3
-    assert made.session.tolist() == [0, 0, 1] * 2
-    assert np.array_equal(made.no_contact, CAMERA.no_contact())
-    assert_allclose(np.linalg.norm(made.columns["direction"], axis=1), 1)
+def test_touches_are_of_every_object_and_session():
+    touches = explore_to_learn([PEN, BOX], 3, CAMERA, n_sessions=2)
+    assert touches.images.shape == (6, 24, 24)
+    assert touches.object.tolist() == ["pen"] * 3 + ["box"] * 3
+    assert touches.session.tolist() == [0, 0, 1] * 2
+    assert np.array_equal(touches.no_contact, CAMERA.no_contact())
+    assert_allclose(np.linalg.norm(touches.columns["direction"], axis=1), 1)
 
 
 def test_the_same_seed_gives_the_same_touches():
-    one, two, other = (
+    first, same, other = (
         explore_to_learn([BOX], 2, CAMERA, n_sessions=1, random_state=seed).images
         for seed in (3, 3, 4)
     )
-    assert np.array_equal(one, two)
-    assert not np.array_equal(one, other)
+    assert np.array_equal(first, same)
+    assert not np.array_equal(first, other)
 
 
 def test_unguarded_touches_are_the_guarded_ones_made_in_one_step(tmp_path):
@@ -49,7 +49,7 @@ def test_unguarded_touches_are_the_guarded_ones_made_in_one_step(tmp_path):
 
 
 def test_places_are_in_the_objects_frame_however_it_is_turned():
-    made = explore_to_learn(
+    touches = explore_to_learn(
         [BOX], 12, CAMERA, n_sessions=3, turned=True, placement_sd_mm=0.0
     )
     # The tip ends on the surface of the box, 160 x 110 x 60 mm and aligned with its
@@ -57,11 +57,11 @@ def test_places_are_in_the_objects_frame_however_it_is_turned():
     # by up to 5 % of its size.
     half = np.array([80.0, 55.0, 30.0])
     centre = np.array([0.0, 0.0, 30.0])
-    outside = np.abs(made.columns["position_mm"] - centre) - half
+    outside = np.abs(touches.columns["position_mm"] - centre) - half
     assert_allclose(outside.max(axis=1), -4, atol=8 + 8)
 
 
-def test_what_was_begun_goes_on(tmp_path):
+def test_an_episode_that_was_begun_goes_on(tmp_path):
     def run(n_touches):
         return explore_to_learn([PEN], n_touches, CAMERA, n_sessions=1, folder=tmp_path)
 
@@ -121,14 +121,16 @@ def test_an_arm_that_does_not_know_heights_aims_at_one_whatever_stands_there():
     assert above.position_mm[2] == pytest.approx(225, abs=6)
 
 
-def test_taught_about_their_middle_when_their_height_is_known():
-    how = {"n_sessions": 1, "placement_sd_mm": 0.0}
+def test_objects_of_known_height_are_touched_about_their_middle():
+    options = {"n_sessions": 1, "placement_sd_mm": 0.0}
     thing = find_object("water bottle")
     for known_height, height_mm in ((True, 112.5), (False, 10.0)):
-        made = explore_to_learn([thing], 6, CAMERA, known_height=known_height, **how)
-        tips, ways = made.columns["position_mm"], made.columns["direction"]
+        touches = explore_to_learn(
+            [thing], 6, CAMERA, known_height=known_height, **options
+        )
+        tips, directions = touches.columns["position_mm"], touches.columns["direction"]
         aim = np.array([0, 0, height_mm])
-        aside = np.linalg.norm(np.cross(tips - aim, ways), axis=1)
+        aside = np.linalg.norm(np.cross(tips - aim, directions), axis=1)
         assert_allclose(aside, 0, atol=0.1)
 
 

@@ -11,22 +11,22 @@ from palpate.recognition import ObjectRecogniser
 WIDTHS, SHARES = (0.08, 0.15, 0.3, 0.6), (0.03, 0.1, 0.3)
 
 
-def made(patch, seed=0, n_touches=90):
+def in_patches(patch, seed=0, n_touches=90):
     """Two objects that change places on patches so wide (rad) about the vertical."""
     rng = np.random.default_rng(seed)
     patterns = np.random.default_rng(4).normal(size=(2, 3, 3))
     azimuth = rng.uniform(-np.pi, np.pi, 2 * n_touches)
     names = np.repeat(["one", "other"], n_touches)
     side = np.floor(azimuth / patch).astype(int) % 2
-    shown = np.where(names == "one", side, 1 - side)
+    pattern = np.where(names == "one", side, 1 - side)
     out = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
-    images = patterns[shown] + 0.3 * rng.normal(size=(len(names), 3, 3))
+    images = patterns[pattern] + 0.3 * rng.normal(size=(len(names), 3, 3))
     return Touches(images, object=names, direction=-out, geometry="none")
 
 
 @pytest.fixture(scope="module")
 def touches():
-    return made(np.pi / 4)
+    return in_patches(np.pi / 4)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +46,9 @@ def test_closeness_is_a_bell_of_the_width_about_each_place(touch_map, width):
         touch_map.set_kernels(before, share)
     for station, row in zip(stations, closeness, strict=True):
         for rows in touch_map.rows_of_object:
-            apart = [np.linalg.norm(touch_map.places_[j] - station) for j in rows]
+            distances = [np.linalg.norm(touch_map.places_[j] - station) for j in rows]
             # A thousandth of the top is left for what lies anywhere else.
-            bell = [np.exp(-(d**2) / (2 * width**2)) + 1e-3 for d in apart]
+            bell = [np.exp(-(d**2) / (2 * width**2)) + 1e-3 for d in distances]
             # The table of `exp` and distances by products are good to six digits.
             assert_allclose(row[rows], np.array(bell) / sum(bell), rtol=1e-5)
     features = touch_map.features_
@@ -57,30 +57,30 @@ def test_closeness_is_a_bell_of_the_width_about_each_place(touch_map, width):
 
 
 def test_the_ratio_is_the_weighted_mean_over_the_plain_one(touch_map):
-    """Of three touches at two stations; none is compared with its own group."""
+    """Three touches at two stations; none is compared with its own group."""
     nearness, allowed = touch_map.left_out()
     closeness = touch_map.closeness(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
-    asked = [0, 5, 120]
-    found = touch_map.station_ratio(nearness[asked], allowed[asked], closeness)
-    assert found.shape == (2, 2, 3)
-    for station, code, k in np.ndindex(found.shape):
+    tested = [0, 5, 120]
+    ratios = touch_map.station_ratio(nearness[tested], allowed[tested], closeness)
+    assert ratios.shape == (2, 2, 3)
+    for station, code, k in np.ndindex(ratios.shape):
         rows = [
             j
             for j in touch_map.rows_of_object[code]
-            if touch_map.group_[j] != touch_map.group_[asked[k]]
+            if touch_map.group_[j] != touch_map.group_[tested[k]]
         ]
-        near, close = nearness[asked[k], rows], closeness[station, rows]
+        near, close = nearness[tested[k], rows], closeness[station, rows]
         ratio = ((close * near).sum() / close.sum() + 1e-6) / (near.mean() + 1e-6)
-        assert found[station, code, k] == pytest.approx(np.log(ratio))
+        assert ratios[station, code, k] == pytest.approx(np.log(ratio))
     by_row = touch_map.station_ratio(
-        nearness[asked[:2]], allowed[asked[:2]], closeness, row_by_row=True
+        nearness[tested[:2]], allowed[tested[:2]], closeness, row_by_row=True
     )
-    assert_allclose(by_row, [found[0, :, 0], found[1, :, 1]])
-    nothing = touch_map.station_ratio(nearness[asked], 0 * allowed[asked], closeness)
+    assert_allclose(by_row, [ratios[0, :, 0], ratios[1, :, 1]])
+    nothing = touch_map.station_ratio(nearness[tested], 0 * allowed[tested], closeness)
     assert_allclose(nothing, 0)
 
 
-def test_of_nearness_the_nearest_has_one(touch_map):
+def test_the_nearest_touch_has_a_nearness_of_one(touch_map):
     squared = np.array([[4.0, 5.0, 4.0 + 2 * touch_map.bandwidth_**2]])
     expected = np.exp([0, -0.5 / touch_map.bandwidth_**2, -1])
     assert_allclose(touch_map._nearness(squared)[0], expected)
@@ -93,8 +93,8 @@ def test_the_width_and_the_bandwidth_have_the_least_loss(touches, monkeypatch):
 
     def loss(self, ratio, episodes, weights):
         pair = self.width_, self.bandwidth_
-        found = abs(np.log(self.width_ / 0.3)) + abs(np.log(self.bandwidth_) + 1) / 10
-        return losses.setdefault(pair, found)
+        value = abs(np.log(self.width_ / 0.3)) + abs(np.log(self.bandwidth_) + 1) / 10
+        return losses.setdefault(pair, value)
 
     monkeypatch.setattr(TouchMap, "_loss", loss)
     touch_map.fit(ObjectRecogniser().fit(touches), touches)
@@ -106,12 +106,12 @@ def test_the_width_and_the_bandwidth_have_the_least_loss(touches, monkeypatch):
 
 def test_places_help_most_where_all_depends_on_them():
     """Where objects change places in narrow patches nothing but the place tells."""
-    touches = made(0.2, n_touches=160)
-    found = TouchMap(n_turns=1).fit(ObjectRecogniser().fit(touches), touches)
-    assert found.width_ == WIDTHS[0]
+    touches = in_patches(0.2, n_touches=160)
+    learnt = TouchMap(n_turns=1).fit(ObjectRecogniser().fit(touches), touches)
+    assert learnt.width_ == WIDTHS[0]
     # By touch alone two objects are a guess, log 2 = 0.69 nats.
-    assert found.log_loss_["touch"] == pytest.approx(np.log(2), abs=0.1)
-    assert found.log_loss_["placed"] < 0.5 * np.log(2)
+    assert learnt.log_loss_["touch"] == pytest.approx(np.log(2), abs=0.1)
+    assert learnt.log_loss_["placed"] < 0.5 * np.log(2)
 
 
 def test_the_loss_is_that_of_the_true_object_summed_over_turns(touch_map):
@@ -119,7 +119,7 @@ def test_the_loss_is_that_of_the_true_object_summed_over_turns(touch_map):
     ratio = rng.normal(size=(len(touch_map.codes_), 2, 4))
     rows = np.array([[0, 3, 4], [100, 101, 110]])
     weights = (0.7, 0.4, 0.25)
-    found = touch_map._loss(ratio, [rows], weights)
+    loss = touch_map._loss(ratio, [rows], weights)
     losses = []
     for episode in rows:
         evidence = sum(
@@ -131,11 +131,11 @@ def test_the_loss_is_that_of_the_true_object_summed_over_turns(touch_map):
         share = np.exp(evidence / 1.5 + prior)
         share = share.sum(axis=1) / share.sum()
         losses.append(-np.log(share[touch_map.codes_[episode[0]]]))
-    assert found == pytest.approx(np.mean(losses))
+    assert loss == pytest.approx(np.mean(losses))
     # Episodes of several lengths count alike, however many there are of each.
     both = touch_map._loss(ratio, [rows, rows[:1, :1]], weights)
     first = touch_map._loss(ratio, [rows[:1, :1]], weights)
-    assert both == pytest.approx((found + first) / 2)
+    assert both == pytest.approx((loss + first) / 2)
 
 
 def test_places_turn_back_about_the_vertical(touch_map):

@@ -155,7 +155,7 @@ def test_integer_counts_are_accepted(gains):
     assert_allclose(calibration.transform(counts)[-1] / KPA, 580, atol=5)
 
 
-def test_file_keeps_everything(gains, rng, tmp_path):
+def test_a_file_keeps_the_whole_calibration(gains, rng, tmp_path):
     frames = respond(LOADS_PSI * KPA, gains, rng, dead=70, top=4000)
     frames[:, 1, 1] = 0.5
     calibration = TaxelCalibration("psi", least_gain=0.2).fit(frames, LOADS_PSI)

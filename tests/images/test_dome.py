@@ -180,7 +180,7 @@ def test_canvas_is_never_larger_than_the_disc(rng, size):
     assert crop.size_ == (32 if size == 32 else native)
 
 
-def test_rims_mark_what_was_seen(rng):
+def test_a_touch_without_a_rim_has_the_typical_one_as_not_visible(rng):
     images = domes(rng)
     images[2] = rng.integers(0, 256, SHAPE)
     crop = DomeCrop().fit(images)
@@ -328,7 +328,7 @@ def test_channels_are_cut_about_one_rim_and_keep_how_they_differ():
     assert discs.shape == (*alone.shape, 3)
     assert np.allclose(discs.mean(axis=3), alone, atol=1e-4)
     deviation = (0.2 * row)[np.hypot(row - 48, col - 61) < crop.disc_radius_].std()
-    apart = (discs[..., 2] - discs[..., 0])[alone != 0]
-    assert np.allclose(apart, 40 / deviation, rtol=0.02)
+    difference = (discs[..., 2] - discs[..., 0])[alone != 0]
+    assert np.allclose(difference, 40 / deviation, rtol=0.02)
     flat = DomeCrop(missing="inscribed").fit(np.full((2, 30, 30), 7.0))
     assert not flat.by_channel(np.full((2, 30, 30, 3), 7.0)).any()

@@ -30,23 +30,23 @@ def drop(angle_deg, size=101, long=18.0, short=9.0, skew=0.25):
 
 def test_central_moments_are_their_definition(rng):
     image = rng.uniform(size=(5, 7))
-    found = central_moments(image[np.newaxis])
+    moments = central_moments(image[np.newaxis])
     x, y = np.meshgrid(np.arange(7) - 3.0, np.arange(5) - 2.0)
     middle_x, middle_y = (
         (image * x).sum() / image.sum(),
         (image * y).sum() / image.sum(),
     )
-    assert_allclose([found.x[0], found.y[0]], [middle_x, middle_y])
+    assert_allclose([moments.x[0], moments.y[0]], [middle_x, middle_y])
     for p in range(4):
         for q in range(4):
             direct = (image * (x - middle_x) ** p * (y - middle_y) ** q).sum()
             # Sums of 35 numbers of at most 27 * 8.
-            assert_allclose(found.mu[0, q, p], direct, atol=1e-11)
+            assert_allclose(moments.mu[0, q, p], direct, atol=1e-11)
 
 
 def test_an_image_without_mass_has_its_middle_in_the_middle():
-    found = central_moments(np.zeros((1, 4, 6)))
-    assert (found.mass[0], found.x[0], found.y[0]) == (0, 0, 0)
+    moments = central_moments(np.zeros((1, 4, 6)))
+    assert (moments.mass[0], moments.x[0], moments.y[0]) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (9, 9), (10, 10), (4, 7)])
@@ -66,10 +66,10 @@ def test_levels_count_from_the_least_in_the_disc_and_by_their_contrast(gain, rto
     image = drop(30)
     disc, inside = inscribed_mask(*image.shape), inscribed_mask(95, 95)
     other = np.where(disc, gain * image - 7, -99.0)
-    expected, shown = (turned([i])[0][3:-3, 3:-3][inside] for i in (image, other))
+    expected, regular = (turned([i])[0][3:-3, 3:-3][inside] for i in (image, other))
     # Taking off 7 and adding it again rounds, most beside 0.01; at the edge -99 shines
     # in.
-    assert_allclose(shown + 7, gain * expected, rtol=rtol, atol=1e-9)
+    assert_allclose(regular + 7, gain * expected, rtol=rtol, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -126,10 +126,10 @@ def test_derivative_refuses_what_it_cannot_differentiate():
         DerivativeMagnitude(region="all").fit(np.zeros((1, 5, 5)))
 
 
-both = pytest.mark.parametrize("interpolation", ["linear", "cubic"])
+each_interpolation = pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 
 
-@both
+@each_interpolation
 @pytest.mark.parametrize("turns", [0, 1, 2, 3, 4])
 def test_quarter_turns_are_exact(turns, interpolation, rng):
     images = rng.random((3, 7, 7))
@@ -138,7 +138,7 @@ def test_quarter_turns_are_exact(turns, interpolation, rng):
     assert_array_equal(turned, np.rot90(images, -turns, axes=(1, 2)))
 
 
-@both
+@each_interpolation
 def test_whole_shifts_move_pixels_and_bring_in_zeros(interpolation, rng):
     images = rng.random((2, 6, 8))
     moved = repose(images, 0, (2, -3), interpolation=interpolation)
@@ -171,7 +171,7 @@ def test_cubic_keeps_a_parabola():
     assert_allclose(moved[0][inside], turned[inside] ** 2, atol=1e-9)
 
 
-@both
+@each_interpolation
 def test_a_larger_canvas_keeps_the_total(interpolation, touches):
     moved = repose(
         touches, np.arange(12) * 29, shape=(20, 20), interpolation=interpolation

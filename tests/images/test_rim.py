@@ -37,8 +37,8 @@ def find_rim(image, near=None):
     return find_rims(np.asarray(image)[np.newaxis], near=near)[0]
 
 
-def off_by(found, row, col):
-    return np.hypot(found.row - row, found.col - col)
+def off_by(rim, row, col):
+    return np.hypot(rim.row - row, rim.col - col)
 
 
 PLACES = {
@@ -89,10 +89,10 @@ def test_sharp_round_contact_is_not_taken_for_the_rim():
 
 @pytest.mark.parametrize("down", [-10, -3, 0, 10])
 @pytest.mark.parametrize("right", [-10, 0, 7, 10])
-@pytest.mark.parametrize("known", [True, False])
-def test_shifted_image_gives_shifted_rim(down, right, known):
+@pytest.mark.parametrize("with_near", [True, False])
+def test_shifted_image_gives_shifted_rim(down, right, with_near):
     image = press(draw((240, 320), 107.2, 109.1, 132.8), 90, 100, 30, 90)
-    near = find_rim(image) if known else None
+    near = find_rim(image) if with_near else None
     rim = find_rim(shift(image, down, right), near=near)
     # The repeated edges bend the rim by up to ten pixels where the frame cuts it.
     assert off_by(rim, 107.2 + down, 109.1 + right) < 0.4
@@ -172,7 +172,7 @@ def without_rim():
 
 
 @pytest.mark.parametrize("name", without_rim())
-def test_image_without_a_rim_is_marked(name):
+def test_image_without_a_rim_gets_the_inscribed_circle_as_not_visible(name):
     image = without_rim()[name]
     rows, cols = image.shape
     wanted = Circle((rows - 1) / 2, (cols - 1) / 2, min(rows, cols) / 2, False, 0.0)
@@ -313,8 +313,8 @@ def steady_share(rims, objects, scale):
     centre = scale * np.stack([rims.row, rims.col], axis=1)
     away = np.empty_like(centre)
     for name in np.unique(objects):
-        own = objects == name
-        away[own] = centre[own] - running_median(centre[own])
+        of_object = objects == name
+        away[of_object] = centre[of_object] - running_median(centre[of_object])
     return np.mean(np.hypot(*away.T) < 1)
 
 
@@ -357,10 +357,10 @@ def test_original_centres_keep_to_their_running_median(data_folder):
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("known", [True, False])
-def test_shifts_and_exposure_of_real_touches_are_recovered(data_folder, rng, known):
+@pytest.mark.parametrize("with_near", [True, False])
+def test_shifts_and_exposure_of_real_touches_are_recovered(data_folder, rng, with_near):
     base = find_rim(read(data_folder / "bathtip/originals/baselineForCalibration.jpg"))
-    near = base if known else None
+    near = base if with_near else None
     for _, _, path in originals(data_folder)[::19]:
         image = read(path)
         before, (down, right) = find_rim(image, near=near), rng.integers(-10, 11, 2)
@@ -378,10 +378,10 @@ def test_sensors_without_a_rim_show_none(data_folder, name):
 
 
 def test_rims_are_found_on_one_thread_and_opencv_gets_its_own_back(monkeypatch):
-    before, seen, remap = cv2.getNumThreads(), [], cv2.remap
+    before, thread_counts, remap = cv2.getNumThreads(), [], cv2.remap
 
     def noted(*arguments, **named):
-        seen.append(cv2.getNumThreads())
+        thread_counts.append(cv2.getNumThreads())
         return remap(*arguments, **named)
 
     monkeypatch.setattr(cv2, "remap", noted)
@@ -395,7 +395,7 @@ def test_rims_are_found_on_one_thread_and_opencv_gets_its_own_back(monkeypatch):
             thread.join()
         with pytest.raises(ValueError, match=r"near\.radius must be positive"):
             find_rims(images, near=Circle(45, 60, -1))
-        assert set(seen) == {1}
+        assert set(thread_counts) == {1}
         assert cv2.getNumThreads() == 2
     finally:
         cv2.setNumThreads(before)

@@ -33,13 +33,13 @@ def own_number():
     whether they are of one run of the tests or of two.
     """
     for number in range(N_NUMBERS):
-        held = socket.socket()
+        reserved = socket.socket()
         try:
-            held.bind(("127.0.0.1", FIRST_PORT + number))
+            reserved.bind(("127.0.0.1", FIRST_PORT + number))
         except OSError:
-            held.close()
+            reserved.close()
             continue
-        atexit.register(held.close)
+        atexit.register(reserved.close)
         return number
     raise RuntimeError(f"{N_NUMBERS} processes of tests run on this machine already.")
 
@@ -58,7 +58,7 @@ def variables(endpoint=""):
 
 @contextmanager
 def router(endpoint):
-    """What `ros2 run rmw_zenoh_cpp rmw_zenohd` starts; yields its session."""
+    """Route as `ros2 run rmw_zenoh_cpp rmw_zenohd` does; yield the router's session."""
     import zenoh
 
     configuration = zenoh.Config()

@@ -25,8 +25,8 @@ HASHES = {
 FRAME_ID = "pad"
 
 
-class Asked:
-    """What the robot is to do; every field may be given."""
+class Task:
+    """What the robot is to do; its JSON may set every field."""
 
     via, domain, endpoint, program = "dds", 0, "", ""
     topic, prefix = "/pad", "/palpate"
@@ -62,8 +62,8 @@ def image_bytes(image, seconds, nanoseconds):
 
 def text(words):
     """Return a text in CDR, and what fills it up to four bytes."""
-    held = words.encode() + b"\0"
-    return struct.pack("<I", len(held)) + held + padding(len(held))
+    content = words.encode() + b"\0"
+    return struct.pack("<I", len(content)) + content + padding(len(content))
 
 
 def padding(length):
@@ -95,24 +95,26 @@ def text_at(raw, at):
 class DdsWire:
     """The robot's side of DDS."""
 
-    def __init__(self, asked):
+    def __init__(self, task):
         from cyclonedds.domain import DomainParticipant
 
-        self.asked = asked
-        self.participant = DomainParticipant(asked.domain)
+        self.task = task
+        self.participant = DomainParticipant(task.domain)
         self.readers = []
 
     def writer(self, topic, name):
         from cyclonedds.pub import DataWriter
 
-        best_effort = name == IMAGE and not self.asked.reliable
-        made = self._type(name)
+        best_effort = name == IMAGE and not self.task.reliable
+        message_type = self._type(name)
         writer = DataWriter(
-            self.participant, self._topic(topic, made), qos=self._quality(best_effort)
+            self.participant,
+            self._topic(topic, message_type),
+            qos=self._quality(best_effort),
         )
 
         def write(raw):
-            sample = made.__new__(made)
+            sample = message_type.__new__(message_type)
             sample.raw = raw
             writer.write(sample)
 
@@ -128,9 +130,11 @@ class DdsWire:
         )
         from cyclonedds.sub import DataReader
 
-        made = self._type(name)
+        message_type = self._type(name)
         quality = self._quality(False)
-        reader = DataReader(self.participant, self._topic(topic, made), qos=quality)
+        reader = DataReader(
+            self.participant, self._topic(topic, message_type), qos=quality
+        )
         waiting = WaitSet(self.participant)
         states = ViewState.Any | InstanceState.Any | SampleState.NotRead
         waiting.attach(ReadCondition(reader, states))
@@ -145,10 +149,10 @@ class DdsWire:
         threading.Thread(target=follow, daemon=True).start()
         return lambda: len(reader.get_matched_publications())
 
-    def _topic(self, topic, made):
+    def _topic(self, topic, message_type):
         from cyclonedds.topic import Topic
 
-        return Topic(self.participant, f"rt{topic}", made)
+        return Topic(self.participant, f"rt{topic}", message_type)
 
     def _quality(self, best_effort):
         from cyclonedds.core import Policy, Qos
@@ -165,35 +169,35 @@ class DdsWire:
         """Return the type of that name; its bytes are made by hand."""
         import ros_peer
 
-        made = getattr(ros_peer, name.rpartition("::")[2])
-        made.serialize = lambda self, **_: self.raw
+        message_type = getattr(ros_peer, name.rpartition("::")[2])
+        message_type.serialize = lambda self, **_: self.raw
 
         def carried(data, **_):
-            sample = made.__new__(made)
+            sample = message_type.__new__(message_type)
             sample.raw = bytes(data)
             return sample
 
-        made.deserialize = staticmethod(carried)
-        return made
+        message_type.deserialize = staticmethod(carried)
+        return message_type
 
 
 class ZenohWire:
     """The robot's side of zenoh, in the layout of rmw_zenoh but without its tokens."""
 
-    def __init__(self, asked):
+    def __init__(self, task):
         import zenoh
 
         configuration = zenoh.Config()
         configuration.insert_json5("mode", '"client"')
-        configuration.insert_json5("connect/endpoints", json.dumps([asked.endpoint]))
+        configuration.insert_json5("connect/endpoints", json.dumps([task.endpoint]))
         configuration.insert_json5("scouting/multicast/enabled", "false")
-        self.asked, self.session = asked, zenoh.open(configuration)
-        self.held = []
+        self.task, self.session = task, zenoh.open(configuration)
+        self.declared = []
 
     def writer(self, topic, name):
-        key = f"{self.asked.domain}{topic}/{name}/{HASHES[name]}"
+        key = f"{self.task.domain}{topic}/{name}/{HASHES[name]}"
         publisher = self.session.declare_publisher(key)
-        self.held.append(publisher)
+        self.declared.append(publisher)
         numbers = iter(range(1, 10**9))
 
         def write(raw):
@@ -203,19 +207,19 @@ class ZenohWire:
         return write
 
     def listen(self, topic, name, take):
-        key = f"{self.asked.domain}{topic}/{name}/*"
+        key = f"{self.task.domain}{topic}/{name}/*"
         follow = lambda sample: take(sample.payload.to_bytes())  # noqa: E731
-        self.held.append(self.session.declare_subscriber(key, follow))
+        self.declared.append(self.session.declare_subscriber(key, follow))
         mangled = topic.replace("/", "%")
-        tokens = f"@ros2_lv/{self.asked.domain}/*/*/*/MP/*/*/*/{mangled}/{name}/*/*"
+        tokens = f"@ros2_lv/{self.task.domain}/*/*/*/MP/*/*/*/{mangled}/{name}/*/*"
         return lambda: len([*self.session.liveliness().get(tokens)])
 
 
 class FastDdsWire:
     """The robot's side of Fast DDS: a program in C++ carries its bytes."""
 
-    def __init__(self, asked):
-        command = [asked.program, str(asked.domain), asked.topic, asked.prefix]
+    def __init__(self, task):
+        command = [task.program, str(task.domain), task.topic, task.prefix]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         self.process = subprocess.Popen(command, **pipes)
         self.takers, self.n_believers = {}, 0
@@ -245,30 +249,30 @@ class FastDdsWire:
 
 
 class Robot:
-    """Publishes frames in time and keeps what it sent and heard."""
+    """Publishes frames in time and keeps what it sent and received."""
 
-    def __init__(self, asked):
-        self.asked, self.rng = asked, np.random.default_rng(1)
-        self.wire = WIRES[asked.via](asked)
-        self.publish = self.wire.writer(asked.topic, IMAGE)
-        self.command = self.wire.writer(f"{asked.prefix}/command", STRING)
-        self.sent, self.ends, self.heard = [], [], {}
-        self.hear("belief", CLASSIFICATION, classification_of)
+    def __init__(self, task):
+        self.task, self.rng = task, np.random.default_rng(1)
+        self.wire = WIRES[task.via](task)
+        self.publish = self.wire.writer(task.topic, IMAGE)
+        self.command = self.wire.writer(f"{task.prefix}/command", STRING)
+        self.sent, self.ends, self.received = [], [], {}
+        self.receive("belief", CLASSIFICATION, classification_of)
         words = lambda raw: {"text": text_at(raw, 4)[0]}  # noqa: E731
         for name in ("decision", "answer"):
-            self.hear(name, STRING, words)
-        self.rest = [resting(self.rng, asked.shape) for _ in range(37)]
+            self.receive(name, STRING, words)
+        self.rest = [resting(self.rng, task.shape) for _ in range(37)]
         self.due_s = time.monotonic()
 
-    def hear(self, name, kind, read):
-        kept = self.heard.setdefault(name, [])
-        take = lambda raw: kept.append({"at": time.time_ns(), **read(raw)})  # noqa: E731
-        there = self.wire.listen(f"{self.asked.prefix}/{name}", kind, take)
+    def receive(self, name, kind, read):
+        messages = self.received.setdefault(name, [])
+        take = lambda raw: messages.append({"at": time.time_ns(), **read(raw)})  # noqa: E731
+        count_publishers = self.wire.listen(f"{self.task.prefix}/{name}", kind, take)
         if name == "belief":
-            self.believers = there
+            self.believers = count_publishers
 
     def frame(self, image):
-        self.due_s += 1 / self.asked.rate_hz
+        self.due_s += 1 / self.task.rate_hz
         time.sleep(max(0.0, self.due_s - time.monotonic()))
         now = time.time_ns()
         self.publish(image_bytes(image, *divmod(now, 10**9)))
@@ -279,36 +283,36 @@ class Robot:
             self.frame(self.rest[number % len(self.rest)])
 
     def run(self):
-        end_s = time.monotonic() + self.asked.wait_s
+        end_s = time.monotonic() + self.task.wait_s
         while not self.believers():
             self.resting(5)
             if time.monotonic() > end_s:
                 raise SystemExit("nobody publishes beliefs")
         self.resting(15)
         start = len(self.sent)
-        for kind in self.asked.kinds:
-            press = pressed(self.rng, kind, self.asked.shape)
+        for kind in self.task.kinds:
+            press = pressed(self.rng, kind, self.task.shape)
             for _ in range(6):
                 self.frame(press)
             self.ends.append(len(self.sent))
             self.resting(10)
-        for command in self.asked.commands:
-            n_answers = len(self.heard["answer"])
+        for command in self.task.commands:
+            n_answers = len(self.received["answer"])
             self.command(b"\0\1\0\0" + text(command))
             for _ in range(100):
                 self.resting(4)
-                if len(self.heard["answer"]) > n_answers:
+                if len(self.received["answer"]) > n_answers:
                     break
-        if self.asked.other_shape:
+        if self.task.other_shape:
             for _ in range(30):
-                self.frame(resting(self.rng, self.asked.other_shape))
+                self.frame(resting(self.rng, self.task.other_shape))
         self.resting(5)
         time.sleep(0.5)
         return {
             "sent": self.sent,
             "from": start,
             "ends": [self.sent[end] for end in self.ends],
-            **self.heard,
+            **self.received,
         }
 
 
@@ -316,10 +320,10 @@ WIRES = {"dds": DdsWire, "zenoh": ZenohWire, "fastdds": FastDdsWire}
 
 
 def main(written):
-    asked = Asked()
-    vars(asked).update(json.loads(written))
-    asked.shape = tuple(asked.shape)
-    print(json.dumps(Robot(asked).run()), flush=True)
+    task = Task()
+    vars(task).update(json.loads(written))
+    task.shape = tuple(task.shape)
+    print(json.dumps(Robot(task).run()), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A camera without a camera: a capture object that does what drivers do."""
+"""Cameras without a device: a capture object does what drivers do."""
 
 import os
 import sys
@@ -38,12 +38,12 @@ class FakeCapture:
     def isOpened(self):
         return self.opens and self.plugged.is_set()
 
-    def set(self, what, value):
-        self.settings[what] = value
+    def set(self, setting, value):
+        self.settings[setting] = value
         return self.obeys
 
-    def get(self, what):
-        return self.settings.get(what, 0.0)
+    def get(self, setting):
+        return self.settings.get(setting, 0.0)
 
     def read(self):
         time.sleep(0.002)
@@ -61,7 +61,7 @@ def camera(capture, shape=(24, 32), **options):
 
 
 def drained(sensor):
-    """Read what still waits; return what is said when nothing does."""
+    """Read the frames that still wait; return the message when none does."""
     for _ in range(sensor.queue_length + 1):
         try:
             sensor.read_next(0.05)
@@ -71,7 +71,7 @@ def drained(sensor):
 
 
 @pytest.mark.parametrize("colour", [False, True])
-def test_it_keeps_the_contract(colour):
+def test_a_camera_keeps_the_contract(colour):
     check_sensor(camera(FakeCapture(), colour=colour))
 
 
@@ -114,7 +114,7 @@ def test_exposure_is_fixed_where_the_driver_lets_it():
         assert "keep exposure and white balance and focus and gain" in sensor.unfixed
 
 
-def test_what_a_camera_does_not_have_is_not_missed():
+def test_settings_that_a_camera_does_not_have_are_not_missed():
     capture = FakeCapture()
     capture.settings |= {AUTO_FOCUS: -1, FOCUS: -1, GAIN: -1}
     with camera(capture) as sensor:
@@ -136,9 +136,9 @@ class Replugged(FakeCapture):
         self.settings = {AUTO_EXPOSURE: 3, TEMPERATURE: light}
         self.plugged.set()
 
-    def get(self, what):
+    def get(self, setting):
         automatic = self.settings.get(AUTO_EXPOSURE) != 1
-        return self.light if automatic and what == EXPOSURE else super().get(what)
+        return self.light if automatic and setting == EXPOSURE else super().get(setting)
 
     def read(self):
         self.picture[..., 0] = self.get(EXPOSURE)
@@ -218,8 +218,8 @@ def test_a_part_of_the_picture_is_cut_turned_and_shrunk():
 
 
 def test_an_address_says_what_of_the_picture_is_taken():
-    said = "camera:0?shape=24x32&crop=4,10,12,18&rotation=270&scale=0.5&gain=3"
-    sensor = open_sensor(f"{said}&fourcc=MJPG")
+    address = "camera:0?shape=24x32&crop=4,10,12,18&rotation=270&scale=0.5&gain=3"
+    sensor = open_sensor(f"{address}&fourcc=MJPG")
     assert sensor.picture_shape == (24, 32)
     assert sensor.image_shape == (9, 6)
     assert (sensor.kept, sensor.fourcc) == ({"gain": 3.0}, "MJPG")
@@ -239,7 +239,7 @@ def test_an_address_says_what_of_the_picture_is_taken():
         ("fourcc=MJPEG", "fourcc must be four letters such as MJPG, got 'MJPEG'"),
     ],
 )
-def test_what_cannot_be_taken_is_refused_with_the_value(option, message):
+def test_parts_of_a_picture_that_cannot_be_taken_are_refused(option, message):
     with pytest.raises(ValueError, match=message):
         open_sensor(f"camera:0?shape=24x32&{option}")
 
@@ -252,8 +252,11 @@ def test_a_camera_is_asked_how_to_send_pictures():
 
 def device():
     """Return a V4L2 camera of this machine, if there is one."""
-    there = [os.environ.get("PALPATE_CAMERA"), *sorted(Path("/dev").glob("video*"))]
-    return next((str(path) for path in there if path), None)
+    candidates = [
+        os.environ.get("PALPATE_CAMERA"),
+        *sorted(Path("/dev").glob("video*")),
+    ]
+    return next((str(path) for path in candidates if path), None)
 
 
 @pytest.mark.camera
@@ -295,7 +298,7 @@ def test_an_unplugged_camera_is_found_again():
         ),
     ],
 )
-def test_what_is_wrong_is_one_sentence_with_the_fix(capture, message):
+def test_a_camera_that_fails_is_one_sentence_with_the_fix(capture, message):
     with pytest.raises(SensorError, match=message):
         camera(capture).connect()
     assert capture.released == 1

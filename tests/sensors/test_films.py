@@ -128,7 +128,7 @@ def test_films_that_opencv_may_not_decode_come_through_av(tmp_path, codec, monke
     touches = TouchDetector().touches_in(path)
     assert_allclose(touches.columns["time_s"], [0.6, 1.4], atol=0.051)  # one frame
     peak = frames[12 + 3, ..., 0].astype(int)
-    # Of a codec that loses a little: 2 levels on average.
+    # The codec loses a little: 2 levels on average.
     assert np.abs(touches.images[0].astype(int) - peak).mean() < 2
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(SensorError, match="must be a film that OpenCV or FFmpeg"):
@@ -136,7 +136,7 @@ def test_films_that_opencv_may_not_decode_come_through_av(tmp_path, codec, monke
 
 
 class _NoDecoder:
-    """What OpenCV answers for a film that it does not decode."""
+    """Answers as OpenCV does for a film that it does not decode."""
 
     def get(self, _):
         return 0.0

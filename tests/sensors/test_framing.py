@@ -34,8 +34,8 @@ def test_every_digit_that_float32_holds_is_written():
     largest = np.array([[16777215.0, 16777216.0, -65535.0]])
     assert write_line(largest).startswith(b"$16777215,16777216,-65535*")
     image = np.float32([[0.1, 1 / 3, 1e-20], [np.nan, 123.456, -7.0]])
-    (got,) = LineFraming((2, 3)).feed(write_line(image))
-    assert_array_equal(got, image)
+    (decoded,) = LineFraming((2, 3)).feed(write_line(image))
+    assert_array_equal(decoded, image)
 
 
 def test_lines_tell_the_smallest_step_they_can_show():
@@ -64,8 +64,8 @@ def test_lines_survive_garbage_before_them(frames, noise, sizes):
     images = [np.reshape(values, SHAPE) for values in frames]
     written = noise.replace(b"*", b"") + b"\n" + b"".join(map(write_line, images))
     framing = LineFraming(SHAPE)
-    got = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
-    assert_array_equal(got, np.array(images, np.float32))
+    decoded = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
+    assert_array_equal(decoded, np.array(images, np.float32))
 
 
 @settings(max_examples=60, deadline=None)
@@ -80,17 +80,17 @@ def test_bytes_survive_garbage_between_them(frames, noise, sizes):
     written = b"".join(noise + write_binary(i, n) for n, i in enumerate(images))
     # A frame's length of zeros ends whatever the garbage may have begun.
     written += bytes(64)
-    got = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
-    assert_array_equal(got, images)
+    decoded = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
+    assert_array_equal(decoded, images)
     assert framing.n_missed == 0
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int16, np.float32])
 def test_every_type_of_taxel_comes_back(kind, rng):
     image = rng.uniform(0, 200, size=SHAPE).astype(kind)
-    (got,) = BinaryFraming(SHAPE, kind).feed(write_binary(image))
-    assert got.dtype == kind
-    assert_array_equal(got, image)
+    (decoded,) = BinaryFraming(SHAPE, kind).feed(write_binary(image))
+    assert decoded.dtype == kind
+    assert_array_equal(decoded, image)
 
 
 def test_a_flipped_bit_anywhere_loses_that_frame_and_no_other(rng):
@@ -100,8 +100,8 @@ def test_a_flipped_bit_anywhere_loses_that_frame_and_no_other(rng):
         broken = bytearray(packets[1])
         broken[at] ^= 0x10
         framing = BinaryFraming(SHAPE)
-        got = framing.feed(packets[0] + bytes(broken) + packets[2] + bytes(64))
-        assert_array_equal(got, images[[0, 2]])
+        decoded = framing.feed(packets[0] + bytes(broken) + packets[2] + bytes(64))
+        assert_array_equal(decoded, images[[0, 2]])
         assert framing.n_missed == 1
         assert framing.n_damaged >= 1
 
@@ -174,13 +174,13 @@ def test_lines_that_were_cut_are_counted(rng):
         for line, is_cut in zip(lines, cut, strict=True)
     ]
     framing = LineFraming(SHAPE)
-    got = framing.feed(b"".join(sent))
-    assert_array_equal(got, images[~cut])
+    decoded = framing.feed(b"".join(sent))
+    assert_array_equal(decoded, images[~cut])
     assert framing.n_damaged == cut.sum()
 
 
 def test_a_line_without_end_is_given_up():
-    """Longer than 32 letters a taxel and 8: one damaged frame, then the next."""
+    """A line over 32 letters a taxel and 8 is a damaged frame; the next is read."""
     framing = LineFraming((1, 2), checksum=False)
     assert framing.feed(b"1" * 72) == []
     assert framing.n_damaged == 0

@@ -1,4 +1,4 @@
-"""The contract, on every sensor that needs no hardware, and on ones that break it."""
+"""The contract of sensors: those without hardware keep it, and broken ones do not."""
 
 import time
 from urllib.parse import quote
@@ -62,7 +62,7 @@ def recording(n=6, shape=(4, 5)):
     ],
     ids=lambda sensor: sensor.name,
 )
-def test_the_contract_is_kept(sensor):
+def test_every_sensor_without_hardware_keeps_the_contract(sensor):
     check_sensor(sensor)
 
 
@@ -167,7 +167,7 @@ def test_a_replay_plays_what_was_recorded_between_frames_of_nothing():
     assert sensor.objects == ("cup", "pen")
 
 
-def test_what_lies_on_the_desk_can_be_changed():
+def test_the_object_before_a_replay_can_be_changed():
     sensor = ReplaySensor(recording(), rate_hz=500, hold=1, gap=0)
     sensor.place("pen")
     with sensor:
@@ -198,14 +198,14 @@ def test_nothing_can_lie_before_a_simulated_sensor(kind):
 
 
 def test_simulated_touches_are_touches_of_what_lies_there():
-    how = {"rate_hz": 200, "hold": 4, "gap": 4, "ramp": 2}
-    with open_sensor("sim:disc13", **how) as sensor:
+    options = {"rate_hz": 200, "hold": 4, "gap": 4, "ramp": 2}
+    with open_sensor("sim:disc13", **options) as sensor:
         peaks = [int(sensor.read_next().image.max()) for _ in range(120)]
     assert max(peaks) > 30  # pressed
     assert min(peaks) <= 3  # and released: noise of half a level, six sd
 
 
-def test_sensors_by_name(tmp_path):
+def test_sensors_are_opened_by_their_address(tmp_path):
     recording().save(tmp_path / "touches.npz")
     replay = open_sensor(f"replay:{tmp_path / 'touches.npz'}", rate_hz=50, hold=3)
     assert replay.image_shape == (4, 5)
@@ -254,11 +254,11 @@ def test_an_address_reaches_the_frames(tmp_path):
     with open_sensor(address) as sensor:
         levels = [int(sensor.read_next().image[0, 0]) for _ in range(5)]
     assert levels == [0, 10, 10, 0, 20]
-    one, two, other = (
+    first, same, other = (
         open_sensor(f"sim:mug?shape=24x24&seed={seed}") for seed in (1, 1, 2)
     )
     images = []
-    for sensor in (one, two, other):
+    for sensor in (first, same, other):
         with sensor:
             images.append(sensor.read_next().image)
     assert_array_equal(images[0], images[1])
@@ -379,8 +379,8 @@ def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rn
     rest = np.full((60, 80), 90, np.uint8)
     Image.fromarray(rest).save(tmp_path / "rest.png")
     address = f"replay:{tmp_path}/touches.npz"
-    given = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
-    assert_array_equal(given.no_contact(), rest)
+    sensor = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
+    assert_array_equal(sensor.no_contact(), rest)
     with pytest.raises(SensorError, match="as `no_contact`"):
         SensorOptions().open(address)
 
@@ -452,12 +452,14 @@ def test_a_burst_over_the_bound_is_counted_and_the_check_says_so():
         check_sensor(sensor)
 
 
-def test_what_a_device_tells_beside_its_frames_reaches_the_touch():
+def test_columns_of_a_device_beside_its_frames_reach_the_touch():
     detector = TouchDetector(np.zeros((2, 3)), begin=1.0)
     touch = None
     for number, level in enumerate([0, 5, 9, 4, 0]):
-        told = float(number), {"force_n": float(level)}
-        frame = Frame(np.full((2, 3), float(level)), number / 10, number, *told)
+        device_values = float(number), {"force_n": float(level)}
+        frame = Frame(
+            np.full((2, 3), float(level)), number / 10, number, *device_values
+        )
         touch = detector.update(frame) or touch
     assert (touch.device_time_s, touch.columns) == (2.0, {"force_n": 9.0})
 

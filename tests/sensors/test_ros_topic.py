@@ -63,7 +63,7 @@ def test_frames_are_those_that_were_sent_with_their_stamps(what):
     numbers = [frame.device_time_s - 1000.5 for frame in frames]
     assert numbers == list(np.arange(numbers[0], numbers[0] + 40))
     assert all(np.ptp(frame.image) == 0 for frame in frames)
-    # Of a slow machine the 250th is sent before the first is read.
+    # On a slow machine the 250th frame is sent before the first is read.
     assert [int(frame.image[0, 0]) for frame in frames] == [n % 250 for n in numbers]
 
 
@@ -76,7 +76,7 @@ def test_no_frame_is_lost_that_comes_together_with_the_first():
             assert np.array_equal(np.diff(times), np.ones(6))
 
 
-def test_the_contract_is_kept():
+def test_a_ros_sensor_keeps_the_contract():
     with peer("/t_contract"):
         check_sensor(RosSensor("/t_contract", (12, 12), domain=DOMAIN))
 

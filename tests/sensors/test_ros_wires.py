@@ -60,11 +60,11 @@ def test_a_service_answers_as_rmw_cyclonedds_asks():
 
     node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
     service = node.serve("/desk/start", ros.TRIGGER, lambda _: (True, "begun"))
-    there, kind = client._participant, "std_srvs/srv/Trigger"
-    asks = _topic(there, "rq/desk/startRequest", f"{kind}_Request")
-    answers = _topic(there, "rr/desk/startReply", f"{kind}_Response")
-    writer = DdsWriter(there, asks, f"{kind}_Request")
-    reader = DdsReader(there, answers, f"{kind}_Response", reliable=True)
+    participant, kind = client._participant, "std_srvs/srv/Trigger"
+    asks = _topic(participant, "rq/desk/startRequest", f"{kind}_Request")
+    answers = _topic(participant, "rr/desk/startReply", f"{kind}_Response")
+    writer = DdsWriter(participant, asks, f"{kind}_Request")
+    reader = DdsReader(participant, answers, f"{kind}_Response", reliable=True)
     assert eventually(lambda: service._reader.n_publishers and reader.n_publishers)
     head = struct.pack("<Qq", 77, 5)  # the client, and the number of its request
     writer.write_bytes(b"\0\1\0\0" + head + b"\0")
@@ -170,7 +170,7 @@ def test_where_to_publish_is_one_short_address():
 
 
 @needs_zenoh
-def test_without_a_router_or_with_a_configuration_that_is_none_it_says_so(monkeypatch):
+def test_a_missing_router_and_a_bad_configuration_are_named(monkeypatch):
     with pytest.raises(
         SensorError, match=r"Nobody publishes /zpad .* a router runs at"
     ):

@@ -1,4 +1,4 @@
-"""What is wrong with a sensor is found, and nothing else; each fault is put in."""
+"""Each fault that is put into a sensor is found, and nothing else."""
 
 import numpy as np
 import pytest
@@ -28,10 +28,10 @@ def as_frames(images, times):
 
 def test_a_sensor_that_is_well_has_no_finding(rng):
     images, times = frames(rng)
-    found = health(as_frames(images, times))
-    assert found["ok"]
-    assert found["findings"] == []
-    figures = found["figures"]
+    report = health(as_frames(images, times))
+    assert report["ok"]
+    assert report["findings"] == []
+    figures = report["figures"]
     # White noise of 2 and rounding (1/12 in variance): 2.02; 600 frames tell it to 3 %.
     assert figures["noise"] == pytest.approx(2.02, rel=0.05)
     assert figures["rate_hz"] == pytest.approx(50)
@@ -46,70 +46,70 @@ def test_three_dead_taxels_are_named_first(rng):
     images, times = frames(rng)
     for row, col in ((0, 3), (4, 4), (9, 9)):
         images[:, row, col] = 100
-    found = health(as_frames(images, times))
-    assert found["dead"] == [[0, 3], [4, 4], [9, 9]]
-    assert found["findings"][0].startswith("3 taxels (row 0 column 3, row 4 column 4,")
-    assert len(found["findings"]) == 1
+    report = health(as_frames(images, times))
+    assert report["dead"] == [[0, 3], [4, 4], [9, 9]]
+    assert report["findings"][0].startswith("3 taxels (row 0 column 3, row 4 column 4,")
+    assert len(report["findings"]) == 1
 
 
 def test_taxels_that_are_nan_are_dead(rng):
     images, times = frames(rng, dtype=np.float32)
     images[:, 2, 5] = np.nan
-    found = health(as_frames(images, times))
-    assert found["dead"] == [[2, 5]]
-    assert np.isfinite(found["figures"]["noise"])
+    report = health(as_frames(images, times))
+    assert report["dead"] == [[2, 5]]
+    assert np.isfinite(report["figures"]["noise"])
 
 
-def test_hot_and_saturated_taxels(rng):
+def test_hot_and_saturated_taxels_are_told_apart(rng):
     images, times = frames(rng, dtype=np.uint8)
     images[:, 1, 1] = 255
     images[:, 2, 2] = np.clip(100 + rng.normal(scale=40, size=600), 0, 254)
-    found = health(as_frames(images, times))
-    assert found["saturated"] == [[1, 1]]
-    assert found["hot"] == [[2, 2]]
-    assert "saturated" in found["findings"][0]
-    assert found["dead"] == []
+    report = health(as_frames(images, times))
+    assert report["saturated"] == [[1, 1]]
+    assert report["hot"] == [[2, 2]]
+    assert "saturated" in report["findings"][0]
+    assert report["dead"] == []
 
 
 @pytest.mark.parametrize("whole", [0.0, 40.0])
-def test_drift(rng, whole):
+def test_a_steady_drift_is_measured_beside_the_noise(rng, whole):
     """A steady way up by 40 over all: twelfths differ by 11/12 of it."""
     images, times = frames(rng)
     ramp = np.linspace(0, whole, len(images))[:, None, None]
-    found = health(as_frames(np.rint(images + ramp).astype(np.int16), times))
+    report = health(as_frames(np.rint(images + ramp).astype(np.int16), times))
     if whole:
-        assert found["figures"]["drift"] == pytest.approx(whole * 11 / 12, rel=0.01)
-        assert found["figures"]["noise"] == pytest.approx(2.02, rel=0.05)
-        assert "Rest drifted by 36." in found["findings"][0]
-        assert found["levels"][-1] == pytest.approx(whole * 11 / 12, rel=0.01)
-    assert found["ok"] == (whole == 0)
+        assert report["figures"]["drift"] == pytest.approx(whole * 11 / 12, rel=0.01)
+        assert report["figures"]["noise"] == pytest.approx(2.02, rel=0.05)
+        assert "Rest drifted by 36." in report["findings"][0]
+        assert report["levels"][-1] == pytest.approx(whole * 11 / 12, rel=0.01)
+    assert report["ok"] == (whole == 0)
 
 
-def test_a_baseline_under_load(rng):
+def test_a_baseline_under_load_is_named_with_its_place(rng):
     images, times = frames(rng, noise=1.0)
     images[:, 3:7, 3:7] += 200
-    found = health(as_frames(images, times))
-    assert "may press the sensor around row 4 column 4" in found["findings"][0]
+    report = health(as_frames(images, times))
+    assert "may press the sensor around row 4 column 4" in report["findings"][0]
 
 
-def test_rest_beside_what_a_model_remembers(rng):
+def test_rest_that_differs_from_what_a_model_remembers_is_named(rng):
     images, times = frames(rng)
     rest = images.mean(axis=0)
     presses = rest + rng.uniform(0, 40, (12, 10, 10))
     memory = sensors.SensorMemory.of(presses, rest)
     assert health(as_frames(images, times), memory=memory)["ok"]
     other = sensors.SensorMemory.of(presses, rest - 30)
-    found = health(as_frames(images, times), memory=other)
+    report = health(as_frames(images, times), memory=other)
     assert (
-        "At rest the sensor differs from when the model learnt" in found["findings"][0]
+        "At rest the sensor differs from when the model learnt" in report["findings"][0]
     )
 
 
-def test_a_touch_meanwhile_is_all_that_is_said(rng):
+def test_a_touch_meanwhile_is_the_only_finding(rng):
     images, times = frames(rng)
     images[300:320, 4:6, 4:6] += 300
-    [said] = health(as_frames(images, times))["findings"]
-    assert "Rest left its baseline 1 times and came back: something touched" in said
+    [finding] = health(as_frames(images, times))["findings"]
+    assert "Rest left its baseline 1 times and came back: something touched" in finding
 
 
 def test_numbers_coarser_than_noise_tell_of_no_dead_taxel():
@@ -125,40 +125,45 @@ def test_hot_is_over_six_times_as_noisy_as_others(rng, times_typical, hot):
     assert health(as_frames(images, times))["hot"] == ([[2, 2]] if hot else [])
 
 
-@pytest.mark.parametrize(("rho", "told"), [(0.2, False), (0.4, True), (0.8, True)])
-def test_noise_is_crosstalk_where_rows_share_a_third_of_it(rng, rho, told):
+@pytest.mark.parametrize(("rho", "reported"), [(0.2, False), (0.4, True), (0.8, True)])
+def test_noise_is_crosstalk_where_rows_share_a_third_of_it(rng, rho, reported):
     images, times = frames(rng, n=900, noise=2.0, dtype=np.float64)
     shared = 4.08 * rho / (1 - rho)  # variance: 4 and that of rounding
     images = images + rng.normal(scale=shared**0.5, size=(900, 10, 1))
-    found = health(as_frames(images, times))
-    assert found["figures"]["shared_by_rows"] == pytest.approx(rho, abs=0.05)
-    assert abs(found["figures"]["shared_by_columns"]) < 0.1
+    report = health(as_frames(images, times))
+    assert report["figures"]["shared_by_rows"] == pytest.approx(rho, abs=0.05)
+    assert abs(report["figures"]["shared_by_columns"]) < 0.1
     assert (
-        any("Rows share" in said and "crosstalk" in said for said in found["findings"])
-        == told
+        any(
+            "Rows share" in finding and "crosstalk" in finding
+            for finding in report["findings"]
+        )
+        == reported
     )
 
 
-@pytest.mark.parametrize(("late_ms", "told"), [(55, False), (65, True)])
-def test_one_frame_in_a_hundred_is_late_at_three_times_the_usual(rng, late_ms, told):
+@pytest.mark.parametrize(("late_ms", "reported"), [(55, False), (65, True)])
+def test_one_frame_in_a_hundred_is_late_at_three_times_the_usual(
+    rng, late_ms, reported
+):
     images, _ = frames(rng)
     gaps = np.full(600, 0.02)
     gaps[::30] = late_ms / 1000
-    found = health(as_frames(images, np.cumsum(gaps)))
+    report = health(as_frames(images, np.cumsum(gaps)))
     late = f"comes {late_ms} ms after the last, usually 20: something holds it up"
-    assert (late in " ".join(found["findings"])) == told
+    assert (late in " ".join(report["findings"])) == reported
 
 
-@pytest.mark.parametrize(("n_lost", "told"), [(5, False), (8, True)])
-def test_one_frame_in_a_hundred_may_be_lost(rng, n_lost, told):
+@pytest.mark.parametrize(("n_lost", "reported"), [(5, False), (8, True)])
+def test_one_frame_in_a_hundred_may_be_lost(rng, n_lost, reported):
     images, times = frames(rng)
     lost = set(range(20, 20 + 10 * n_lost, 10))
-    some = [one for one in as_frames(images, times) if one.number not in lost]
-    found = health(some)
-    assert found["figures"]["lost"] == pytest.approx(n_lost / 600)
+    arrived = [frame for frame in as_frames(images, times) if frame.number not in lost]
+    report = health(arrived)
+    assert report["figures"]["lost"] == pytest.approx(n_lost / 600)
     assert (
-        any("1.3 % of the frames are lost" in said for said in found["findings"])
-        == told
+        any("1.3 % of the frames are lost" in finding for finding in report["findings"])
+        == reported
     )
 
 
@@ -173,10 +178,10 @@ def test_the_noise_is_what_neighbours_differ_by_over_the_root_of_two():
     """Frames of 100 and 102 in turn: each pair differs by 2."""
     images = np.full((24, 3, 3), 100.0)
     images[1::2] += 2
-    found = health(as_frames(images, np.arange(24) / 50))
-    assert found["figures"]["noise"] == pytest.approx(2 / np.sqrt(2))
-    assert found["noise"].shape == (3, 3)
-    assert found["rest"] == pytest.approx(np.full((3, 3), 101.0))
+    report = health(as_frames(images, np.arange(24) / 50))
+    assert report["figures"]["noise"] == pytest.approx(2 / np.sqrt(2))
+    assert report["noise"].shape == (3, 3)
+    assert report["rest"] == pytest.approx(np.full((3, 3), 101.0))
 
 
 def test_chance_is_no_drift(rng):
@@ -187,9 +192,9 @@ def test_chance_is_no_drift(rng):
     squares = []
     for _ in range(60):
         images = rng.normal(scale=2.0, size=(24, 8, 8)) + 100
-        found = health(as_frames(images, np.arange(24) / 50))
-        squares.append(found["figures"]["drift"] ** 2)
-    # Of 64 taxels the mean square has a spread of 4 (2 / 64)^0.5 = 0.7; half of them,
+        report = health(as_frames(images, np.arange(24) / 50))
+        squares.append(report["figures"]["drift"] ** 2)
+    # The mean square of 64 taxels has a spread of 4 (2 / 64)^0.5 = 0.7; half of them,
     # those below 0, count as 0: their mean is 0.7 / sqrt(2 pi) = 0.28.
     assert np.mean(squares) < 0.6
     assert 0.2 < np.mean(np.array(squares) == 0) < 0.8
@@ -234,10 +239,10 @@ def test_a_taxel_whose_gain_has_left_tolerance_is_named(presses, gain):
 
 
 @pytest.mark.parametrize(
-    ("times", "n_touches", "told"),
+    ("times", "n_touches", "reported"),
     [(1.9, 40, False), (2.2, 40, True), (1 / 2.2, 40, True), (2.2, 9, False)],
 )
-def test_a_taxel_that_answers_twice_as_much_is_named(times, n_touches, told, rng):
+def test_a_taxel_that_answers_twice_as_much_is_named(times, n_touches, reported, rng):
     rest = np.zeros((4, 4))
     images = 10 + rng.normal(scale=0.1, size=(n_touches, 4, 4))
     before = SensorMemory.of(images, rest)
@@ -246,8 +251,10 @@ def test_a_taxel_that_answers_twice_as_much_is_named(times, n_touches, told, rng
     # All shares sum to 1: one that doubles lessens the others by a sixteenth.
     now = SensorMemory.of(other * 1.0, rest)
     grown = now.response[1, 2] / before.response[1, 2]
-    said = gain_warning(before, now)
-    assert (("row 1 column 2" in said) == told) or 1.9 < max(grown, 1 / grown) < 2.1
+    warning = gain_warning(before, now)
+    assert (("row 1 column 2" in warning) == reported) or 1.9 < max(
+        grown, 1 / grown
+    ) < 2.1
     assert gain_warning(before, before) == ""
 
 

@@ -56,9 +56,9 @@ class Terminal:
 
 @pytest.fixture
 def terminal():
-    made = Terminal()
-    yield made
-    made.close()
+    pseudo_terminal = Terminal()
+    yield pseudo_terminal
+    pseudo_terminal.close()
 
 
 def endless(shape, write):
@@ -75,7 +75,7 @@ def as_line(image, number):
 @pytest.mark.parametrize(
     ("framing", "write"), [("line", as_line), ("binary", write_binary)]
 )
-def test_it_keeps_the_contract(terminal, framing, write):
+def test_an_array_keeps_the_contract(terminal, framing, write):
     terminal.play(endless((3, 4), write), 200)
     check_sensor(SerialArraySensor(terminal.port, (3, 4), framing=framing))
 
@@ -147,7 +147,7 @@ def test_an_array_tells_the_step_of_its_numbers(terminal):
 
 
 def plain_line(image, number):
-    """What `Serial.println` of numbers with commas between writes."""
+    """Write a line as `Serial.println` does of numbers with commas between."""
     return ",".join(map(str, image.ravel())).encode() + b"\r\n"
 
 
@@ -232,7 +232,9 @@ def test_an_array_is_found_by_what_it_writes(terminal, write, shape, framing, ch
         ([], "check its cable"),
     ],
 )
-def test_what_cannot_be_found_is_said(terminal, monkeypatch, written, message):
+def test_an_array_that_cannot_be_found_is_refused_with_the_reason(
+    terminal, monkeypatch, written, message
+):
     monkeypatch.setattr("palpate.sensors._serial._LISTEN_S", 0.4)
     terminal.play(written, 100)
     with pytest.raises(SensorError, match=message):
@@ -247,7 +249,7 @@ def test_an_array_that_goes_away_while_it_is_listened_to_is_said():
 
 
 def test_lines_that_were_cut_are_counted_as_dropped(terminal):
-    """Of every four lines one loses its end, and its line break with it."""
+    """One line of every four loses its end, and its line break with it."""
 
     def packets():
         for number in range(80):

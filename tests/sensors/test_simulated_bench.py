@@ -32,7 +32,7 @@ def test_force_and_picture_are_those_of_the_dome(name):
     assert_allclose(bench.force_n, press.contact.force_n, rtol=0.05)
     picture = CAMERA.image(press).astype(float)
     assert_allclose(bench.frame().astype(float), picture, atol=6)
-    # That the picture is of this press and not of any: nothing pressed is far off.
+    # The picture is of this press and of no other: nothing pressed is far off.
     assert np.abs(CAMERA.no_contact() - picture).max() > 20
 
 
@@ -75,8 +75,8 @@ def test_contact_shifts_the_object_but_never_by_more_than_it_may(name):
     rng, strayed = np.random.default_rng(0), []
     for _ in range(40):
         out = rng.standard_normal(3) * (1, 1, 0) + (0, 0, 0.5)
-        way = out / np.linalg.norm(out)
-        start = SensorPose(bench.centre_mm + 200 * way, -way)
+        direction = out / np.linalg.norm(out)
+        start = SensorPose(bench.centre_mm + 200 * direction, -direction)
         depth = CAMERA.press(bench.target, start, force_n=0.7).travel_mm
         bench.move_to(start)
         bench.move_to(start.advanced(depth))
@@ -96,12 +96,12 @@ def test_an_approach_at_once_ends_where_steps_end_with_the_same_slip(name):
     for _ in range(6):
         out = np.abs(rng.standard_normal(3)) * rng.choice([-1, 1], 3)
         out[2] = abs(out[2])
-        way = out / np.linalg.norm(out)
-        start = SensorPose(stepped.centre_mm + 200 * way, -way)
-        found = at_once.approach(start, 0.735, 215.0)
+        direction = out / np.linalg.norm(out)
+        start = SensorPose(stepped.centre_mm + 200 * direction, -direction)
+        at_once_mm = at_once.approach(start, 0.735, 215.0)
         # Steps through the air before the contact, which is 12 mm deep at most, change
         # nothing.
-        travel = found - 15
+        travel = at_once_mm - 15
         stepped.move_to(start.advanced(travel))
         assert stepped.force_n == 0
         while stepped.force_n < 0.735:
@@ -109,7 +109,7 @@ def test_an_approach_at_once_ends_where_steps_end_with_the_same_slip(name):
             stepped.move_to(start.advanced(travel))
         # Steps pass the force by up to one of them, and the bench interpolates the
         # force between those that it solves.
-        assert_allclose(travel, found, atol=0.25)
+        assert_allclose(travel, at_once_mm, atol=0.25)
         moved = stepped.target.vertices_mm - at_once.target.vertices_mm
         assert_allclose(moved, 0, atol=1e-9)
         pictures = [bench.frame().astype(float) for bench in (stepped, at_once)]
@@ -146,8 +146,8 @@ def test_the_same_seed_gives_the_same_bench():
             forces.append(bench.force_n)
         return np.array(forces), bench.frame(np.random.default_rng(seed))
 
-    for one, two in zip(run(3), run(3), strict=True):
-        assert_array_equal(one, two)
+    for first, second in zip(run(3), run(3), strict=True):
+        assert_array_equal(first, second)
     assert not np.array_equal(run(3)[0], run(4)[0])
 
 

@@ -27,8 +27,8 @@ def frames(levels, zero=REST):
 
 
 def touches_of(detector, levels, zero=REST):
-    found = (detector.update(frame) for frame in frames(levels, zero))
-    return [touch for touch in found if touch is not None]
+    results = (detector.update(frame) for frame in frames(levels, zero))
+    return [touch for touch in results if touch is not None]
 
 
 def test_one_touch_is_its_frame_of_greatest_change():
@@ -46,7 +46,7 @@ def test_the_change_of_a_colour_frame_is_over_taxels_and_colours():
     assert touch.change == pytest.approx(40 / np.sqrt(3))
 
 
-def test_or_the_mean_over_the_hold():
+def test_a_touch_may_be_the_mean_over_the_hold():
     detector = TouchDetector(REST, summary="mean")
     (touch,) = touches_of(detector, [0, 10, 40, 34, 40, 34, 10, 0])
     # The hold is what reaches 0.8 of 40: four frames, their mean 37.
@@ -78,9 +78,9 @@ def test_one_count_is_no_touch_where_the_step_is_known():
     fine = TouchDetector()
     fine.step = 0.01
     fine.take_baseline(still)
-    # One taxel of 256 by one count is a change of 1/16: over 2 steps of 0.01.
+    # One count on one taxel of 256 is a change of 1/16: over 2 steps of 0.01.
     assert len([t for t in map(fine.update, flickers()) if t]) >= 4
-    # Nor does one count more in the second half count as coming down.
+    # One count more in the second half is not taken for something coming down.
     coming = [frame.image for frame in flickers(count=4)]
     detector.take_baseline(coming)
 
@@ -179,8 +179,8 @@ def test_as_many_touches_come_out_as_went_in(presses):
     levels = [0]
     for hold, rest, level in presses:
         levels += [level] * hold + [0] * rest
-    found = touches_of(TouchDetector(REST), levels)
-    assert [touch.change for touch in found] == [level for _, _, level in presses]
+    touches = touches_of(TouchDetector(REST), levels)
+    assert [touch.change for touch in touches] == [level for _, _, level in presses]
 
 
 @pytest.mark.realdata
@@ -190,11 +190,11 @@ def test_real_touches_played_with_gaps_are_all_found(data_folder):
     images, zero = stored["images"][rows], stored["no_contact"]
     change = np.sqrt(((images.astype(float) - zero) ** 2).mean((1, 2)))
     detector = TouchDetector(zero)
-    found = 0
+    n_touches = 0
     for image in images:
         for number, frame in enumerate([zero, image, image, image, zero]):
-            found += detector.update(Frame(frame, number / 25, number)) is not None
-    assert found == (change > detector.begin).sum()
+            n_touches += detector.update(Frame(frame, number / 25, number)) is not None
+    assert n_touches == (change > detector.begin).sum()
 
 
 def hill(shape, row, col):
@@ -244,7 +244,7 @@ def test_a_baseline_is_undone_with_its_noise(rng):
     assert first.baseline is None
 
 
-def test_which_limit_finds_more_touches_is_told():
+def test_the_limit_that_finds_more_touches_is_named():
     """Three weak touches beside two strong ones: the limit between them is named."""
     rest = np.full((4, 4), 100.0)
     levels = [0.0] * 12
@@ -259,24 +259,24 @@ def test_which_limit_finds_more_touches_is_told():
         np.stack([rest + level for level in levels]), time_s=np.arange(len(levels)) / 10
     )
     assert len(detector.touches_in(stream)) == 2
-    told = re.fullmatch(
+    match = re.fullmatch(
         r"2 touches begin at a change of 20, 5 would at ([\d.]+) "
         r"\(([\d.]+) to ([\d.]+)\); 3 changes lay below the limit\.",
         detector.note,
     )
-    middle, low, high = map(float, told.groups())
+    middle, low, high = map(float, match.groups())
     # Limits reach down to three noises of 0.2; the weak touches change by 6.
     assert low == pytest.approx(0.6, rel=0.15)
     assert 4.5 < high <= 6.1
     assert middle == pytest.approx(np.sqrt(low * high), rel=0.1)
 
 
-@pytest.mark.parametrize(("n_taxels", "asked"), [(3, False), (4, True)])
-def test_a_press_is_of_four_neighbours(n_taxels, asked, rng):
+@pytest.mark.parametrize(("n_taxels", "refused"), [(3, False), (4, True)])
+def test_a_press_is_of_four_neighbours(n_taxels, refused, rng):
     rest = rng.uniform(99, 101, (10, 10))
     rest[5, 2 : 2 + n_taxels] += 200
     detector = TouchDetector()
-    if not asked:
+    if not refused:
         detector.take_baseline([rest] * 3)
         return
     with pytest.raises(ContactError, match="where 4 neighbouring taxels"):
@@ -284,7 +284,7 @@ def test_a_press_is_of_four_neighbours(n_taxels, asked, rng):
 
 
 def test_large_images_are_looked_at_in_part():
-    """Of more than 160 a side every second pixel counts, and no other."""
+    """Images of more than 160 a side count by every second pixel alone."""
     rest = np.full((200, 161), 100, np.uint8)
     detector = TouchDetector(rest, begin=1.0)
     between = rest.copy()
@@ -293,9 +293,9 @@ def test_large_images_are_looked_at_in_part():
     assert detector.change == 0
     whole = np.full((160, 160), 100, np.uint8)
     detector = TouchDetector(whole, begin=1.0)
-    one = whole.copy()
-    one[1, 1] = 200
-    detector.update(Frame(one, 0.0, 0))
+    with_one_pixel = whole.copy()
+    with_one_pixel[1, 1] = 200
+    detector.update(Frame(with_one_pixel, 0.0, 0))
     assert detector.change == pytest.approx(100 / 160)
 
 
@@ -327,7 +327,7 @@ def test_a_step_of_the_numbers_bounds_the_limit_from_below():
 
 
 def test_a_touch_after_a_short_flash_is_whole():
-    """What is kept of a flash that was no touch is not of the next."""
+    """Frames kept of a flash that was no touch are not part of the next touch."""
     detector = TouchDetector(REST, begin=10, end=5, summary="mean", min_frames=3)
     (touch,) = touches_of(detector, [0, 90, 90, 0, 0, 40, 40, 40, 40, 0])
     assert_array_equal(touch.image, REST + 40)
@@ -343,11 +343,11 @@ def test_a_hold_is_of_the_last_64_frames():
 
 def test_a_stream_that_ends_in_contact_ends_with_a_touch():
     images = np.stack([REST + level for level in (0, 0, 40, 40)]).astype(np.uint8)
-    found = TouchDetector().touches_in(Touches(images, no_contact=REST))
-    assert found.columns["duration_s"].tolist() == [1]  # frames are a second apart
-    assert found.columns["time_s"].tolist() == [2]
-    assert found.order.tolist() == [0]
-    assert_array_equal(found.no_contact, REST)
+    touches = TouchDetector().touches_in(Touches(images, no_contact=REST))
+    assert touches.columns["duration_s"].tolist() == [1]  # frames are a second apart
+    assert touches.columns["time_s"].tolist() == [2]
+    assert touches.order.tolist() == [0]
+    assert_array_equal(touches.no_contact, REST)
 
 
 def test_a_stream_without_a_touch_says_what_did_not_change():

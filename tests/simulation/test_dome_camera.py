@@ -156,23 +156,23 @@ def test_turning_by_any_angle_turns_the_picture():
 def test_rolling_the_sensor_is_turning_the_object_back():
     roll = SensorPose((0, 0, 50), (0, 0, -1), roll_rad=0.6)
     rolled = CLEAN.touch(placed("flat-to-edge"), roll).astype(int)
-    # Its axis points down, so a right-handed roll is clockwise from above.
+    # The sensor's axis points down: a right-handed roll is clockwise from above.
     turned = CLEAN.touch(placed("flat-to-edge", yaw_rad=0.6), DOWN).astype(int)
     # The same rays up to rounding; the solver stops a step sooner or later.
     assert np.abs(rolled - turned).mean() < 0.2
 
 
 def test_only_relative_pose_matters():
-    name, way = "stapler", np.array([0.3, -0.2, -1.0])
+    name, direction = "stapler", np.array([0.3, -0.2, -1.0])
     first = placed(name)
-    start = first.centre_mm - 200 * way / np.linalg.norm(way)
+    start = first.centre_mm - 200 * direction / np.linalg.norm(direction)
     moved = placed(name, position_mm=(500, -300, 40))
-    one = CLEAN.touch(first, SensorPose(start, way))
-    two = CLEAN.touch(moved, SensorPose(start + np.array([500, -300, 40]), way))
-    assert np.abs(one.astype(int) - two).mean() < 0.2  # single-precision rays
+    here = CLEAN.touch(first, SensorPose(start, direction))
+    there = CLEAN.touch(moved, SensorPose(start + np.array([500, -300, 40]), direction))
+    assert np.abs(here.astype(int) - there).mean() < 0.2  # single-precision rays
 
 
-def test_image_axes():
+def test_columns_are_the_worlds_x_and_rows_its_minus_y():
     """Pushed straight down, columns are the world's x, rows its -y."""
     post = load_post()
     for offset, (dx, dy) in [((8, 0), (1, 0)), ((0, 8), (0, -1))]:
@@ -234,11 +234,11 @@ def test_noise_needs_a_generator_and_has_its_spread():
     camera = DomeCamera(image_shape=(240, 240), noise_sd=4.0)
     clean = camera.image()
     assert_array_equal(clean, camera.image())
-    one = camera.image(rng=np.random.default_rng(1)).astype(float)
-    same = camera.image(rng=np.random.default_rng(1))
-    assert_array_equal(one, same)
+    noisy = camera.image(rng=np.random.default_rng(1)).astype(float)
+    again = camera.image(rng=np.random.default_rng(1))
+    assert_array_equal(noisy, again)
     grey = clean < 200  # not cut at white
-    assert_allclose((one - clean)[grey].std(), 4.0, rtol=0.05)  # 20,000 pixels
+    assert_allclose((noisy - clean)[grey].std(), 4.0, rtol=0.05)  # 20,000 pixels
     small = DomeCamera(image_shape=(120, 120), noise_sd=4.0)
     noise = small.image(rng=np.random.default_rng(1)).astype(float) - small.image()
     assert_allclose(noise[small.image() < 200].std(), 2.0, rtol=0.1)  # 2 x 2 binned
@@ -314,7 +314,7 @@ def test_no_contact_frame_is_as_bright_as_the_real_one(data_folder):
     real = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     ours = replace(CLEAN, image_shape=(480, 640)).no_contact()
     row, col = np.mgrid[:480, :640] + 0.5
-    # Each about its own disc; the real one is 4 pixels higher.
+    # Radii are about each picture's own disc; the real one is 4 pixels higher.
     real_radius = np.hypot(row - 206.5, col - 215.5)
     our_radius = np.hypot(row - 210, col - 213)
     for inner in range(0, 250, 10):

@@ -27,9 +27,9 @@ def test_pins_are_hexagonal(n_rings, n_pins):
     pins = TacTipPins(n_rings=n_rings)
     assert pins.n_pins == n_pins == len(pins.roots_mm)
     pitch = 0.85 * 20 / n_rings
-    apart = np.linalg.norm(pins.roots_mm[:, None] - pins.roots_mm, axis=2)
-    np.fill_diagonal(apart, np.inf)
-    assert_allclose(apart.min(axis=1), pitch, rtol=1e-5)
+    distances = np.linalg.norm(pins.roots_mm[:, None] - pins.roots_mm, axis=2)
+    np.fill_diagonal(distances, np.inf)
+    assert_allclose(distances.min(axis=1), pitch, rtol=1e-5)
     assert_allclose(np.linalg.norm(pins.roots_mm, axis=1).max(), 17, rtol=1e-5)
 
 
@@ -61,17 +61,17 @@ def test_camera_sees_tips_by_perspective():
 
 def test_flat_press_spreads_the_middle_and_leaves_the_rest():
     press = PINS.press(find_object("flat"), DOWN)
-    rest, pressed = PINS.tips_mm(), PINS.tips_mm(press)
+    at_rest, pressed = PINS.tips_mm(), PINS.tips_mm(press)
     middle = np.linalg.norm(PINS.roots_mm, axis=1) < 6
-    inner = np.linalg.norm(rest[middle, :2], axis=1)
+    inner = np.linalg.norm(at_rest[middle, :2], axis=1)
     # On a flat floor pins stand straight: tips return above their roots.
     roots = np.linalg.norm(PINS.roots_mm[middle], axis=1)
     spread = np.linalg.norm(pressed[middle, :2], axis=1)
     assert_allclose(spread, roots, atol=0.15)
     assert (spread >= inner - 1e-3).all()
-    assert (pressed[middle, 2] < rest[middle, 2]).all()
+    assert (pressed[middle, 2] < at_rest[middle, 2]).all()
     far = np.linalg.norm(PINS.roots_mm, axis=1) > 16.5
-    assert np.abs(pressed[far] - rest[far]).max() < 0.4
+    assert np.abs(pressed[far] - at_rest[far]).max() < 0.4
 
 
 def test_dent_is_the_domes():
@@ -94,12 +94,12 @@ def test_turning_the_object_by_a_sixth_turns_the_pins():
 def test_nothing_touched_is_no_contact_and_noise_is_reproducible():
     nothing = find_object("nothing")
     assert_array_equal(PINS.touch(nothing, DOWN), PINS.no_contact())
-    one = PINS.touch(nothing, DOWN, rng=np.random.default_rng(2))
-    assert_array_equal(one, PINS.touch(nothing, DOWN, rng=np.random.default_rng(2)))
-    assert (one != PINS.no_contact()).any()
+    noisy = PINS.touch(nothing, DOWN, rng=np.random.default_rng(2))
+    assert_array_equal(noisy, PINS.touch(nothing, DOWN, rng=np.random.default_rng(2)))
+    assert (noisy != PINS.no_contact()).any()
 
 
-def test_sets_of_pin_touches():
+def test_sets_of_pin_touches_keep_the_no_contact_frame():
     touches = simulate_touches(["box", "pen"], 3, PINS, random_state=0)
     assert touches.images.shape == (6, 300, 300)
     assert_array_equal(touches.whole["no_contact"], PINS.no_contact())
@@ -141,7 +141,7 @@ def test_each_colour_is_brighter_where_the_dent_leans_towards_its_light(ball):
     assert press.depth_mm <= gel.dome.max_depth_mm + 1e-6
     _, n_cols = gel.image_shape
     red = change[..., 0]
-    # Of a round dent one side leans towards the red light, and the other away.
+    # One side of a round dent leans towards the red light, and the other away.
     left, right = red[:, : n_cols // 2], red[:, n_cols // 2 :]
     assert left.mean() * right.mean() < 0
     # The three lights are 120 degrees apart: their changes, as shares, sum to about 0.
@@ -161,13 +161,13 @@ def test_where_nothing_is_touched_nothing_changes(ball):
 def test_touches_have_channels_and_are_recognised():
     names = ["ball", "pen", "box"]
     gel = GelCamera(image_shape=(48, 64))
-    taught = simulate_touches(names, 20, gel, n_sessions=4, random_state=0)
-    asked = simulate_touches(names, 10, gel, n_sessions=2, random_state=1)
-    assert taught.images.shape == (60, 48, 64, 3)
-    assert [*taught.channels] == ["r", "g", "b"]
-    recogniser = ObjectRecogniser().fit(taught)
-    best = recogniser.classes_[recogniser.log_likelihood(asked).argmax(axis=1)]
-    assert np.mean(best == asked.object) > 0.5  # chance is a third
+    training = simulate_touches(names, 20, gel, n_sessions=4, random_state=0)
+    new_touches = simulate_touches(names, 10, gel, n_sessions=2, random_state=1)
+    assert training.images.shape == (60, 48, 64, 3)
+    assert [*training.channels] == ["r", "g", "b"]
+    recogniser = ObjectRecogniser().fit(training)
+    best = recogniser.classes_[recogniser.log_likelihood(new_touches).argmax(axis=1)]
+    assert np.mean(best == new_touches.object) > 0.5  # chance is a third
 
 
 def test_another_mounting_looks_otherwise_and_the_same_seed_the_same():
@@ -179,13 +179,13 @@ def test_another_mounting_looks_otherwise_and_the_same_seed_the_same():
 
 
 @pytest.mark.parametrize(
-    ("how", "message"),
+    ("options", "message"),
     [
         ({"image_shape": (4, 160)}, "image_shape must be at least 8, got 4"),
         ({"width_mm": 0}, "width_mm must be positive"),
         ({"colours": (1, 0, 1)}, "colours must be positive"),
     ],
 )
-def test_what_is_no_gel_is_refused(how, message):
+def test_what_is_no_gel_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        GelCamera(**how)
+        GelCamera(**options)

@@ -118,8 +118,8 @@ def test_agrees_with_a_slow_solver(shape):
         membrane, gap, depth_mm=depth, tolerance_mm=1e-4, max_steps=2000
     )
     assert_allclose(fast.force_n, slow.sum(), rtol=2e-3)
-    found = fast.node_force_n.ravel()[inside]
-    assert_allclose(found, slow, atol=5e-3 * slow.max())
+    forces_n = fast.node_force_n.ravel()[inside]
+    assert_allclose(forces_n, slow, atol=5e-3 * slow.max())
 
 
 def test_default_tolerance_is_close_to_the_converged_answer(membrane):
@@ -189,7 +189,7 @@ def test_symmetric_object_gives_a_symmetric_dent(membrane):
         assert_allclose(turned, w, atol=0.01)
 
 
-def test_one_node_in_contact(membrane):
+def test_one_node_in_contact_carries_the_whole_force(membrane):
     gap = np.full((48, 48), np.inf)
     gap[20, 30] = 0.0
     contact = solve_contact(membrane, gap, force_n=FORCE_N)

@@ -40,7 +40,7 @@ def test_every_format_gives_the_same_object(saved, suffix):
     assert len(thing.resting_rotations) == 7  # as in the file, and on its six faces
 
 
-def test_text_stl(saved, block, tmp_path):
+def test_stl_files_of_text_are_read(saved, block, tmp_path):
     path = tmp_path / "text.stl"
     path.write_text(trimesh.exchange.stl.export_stl_ascii(block))
     assert_allclose(load_mesh(path).size_mm, [40, 30, 20], atol=1e-4)
@@ -49,7 +49,7 @@ def test_text_stl(saved, block, tmp_path):
 @pytest.mark.parametrize(
     ("unit", "mm"), [("mm", 1), ("cm", 10), ("in", 25.4), ("inch", 25.4)]
 )
-def test_units(saved, unit, mm):
+def test_units_are_converted_to_mm(saved, unit, mm):
     size = load_mesh(saved("b.ply"), unit=unit).size_mm
     assert_allclose(size, np.array([40, 30, 20]) * mm, rtol=1e-5)
 

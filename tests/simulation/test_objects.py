@@ -43,7 +43,7 @@ def test_surface_is_closed_and_faces_outward(thing):
 
 
 @solid
-def test_built_where_it_says(thing):
+def test_things_stand_on_level_zero_and_basic_shapes_end_there(thing):
     low, high = thing.mesh.bounds
     level = high[2] if thing in BASIC_SHAPES else low[2]
     # Round feet are polygons; the knobs of the massage ball stand anywhere.
@@ -63,7 +63,7 @@ def test_built_where_it_says(thing):
         ("smaller ball", (46, 46, 46)),
     ],
 )
-def test_sizes(name, size_mm):
+def test_sizes_are_those_of_the_real_things(name, size_mm):
     assert_allclose(find_object(name).size_mm, size_mm, atol=0.2)
 
 
@@ -86,7 +86,7 @@ def test_mug_is_hollow_and_has_a_handle():
 
 
 @pytest.mark.parametrize("thing", HOUSEHOLD + UNSEEN, ids=lambda o: o.name)
-def test_resting_poses_rest(thing):
+def test_resting_poses_have_ground_below_the_centre_of_mass(thing):
     """Below the centre of mass there is ground that the object stands on."""
     for number in range(len(thing.resting_rotations)):
         rotation = thing.resting_rotations[number]
@@ -102,13 +102,13 @@ def test_resting_poses_rest(thing):
 
 @pytest.fixture
 def rests(tmp_path):
-    """Return the poses that are found for a mesh, but the one it is built in."""
+    """Return the resting rotations of a mesh, without the one it is built in."""
 
-    def found(mesh):
+    def resting(mesh):
         mesh.export(tmp_path / "mesh.ply")
         return load_mesh(tmp_path / "mesh.ply").resting_rotations[1:]
 
-    return found
+    return resting
 
 
 def test_stable_rotations_of_a_block_are_its_faces(rests):
@@ -123,7 +123,7 @@ def test_stable_rotations_leave_out_what_topples(rests):
     leaning = trimesh.creation.box((10, 10, 100))
     leaning.vertices += leaning.vertices[:, [2]] * (0.5, 0, 0)  # centre beyond base
     down = [rotation.T @ (0, 0, -1) for rotation in rests(leaning)]
-    assert all(abs(way[2]) < 0.99 for way in down)
+    assert all(abs(direction[2]) < 0.99 for direction in down)
 
 
 def test_resting_puts_the_middle_over_the_origin():
@@ -155,7 +155,7 @@ def test_sensor_axes_are_right_handed_and_look_down_as_a_map():
     assert_allclose(slanted.axes[:, 2], np.array([1, 2, -3]) / np.sqrt(14))
 
 
-def test_pickle_builds_anew():
+def test_a_pickled_object_builds_its_mesh_anew():
     again = pickle.loads(pickle.dumps(find_object("pen")))
     assert "mesh" not in vars(again)
     assert_array_equal(again.mesh.vertices, find_object("pen").mesh.vertices)

@@ -90,7 +90,7 @@ def test_stress_agrees_with_the_fourier_transform_of_boussinesq():
 
 
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
-def test_taxels_feel_the_whole_force_over_all_phases(part):
+def test_taxels_carry_the_whole_force_over_all_phases(part):
     # Sixteen phases of the pitch are taxels every 0.5 mm; an array 12 mm wider than
     # the part on either side loses next to nothing.
     array = PressureArray(24, 30, grid_mm=0.2)
@@ -99,9 +99,9 @@ def test_taxels_feel_the_whole_force_over_all_phases(part):
         for x in (0.05, 0.55, 1.05, 1.55)
         for y in (0.05, 0.55, 1.05, 1.55)
     ]
-    felt_n = np.mean(stresses) * array.pitch_mm**2 / 1e3
+    force_n = np.mean(stresses) * array.pitch_mm**2 / 1e3
     # Force z³ / (R² + z²)^1.5 lies beyond R: 4e-4 of it beyond 12 mm.
-    assert felt_n == pytest.approx(FORCE_N, rel=2e-3)
+    assert force_n == pytest.approx(FORCE_N, rel=2e-3)
 
 
 def test_a_thicker_cover_spreads_and_weakens():
@@ -189,12 +189,12 @@ def test_unevenness_has_unit_variance_and_its_length(rng):
     # Half the mean square of differences at a distance d is 1 - exp(-d² / (2 length²)),
     # about which those of 6000 fields scatter by 0.009 (sd over seeds) at 9 mm.
     for cells, lengths in ((3, 1), (9, 3)):  # of 1 mm; of 3 mm
-        for apart in (
+        for differences in (
             fields[:, cells:] - fields[:, :-cells],
             fields[:, :, cells:] - fields[:, :, :-cells],
         ):
             expected = 1 - np.exp(-(lengths**2) / 2)
-            assert np.mean(apart**2) / 2 == pytest.approx(expected, abs=0.03)
+            assert np.mean(differences**2) / 2 == pytest.approx(expected, abs=0.03)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -238,8 +238,10 @@ def test_a_centred_part_makes_a_symmetric_image(name):
 
 
 def test_stress_is_proportional_to_the_load_of_a_level_face():
-    one, four = (IDEAL.stress_kpa(NUT, Press(load_kgf=load)) for load in (1, 4))
-    assert_allclose(four, 4 * one, rtol=1e-9, atol=1e-6)
+    at_1_kgf, at_4_kgf = (
+        IDEAL.stress_kpa(NUT, Press(load_kgf=load)) for load in (1, 4)
+    )
+    assert_allclose(at_4_kgf, 4 * at_1_kgf, rtol=1e-9, atol=1e-6)
 
 
 def test_a_part_larger_than_the_array_is_cut_off_at_its_edges():
@@ -262,7 +264,7 @@ def test_stress_is_finite_and_never_pulls(rng):
         assert stress.min() > -1e-3
 
 
-def test_any_size_pitch_and_shape():
+def test_images_have_the_shape_of_an_array_of_any_size_and_pitch():
     for rows, cols, pitch in ((2, 3, 5.0), (16, 16, 1.25), (9, 33, 0.73)):
         array = PressureArray(rows, cols, pitch_mm=pitch, sensing_mm=0.5 * pitch)
         image = array.press("bar10", random_state=0)
@@ -292,9 +294,11 @@ def test_below_the_dead_zone_a_taxel_reads_nothing():
 
 def test_a_heavy_load_widens_the_image():
     array = PressureArray(noise_kpa=0)
-    felt = [np.count_nonzero(array.press(DISC, load_kgf=load)) for load in (2, 4, 8)]
-    assert felt == sorted(felt)
-    assert felt[-1] > felt[0]
+    n_pressed = [
+        np.count_nonzero(array.press(DISC, load_kgf=load)) for load in (2, 4, 8)
+    ]
+    assert n_pressed == sorted(n_pressed)
+    assert n_pressed[-1] > n_pressed[0]
 
 
 def test_gains_belong_to_the_device():

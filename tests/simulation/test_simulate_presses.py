@@ -11,7 +11,7 @@ from palpate.simulation import PARTS, PressureArray, simulate_presses
 FORCE_N = 4 * 9.80665
 
 
-def test_a_set_of_presses_says_what_was_pressed_and_how():
+def test_columns_of_a_set_of_presses_tell_what_was_pressed_and_how():
     touches = simulate_presses(n_presses=3, random_state=0)
     columns = touches.columns
     assert touches.images.shape == (36, 10, 10)
@@ -89,12 +89,12 @@ def test_parts_are_checked_before_anything_is_pressed():
 
 
 def test_sessions_of_an_array_differ_more_between_than_within():
-    made = simulate_presses(
+    touches = simulate_presses(
         ["disc13"], 12, n_sessions=3, max_shift_mm=0, tilt_sd_deg=0, random_state=0
     )
-    assert np.unique(made.session).tolist() == [0, 1, 2]
-    means = [made.images[made.session == s].mean(axis=0) for s in range(3)]
-    within = [made.images[made.session == s][:2].mean(axis=0) for s in range(3)]
+    assert np.unique(touches.session).tolist() == [0, 1, 2]
+    means = [touches.images[touches.session == s].mean(axis=0) for s in range(3)]
+    within = [touches.images[touches.session == s][:2].mean(axis=0) for s in range(3)]
     between = np.abs(means[0] - means[1]).mean()
     assert between > 2 * np.abs(means[0] - within[0]).mean()
     alone = simulate_presses(["disc13"], 12, n_sessions=1, random_state=0)

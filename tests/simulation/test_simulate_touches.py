@@ -58,7 +58,7 @@ def test_tips_end_at_the_surface():
     assert_allclose(away, 36 - touches.columns["depth_mm"], atol=0.5)
 
 
-def test_above_touches_the_feature():
+def test_the_strategy_above_touches_the_feature():
     touches = simulate_touches(
         ["flat", "nothing"], 4, strategy="above", aim_sd_mm=1.0, random_state=0
     )
@@ -134,11 +134,11 @@ def test_fields_of_a_scene_may_be_given_by_name():
 
 def test_mountings_are_the_same_for_all_objects_and_differ_from_each_other():
     camera = DomeCamera(image_shape=(48, 48), noise_sd=0, n_nodes=24)
-    way = {"n_sessions": 2, "random_state": 0, "keep_misses": True}
-    made = simulate_touches(["nothing"], 2, camera, mountings=True, **way)
-    first, second = made.images.astype(float)
+    options = {"n_sessions": 2, "random_state": 0, "keep_misses": True}
+    touches = simulate_touches(["nothing"], 2, camera, mountings=True, **options)
+    first, second = touches.images.astype(float)
     assert np.abs(first - second).mean() > 1
-    other = simulate_touches(["nothing"], 4, camera, mountings=True, **way)
+    other = simulate_touches(["nothing"], 4, camera, mountings=True, **options)
     assert np.array_equal(other.images[0], other.images[1])
     rng = np.random.default_rng(0)
     assert camera.remounted(rng) != camera.remounted(rng)

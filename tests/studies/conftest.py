@@ -31,7 +31,7 @@ LEAST = {
 }
 
 
-def held(result, **wanted):
+def rows_of(result, **wanted):
     """Return the rows of a result that have these entries."""
     return [
         row

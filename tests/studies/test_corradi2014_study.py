@@ -1,4 +1,4 @@
-"""The Corradi 2014 study on few touches: which rows there are, and its statistics."""
+"""The Corradi 2014 study on few touches: its rows, and its statistics."""
 
 import json
 import re
@@ -93,21 +93,21 @@ def test_every_row_has_a_figure_and_a_name_of_its_own(result):
 
 
 def test_every_encoding_meets_every_classifier_on_both_images(result):
-    held = [row for row in result["rows"] if row["table"] == "Fig. 3"]
-    met = {
+    rows = [row for row in result["rows"] if row["table"] == "Fig. 3"]
+    combinations = {
         (r["data"], r["encoding"], r["classifier"], r["variant"], r["folds"])
-        for r in held
+        for r in rows
     }
-    assert len(met) == len(held) == 2 * 2 * len(CLASSIFIERS) * 2 * 2
-    assert [row["paper"] for row in held if row["paper"]] == [96.4]
+    assert len(combinations) == len(rows) == 2 * 2 * len(CLASSIFIERS) * 2 * 2
+    assert [row["paper"] for row in rows if row["paper"]] == [96.4]
 
 
 def test_table_2_stands_beside_the_paper(result):
     for row in result["rows"]:
         if row["table"] == "Table 2":
             sensor = ["simulated", "simulated-pins"].index(row["data"])
-            known = TABLE_2[row["encoding"]][row["variant"]][sensor]
-            assert row["paper"] == (known if row["q"] == 2 else None)
+            published = TABLE_2[row["encoding"]][row["variant"]][sensor]
+            assert row["paper"] == (published if row["q"] == 2 else None)
 
 
 def test_image_and_derivative_are_tested_in_pairs(result):
@@ -122,7 +122,7 @@ def test_missing_touches_are_told(result):
     assert all("PALPATE_DATA" in sentence for sentence in result["skipped"])
 
 
-def test_tables_and_report_show_it_all(result, tmp_path):
+def test_tables_and_report_show_every_figure(result, tmp_path):
     again = json.loads(json.dumps(result))
     tables = STUDY.tables(again)
     assert [title.split(":")[0] for title, _, _ in tables[:3]] == [
@@ -138,7 +138,7 @@ def test_tables_and_report_show_it_all(result, tmp_path):
     assert named == ["Fig. 2", "Table 2", "Fig. 3"]
     assert "96.4" in page
     loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
-    assert all(one.startswith(("#", "data:")) for one in loaded)
+    assert all(address.startswith(("#", "data:")) for address in loaded)
 
 
 @pytest.mark.slow
@@ -148,10 +148,10 @@ def test_pictures_have_a_panel_per_set(result):
     assert len(drawn["fig3"].axes) == 4
 
 
-def shapes_of(discs, codes, asked=None):
+def shapes_of(discs, codes, test_images=None):
     place = np.tile(np.arange(20), 3)
     images = variants(discs)
-    return Shapes("drawn", images, asked, codes, place % 5, place // 10)
+    return Shapes("drawn", images, test_images, codes, place % 5, place // 10)
 
 
 @pytest.mark.slow
@@ -174,13 +174,13 @@ def test_labels_of_the_second_half_do_not_choose(discs, rng):
 @pytest.mark.slow
 def test_turned_test_images_lower_pixels_and_not_moments(discs):
     images, codes = discs
-    asked = variants(np.ascontiguousarray(images.transpose(0, 2, 1)))
+    test_images = variants(np.ascontiguousarray(images.transpose(0, 2, 1)))
     plan = Corradi2014Plan.quick(choice_step=2)
-    found = {
-        name: judge(shapes_of(images, codes, asked), "image", name, plan)
+    by_encoding = {
+        name: judge(shapes_of(images, codes, test_images), "image", name, plan)
         for name in ("zernike", "zernike-pca")
     }
-    for judged in found.values():
+    for judged in by_encoding.values():
         assert judged.folds["1-NN"].mean() > 95
         assert not [row for row in judged.rows if row["table"] == "Table 2"]
 
@@ -217,8 +217,8 @@ def test_fewer_touches_than_components_have_fewer_directions(rng):
 def test_every_classifier_learns_two_far_clusters(kind, rng):
     train = np.r_[rng.normal(size=(20, 2)), 30 + rng.normal(size=(20, 2))]
     codes = np.repeat([0, 1], 20)
-    said = answers(kind, train, codes, np.array([[0.0, 0.0], [30.0, 30.0]]), 0)
-    assert_array_equal(said, [0, 1])
+    predicted = answers(kind, train, codes, np.array([[0.0, 0.0], [30.0, 30.0]]), 0)
+    assert_array_equal(predicted, [0, 1])
 
 
 def test_corrected_t_test_is_wider_than_the_plain_one():
@@ -245,7 +245,7 @@ def test_repeated_touches_are_counted(rng):
 
 
 @pytest.fixture
-def seen(rng):
+def recording(rng):
     """Two categories of three objects, ten touches each: one wave, or two."""
     x = np.linspace(-1, 1, 32)
     codes, objects = np.repeat([0, 1], 30), np.repeat(np.arange(6), 10)
@@ -254,23 +254,23 @@ def seen(rng):
     return Recording(variants(discs), codes, objects, objects % 3)
 
 
-def test_unseen_objects_of_clear_categories_are_named(seen):
+def test_unseen_objects_of_clear_categories_are_named(recording):
     plan = Corradi2014Plan.quick(fold_limit=3, thinning=1)
-    rows = judge_unseen(seen, "image", "zernike-pca", plan)
+    rows = judge_unseen(recording, "image", "zernike-pca", plan)
     assert [row["classifier"] for row in rows] == list(CLASSIFIERS)
     assert rows[0]["ours"] > 90
     assert len(rows[0]["n_components"]) == 3
 
 
-def test_the_best_encoding_is_chosen_without_the_tested_objects(seen):
+def test_the_best_encoding_is_chosen_without_the_tested_objects(recording):
     plan = Corradi2014Plan.quick(fold_limit=3, thinning=1)
     names = ("zernike-pca", "zernike")
-    features = {name: candidate_features(seen, name) for name in names}
-    first = compare_fold(seen.only(), features, 0, plan)
+    features = {name: candidate_features(recording, name) for name in names}
+    first = compare_fold(recording.only(), features, 0, plan)
     broken = {n: [p.copy() for p in parts] for n, parts in features.items()}
     for parts in broken.values():
-        parts[0][seen.fold == 0] = 0
-    second = compare_fold(seen.only(), broken, 0, plan)
+        parts[0][recording.fold == 0] = 0
+    second = compare_fold(recording.only(), broken, 0, plan)
     assert second["inner"] == first["inner"]
     assert second["right"] != first["right"]
     rows = compared_rows([first, second])
@@ -292,8 +292,8 @@ def test_candidates_and_counts_are_known():
 def test_a_first_look_names_recorded_shapes_with_turned_tests_alone(rng):
     images = rng.integers(0, 255, (20, 32, 32), dtype=np.uint8)
     touches = Touches(images, object=np.repeat(["flat", "edge"], 10))
-    every = [s.data for s in recorded_shapes(touches, 0)]
-    assert every == ["tactip4", "tactip4, test turned"]
+    names = [s.data for s in recorded_shapes(touches, 0)]
+    assert names == ["tactip4", "tactip4, test turned"]
     first_look = Corradi2014Plan.quick()
     (turned,) = recorded_shapes(touches, 0, upright=first_look.recorded_upright)
     assert turned.data == "tactip4, test turned"

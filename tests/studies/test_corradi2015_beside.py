@@ -40,16 +40,16 @@ def photographed(names, archive, of_name):
 
 
 def test_photographs_are_roots_of_shares(tmp_path):
-    seen = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
-    np.testing.assert_allclose((seen.words**2).sum(axis=1), 1)
-    assert seen.words[8].argmax() == 1
-    assert seen.object[8] == NAMES[1]
+    photographs = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
+    np.testing.assert_allclose((photographs.words**2).sum(axis=1), 1)
+    assert photographs.words[8].argmax() == 1
+    assert photographs.object[8] == NAMES[1]
 
 
 def test_telling_photographs_help_touches_that_tell_nothing(rng, tmp_path):
     touches = drawn(NAMES, 1e3, rng)
-    seen = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
-    right = beside.sight(touches, seen, Plan(touches=(1, 30)))
+    photographs = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
+    right = beside.sight(touches, photographs, Plan(touches=(1, 30)))
     # "last" tests a quarter of 16 touches, so that nothing is said after 30.
     assert {sense: list(curve) for sense, curve in right.items()} == {
         "touch": [1],
@@ -65,22 +65,24 @@ def test_telling_photographs_help_touches_that_tell_nothing(rng, tmp_path):
 def test_photographs_of_unseen_objects_name_their_category(rng, tmp_path):
     touches = drawn((*NAMES[:2], *NAMES[3:5]), 1, rng)
     of_kind = {name: 3 * name.startswith("pen") for name in NAMES}
-    seen = photographed(NAMES, tmp_path / "w.npz", of_kind.__getitem__)
-    right = beside.sight(touches, seen, Plan(label="category", touches=(1,), orders=4))
+    photographs = photographed(NAMES, tmp_path / "w.npz", of_kind.__getitem__)
+    right = beside.sight(
+        touches, photographs, Plan(label="category", touches=(1,), orders=4)
+    )
     # Two folds, one object of each category in each.
     assert_array_equal(right["sight"][0], np.ones(4))
 
 
 def test_objects_without_photographs_are_left_out(rng, tmp_path):
     touches = drawn(NAMES, 0.1, rng)
-    seen = photographed((*NAMES[:4], "key_a"), tmp_path / "w.npz", len)
-    right = beside.sight(touches, seen, Plan(touches=(1,), orders=2))
+    photographs = photographed((*NAMES[:4], "key_a"), tmp_path / "w.npz", len)
+    right = beside.sight(touches, photographs, Plan(touches=(1,), orders=2))
     assert_array_equal(right["touch"][1], np.ones(4))
 
 
 def test_the_first_authors_figures_stand_beside_ours(rng, tmp_path):
-    seen = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
-    rows = sight_rows(PLAN, drawn(NAMES, 0.1, rng), seen, "object")
+    photographs = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
+    rows = sight_rows(PLAN, drawn(NAMES, 0.1, rng), photographs, "object")
     paper = {(r["recogniser"], r["touches"]): r["paper"] for r in rows}
     assert paper["both", 1] == 45.2
     assert paper["touch", 1] == 18.8
@@ -131,7 +133,7 @@ def test_moved_objects_are_tested_on_the_other_side_alone(rng):
     assert {row["recogniser"] for row in rows} > {"brightness", "sorted pixels"}
 
 
-def test_what_is_missing_is_said(rng, tmp_path):
+def test_missing_photographs_and_columns_are_named_as_skipped(rng, tmp_path):
     tasks, skipped = beside_tasks(PLAN, drawn(NAMES, 1, rng), tmp_path)
     assert tasks == []
     assert "no bathtip/visual_words50.npz" in skipped[0]
@@ -147,24 +149,26 @@ def test_what_is_missing_is_said(rng, tmp_path):
 
 
 @pytest.mark.parametrize("later", [True, False])
-def test_the_study_asks_them_with_the_later_experiments(later, rng, monkeypatch):
+def test_sight_and_moved_cameras_come_with_the_later_experiments(
+    later, rng, monkeypatch
+):
     touches = drawn(NAMES, 1, rng)
     objects = Objects("bathtip", touches, touches)
-    asked = ([lambda: [{"name": "beside"}]], ["Left out."])
+    tasks_and_skipped = ([lambda: [{"name": "beside"}]], ["Left out."])
     stubs = {
         "recorded_touches": touches,
         "recorded_objects": objects,
         "simulated_objects": objects,
-        "beside_tasks": asked,
+        "beside_tasks": tasks_and_skipped,
         "unseen_beliefs": {},
         "confusions": {},
         **{n: [] for n in ("learnt_tasks", "later_tasks", "experiment_rows")},
         **{n: [] for n in ("unseen_rows", "timing_rows")},
     }
     for name, answer in stubs.items():
-        places = (corradi2015, corradi2015.episodes, corradi2015.stated)
-        place = next(one for one in places if hasattr(one, name))
-        monkeypatch.setattr(place, name, lambda *_, it=answer: fresh(it))
+        modules = (corradi2015, corradi2015.episodes, corradi2015.stated)
+        module = next(module for module in modules if hasattr(module, name))
+        monkeypatch.setattr(module, name, lambda *_, it=answer: fresh(it))
     plan = Corradi2015Plan(later=later)
     result = run_study("corradi2015", plan=plan, workers=1, progress=False)
     assert [row["name"] for row in result["rows"]] == (["beside"] if later else [])

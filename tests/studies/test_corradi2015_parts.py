@@ -1,4 +1,4 @@
-"""What the Corradi 2015 study is made of, against facts known without its code."""
+"""Parts of the Corradi 2015 study against facts known without its code."""
 
 import cv2
 import numpy as np
@@ -143,9 +143,9 @@ def test_bags_compare_histograms_by_chi_squared(two_places):
     train, codes, places = two_places
     episodes = places[[0, 1]][np.newaxis]
     scores = BagOfTouches((2,)).scores(train, codes, episodes)[0]
-    seen = np.array([[1.0, 0.0], [0.5, 0.5]])
-    known = np.array([[0.9, 0.1], [0.1, 0.9]])
-    expected = [[-((s - k) ** 2 / (s + k)).sum() / 2 for k in known] for s in seen]
+    touched = np.array([[1.0, 0.0], [0.5, 0.5]])
+    learnt = np.array([[0.9, 0.1], [0.1, 0.9]])
+    expected = [[-((s - k) ** 2 / (s + k)).sum() / 2 for k in learnt] for s in touched]
     assert_allclose(scores, expected)
 
 
@@ -166,9 +166,9 @@ def test_one_component_is_the_gaussian_of_the_object(rng):
     scores = Mixtures(1).scores(train, codes, episodes)[:, 0]
     densities = []
     for code in (0, 1):
-        own = train[codes == code]
-        covariance = np.cov(own.T, bias=True)
-        away = episodes[:, 0] - own.mean(axis=0)
+        of_object = train[codes == code]
+        covariance = np.cov(of_object.T, bias=True)
+        away = episodes[:, 0] - of_object.mean(axis=0)
         squared = np.einsum("ij,jk,ik->i", away, np.linalg.inv(covariance), away)
         densities.append(-0.5 * (squared + np.log(np.linalg.det(covariance))))
     odds = densities[1] - densities[0]
@@ -236,7 +236,7 @@ def test_all_features_are_finite_and_one_row_a_touch(dome_touches):
     assert encoded.idle is None
 
 
-def test_a_category_is_asked_of_objects_that_were_not_learnt():
+def test_a_category_is_tested_on_objects_that_were_not_learnt():
     objects = np.repeat(["mug_a", "mug_b", "pen_a", "pen_b", "pen_c"], 25)
     category = np.char.partition(objects, "_")[:, 0]
     touches = Touches(np.zeros((125, 8, 8)), object=objects, category=category)
@@ -245,8 +245,8 @@ def test_a_category_is_asked_of_objects_that_were_not_learnt():
     by_category, folds = category_folds(Corradi2015Plan(orders=2), touches, encoded)
     assert len(folds) == 2
     for fold in folds:
-        asked = np.unique(objects[fold.episodes])
-        assert len(asked) == 2
-        assert not np.isin(asked, objects[fold.train]).any()
+        tested = np.unique(objects[fold.episodes])
+        assert len(tested) == 2
+        assert not np.isin(tested, objects[fold.train]).any()
         truth = by_category.names[fold.truth]
         assert_array_equal(category[fold.episodes[:, 0]], truth)

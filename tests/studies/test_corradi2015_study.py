@@ -1,4 +1,4 @@
-"""The Corradi 2015 study on few touches: which rows there are, and that they repeat."""
+"""The Corradi 2015 study on few touches: its rows, and that they repeat."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from palpate.studies import STUDIES, run_study
 from palpate.studies.corradi2015 import Corradi2015Plan, pictures
 from palpate.studies.corradi2015.episodes import worst_pairs
 
-from .conftest import held
+from .conftest import rows_of
 
 STUDY = STUDIES["corradi2015"]
 
@@ -49,13 +49,13 @@ def result(small_camera):
 
 
 def test_every_recogniser_has_a_figure_after_each_number_of_touches(result):
-    rows = held(result, table="ten objects")
+    rows = rows_of(result, table="ten objects")
     names = {row["recogniser"] for row in rows}
     assert {"corradi2015", "default", "k-means", "mixtures of 2"} <= names
     assert {"bag, Fourier", "bag, moments", "disc centre", "brightness"} <= names
     for name in names - {"idle, corradi2015", "idle, default"}:
         # 30 touches are more than an episode has.
-        touches = [row["touches"] for row in held(result, recogniser=name)]
+        touches = [row["touches"] for row in rows_of(result, recogniser=name)]
         assert touches[:2] == [1, 4]
     for row in rows:
         assert 0 <= row["ours"] <= 100
@@ -65,12 +65,12 @@ def test_every_recogniser_has_a_figure_after_each_number_of_touches(result):
 
 def test_the_same_camera_at_the_same_place_tells_no_object(result):
     # Chance is 10 %; after 4 touches of 10 objects 50 % has a chance below 1e-3.
-    (row,) = held(result, recogniser="disc centre", touches=4)
+    (row,) = rows_of(result, recogniser="disc centre", touches=4)
     assert row["ours"] < 50
 
 
 def test_mixtures_say_how_under_determined_they_are(result):
-    row = held(result, recogniser="mixtures of 2")[0]
+    row = rows_of(result, recogniser="mixtures of 2")[0]
     n = row["n_features"]
     # Eight touches an object cannot span two covariances of more features.
     assert n > 8
@@ -96,13 +96,13 @@ def test_objects_never_learnt_share_one_belief(result):
 
 
 def test_timings_stand_beside_the_papers(result):
-    rows = held(result, table="timings")
+    rows = rows_of(result, table="timings")
     encode = next(row for row in rows if row["name"].startswith("Zernike"))
     assert encode["paper"] == 3.7
     assert all(row["unit"] == "ms" and row["ours"] > 0 for row in rows)
 
 
-def test_what_is_missing_is_said_and_json_holds_everything(result):
+def test_missing_touches_are_named_as_skipped_and_json_holds_everything(result):
     assert "`data` or PALPATE_DATA" in result["skipped"][0]
     assert json.loads(json.dumps(result))["study"] == "corradi2015"
 
@@ -113,7 +113,7 @@ def test_the_same_seed_gives_the_same_figures(result, monkeypatch):
     plan = Corradi2015Plan(**{**TINY, "default_partitions": 0})
     again = run_study("corradi2015", plan=plan, workers=1, progress=False)
     for name in ("corradi2015", "bag, moments", "mixtures of 2"):
-        assert held(again, recogniser=name, table="ten objects") == held(
+        assert rows_of(again, recogniser=name, table="ten objects") == rows_of(
             result, recogniser=name, table="ten objects"
         )
     assert again["unseen"] == result["unseen"]
@@ -165,7 +165,7 @@ def test_recorded_touches_are_recognised_as_the_paper_says(data_folder):
     result = run_study("corradi2015", data=data_folder, quick=True, progress=False)
     figures = {
         row["touches"]: row["ours"]
-        for row in held(result, data="bathtip", recogniser="corradi2015")
+        for row in rows_of(result, data="bathtip", recogniser="corradi2015")
         if row["table"] == "ten objects"
     }
     # Five partitions of ten objects: a standard error of 5 points after 15 touches.

@@ -1,4 +1,4 @@
-"""The pictures of the Liu 2014 study: what is in them, known without looking."""
+"""Pictures of the Liu 2014 study: their contents, known without looking."""
 
 import numpy as np
 import pytest
@@ -18,15 +18,15 @@ def test_both_bars_are_drawn_under_every_load_and_cover_alike(tiny_plan):
     assert [place.get_title() for place in lines[2]] == [
         "0.3 mm", "0.6 mm", "0.9 mm", "1.5 mm", "2 mm", "3 mm"
     ]  # fmt: skip
-    shown = [[i.get_array() for p in line for i in p.images] for line in lines]
-    assert [len(line) for line in shown] == [5, 5, 6, 6]
-    for loads, covers in (shown[::2], shown[1::2]):
+    images = [[i.get_array() for p in line for i in p.images] for line in lines]
+    assert [len(line) for line in images] == [5, 5, 6, 6]
+    for loads, covers in (images[::2], images[1::2]):
         # 4 kgf through 0.9 mm stands in both lines; more load presses harder in sum.
         assert_array_equal(loads[3], covers[2])
-        assert np.all(np.diff([int(one.sum()) for one in loads]) > 0)
+        assert np.all(np.diff([int(image.sum()) for image in loads]) > 0)
     # The 10 mm bar does not reach the rim of the array, the 35 mm one must.
-    assert shown[0][4][[0, -1]].max() < shown[1][4].max() / 4
-    assert max(shown[1][4][:, [0, -1]].max(), shown[1][4][[0, -1]].max()) > 20
+    assert images[0][4][[0, -1]].max() < images[1][4].max() / 4
+    assert max(images[1][4][:, [0, -1]].max(), images[1][4][[0, -1]].max()) > 20
 
 
 def test_a_disc_is_as_round_as_its_first_frequencies(tiny_plan):
@@ -48,10 +48,10 @@ def test_a_disc_is_as_round_as_its_first_frequencies(tiny_plan):
 def test_the_clean_up_is_drawn_from_the_part_to_three_partitions(tiny_plan):
     figure = drawing.stages(simulated_presses(tiny_plan()))
     lines = np.reshape(figure.axes, (8, 3))
-    said = [place.get_ylabel() for place in lines[:, 0]]
-    assert [one[:3] for one in said] == [f"({letter})" for letter in "abcdefgh"]
-    assert said[0] == "(a) part"
-    assert said[-1] == "(h) binary 3 x 3"
+    labels = [place.get_ylabel() for place in lines[:, 0]]
+    assert [label[:3] for label in labels] == [f"({letter})" for letter in "abcdefgh"]
+    assert labels[0] == "(a) part"
+    assert labels[-1] == "(h) binary 3 x 3"
     # A hexagon and a square with a hole each, a disc without.
     assert [len(place.patches) for place in lines[0]] == [2, 2, 1]
     sizes = [place.images[0].get_array().shape for place in lines[1:, 0]]
@@ -59,13 +59,13 @@ def test_the_clean_up_is_drawn_from_the_part_to_three_partitions(tiny_plan):
 
 
 def test_the_papers_figures_stand_beside_ours_as_hollow_marks():
-    made = (("Fig. 12", 40, 30.0, 43.0), ("Fig. 13", None, 90.0, 63.3))
-    made += (("Fig. 14", 40, 95.0, 68.69), ("Fig. 14", 5, 85.0, None))
+    figures = (("Fig. 12", 40, 30.0, 43.0), ("Fig. 13", None, 90.0, 63.3))
+    figures += (("Fig. 14", 40, 95.0, 68.69), ("Fig. 14", 5, 85.0, None))
     keys = ("table", "n", "ours", "paper")
-    known = {"classes": "all", "data": "simulated", "sd": None}
+    shared = {"classes": "all", "data": "simulated", "sd": None}
     rows = [
-        {**known, **dict(zip(keys, one, strict=True)), "features": scaling}
-        for one in made
+        {**shared, **dict(zip(keys, figure, strict=True)), "features": scaling}
+        for figure in figures
         for scaling in ("z-scored", "raw")
     ]
     other = {**rows[0], "data": "taxel10x10", "ours": 1.0}
@@ -78,5 +78,5 @@ def test_the_papers_figures_stand_beside_ours_as_hollow_marks():
 
 
 def marks(place, *, hollow=False):
-    lines = [one for one in place.lines if (one.get_mfc() == "none") == hollow]
+    lines = [line for line in place.lines if (line.get_mfc() == "none") == hollow]
     return [y for line in lines for y in line.get_ydata()]

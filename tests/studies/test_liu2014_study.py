@@ -1,4 +1,4 @@
-"""The Liu 2014 study on three parts: which rows there are, and that they repeat."""
+"""The Liu 2014 study on three parts: its rows, and that they repeat."""
 
 import json
 import re
@@ -9,7 +9,7 @@ import pytest
 from palpate.studies import STUDIES, run_study
 from palpate.studies.liu2014 import Liu2014Plan
 
-from .conftest import held
+from .conftest import rows_of
 
 STUDY = STUDIES["liu2014"]
 
@@ -55,11 +55,11 @@ def paper_result(least_plan):
 
 
 def named_pictures(page):
-    """Return what the alt texts of a page say; each stands below its picture too."""
-    found = re.findall(r'<svg role="img" aria-label="([^"]+)"', page)
-    assert len(found) == page.count("<svg")
-    assert re.findall(r"<figcaption><b>(.*?)\.</b>", page) == found
-    return found
+    """Return the alt texts of a page's pictures; each stands below its picture too."""
+    alt_texts = re.findall(r'<svg role="img" aria-label="([^"]+)"', page)
+    assert len(alt_texts) == page.count("<svg")
+    assert re.findall(r"<figcaption><b>(.*?)\.</b>", page) == alt_texts
+    return alt_texts
 
 
 def test_every_row_is_a_figure_in_per_cent(result):
@@ -83,11 +83,11 @@ def test_rows_are_told_apart_by_name_protocol_and_features(result):
 @pytest.mark.parametrize("protocol", ["nested", "paper"])
 @pytest.mark.parametrize("features", ["z-scored", "raw"])
 def test_table_2_stands_beside_the_paper(result, protocol, features):
-    known = {"table": "Table 2", "protocol": protocol, "features": features}
-    rows = held(result, partitions=2, **known)
+    entries = {"table": "Table 2", "protocol": protocol, "features": features}
+    rows = rows_of(result, partitions=2, **entries)
     paper = {row["name"]: row["paper"] for row in rows}
     assert {name: paper[name] for name in TABLE_2} == TABLE_2
-    others = held(result, partitions=1, **known)
+    others = rows_of(result, partitions=1, **entries)
     assert [row["name"] for row in others] == [f"{name}, 1 x 1" for name in TABLE_2]
     assert {row["paper"] for row in others} == {None}
 
@@ -99,7 +99,7 @@ def test_figures_12_to_14_have_every_class_set_and_count(result):
             "all hollow": 2,
             "all": 3,
         }.items():
-            rows = held(result, classes=classes, features=features)
+            rows = rows_of(result, classes=classes, features=features)
             rows = [
                 r for r in rows if r["table"].startswith("Fig") and "load_kgf" not in r
             ]
@@ -114,32 +114,34 @@ def test_figures_12_to_14_have_every_class_set_and_count(result):
 
 
 def test_the_papers_figures_are_at_forty_descriptors(result):
-    whole = {"classes": "all", "features": "raw"}
-    assert [r["paper"] for r in held(result, table="Fig. 12", n=40, **whole)] == [43.0]
-    assert [r["paper"] for r in held(result, table="Fig. 12", n=5, **whole)] == [None]
-    assert [r["paper"] for r in held(result, table="Fig. 13", **whole)] == [63.3]
-    assert [r["paper"] for r in held(result, table="Fig. 14", n=40, **whole)] == [68.69]
+    raw = {"classes": "all", "features": "raw"}
+    assert [r["paper"] for r in rows_of(result, table="Fig. 12", n=40, **raw)] == [43.0]
+    assert [r["paper"] for r in rows_of(result, table="Fig. 12", n=5, **raw)] == [None]
+    assert [r["paper"] for r in rows_of(result, table="Fig. 13", **raw)] == [63.3]
+    assert [r["paper"] for r in rows_of(result, table="Fig. 14", n=40, **raw)] == [
+        68.69
+    ]
     pair = {"classes": "3 vs 7 vs 12", "n": 40, "features": "raw"}
-    assert [r["paper"] for r in held(result, table="Fig. 14", **pair)] == [None]
+    assert [r["paper"] for r in rows_of(result, table="Fig. 14", **pair)] == [None]
 
 
 def test_the_same_machine_gives_the_same_figure_in_table_and_figure(result):
     for features in ("z-scored", "raw"):
-        known = {"features": features, "protocol": "nested"}
-        (row,) = held(result, name="FD+GE k-NN", **known)
-        (same,) = held(result, name="FD+GE k-NN, n = 40, all", **known)
+        entries = {"features": features, "protocol": "nested"}
+        (row,) = rows_of(result, name="FD+GE k-NN", **entries)
+        (same,) = rows_of(result, name="FD+GE k-NN, n = 40, all", **entries)
         assert same["ours"] == row["ours"]
 
 
 def test_controls_stand_beside_every_table(result):
-    names = {row["name"] for row in held(result, table="controls")}
+    names = {row["name"] for row in rows_of(result, table="controls")}
     assert names == {
         f"{encoding} {classifier}"
         for encoding in ("sorted pixels", "raw pixels", "centroid moments")
         for classifier in ("k-NN", "SVM")
     }
     for table in ("Fig. 5", "Fig. 6"):
-        encodings = {row["encoding"] for row in held(result, table=table)}
+        encodings = {row["encoding"] for row in rows_of(result, table=table)}
         assert encodings == {"FD+GE", "sorted pixels", "raw pixels"}
 
 
@@ -148,9 +150,9 @@ def test_svm_and_both_normalisations_of_mkl_choose_among_equally_many(result):
     n_settings = len(plan.svm_widths) * len(plan.svm_costs)
     assert len(set(plan.equal_costs)) == n_settings
     assert list(plan.equal_costs) == sorted(plan.equal_costs)
-    rows = held(result, table="equal grids", protocol="nested")
+    rows = rows_of(result, table="equal grids", protocol="nested")
     for features in ("z-scored", "raw"):
-        names = [row["name"] for row in held({"rows": rows}, features=features)]
+        names = [row["name"] for row in rows_of({"rows": rows}, features=features)]
         methods = ("KPCA+SVM", "KPCA+MKL-SVM, trace", "KPCA+MKL-SVM, variance")
         assert names == [f"{method}, {n_settings} settings" for method in methods]
     for row in rows:
@@ -162,19 +164,19 @@ def test_svm_and_both_normalisations_of_mkl_choose_among_equally_many(result):
 
 
 def test_load_and_cover_tell_how_images_break_up(result):
-    loads = {row["load_kgf"]: row for row in held(result, table="Fig. 5")}
+    loads = {row["load_kgf"]: row for row in rows_of(result, table="Fig. 5")}
     assert set(loads) == {2.0, 4.0}
     for row in loads.values():
         assert row["pieces"] >= 1
         assert 0 <= row["in_pieces"] <= 100
         assert 0 < row["overlap"] < 100
-    assert {row["cover_mm"] for row in held(result, table="Fig. 6")} == {0.9}
+    assert {row["cover_mm"] for row in rows_of(result, table="Fig. 6")} == {0.9}
 
 
 def test_the_papers_choice_is_made_on_the_runs_it_reports(result):
-    for row in held(result, table="Table 2", protocol="paper"):
+    for row in rows_of(result, table="Table 2", protocol="paper"):
         assert row["chosen_share"] == 1
-    (knn, other) = held(result, name="FD+GE k-NN", features="raw")
+    (knn, other) = rows_of(result, name="FD+GE k-NN", features="raw")
     assert knn["ours"] == other["ours"]
 
 
@@ -194,13 +196,13 @@ def test_the_seed_changes_the_figures(paper_result, least_plan):
 @pytest.mark.slow
 def test_a_row_does_not_depend_on_what_else_is_measured(result, nested_result):
     for name in TABLE_2:
-        known = {"name": name, "features": "raw", "protocol": "nested"}
-        (row,), (same,) = held(result, **known), held(nested_result, **known)
+        entries = {"name": name, "features": "raw", "protocol": "nested"}
+        (row,), (same,) = rows_of(result, **entries), rows_of(nested_result, **entries)
         assert same["ours"] == row["ours"]
 
 
 @pytest.mark.slow
-def test_one_protocol_alone(nested_result, paper_result):
+def test_a_plan_of_one_protocol_has_rows_of_that_alone(nested_result, paper_result):
     assert {row["protocol"] for row in paper_result["rows"]} == {"paper"}
     assert {row["protocol"] for row in nested_result["rows"]} == {"nested"}
 
@@ -228,7 +230,7 @@ def test_the_report_is_one_page_that_loads_nothing(result, tmp_path):
         assert row[0] in page
     assert "<script" not in page
     loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
-    assert all(one.startswith(("#", "data:")) for one in loaded)
+    assert all(address.startswith(("#", "data:")) for address in loaded)
 
 
 @pytest.mark.slow
@@ -266,7 +268,7 @@ def test_real_presses_are_reposed_and_reported(data_folder, tiny_plan):
     plan = tiny_plan(runs=1, components=(6,), **SMALL)
     result = run_study("liu2014", plan=plan, data=data_folder, workers=1)
     assert result["skipped"] == []
-    real = held(result, data="taxel10x10", features="raw", protocol="nested")
+    real = rows_of(result, data="taxel10x10", features="raw", protocol="nested")
     assert {row["n_classes"] for row in real} == {17}
     assert {row["n_touches"] for row in real} == {324}
     assert {row["classes"] for row in real} == {"all"}

@@ -49,8 +49,8 @@ def test_class_sets_are_those_of_the_parts():
 
 
 def test_class_sets_need_two_pressed_parts():
-    held = Liu2014Plan(parts=(3, 7, 12)).class_sets
-    assert held == {
+    class_sets = Liu2014Plan(parts=(3, 7, 12)).class_sets
+    assert class_sets == {
         "3 vs 7 vs 12": (3, 7, 12),
         "all hollow": (3, 7),
         "all": (3, 7, 12),
@@ -96,14 +96,16 @@ def test_features_are_joined_geometry_first(tiny_plan):
     assert encoded.features("FD+GE", 40).shape == (18, 42)
 
 
-@pytest.mark.parametrize("given", [True, False], ids=["data", "environment"])
-def test_presses_are_found(given, tmp_path, monkeypatch):
+@pytest.mark.parametrize("by_argument", [True, False], ids=["data", "environment"])
+def test_recorded_presses_are_found_by_argument_or_environment(
+    by_argument, tmp_path, monkeypatch
+):
     (tmp_path / "taxel10x10").mkdir()
     touches = Touches(np.ones((2, 10, 10)), object=["a", "b"])
     touches.save(tmp_path / "taxel10x10" / "taxel10x10.npz")
-    monkeypatch.setenv("PALPATE_DATA", "" if given else str(tmp_path))
-    found = recorded_touches(tmp_path if given else None, REAL)
-    assert_array_equal(found.images, touches.images)
+    monkeypatch.setenv("PALPATE_DATA", "" if by_argument else str(tmp_path))
+    loaded = recorded_touches(tmp_path if by_argument else None, REAL)
+    assert_array_equal(loaded.images, touches.images)
 
 
 def test_missing_presses_are_a_sentence_or_a_refusal(tmp_path, monkeypatch):
@@ -149,8 +151,8 @@ def test_footprints_lie_where_the_presses_are():
         "square13", 3, tilt_sd_deg=0, roughness_um=0, random_state=1
     )
     whole = encode(touches.images, 1, 1).binary
-    found = footprints(touches, (33, 33))
-    for image, truth in zip(whole, found, strict=True):
+    true_footprints = footprints(touches, (33, 33))
+    for image, truth in zip(whole, true_footprints, strict=True):
         centre = np.argwhere(image).mean(axis=0)
         # Gains and the gaps between taxels move it by less than half a taxel.
         assert_allclose(np.argwhere(truth).mean(axis=0), centre, atol=1.0)
@@ -166,7 +168,7 @@ def test_footprints_lie_where_the_presses_are():
         ({"runs": 0}, "runs must be at least 1"),
     ],
 )
-def test_plans_are_checked(tiny_plan, changes, message):
+def test_plans_of_bad_sizes_are_refused(tiny_plan, changes, message):
     with pytest.raises(ValueError, match=message):
         tiny_plan(**changes)
 
@@ -189,15 +191,15 @@ def halves(clouds):
 
 
 class Recorder:
-    """A method with three settings that remembers what it was shown."""
+    """A method with three settings that remembers its training touches and labels."""
 
     settings = ({"k": 1}, {"k": 3}, {"k": 5})
 
     def __init__(self):
-        self.shown = []
+        self.training = []
 
     def answers(self, train, codes, test):
-        self.shown.append((train.copy(), codes.copy()))
+        self.training.append((train.copy(), codes.copy()))
         return np.concatenate(
             [Neighbours(s["k"]).answers(train, codes, test) for s in self.settings]
         )
@@ -232,9 +234,9 @@ def test_a_method_is_only_shown_training_touches(clouds, halves):
     raw = Twofold(scaled=False, inner_folds=2)
     raw.half(method, features, codes, train, test, 0)
     allowed = {tuple(row) for row in features[train]}
-    assert [len(shown) for shown, _ in method.shown] == [15, 15, 30]
-    for shown, _ in method.shown:
-        assert {tuple(row) for row in shown} <= allowed
+    assert [len(training) for training, _ in method.training] == [15, 15, 30]
+    for training, _ in method.training:
+        assert {tuple(row) for row in training} <= allowed
 
 
 def test_the_choice_prefers_the_setting_that_generalises(clouds, halves):
@@ -252,7 +254,7 @@ def test_a_run_tests_every_touch_once(clouds):
     assert [half.n_test for half in run] == [30, 30]
 
 
-def test_figures_by_hand():
+def test_figures_are_those_worked_out_by_hand():
     settings = [{"C": 1}, {"C": 2}]
     runs = [
         [Half(0, np.array([0.5, 1.0]), 10), Half(1, np.array([0.5, 0.8]), 10)],
@@ -288,9 +290,9 @@ def test_scaling_is_that_of_the_training_half(clouds, halves):
 def test_a_constant_feature_does_not_matter(clouds, halves):
     features, codes = clouds
     padded = np.column_stack([features, np.full(60, 0.1)])
-    for one in (GaussianSVM((1.0,), (10.0,)), Neighbours()):
-        plain = SCALED.half(one, features, codes, *halves, 0)
-        same = SCALED.half(one, padded, codes, *halves, 0)
+    for method in (GaussianSVM((1.0,), (10.0,)), Neighbours()):
+        plain = SCALED.half(method, features, codes, *halves, 0)
+        same = SCALED.half(method, padded, codes, *halves, 0)
         assert_array_equal(same.right, plain.right)
 
 

@@ -1,4 +1,4 @@
-"""`palpate study` from outside: JSON, what is skipped, refusals; that of sessions."""
+"""`palpate study` as a command: JSON, skipped data, refusals; study of sessions."""
 
 import json
 import subprocess
@@ -29,12 +29,12 @@ def tiny_quick(least_plan, monkeypatch):
 
 def test_json_is_one_object_and_what_is_missing_is_said(tiny_quick):
     arguments = ["study", "liu2014", "--quick", "--json", "--workers", "1"]
-    done = CliRunner().invoke(app, [*arguments, "--seed", "2"])
-    assert done.exit_code == 0, done.output
-    result = json.loads(done.stdout)
+    completed = CliRunner().invoke(app, [*arguments, "--seed", "2"])
+    assert completed.exit_code == 0, completed.output
+    result = json.loads(completed.stdout)
     assert result["study"] == "liu2014"
     assert result["plan"]["seed"] == 2
-    assert done.stderr.strip() == result["skipped"][0]
+    assert completed.stderr.strip() == result["skipped"][0]
     paper = {row["name"]: row["paper"] for row in result["rows"]}
     assert paper["KPCA+MKL-SVM"] == 85.54
     for row in result["rows"]:
@@ -64,10 +64,10 @@ def test_tables_and_report_for_people(tiny_quick, undrawn, tmp_path):
     report = tmp_path / "liu.html"
     arguments = ["study", "liu2014", "--quick", "--workers", "1"]
     arguments += ["--protocol", "nested", "--report", str(report)]
-    done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 0, done.output
-    assert "Table 2" in done.stdout
-    assert done.stdout.rstrip().endswith("liu.html")
+    completed = CliRunner().invoke(app, arguments)
+    assert completed.exit_code == 0, completed.output
+    assert "Table 2" in completed.stdout
+    assert completed.stdout.rstrip().endswith("liu.html")
     page = report.read_text("utf-8")
     assert page.startswith("<!doctype html>")
     assert page.count('role="img"') == len(PICTURES)
@@ -75,9 +75,9 @@ def test_tables_and_report_for_people(tiny_quick, undrawn, tmp_path):
 
 def test_studies_are_listed():
     for arguments in (["study"], ["study", "--list"]):
-        done = CliRunner().invoke(app, arguments)
-        assert done.exit_code == 0
-        assert all(name in done.stdout for name in STUDIES)
+        completed = CliRunner().invoke(app, arguments)
+        assert completed.exit_code == 0
+        assert all(name in completed.stdout for name in STUDIES)
 
 
 @pytest.mark.parametrize(
@@ -96,25 +96,25 @@ def test_failures_say_what_to_do(arguments, message, monkeypatch, capsys, tmp_pa
     monkeypatch.setattr(sys, "argv", ["palpate", *arguments])
     with pytest.raises(SystemExit) as stopped:
         main()
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     assert stopped.value.code == 1
-    assert message in told.err
-    assert "\n" not in told.err.rstrip()
-    assert told.out == ""
+    assert message in captured.err
+    assert "\n" not in captured.err.rstrip()
+    assert captured.out == ""
 
 
 @pytest.mark.slow
 def test_quick_is_quick_and_draws_every_picture(tmp_path):
     arguments = ["study", "liu2014", "--quick", "--json", "--report", "liu.html"]
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", "palpate", *arguments],
         capture_output=True,
         text=True,
         check=False,
         cwd=tmp_path,
     )
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["seconds"] < 60
+    assert completed.returncode == 0, completed.stderr
+    assert json.loads(completed.stdout)["seconds"] < 60
     assert (tmp_path / "liu.html").read_text("utf-8").count('role="img"') == 6
 
 
@@ -177,7 +177,7 @@ def test_every_source_has_every_way_and_one_day_is_no_source(result):
 
 
 @pytest.mark.slow
-def test_it_is_shown(result, tmp_path):
+def test_tables_and_report_have_every_source_of_sessions(result, tmp_path):
     titles = [title for title, _, _ in STUDIES["sessions"].tables(result)]
     assert titles == ["simulated dome", "simulated array", "jumped", "two_days"]
     pytest.importorskip("matplotlib")
