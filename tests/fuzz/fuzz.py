@@ -282,7 +282,7 @@ def http(chance, folder):
 
 
 _KINDS = (model, archive, picture, bag, message, learning, library, belief, session)
-KINDS = {one.__name__: one for one in (*_KINDS, http)}
+KINDS = {kind.__name__: kind for kind in (*_KINDS, http)}
 
 
 # Caches that are filled before the time of an input is measured.
