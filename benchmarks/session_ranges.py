@@ -17,7 +17,7 @@ from palpate.simulation import DomeCamera
 
 # Rings about the middle of the disc, in radii of the rim.
 INNER, MIDDLE, OUTER = (0.0, 0.2), (0.4, 0.7), (0.8, 0.95)
-# A touch that is so like the frame of no contact shows none.
+# A touch with this correlation with the frame of no contact shows none.
 ALIKE = 0.97
 
 
@@ -47,9 +47,9 @@ def dome(folder):
     ]
     rims, lights = [], []
     for name in np.unique(touches.object):
-        mine = touches.object == name
-        rims.append(np.median(labels[mine], axis=0))
-        resting = mine & (np.array(like) > ALIKE)
+        rows = touches.object == name
+        rims.append(np.median(labels[rows], axis=0))
+        resting = rows & (np.array(like) > ALIKE)
         if resting.sum() > 2:
             lights.append(light(np.median(pictures[resting], axis=0), *rims[-1]))
     rims, lights = np.array(rims), np.array(lights)
@@ -95,11 +95,12 @@ def mats(folder):
     both = sorted(set(rows[0]) & set(rows[1]))
     first, second = (np.array([side[key] for key in both]) for side in rows)
     loads = np.log(second.sum(axis=(1, 2)) / first.sum(axis=(1, 2)))
-    zero = [np.percentile(one, 5, axis=0) for one in (first, second)]
+    zero = [np.percentile(levels, 5, axis=0) for levels in (first, second)]
     mean = [
-        one.mean(axis=0) - low for one, low in zip((first, second), zero, strict=True)
+        levels.mean(axis=0) - low
+        for levels, low in zip((first, second), zero, strict=True)
     ]
-    loaded = np.all([one > np.percentile(one, 60) for one in mean], axis=0)
+    loaded = np.all([levels > np.percentile(levels, 60) for levels in mean], axis=0)
     gains = np.log(mean[1][loaded] / mean[0][loaded])
     half = np.sqrt(0.5)  # a difference of two sessions
     print(f"Mats: {len(both)} postures of a person on both mattresses")
@@ -120,7 +121,7 @@ def array(folder):
 
 
 def sd(values):
-    return [f"{one:.4f}" for one in np.std(values, axis=0, ddof=1)]
+    return [f"{value:.4f}" for value in np.std(values, axis=0, ddof=1)]
 
 
 def robust(values):
