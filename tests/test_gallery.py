@@ -140,8 +140,8 @@ def test_more_training_touches_help_much_then_little(run):
 def test_two_senses_are_better_than_each(run):
     names = run("23_sight")
     sure = {
-        what: belief.posterior["hexagon13-hole8"]
-        for what, belief in names["beliefs"].items()
+        sense: belief.posterior["hexagon13-hole8"]
+        for sense, belief in names["beliefs"].items()
     }
     assert sure["both"] > max(sure["touch"], sure["sight"])
 
@@ -317,17 +317,17 @@ def test_geometry_is_easier_here_and_scaling_decides_which_features_count(run):
     drawn = [row for row in names["result"]["rows"] if row["data"] == "simulated"]
     for row in drawn:
         if row["paper"] and row["table"].startswith("Fig"):
-            what, paper = row["encoding"], row["paper"]
-            ours[what, row["classes"], row["features"]] = row["ours"]
-            assert paper == FIGURES[what, row["classes"]]
-            if what == "FD":
+            encoding, paper = row["encoding"], row["paper"]
+            ours[encoding, row["classes"], row["features"]] = row["ours"]
+            assert paper == FIGURES[encoding, row["classes"]]
+            if encoding == "FD":
                 assert abs(row["ours"] - paper) < 10
-            if what == "GE":
+            if encoding == "GE":
                 assert row["ours"] > paper + 10
     assert len(ours) == 12
     for classes in ("all", "all solid"):
         fd, ge, both = (
-            ours[what, classes, "z-scored"] for what in ("FD", "GE", "FD+GE")
+            ours[encoding, classes, "z-scored"] for encoding in ("FD", "GE", "FD+GE")
         )
         assert both - fd < ge - both
         assert ours["FD+GE", classes, "raw"] == ours["GE", classes, "raw"]

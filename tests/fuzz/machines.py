@@ -358,14 +358,14 @@ class PressedArray(LiveSensor):
 
     def __init__(self):
         super().__init__("pressed", "count", (6, 8), np.uint8, "none")
-        self.rest, self.press = np.full((6, 8), 20, np.uint8), None
+        self.idle_frame, self.press = np.full((6, 8), 20, np.uint8), None
 
     def _open(self):
         pass
 
     def _grab(self):
         time.sleep(0.001)
-        return [self.rest if self.press is None else self.press]
+        return [self.idle_frame if self.press is None else self.press]
 
     def _close(self):
         pass
