@@ -87,8 +87,8 @@ def _readout(images: np.ndarray, s: float, rng: np.random.Generator) -> np.ndarr
     values = np.sign(values) * top * (np.abs(values) / top) ** power
     values *= np.exp(rng.normal(0, 0.2 * s, (shape[0], 1)) + rng.normal(0, 0.2 * s))
     values *= np.exp(rng.normal(0, 0.2 * s, shape[1]))
-    seen, share = np.nan_to_num(values), min(0.1 * s, 0.5)
-    leaks = seen.mean(axis=1, keepdims=True) + seen.mean(axis=2, keepdims=True)
+    finite, share = np.nan_to_num(values), min(0.1 * s, 0.5)
+    leaks = finite.mean(axis=1, keepdims=True) + finite.mean(axis=2, keepdims=True)
     leaking = (1 - share) * values + share / 2 * leaks
     return np.where(images > 0.02 * top, leaking, values)
 

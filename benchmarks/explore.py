@@ -120,8 +120,8 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
         recogniser = ObjectRecogniser(preset, label="category", random_state=seed).fit(
             taught
         )
-        few, rest = _few_real(recorded, seed)
-        tested = recorded[rest]
+        few, tested_rows = _few_real(recorded, seed)
+        tested = recorded[tested_rows]
         adapted = adapt(recogniser, recorded[few])
         alone = ObjectRecogniser(preset, label="category", random_state=seed)
         alone.fit(recorded[few].without("object"))

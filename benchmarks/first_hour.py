@@ -48,14 +48,16 @@ class Hand(LiveSensor):
 
     queue_length = 1000
 
-    def __init__(self, rest: np.ndarray[Any, Any]) -> None:
-        super().__init__("recorded dome", "grey level", rest.shape, rest.dtype)
-        self._rest = rest
+    def __init__(self, idle_frame: np.ndarray[Any, Any]) -> None:
+        super().__init__(
+            "recorded dome", "grey level", idle_frame.shape, idle_frame.dtype
+        )
+        self._idle_frame = idle_frame
         self._pressed: queue.Queue[Any] = queue.Queue()
 
     def press(self, image: np.ndarray[Any, Any]) -> None:
         """Press and let go."""
-        for frame in (*[image] * 3, *[self._rest] * 3):
+        for frame in (*[image] * 3, *[self._idle_frame] * 3):
             self._pressed.put(frame)
 
     def _open(self) -> None:
@@ -65,7 +67,7 @@ class Hand(LiveSensor):
         try:
             return [self._pressed.get(timeout=0.01)]
         except queue.Empty:
-            return [self._rest]
+            return [self._idle_frame]
 
     def _close(self) -> None:
         pass

@@ -38,8 +38,10 @@ def recording(place: Path) -> Path:
     centres = rng.uniform([150, 200], [330, 440], (12, 2))
     spots = [np.hypot(rows - row, cols - col) < 60 for row, col in centres]
     images = 90 + 80 * np.array(spots) + rng.integers(0, 8, (12, 480, 640))
-    rest = np.full((480, 640), 90, np.uint8)
-    touches = Touches(images.astype(np.uint8), object=["spot"] * 12, no_contact=rest)
+    no_contact = np.full((480, 640), 90, np.uint8)
+    touches = Touches(
+        images.astype(np.uint8), object=["spot"] * 12, no_contact=no_contact
+    )
     touches.save(place / "t.npz")
     return place / "t.npz"
 

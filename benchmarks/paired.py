@@ -299,13 +299,15 @@ def drawn(n_objects: int, n_each: int, shape: tuple[int, int], seed: int) -> Any
     for number in range(len(images)):
         object_rng = np.random.default_rng([9, number // n_each])
         y, x = np.array(shape) / 2 + rng.uniform(-3, 3, 2)
-        away = np.hypot(row[:, np.newaxis] - y, col - x)
-        image = np.where(away < radius, 120.0, 10.0) * (1 - 0.3 * (away / radius) ** 2)
+        distance = np.hypot(row[:, np.newaxis] - y, col - x)
+        image = np.where(distance < radius, 120.0, 10.0) * (
+            1 - 0.3 * (distance / radius) ** 2
+        )
         for _ in range(3):
             dy, dx = object_rng.uniform(-0.4, 0.4, 2) * radius + rng.normal(0, 4, 2)
             width = object_rng.uniform(0.05, 0.2) * radius
             away2 = (row[:, np.newaxis] - y - dy) ** 2 + (col - x - dx) ** 2
-            image += 80 * np.exp(-away2 / (2 * width**2)) * (away < radius)
+            image += 80 * np.exp(-away2 / (2 * width**2)) * (distance < radius)
         noise = rng.normal(0, 2, shape)
         images[number] = np.clip(image + noise, 0, 255)
     return images, np.repeat([f"object {n:02d}" for n in range(n_objects)], n_each)

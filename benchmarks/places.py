@@ -179,13 +179,15 @@ def pose_errors(stand: Stand, belief: PlaceBelief) -> tuple[float | None, float]
     middle = np.asarray(upright.centre_mm) - np.asarray(upright.position_mm)
     cos, sin = np.cos(target.yaw_rad), np.sin(target.yaw_rad)
     turned = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ middle
-    there = turned + np.asarray(target.position_mm) - stand.hemisphere.centre_mm
-    offset = float(np.hypot(*(there - pose.offset_mm)[:2]))
+    true_offset_mm = (
+        turned + np.asarray(target.position_mm) - stand.hemisphere.centre_mm
+    )
+    offset = float(np.hypot(*(true_offset_mm - pose.offset_mm)[:2]))
     if order == AZIMUTHS_OF_ROUND:
         return None, offset
     step = 2 * np.pi / order
-    off = (pose.turn_rad - target.yaw_rad + step / 2) % step - step / 2
-    return float(np.degrees(abs(off))), offset
+    turn_error = (pose.turn_rad - target.yaw_rad + step / 2) % step - step / 2
+    return float(np.degrees(abs(turn_error))), offset
 
 
 @cache
@@ -197,8 +199,8 @@ def _faces(thing: SimObject) -> list[int]:
 
 def face_and_symmetry(thing: SimObject, rotation: np.ndarray) -> tuple[int, int]:
     """Return the face a rotation is, and how many turns of it look alike."""
-    off = np.abs(thing.resting_rotations - rotation).max(axis=(1, 2))
-    face = int(off.argmin())
+    differences = np.abs(thing.resting_rotations - rotation).max(axis=(1, 2))
+    face = int(differences.argmin())
     return face, _faces(thing)[face]
 
 

@@ -144,8 +144,8 @@ def another_readout(split: Split) -> Split:
     images = np.sign(images) * top * (np.abs(images) / top) ** power
     images = images * np.exp(rng.normal(0, 0.2, shape[0]))[:, np.newaxis]
     images = images * np.exp(rng.normal(0, 0.2, shape[1]))
-    seen = np.nan_to_num(images)
-    leaks = seen.mean(axis=1, keepdims=True) + seen.mean(axis=2, keepdims=True)
+    finite = np.nan_to_num(images)
+    leaks = finite.mean(axis=1, keepdims=True) + finite.mean(axis=2, keepdims=True)
     leaking = 0.9 * images + 0.05 * leaks
     return Split(train, replaced(test, np.where(images > 0.02 * top, leaking, images)))
 
@@ -264,10 +264,10 @@ def confirmed(recogniser: ObjectRecogniser, test: Touches, rows: np.ndarray) -> 
 def expectation(recogniser: ObjectRecogniser, right: list[float]) -> str:
     """Return the accuracy expected of another day beside the measured one, as text."""
     rehearsal, words = recogniser.chosen_["rehearsal"], []
-    for name, came in (("expected", right[0]), ("confirmed", right[3])):
-        if name in rehearsal and np.isfinite(came):
+    for name, actual in (("expected", right[0]), ("confirmed", right[3])):
+        if name in rehearsal and np.isfinite(actual):
             low, high = rehearsal[name]
-            words.append(f"{name} {100 * low:.0f}-{100 * high:.0f}, came {came:.0f}")
+            words.append(f"{name} {100 * low:.0f}-{100 * high:.0f}, came {actual:.0f}")
     return "; ".join(words)
 
 

@@ -24,14 +24,14 @@ ALIKE = 0.97
 def light(picture, row, col, radius):
     """Return log grey of three rings about the middle, and the outer one's slope."""
     rows, cols = np.indices(picture.shape)
-    away = np.hypot(rows - row, cols - col) / radius
-    ring = (away > OUTER[0]) & (away < OUTER[1])
+    distance = np.hypot(rows - row, cols - col) / radius
+    ring = (distance > OUTER[0]) & (distance < OUTER[1])
     sides = np.stack([rows - row, cols - col])[:, ring] / radius
     mean, down, right = np.linalg.lstsq(
         np.column_stack([np.ones(ring.sum()), *sides]), picture[ring], rcond=None
     )[0]
     means = [
-        np.log(picture[(away >= low) & (away < high)].mean())
+        np.log(picture[(distance >= low) & (distance < high)].mean())
         for low, high in (INNER, MIDDLE)
     ]
     return [*means, np.log(mean), down / mean, right / mean]
@@ -63,7 +63,7 @@ def dome(folder):
     camera = DomeCamera()
     n_rows = camera.image_shape[0]
     rim = [n_rows * v for v in (*camera.disc_centre, camera.disc_radius)]
-    rest = np.array(light(camera.no_contact().astype(float), *rim))
+    reference = np.array(light(camera.no_contact().astype(float), *rim))
     steps = {
         "gain": 1.1 * camera.gain,
         "specular": 1.1 * camera.specular,
@@ -72,7 +72,7 @@ def dome(folder):
     }
     for name, value in steps.items():
         other = replace(camera, **{name: value}).no_contact().astype(float)
-        change = np.array(light(other, *rim)) - rest
+        change = np.array(light(other, *rim)) - reference
         figures = (
             f"outer {change[2]:.4f}, middle over outer {change[1] - change[2]:.4f}"
         )
@@ -116,8 +116,10 @@ def mats(folder):
 def array(folder):
     touches = Touches.load(folder / "taxel10x10" / "taxel10x10.npz")
     loads = touches.columns["frames"].astype(float).sum(axis=(2, 3))
-    left = np.median(loads[:, -1] / loads.max(axis=1))
-    print(f"Array: after a press {left:.3f} of its greatest load is left (median)")
+    share_left = np.median(loads[:, -1] / loads.max(axis=1))
+    print(
+        f"Array: after a press {share_left:.3f} of its greatest load is left (median)"
+    )
 
 
 def sd(values):

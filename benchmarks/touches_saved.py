@@ -50,10 +50,10 @@ def drawn(recorded: Touches, rng: np.random.Generator) -> tuple[np.ndarray, np.n
         rows = rng.permutation(np.flatnonzero(recorded.object == name))
         taught.append(rows[: max(COUNTS)])
         names.append(name)
-    rest = np.unique(recorded.object[~np.isin(recorded.object, names)])
+    others = np.unique(recorded.object[~np.isin(recorded.object, names)])
     asking = [
         rng.permutation(np.flatnonzero(recorded.object == name))[:N_ASKED]
-        for name in rest
+        for name in others
     ]
     return np.array(taught), np.concatenate(asking)
 
