@@ -92,8 +92,8 @@ def digit(
 
     settings = {cv2.CAP_PROP_ZOOM: float(light)}
     opened = _opened((240, 320), upright, settings, open_capture)
-    how: dict[str, Any] = {"rate_hz": rate_hz, "exposure": exposure}
-    return CameraSensor(place, (320, 240), colour=True, open_capture=opened, **how)
+    options: dict[str, Any] = {"rate_hz": rate_hz, "exposure": exposure}
+    return CameraSensor(place, (320, 240), colour=True, open_capture=opened, **options)
 
 
 def gelsight_mini(

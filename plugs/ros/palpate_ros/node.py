@@ -69,8 +69,8 @@ class PalpateNode(Node):  # type: ignore[misc]
             self._commands.publish(String(data=command))
             if not self._answered.wait(_ANSWER_S):
                 return False, "palpate does not answer: it may still be starting."
-            done, _, sentence = self._answer.partition(": ")
-        return done == "done", sentence
+            outcome, _, sentence = self._answer.partition(": ")
+        return outcome == "done", sentence
 
     def _take_answer(self, message: Any) -> None:
         self._answer = str(message.data)
