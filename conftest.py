@@ -1,6 +1,6 @@
-"""What is skipped where an extra is missing: in the tests and in the doctests.
+"""Tests and doctests that need an extra are skipped where it is missing.
 
-And what is imported to find the tests is no garbage: Python need not look for it.
+The garbage collector rests while tests are collected, and keeps what was imported.
 """
 
 import gc
@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-# `make test-bare` runs without any extra and sets PALPATE_BARE: what then fails for
-# want of one is skipped, with the extra as the reason. Elsewhere it is a failure.
+# `make test-bare` runs without any extra and sets PALPATE_BARE: a test that then fails
+# because an extra is missing is skipped. Without PALPATE_BARE it fails.
 BRINGS = {
     "bench": {"skimage"},
     "camera": {"cv2_enumerate_cameras"},
@@ -35,13 +35,13 @@ REFUSED = re.compile(
 )
 
 
-def needed_extra(said: str) -> str | None:
-    """Return the extra whose want a failure's text speaks of, or None."""
-    for found in REFUSED.finditer(said):
-        if found["extra"]:
-            return found["extra"]
+def needed_extra(text: str) -> str | None:
+    """Return the extra that is missing by the text of a failure, or None."""
+    for refusal in REFUSED.finditer(text):
+        if refusal["extra"]:
+            return refusal["extra"]
         for extra, modules in BRINGS.items():
-            if found["module"] in modules:
+            if refusal["module"] in modules:
                 return extra
     return None
 

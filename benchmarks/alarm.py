@@ -87,8 +87,8 @@ def _readout(images: np.ndarray, s: float, rng: np.random.Generator) -> np.ndarr
     values = np.sign(values) * top * (np.abs(values) / top) ** power
     values *= np.exp(rng.normal(0, 0.2 * s, (shape[0], 1)) + rng.normal(0, 0.2 * s))
     values *= np.exp(rng.normal(0, 0.2 * s, shape[1]))
-    seen, share = np.nan_to_num(values), min(0.1 * s, 0.5)
-    leaks = seen.mean(axis=1, keepdims=True) + seen.mean(axis=2, keepdims=True)
+    finite, share = np.nan_to_num(values), min(0.1 * s, 0.5)
+    leaks = finite.mean(axis=1, keepdims=True) + finite.mean(axis=2, keepdims=True)
     leaking = (1 - share) * values + share / 2 * leaks
     return np.where(images > 0.02 * top, leaking, values)
 
@@ -109,7 +109,7 @@ def alarms(recogniser: ObjectRecogniser, touches: Touches, few: int | None) -> f
 
 
 def figures(split: Split) -> Figures:
-    """Return what a recogniser of one split raises alarms about."""
+    """Return the alarms of a recogniser of one split, false and justified ones."""
     taught, late = held_back(split.train)
     recogniser = ObjectRecogniser().fit(taught)
     same = late[np.isin(late.object, np.unique(split.test.object))]
@@ -121,7 +121,7 @@ def figures(split: Split) -> Figures:
         [alarms(recogniser, late, few) for few in FEW],
         lost,
         alarms(recogniser, split.test, None),
-        [alarms(recogniser, one, None) for one in costly],
+        [alarms(recogniser, touches, None) for touches in costly],
         len(others),
     )
 
@@ -130,29 +130,31 @@ def main(folder: Path, names: list[str]) -> None:
     print(
         f"{'':46}false: all, three, one   asked: lost, caught   changed: costly, caught"
     )
-    everything = []
+    all_splits = []
     for name, make in SETS.items():
-        if names and not any(one in name for one in names):
+        if names and not any(part in name for part in names):
             continue
-        each = [figures(split) for split in make(folder)]
-        everything += each
-        false = " ".join(f"{x:4.2f}" for x in np.mean([f.false for f in each], axis=0))
-        costly = [share for f in each for share in f.costly]
-        asked = f"{np.mean([f.lost for f in each]):4.0f} {each_caught(each):4.2f}"
+        splits = [figures(split) for split in make(folder)]
+        all_splits += splits
+        false = " ".join(
+            f"{x:4.2f}" for x in np.mean([f.false for f in splits], axis=0)
+        )
+        costly = [share for f in splits for share in f.costly]
+        lost = f"{np.mean([f.lost for f in splits]):4.0f} {mean_caught(splits):4.2f}"
         caught = f"{np.mean(costly):4.2f}" if costly else "   -"
-        n_changed = sum(f.n_changed for f in each)
+        n_changed = sum(f.n_changed for f in splits)
         print(
-            f"{name:46}{false}   {asked}   {len(costly)}/{n_changed} {caught}",
+            f"{name:46}{false}   {lost}   {len(costly)}/{n_changed} {caught}",
             flush=True,
         )
-    false = np.mean([f.false for f in everything], axis=0)
-    costly = [share for f in everything for share in f.costly]
+    false = np.mean([f.false for f in all_splits], axis=0)
+    costly = [share for f in all_splits for share in f.costly]
     print(f"mean over splits: false {false.round(3)}, caught {np.mean(costly):.2f}")
 
 
-def each_caught(each: list[Figures]) -> float:
+def mean_caught(splits: list[Figures]) -> float:
     """Return the mean share of alarms in the sessions that ask."""
-    return float(np.mean([f.caught for f in each]))
+    return float(np.mean([f.caught for f in splits]))
 
 
 if __name__ == "__main__":

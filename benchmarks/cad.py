@@ -39,12 +39,12 @@ N_TOUCHES, N_SESSIONS, N_ROUNDS = 36, 6, 8
 def taught(camera: DomeCamera, seed: int) -> Touches:
     """Touch every object with a dome."""
     things = [find_object(name) for name in NAMES]
-    how = {"n_sessions": N_SESSIONS, "guarded": False, "random_state": seed}
-    return explore_to_learn(things, N_TOUCHES, camera, **how)
+    options = {"n_sessions": N_SESSIONS, "guarded": False, "random_state": seed}
+    return explore_to_learn(things, N_TOUCHES, camera, **options)
 
 
 def maps(explored: Touches, drawn: Touches, seed: int) -> dict[str, SurfaceMap]:
-    """Return what knows the objects, by what is known of them."""
+    """Return a map of the objects for each kind of knowledge of them."""
     meshes = {name: find_object(name) for name in NAMES}
     from_mesh = NAMES[1::2]
     parts = (

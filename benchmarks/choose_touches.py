@@ -67,7 +67,7 @@ Hits = dict[str, Any]
 
 
 def taught(teaching: int, preset: str) -> TouchMap:
-    """Touch every object in its usual pose and learn what is met where."""
+    """Touch every object in its usual pose and learn its touches by place."""
     touches = explore_to_learn(
         camera=CAMERA,
         n_sessions=N_SESSIONS,
@@ -82,7 +82,7 @@ def one_teaching(
 ) -> list[Hits]:
     """Run the episodes of some seeds on one teaching."""
     touch_map = taught(teaching, preset)
-    found = []
+    hits = []
     for seed in seeds:
         for condition, strategy in product(conditions, STRATEGIES):
             for code, thing in list(enumerate(HOUSEHOLD))[seed % EVERY :: EVERY]:
@@ -91,9 +91,9 @@ def one_teaching(
                 if stand is None:
                     continue
                 named = episode(stand, touch_map, strategy, where, n_touches)
-                found.append(_hits(condition, strategy, seed, thing.name, named))
+                hits.append(_hits(condition, strategy, seed, thing.name, named))
         print(f"teaching {teaching}, seed {seed}", file=sys.stderr, flush=True)
-    return found
+    return hits
 
 
 def episode(
@@ -133,20 +133,20 @@ def one_pool(
     recogniser = ObjectRecogniser(preset, random_state=seed).fit(touches[train])
     touch_map = TouchMap(n_turns=1, random_state=seed)
     touch_map.fit(recogniser, touches[train], scaled[train])
-    found = []
+    hits = []
     for thing, rows in tests.items():
         for name, chooser in _choosers(touch_map, scaled[rows], seed):
             _, by_touch, by_place = look_at_recorded(
                 touch_map, touches[rows], scaled[rows], chooser, n_touches
             )
             named = {"by touch": by_touch.tolist(), "by place": by_place.tolist()}
-            found.append(_hits(split, name, seed, thing, named))
+            hits.append(_hits(split, name, seed, thing, named))
     print(f"pool {split}, seed {seed}", file=sys.stderr, flush=True)
-    return found
+    return hits
 
 
 def heights_and_radii(touches: Touches) -> np.ndarray:
-    """Height of each contact, and its distance from the object's median axis."""
+    """Return each contact's height, and distance from the object's median axis."""
     raw = np.asarray(touches.columns["position_raw"], dtype=float)
     radius = np.empty(len(raw))
     for name in np.unique(touches.object):
@@ -156,13 +156,13 @@ def heights_and_radii(touches: Touches) -> np.ndarray:
     return np.column_stack([raw[:, 2], radius])
 
 
-def summary(found: list[Hits]) -> list[dict[str, Any]]:
-    """Accuracy after each touch and touches needed, with spread over seeds."""
+def summary(hits: list[Hits]) -> list[dict[str, Any]]:
+    """Return accuracy after each touch and touches needed, with spread over seeds."""
     rows = []
-    keys = sorted({(hit["condition"], hit["strategy"]) for hit in found})
+    keys = sorted({(hit["condition"], hit["strategy"]) for hit in hits})
     for condition, strategy in keys:
         for belief in ("by touch", "by place"):
-            curves = _curves(found, condition, strategy, belief)
+            curves = _curves(hits, condition, strategy, belief)
             rows.append(
                 {
                     "condition": condition,
@@ -174,7 +174,7 @@ def summary(found: list[Hits]) -> list[dict[str, Any]]:
                     "touches_for_95": _needed(curves.mean(axis=0)),
                     "touches_for_95_range": _needed_range(curves),
                     "touches_to_stay": _needed_to_stay(curves.mean(axis=0)),
-                    **_until_right(found, condition, strategy, belief),
+                    **_until_right(hits, condition, strategy, belief),
                 }
             )
     return rows
@@ -201,12 +201,10 @@ def _hits(
     return {**about, "object": thing, **hits}
 
 
-def _curves(
-    found: list[Hits], condition: str, strategy: str, belief: str
-) -> np.ndarray:
-    """Accuracy over objects after each touch, one row per seed."""
+def _curves(hits: list[Hits], condition: str, strategy: str, belief: str) -> np.ndarray:
+    """Return the accuracy over objects after each touch, one row per seed."""
     wanted = condition, strategy
-    chosen = [hit for hit in found if (hit["condition"], hit["strategy"]) == wanted]
+    chosen = [hit for hit in hits if (hit["condition"], hit["strategy"]) == wanted]
     seeds = sorted({hit["seed"] for hit in chosen})
     return np.array(
         [np.mean([h[belief] for h in chosen if h["seed"] == s], axis=0) for s in seeds]
@@ -214,14 +212,14 @@ def _curves(
 
 
 def _until_right(
-    found: list[Hits], condition: str, strategy: str, belief: str
+    hits: list[Hits], condition: str, strategy: str, belief: str
 ) -> dict[str, float]:
-    """Touches after which an episode's answer is right for good, over seeds.
+    """Return the touches after which an answer is right for good, over seeds.
 
     Mean over episodes, one more than the budget where it never is.
     """
     wanted = condition, strategy
-    chosen = [hit for hit in found if (hit["condition"], hit["strategy"]) == wanted]
+    chosen = [hit for hit in hits if (hit["condition"], hit["strategy"]) == wanted]
     per_seed = []
     for seed in sorted({hit["seed"] for hit in chosen}):
         wrong = [~np.array(h[belief]) for h in chosen if h["seed"] == seed]
@@ -234,20 +232,20 @@ def _until_right(
 
 
 def _needed(curve: np.ndarray) -> int | None:
-    """Touches after which the accuracy first is what is wanted."""
+    """Return the touches after which the accuracy first is `WANTED`."""
     enough = np.flatnonzero(curve >= WANTED)
     return int(enough[0]) + 1 if len(enough) else None
 
 
 def _needed_to_stay(curve: np.ndarray) -> int | None:
-    """Touches from which on the accuracy is never below what is wanted."""
+    """Return the touches from which on the accuracy is never below `WANTED`."""
     below = np.flatnonzero(curve < WANTED)
     needed = 1 if not len(below) else int(below[-1]) + 2
     return needed if needed <= len(curve) else None
 
 
 def _needed_range(curves: np.ndarray) -> list[int | None]:
-    """5 % and 95 % of the touches needed, over seeds drawn with replacement."""
+    """Return 5 and 95 % of the touches needed, over seeds drawn with replacement."""
     rng = np.random.default_rng(0)
     drawn = rng.integers(len(curves), size=(1000, len(curves)))
     most = curves.shape[1] + 1
@@ -259,7 +257,7 @@ def _needed_range(curves: np.ndarray) -> list[int | None]:
 def _split(
     touches: Touches, split: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Training touches, and the test touches of each object."""
+    """Return the training touches, and the test touches of each object."""
     train, tests = [], {}
     for category in np.unique(touches.category):
         thing = str(rng.choice(np.unique(touches.object[touches.category == category])))
@@ -284,10 +282,10 @@ def _seed(*numbers: int) -> int:
     return int(np.random.SeedSequence(numbers).generate_state(1)[0])
 
 
-def _others(asked: argparse.Namespace, rows: list[Hits]) -> list[Hits]:
-    """Rows of the same preset that stand in the file and were not measured anew."""
-    old = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    if old.get("preset") != asked.preset:
+def _others(options: argparse.Namespace, rows: list[Hits]) -> list[Hits]:
+    """Return rows of the same preset in the file that were not measured again."""
+    old = json.loads(options.out.read_text()) if options.out.exists() else {}
+    if old.get("preset") != options.preset:
         return []
     measured = {row["condition"] for row in rows}
     return [row for row in old["rows"] if row["condition"] not in measured]
@@ -304,23 +302,29 @@ def main() -> None:
     parser.add_argument("--pool", metavar="FILE", help="an archive with position_raw")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path)
-    asked = parser.parse_args()
-    if asked.pool:
+    options = parser.parse_args()
+    if options.pool:
         tasks = [
-            delayed(one_pool)(asked.pool, asked.preset, split, seed, asked.touches)
+            delayed(one_pool)(
+                options.pool, options.preset, split, seed, options.touches
+            )
             for split in ("between", "last")
-            for seed in range(asked.seeds)
+            for seed in range(options.seeds)
         ]
     else:
-        parts = np.array_split(np.arange(asked.seeds), asked.teachings)
+        parts = np.array_split(np.arange(options.seeds), options.teachings)
         tasks = [
             delayed(one_teaching)(
-                teaching, asked.preset, asked.conditions, seeds.tolist(), asked.touches
+                teaching,
+                options.preset,
+                options.conditions,
+                seeds.tolist(),
+                options.touches,
             )
             for teaching, seeds in enumerate(parts)
         ]
-    done = Parallel(n_jobs=asked.jobs)(tasks)
-    rows = summary([hit for part in done for hit in part])
+    results = Parallel(n_jobs=options.jobs)(tasks)
+    rows = summary([hit for part in results for hit in part])
     for row in rows:
         curve = " ".join(f"{value:.2f}" for value in row["accuracy"])
         print(
@@ -329,9 +333,9 @@ def main() -> None:
             f"right after {row['touches_until_right']} "
             f"(sd {row['touches_until_right_sd']})"
         )
-    if asked.out:
-        kept = {"preset": asked.preset, "rows": rows + _others(asked, rows)}
-        write_text(asked.out, json.dumps(kept, indent=1) + "\n")
+    if options.out:
+        kept = {"preset": options.preset, "rows": rows + _others(options, rows)}
+        write_text(options.out, json.dumps(kept, indent=1) + "\n")
 
 
 if __name__ == "__main__":

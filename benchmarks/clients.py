@@ -52,7 +52,7 @@ def pressing(wire, **todo):
 
 @contextmanager
 def recognising(wire, model):
-    """Run a live session on the robot's topic that publishes what it believes."""
+    """Run a live session on the robot's topic that publishes its beliefs."""
     via = "zenoh" if wire == "zenoh" else "dds"
     sensor = CountedSensor("/pad", domain=DOMAIN, via=via)
     sensor.stamps = []
@@ -69,25 +69,25 @@ def measured(wire, rate_hz, shape, n_presses, model, program):
     todo = {"rate_hz": rate_hz, "shape": shape, "kinds": kinds, "program": program}
     with pressing(wire, **todo) as process, recognising(wire, model) as session:
         sensor, before = session.watch.sensor, session.watch.sensor.n_dropped
-        heard = heard_by(process, 600)
+        log = heard_by(process, 600)
         stamps, n_dropped = {*sensor.stamps}, sensor.n_dropped - before
-    sent = heard["sent"][heard["from"] :]
-    pairs = zip(heard["belief"], heard["ends"], strict=False)  # or beliefs are wanting
+    sent = log["sent"][log["from"] :]
+    pairs = zip(log["belief"], log["ends"], strict=False)  # or beliefs are wanting
     waits = [belief["at"] - end for belief, end in pairs]
     median, most = np.percentile(waits, [50, 99]) / 1e6 if waits else (np.nan,) * 2
     return {
         "frames": len(sent),
         "lost": len({*sent} - stamps) + n_dropped,
         "touches": n_presses,
-        "beliefs": len(heard["belief"]),
+        "beliefs": len(log["belief"]),
         "median_ms": float(median),
         "p99_ms": float(most),
-        "stamped": sum(one["stamp"] in stamps for one in heard["belief"]),
+        "stamped": sum(belief["stamp"] in stamps for belief in log["belief"]),
     }
 
 
 def restarted(wire, model, program):
-    """Return how many beliefs a robot hears that comes after one that was killed."""
+    """Return how many beliefs a robot gets that follows one that was killed."""
     todo = {"shape": SIZES[0], "rate_hz": 60, "program": program}
     with ExitStack() as stack:
         first = stack.enter_context(pressing(wire, kinds=["rows"] * 99, **todo))
@@ -97,23 +97,23 @@ def restarted(wire, model, program):
         first.wait()
         eventually(lambda: session.watch.sensor.lost, 60)
         second = stack.enter_context(pressing(wire, kinds=["rows"] * 4, **todo))
-        heard = heard_by(second)
+        log = heard_by(second)
         # The first's last press may end with the second's first frame.
-        return sum(one["stamp"] in heard["sent"] for one in heard["belief"])
+        return sum(belief["stamp"] in log["sent"] for belief in log["belief"])
 
 
 def resized(wire, model, program):
-    """Return what is said of a topic that changes its size; no frame may be wrong."""
+    """Return the frames dropped of a topic that changes its size; none may be wrong."""
     todo = {"shape": SIZES[0], "rate_hz": 60, "program": program}
     with (
         pressing(wire, kinds=["rows"] * 3, other_shape=(60, 60), **todo) as process,
         recognising(wire, model) as session,
     ):
-        heard = heard_by(process)
+        log = heard_by(process)
         sensor = session.watch.sensor
         eventually(lambda: sensor.n_dropped >= 30, 60)
-        late = {*heard["sent"][-35:-5]} & {*sensor.stamps}
-        right = len(heard["belief"]) == 3 and not late
+        late = {*log["sent"][-35:-5]} & {*sensor.stamps}
+        right = len(log["belief"]) == 3 and not late
         return sensor.n_dropped if right else 0
 
 

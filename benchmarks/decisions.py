@@ -51,18 +51,18 @@ def main() -> None:
     parser.add_argument("sections", nargs="*")
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
-    asked = parser.parse_args()
-    dome = Touches.load(asked.folder / "bathtip" / "bathtip50.npz")
-    array = Touches.load(asked.folder / "taxel10x10" / "taxel10x10.npz")
-    result = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    for name in asked.sections or SECTIONS:
+    options = parser.parse_args()
+    dome = Touches.load(options.folder / "bathtip" / "bathtip50.npz")
+    array = Touches.load(options.folder / "taxel10x10" / "taxel10x10.npz")
+    result = json.loads(options.out.read_text()) if options.out.exists() else {}
+    for name in options.sections or SECTIONS:
         draws = []
-        for seed in range(asked.first, asked.first + asked.draws):
+        for seed in range(options.first, options.first + options.draws):
             touches = array if name == "re-posed presses" else dome
             draws.append(SECTIONS[name](touches, seed))
             print(name, seed, draws[-1], flush=True)
-        result[name] = {"first": asked.first, "draws": draws}
-        write_text(asked.out, json.dumps(result, indent=1) + "\n")
+        result[name] = {"first": options.first, "draws": draws}
+        write_text(options.out, json.dumps(result, indent=1) + "\n")
 
 
 def few(n_objects: int, n_each: int, split: str) -> Callable[[Touches, int], object]:
@@ -71,22 +71,22 @@ def few(n_objects: int, n_each: int, split: str) -> Callable[[Touches, int], obj
     def section(touches: Touches, seed: int) -> object:
         rng = np.random.default_rng([seed, n_objects, n_each])
         names = rng.permutation(np.unique(touches.object))
-        known = np.isin(touches.object, names[:n_objects])
+        learnt = np.isin(touches.object, names[:n_objects])
         others = np.isin(touches.object, names[n_objects : n_objects + N_UNKNOWN])
         if split == "random":
-            train, test = split_by_count(touches[known], n_each, seed)
+            train, test = split_by_count(touches[learnt], n_each, seed)
             return figures(train, test, touches[others])
         (fold,) = split_touches(touches, "last")
-        mine, asked, new = (
-            np.isin(some.object, wanted)
-            for some, wanted in (
+        train_rows, test_rows, unknown_rows = (
+            np.isin(part.object, wanted)
+            for part, wanted in (
                 (fold.train, names[:n_objects]),
                 (fold.test, names[:n_objects]),
                 (fold.test, names[n_objects : n_objects + N_UNKNOWN]),
             )
         )
-        train = drawn(fold.train[mine], n_each, seed)
-        return figures(train, fold.test[asked], fold.test[new])
+        train = drawn(fold.train[train_rows], n_each, seed)
+        return figures(train, fold.test[test_rows], fold.test[unknown_rows])
 
     return section
 
@@ -101,9 +101,9 @@ def in_a_row(touches: Touches, seed: int) -> object:
         rows = in_order(touches, str(name))
         first = rng.integers(0, len(rows) - 12)
         taught[rows[first : first + 12]] = True
-    known = np.isin(touches.object, names[:n_objects])
+    learnt = np.isin(touches.object, names[:n_objects])
     others = np.isin(touches.object, names[n_objects : n_objects + N_UNKNOWN])
-    return figures(touches[taught], touches[known & ~taught], touches[others])
+    return figures(touches[taught], touches[learnt & ~taught], touches[others])
 
 
 def all_but_one_each(touches: Touches, seed: int) -> object:
@@ -136,9 +136,9 @@ def sparse(touches: Touches, seed: int) -> object:
     names = rng.permutation(np.unique(touches.object))[:10]
     (fold,) = split_touches(touches[np.isin(touches.object, names)], "last")
     cut = np.isin(fold.train.object, names[:5])
-    few_left, rest = drawn(fold.train[cut], SPARSE, seed), fold.train[~cut]
+    few_left, others = drawn(fold.train[cut], SPARSE, seed), fold.train[~cut]
     _, (trial,) = evaluate(
-        Touches.concatenate([few_left, rest]), fold.test, plan=Plan(touches=LENGTHS)
+        Touches.concatenate([few_left, others]), fold.test, plan=Plan(touches=LENGTHS)
     )
     rows = {}
     for k in LENGTHS:
@@ -170,8 +170,8 @@ def presses(touches: Touches, seed: int) -> object:
     for name in names:
         rows = np.flatnonzero(posed.object == name)
         first[rng.permutation(rows)[: len(rows) // 2]] = True
-    known = np.isin(posed.object, names[:12])
-    return figures(posed[known & first], posed[known & ~first], posed[~known])
+    learnt = np.isin(posed.object, names[:12])
+    return figures(posed[learnt & first], posed[learnt & ~first], posed[~learnt])
 
 
 def reposed(image: NDArray[np.float64], rng: np.random.Generator) -> Floats:
@@ -190,7 +190,7 @@ def in_order(touches: Touches, name: str) -> NDArray[np.intp]:
 def figures(
     train: Touches, test: Touches, unknown: Touches | None, label: str = "object"
 ) -> object:
-    """Return how episodes end, at each error, and how well unknown ones are told."""
+    """Return how episodes end at each error, and how well unknown objects are found."""
     plan = Plan(touches=LENGTHS, label=label, orders=ORDERS)
     result, (trial,) = evaluate(train, test, unknown=unknown, plan=plan)
     keys = ("accuracy", "ece", "category_accuracy", "unknown_auroc", "unknown_refused")
@@ -227,29 +227,31 @@ def ended(trial: Trial, error: float, strangers: float) -> dict[str, float]:
 
 
 def shares_of(episodes: Episodes, strangers: float) -> list[tuple[Floats, Floats]]:
-    """Return the probabilities of learnt objects and of none, of each object."""
+    """Return the probabilities of learnt objects and of none, for each test object."""
     result = []
     for logs, evidence in zip(episodes.beliefs, episodes.unknown, strict=True):
-        known, unknown = stranger_log_shares(evidence, strangers)
-        result.append((np.exp(logs + known[..., np.newaxis]), np.exp(unknown)))
+        learnt, unknown = stranger_log_shares(evidence, strangers)
+        result.append((np.exp(logs + learnt[..., np.newaxis]), np.exp(unknown)))
     return result
 
 
 def withdrawn(trial: Trial, error: float, strangers: float) -> dict[str, float]:
     """Return the share of decisions that later touches would take back.
 
-    Of right ones and of wrong ones, both of all decisions.
+    Both shares, of right and of wrong decisions, are of all decisions.
     """
     n_named, n_back = 0, {True: 0, False: 0}
     parts = shares_of(trial.episodes, strangers)
-    for (known, unknown), truth in zip(parts, trial.episodes.truth, strict=True):
-        every = np.concatenate([known, unknown[..., np.newaxis]], axis=-1)
-        sure = every.max(axis=-1) >= 1 - error
+    for (learnt, unknown), truth in zip(parts, trial.episodes.truth, strict=True):
+        shares = np.concatenate([learnt, unknown[..., np.newaxis]], axis=-1)
+        sure = shares.max(axis=-1) >= 1 - error
         for order in np.flatnonzero(sure.any(axis=1)):
             first = int(sure[order].argmax())
-            named = int(every[order, first].argmax())
+            named = int(shares[order, first].argmax())
             n_named += 1
-            n_back[named == truth] += bool((every[order, first:, named] <= error).any())
+            n_back[named == truth] += bool(
+                (shares[order, first:, named] <= error).any()
+            )
     return {
         "withdrawn right": n_back[True] / max(n_named, 1),
         "withdrawn wrong": n_back[False] / max(n_named, 1),
@@ -268,13 +270,13 @@ def calibration(trial: Trial, strangers: float) -> list[list[float]]:
         if episodes is None:
             continue
         parts = shares_of(episodes, strangers)
-        for (known, unknown), truth in zip(parts, episodes.truth, strict=True):
-            every = np.concatenate([known, unknown[..., np.newaxis]], axis=-1)
-            places = [k for k in (0, 1, 2, 4, 7, 11) if k < every.shape[1]]
-            every = every[:, places].reshape(-1, every.shape[-1])
-            right = every.argmax(axis=1) == (truth if truth >= 0 else known.shape[-1])
-            share = np.full(len(every), weight / len(every) / len(episodes.truth))
-            rows.append(np.stack([every.max(axis=1), right, share]))
+        for (learnt, unknown), truth in zip(parts, episodes.truth, strict=True):
+            shares = np.concatenate([learnt, unknown[..., np.newaxis]], axis=-1)
+            places = [k for k in (0, 1, 2, 4, 7, 11) if k < shares.shape[1]]
+            shares = shares[:, places].reshape(-1, shares.shape[-1])
+            right = shares.argmax(axis=1) == (truth if truth >= 0 else learnt.shape[-1])
+            share = np.full(len(shares), weight / len(shares) / len(episodes.truth))
+            rows.append(np.stack([shares.max(axis=1), right, share]))
     best, right, share = np.concatenate(rows, axis=1)
     bins = np.digitize(best, BINS)
     return [

@@ -28,7 +28,7 @@ def main() -> None:
     rows += [_strip(thing, camera, "above") for thing in BASIC_SHAPES]
     rows += [_strip(thing, TacTipPins(), "above") for thing in BASIC_SHAPES[:5:2]]
     half = (len(rows) + 1) // 2
-    columns = [np.vstack(some) for some in (rows[:half], rows[half:])]
+    columns = [np.vstack(strips) for strips in (rows[:half], rows[half:])]
     short = columns[0].shape[0] - columns[1].shape[0]
     columns[1] = np.pad(columns[1], ((0, short), (0, 0)), constant_values=255)
     SHEET.parent.mkdir(exist_ok=True)
@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def _strip(thing: Any, sensor: Any, strategy: str) -> Picture:
-    """Name of an object and some touches of it in a row."""
+    """Return the name of an object and touches of it in a row."""
     touches = simulate_touches(
         thing, N_TOUCHES, sensor, strategy, drift=False, random_state=len(thing.name)
     )

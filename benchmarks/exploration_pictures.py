@@ -1,4 +1,4 @@
-"""Pictures of what benchmarks/choose_touches.py measured."""
+"""Pictures of the figures of benchmarks/choose_touches.py."""
 
 import json
 from pathlib import Path
@@ -30,7 +30,7 @@ COLOURS = {"random": "#888888", "raster": "#c98a1b", "chosen": "#1b6fc9"}
 
 
 def draw(folder: Path) -> None:
-    """Write the picture of whatever was measured."""
+    """Write the picture of all conditions that were measured."""
     folder.mkdir(parents=True, exist_ok=True)
     panels = [panel for name in PANELS for panel in _panels(name)]
     if panels:
@@ -38,17 +38,17 @@ def draw(folder: Path) -> None:
 
 
 def _panels(name: str) -> list[tuple[str, Rows]]:
-    """Title and rows of each condition in one file of measurements."""
+    """Return title and rows of each condition in one file of measurements."""
     path = HERE / f"{name}.json"
     if not path.exists():
         return []
     kept = json.loads(path.read_text())
-    found = []
+    panels = []
     for condition, title in PANELS[name].items():
         rows = [row for row in kept["rows"] if row["condition"] == condition]
         if rows:
-            found.append((f"{title}\n{kept['preset']}", rows))
-    return found
+            panels.append((f"{title}\n{kept['preset']}", rows))
+    return panels
 
 
 def _chosen(path: Path, panels: list[tuple[str, Rows]]) -> None:

@@ -1,7 +1,7 @@
-"""Tables of docs/explanation/exploration-measured.md, made from what was measured.
+"""Tables of docs/explanation/exploration-measured.md, made from measured rows.
 
-Each stands between `<!-- begin NAME -->` and `<!-- end NAME -->` and is written anew;
-one that was not measured says so.
+Each stands between `<!-- begin NAME -->` and `<!-- end NAME -->` and is replaced; a
+table that was not measured says so.
 """
 
 import json
@@ -31,8 +31,8 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
         parts = [
             json.loads((HERE / f).read_text()) for f in files if (HERE / f).exists()
         ]
-        made = [_with_preset(part, _chosen) for part in parts]
-        tables[name] = "\n\n".join(made) or _NONE
+        sections = [_with_preset(part, _chosen) for part in parts]
+        tables[name] = "\n\n".join(sections) or _NONE
     tables["places"] = _places()
     text = document.read_text()
     for name, table in tables.items():
@@ -76,7 +76,7 @@ PLACES_COLUMNS = {
 
 
 def _places() -> str:
-    """Attempts until decided rightly, by belief, condition and strategy."""
+    """Return attempts until decided rightly, by belief, condition and strategy."""
     file = HERE / "places.json"
     measured = json.loads(file.read_text()) if file.exists() else {}
     cells = [

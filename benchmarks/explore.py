@@ -72,22 +72,24 @@ KINDS = {
 
 
 def device(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
-    """Accuracy on another device, before and after adapting with 20 touches."""
-    found: dict[str, list[Any]] = {name: [] for name in DEVICES}
+    """Return accuracy on another device, before and after adapting with 20 touches."""
+    accuracies: dict[str, list[Any]] = {name: [] for name in DEVICES}
     for seed in range(n_seeds):
         taught = simulate_touches(camera=HERE, n_sessions=3, random_state=seed)
         recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
         for name, camera in DEVICES.items():
-            felt = simulate_touches(
+            touches = simulate_touches(
                 n_touches=N_DEVICE_TOUCHES,
                 camera=camera,
                 n_sessions=2,
                 random_state=1000 + seed,
             )
-            few = _first(felt, N_ADAPT // len(recogniser.classes_))
-            rest = felt[np.setdiff1d(np.arange(len(felt)), few)]
-            adapted = adapt(recogniser, felt[few])
-            found[name].append([_accuracy(recogniser, rest), _accuracy(adapted, rest)])
+            few = _first(touches, N_ADAPT // len(recogniser.classes_))
+            tested = touches[np.setdiff1d(np.arange(len(touches)), few)]
+            adapted = adapt(recogniser, touches[few])
+            accuracies[name].append(
+                [_accuracy(recogniser, tested), _accuracy(adapted, tested)]
+            )
     return [
         {
             "device": name,
@@ -98,7 +100,7 @@ def device(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
             "after": np.mean(values, axis=0)[1].round(3).tolist(),
             "after_sd": spread(values)[1].round(3).tolist(),
         }
-        for name, values in found.items()
+        for name, values in accuracies.items()
     ]
 
 
@@ -106,20 +108,20 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
     """Learn kinds of object on simulated touches, recognise them on real ones."""
     if data is None:
         raise SystemExit("The part 'real' needs PALPATE_DATA.")
-    names = {kind: mine for mine, theirs in KINDS.items() for kind in theirs}
+    names = {kind: ours for ours, theirs in KINDS.items() for kind in theirs}
     recorded = _bathtip(data)
     recorded = recorded[np.isin(recorded.category, list(names))]
     kinds = np.array([names[str(kind)] for kind in recorded.category])
     recorded = recorded.with_columns(category=kinds)
-    shown = [thing for thing in HOUSEHOLD + UNSEEN if thing.category in KINDS]
-    found = []
+    things = [thing for thing in HOUSEHOLD + UNSEEN if thing.category in KINDS]
+    accuracies = []
     for seed in range(n_seeds):
-        taught = simulate_touches(shown, n_sessions=3, random_state=seed)
+        taught = simulate_touches(things, n_sessions=3, random_state=seed)
         recogniser = ObjectRecogniser(preset, label="category", random_state=seed).fit(
             taught
         )
-        few, rest = _few_real(recorded, seed)
-        tested = recorded[rest]
+        few, tested_rows = _few_real(recorded, seed)
+        tested = recorded[tested_rows]
         adapted = adapt(recogniser, recorded[few])
         alone = ObjectRecogniser(preset, label="category", random_state=seed)
         alone.fit(recorded[few].without("object"))
@@ -127,10 +129,10 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
         itself = ObjectRecogniser(preset, label="category", random_state=seed).fit(
             within
         )
-        found.append(
+        accuracies.append(
             [
-                _accuracy(one, touches)
-                for one, touches in (
+                _accuracy(learnt, touches)
+                for learnt, touches in (
                     (recogniser, tested),
                     (adapted, tested),
                     (alone, tested),
@@ -144,7 +146,7 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
         "those 18 real touches alone",
         "simulated, tested on simulated",
     )
-    mean, sd = np.mean(found, axis=0), spread(found)
+    mean, sd = np.mean(accuracies, axis=0), spread(accuracies)
     return [
         {
             "learnt on": title,
@@ -159,7 +161,7 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
 
 
 def _few_real(recorded: Touches, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Three touches of one object of each kind; all touches of the other objects."""
+    """Return rows of three touches of one object a kind, and of all other objects."""
     rng = np.random.default_rng(seed)
     few, used = [], []
     for kind in KINDS:
@@ -172,13 +174,13 @@ def _few_real(recorded: Touches, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _within(taught: Touches, seed: int) -> tuple[Touches, Touches]:
-    """The last session of every object held out."""
+    """Return the touches without, and those of, the last session of each object."""
     last = taught.columns["session"] == np.max(taught.columns["session"])
     return taught[~last], taught[last]
 
 
 def _accuracy(recogniser: ObjectRecogniser, touches: Touches) -> list[float]:
-    """Mean over objects after so many touches, 20 orders."""
+    """Return the accuracy after each of `LENGTHS`, mean over objects and 20 orders."""
     truth = touches.object if recogniser.label == "object" else touches.category
     objects = touches.object
     log_likelihood = recogniser.log_likelihood(touches)
@@ -187,7 +189,7 @@ def _accuracy(recogniser: ObjectRecogniser, touches: Touches) -> list[float]:
 
 
 def _first(touches: Touches, each: int) -> np.ndarray:
-    """The first touches of each object."""
+    """Return the rows of the first touches of each object."""
     objects = touches.object
     rows = [np.flatnonzero(objects == name)[:each] for name in np.unique(objects)]
     return np.concatenate(rows)
@@ -211,21 +213,21 @@ def main() -> None:
     parser.add_argument("--runs", type=int, help="seeds")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--write", type=Path, metavar="DOCS")
-    asked = parser.parse_args()
-    kept = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    if asked.write is not None:
-        fill(asked.write / "explanation" / "exploration-measured.md", kept)
-        draw(asked.write / "images")
+    options = parser.parse_args()
+    kept = json.loads(options.out.read_text()) if options.out.exists() else {}
+    if options.write is not None:
+        fill(options.write / "explanation" / "exploration-measured.md", kept)
+        draw(options.write / "images")
         return
     folder = os.environ.get("PALPATE_DATA")
     data = None if folder is None else Path(folder)
-    for name in asked.parts or PARTS:
+    for name in options.parts or PARTS:
         measure, usual = PARTS[name]
         began = time.process_time()
-        rows = measure(data, asked.preset, asked.runs or usual)
+        rows = measure(data, options.preset, options.runs or usual)
         cpu_s = round(time.process_time() - began)
-        kept[name] = {"preset": asked.preset, "cpu_s": cpu_s, "rows": rows}
-        write_text(asked.out, json.dumps(kept, indent=1) + "\n")
+        kept[name] = {"preset": options.preset, "cpu_s": cpu_s, "rows": rows}
+        write_text(options.out, json.dumps(kept, indent=1) + "\n")
         for row in rows:
             print(name, json.dumps(row), flush=True)
 

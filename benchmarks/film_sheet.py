@@ -22,42 +22,45 @@ STAGES = ("rise25", "rise50", "rise75", "peak")
 
 
 def main() -> None:
-    """Write the film, find its touches, draw both; print what was found."""
+    """Write the film, find its touches, draw both; print the number of touches."""
     sheet, *limit = sys.argv[1:]
     path = Path(os.environ["PALPATE_DATA"]) / "sessions/gelsight_wedge.npz"
     with np.load(path) as archive:
-        known = {name: archive[name] for name in archive.files}
-    first_day = known["session"] == known["session"][0]
+        arrays = {name: archive[name] for name in archive.files}
+    first_day = arrays["session"] == arrays["session"][0]
     frames, squeezes = [], []
-    for idle in np.unique(known["idle_of"][first_day]):
-        rest = known["set_idle"][idle]
+    for idle in np.unique(arrays["idle_of"][first_day]):
+        idle_frame = arrays["set_idle"][idle]
         of_stage = {
-            s: (known["idle_of"] == idle) & (known["stage"] == s) for s in STAGES
+            s: (arrays["idle_of"] == idle) & (arrays["stage"] == s) for s in STAGES
         }
-        way = [known["images"][of_stage[s]][0] for s in STAGES]
-        squeezes.append((len(frames) / RATE_HZ, way[-1]))
-        frames += [rest] * REST + way + way[-1:] * HELD + way[::-1]
+        rise = [arrays["images"][of_stage[s]][0] for s in STAGES]
+        squeezes.append((len(frames) / RATE_HZ, rise[-1]))
+        frames += [idle_frame] * REST + rise + rise[-1:] * HELD + rise[::-1]
     detector = TouchDetector(begin=float(limit[0])) if limit else TouchDetector()
     with tempfile.TemporaryDirectory() as folder:
         touches = detector.touches_in(
             write(Path(folder) / "day.mkv", frames), colour=True
         )
     starts = np.array([start for start, _ in squeezes])
-    of = np.searchsorted(starts, touches.columns["time_s"], side="right") - 1
-    counts = np.bincount(of, minlength=len(squeezes))
-    away = [
+    squeeze_of = np.searchsorted(starts, touches.columns["time_s"], side="right") - 1
+    counts = np.bincount(squeeze_of, minlength=len(squeezes))
+    differences = [
         np.abs(image.astype(int) - squeezes[n][1]).mean()
-        for n, image in zip(of, touches.images, strict=True)
+        for n, image in zip(squeeze_of, touches.images, strict=True)
     ]
     print(
         f"{len(squeezes)} squeezes, {len(touches)} touches; of one touch each: "
         f"{(counts == 1).sum()}, of none: {(counts == 0).sum()}. From the peak of "
-        f"their squeeze they differ by {np.median(away):.2f} levels (median), at most "
-        f"{max(away):.2f}. A touch begins at a change of {detector.begin:.1f}."
+        f"their squeeze they differ by {np.median(differences):.2f} levels (median), "
+        f"at most {max(differences):.2f}. A touch begins at a change of "
+        f"{detector.begin:.1f}."
     )
     blank = np.zeros_like(frames[0])
-    found = [next(iter(touches.images[of == n]), blank) for n in range(len(squeezes))]
-    rows = [np.hstack([peak for _, peak in squeezes]), np.hstack(found)]
+    first_touches = [
+        next(iter(touches.images[squeeze_of == n]), blank) for n in range(len(squeezes))
+    ]
+    rows = [np.hstack([peak for _, peak in squeezes]), np.hstack(first_touches)]
     cv2.imwrite(sheet, np.vstack(rows)[::2, ::2, ::-1])
 
 

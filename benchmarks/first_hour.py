@@ -37,7 +37,7 @@ from tables import one_figure_a_cell
 
 N_THINGS, N_TAUGHT, N_MORE, N_ROUNDS, N_ASKED = 3, 12, 10, 3, 12
 AFTER = (1, 8)
-WAYS = ("in a row", "all over")
+TEACHINGS = ("in a row", "all over")
 _MORE = re.compile(r"ten more touches of (?P<name>each|it|.*), elsewhere")
 _ALIKE = re.compile(r"Of \d+ touches of (?P<name>.*) \d+ are like others")
 _PAIR = re.compile(r"(?P<one>.*) and (?P<other>.*) are taken for each other")
@@ -48,14 +48,16 @@ class Hand(LiveSensor):
 
     queue_length = 1000
 
-    def __init__(self, rest: np.ndarray[Any, Any]) -> None:
-        super().__init__("recorded dome", "grey level", rest.shape, rest.dtype)
-        self._rest = rest
+    def __init__(self, idle_frame: np.ndarray[Any, Any]) -> None:
+        super().__init__(
+            "recorded dome", "grey level", idle_frame.shape, idle_frame.dtype
+        )
+        self._idle_frame = idle_frame
         self._pressed: queue.Queue[Any] = queue.Queue()
 
     def press(self, image: np.ndarray[Any, Any]) -> None:
         """Press and let go."""
-        for frame in (*[image] * 3, *[self._rest] * 3):
+        for frame in (*[image] * 3, *[self._idle_frame] * 3):
             self._pressed.put(frame)
 
     def _open(self) -> None:
@@ -65,7 +67,7 @@ class Hand(LiveSensor):
         try:
             return [self._pressed.get(timeout=0.01)]
         except queue.Empty:
-            return [self._rest]
+            return [self._idle_frame]
 
     def _close(self) -> None:
         pass
@@ -88,7 +90,7 @@ class Desk:
         self.taught: dict[str, list[int]] = {name: [] for name in self.names}
 
     def _touch(self, row: int, count: Callable[[], int]) -> bool:
-        """Press one touch; tell whether the session took it for one."""
+        """Press one touch; return whether the session counted it."""
         before, end_s = count(), time.monotonic() + 2.0
         self.hand.press(self.things.images[row])
         while count() == before and time.monotonic() < end_s:
@@ -101,14 +103,14 @@ class Desk:
         return int(self.rng.choice(left))
 
     def teach(self, name: str, wanted: int, *, in_a_row: bool, obey: bool) -> None:
-        """Teach so many touches; with `obey` go elsewhere when the page says so."""
+        """Teach `wanted` touches; with `obey` go elsewhere when the page says so."""
         self.session.teach(name, wanted)
         lesson = self.session.teacher.lesson
         rows = self.first[name]
         at = int(self.rng.integers(len(rows) - wanted + 1)) if in_a_row else 0
         while lesson.done < wanted:  # touches without contact do not count
-            told = obey and lesson.prompt
-            fresh = in_a_row and not told and rows[at % len(rows)]
+            prompted = obey and lesson.prompt
+            fresh = in_a_row and not prompted and rows[at % len(rows)]
             row = self._elsewhere(name) if fresh is False else fresh
             at = rows.index(row) + 1
             if row not in self.taught[name]:
@@ -124,7 +126,7 @@ class Desk:
             raise RuntimeError(self.session.learn_error)
 
     def follow_advice(self) -> int:
-        """Do what stands under "Teach next" until nothing does; return how often."""
+        """Follow the advice "Teach next" until there is none; return how often."""
         for number in range(N_ROUNDS):
             names = [n for n in advised(self.session.advice) if self._room(n)]
             if not names:
@@ -138,23 +140,23 @@ class Desk:
         return len(self.first[name]) - len(self.taught[name]) > N_MORE
 
     def _farthest(self, name: str) -> tuple[list[int], float]:
-        """Return the rows of the last quarter farthest from what was taught, in order.
+        """Return the rows of the last quarter farthest from taught touches, in order.
 
-        And how far they are from the nearest taught touch, in the median: in steps,
-        the median distance between touches that follow each other in the recording.
+        Also return their median distance from the nearest taught touch, in steps: the
+        median distance between touches that follow each other in the recording.
         """
         places = self.things.columns["position_raw"].astype(float)
         of_thing = places[[*self.first[name], *self.last[name]]]
         step = np.median(np.linalg.norm(np.diff(of_thing, axis=0), axis=1))
-        taught, asked = places[self.taught[name]], places[self.last[name]]
-        away = np.linalg.norm(asked[:, None] - taught, axis=2).min(axis=1)
-        chosen = np.sort(np.argsort(-away, kind="stable")[:N_ASKED])
+        taught, tested = places[self.taught[name]], places[self.last[name]]
+        distances = np.linalg.norm(tested[:, None] - taught, axis=2).min(axis=1)
+        chosen = np.sort(np.argsort(-distances, kind="stable")[:N_ASKED])
         rows = [self.last[name][place] for place in chosen.tolist()]
-        return rows, float(np.median(away[chosen]) / step)
+        return rows, float(np.median(distances[chosen]) / step)
 
     def ask(self) -> list[dict[str, Any]]:
-        """Ask about each thing where it was not taught; return what was said."""
-        said = []
+        """Touch each thing where it was not taught; return the answers."""
+        answers = []
         for name in self.names:
             self.session.begin_episode()
             right, first = "", None
@@ -164,13 +166,13 @@ class Desk:
                     episode = self.session.episode
                     right += str(int(episode.belief.best == name))
                     first = first or episode.decision
-            known = {"right": right, "first": first, "steps": steps}
-            said.append({"object": name, **known})
-        return said
+            answer = {"right": right, "first": first, "steps": steps}
+            answers.append({"object": name, **answer})
+        return answers
 
 
 def advised(sentences: list[str]) -> list[str]:
-    """Return what is to be taught ten more touches of; another day is not to be had."""
+    """Return the things that need ten more touches, without advice of another day."""
     names: list[str] = []
     for sentence in sentences:
         more = _MORE.search(sentence)
@@ -186,38 +188,38 @@ def advised(sentences: list[str]) -> list[str]:
 
 
 def one_draw(touches: Touches, seed: int) -> dict[str, Any]:
-    """Teach and ask three things in every way."""
+    """Teach three things in each of the teachings, and test them."""
     rng = np.random.default_rng([seed, N_THINGS])
     names = rng.choice(np.unique(touches.object), N_THINGS, replace=False)
     things = touches[np.isin(touches.object, names)]
     result: dict[str, Any] = {"things": sorted(names.tolist())}
-    for way in WAYS:
+    for teaching in TEACHINGS:
         for obey in (False, True):
             with tempfile.TemporaryDirectory() as place:
                 desk = Desk(things, Path(place) / "desk", np.random.default_rng(seed))
                 with desk.session as session:
                     session.take_baseline()
                     for name in desk.names:
-                        in_a_row = way == "in a row"
+                        in_a_row = teaching == "in a row"
                         desk.teach(name, N_TAUGHT, in_a_row=in_a_row, obey=obey)
                     desk.learn()
                     n_rounds = desk.follow_advice() if obey else 0
                     n_taught = {n: len(rows) for n, rows in desk.taught.items()}
-                    shown = way + ", advice followed" * obey
-                    told = {"advice": session.advice, "rounds": n_rounds}
-                    said = {"asked": desk.ask(), "taught": n_taught}
-                    result[shown] = {**said, **told}
+                    title = teaching + ", advice followed" * obey
+                    advice = {"advice": session.advice, "rounds": n_rounds}
+                    answers = {"asked": desk.ask(), "taught": n_taught}
+                    result[title] = {**answers, **advice}
     return result
 
 
 def table(draws: list[dict[str, Any]]) -> str:
-    """Return what was said as a table of docs/explanation/page.md, in per cent."""
+    """Return the answers as a table of docs/explanation/page.md, in per cent."""
     head = "| taught | touches each | first decision: right | wrong | unknown | none "
     head += "in 12 touches | right after 1 touch | right after 8 | worst draw after 8 |"
     lines = [head, "|---" * 9 + "|"]
-    for way in (name for name in draws[0] if name != "things"):
-        asked = [draw[way]["asked"] for draw in draws]
-        flat = [episode for episodes in asked for episode in episodes]
+    for teaching in (name for name in draws[0] if name != "things"):
+        episodes_of_draws = [draw[teaching]["asked"] for draw in draws]
+        flat = [episode for episodes in episodes_of_draws for episode in episodes]
         firsts = [
             np.mean([e["first"] == e["object"] for e in flat]),
             np.mean([e["first"] not in (None, "unknown", e["object"]) for e in flat]),
@@ -225,35 +227,43 @@ def table(draws: list[dict[str, Any]]) -> str:
             np.mean([e["first"] is None for e in flat]),
         ]
         right = [
-            [np.mean([e["right"][k - 1] == "1" for e in some]) for some in asked]
+            [
+                np.mean([e["right"][k - 1] == "1" for e in episodes])
+                for episodes in episodes_of_draws
+            ]
             for k in AFTER
         ]
-        each = np.mean([list(draw[way]["taught"].values()) for draw in draws])
+        each = np.mean([list(draw[teaching]["taught"].values()) for draw in draws])
         worst = f"{min(right[1]):.0%}"
         spread = [f"{np.mean(r):.0%} ± {np.std(r, ddof=1):.0%}" for r in right]
-        cells = [way, f"{each:.0f}", *(f"{share:.0%}" for share in firsts), *spread]
+        cells = [
+            teaching,
+            f"{each:.0f}",
+            *(f"{share:.0%}" for share in firsts),
+            *spread,
+        ]
         lines.append("| " + " | ".join([*cells, worst]) + " |")
     text = "".join(f"{line}\n" for line in lines).replace("%", "")
     return one_figure_a_cell(text)
 
 
 def main() -> None:
-    """Measure some draws; those that are in the file already are kept."""
+    """Measure draws; those that are in the file already are kept."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--draws", type=int, default=90)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--table", action="store_true")
-    asked = parser.parse_args()
-    draws = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    if not asked.table:
-        touches = Touches.load(asked.folder / "bathtip" / "bathtip50.npz")
-        for seed in range(asked.first, asked.first + asked.draws):
+    options = parser.parse_args()
+    draws = json.loads(options.out.read_text()) if options.out.exists() else {}
+    if not options.table:
+        touches = Touches.load(options.folder / "bathtip" / "bathtip50.npz")
+        for seed in range(options.first, options.first + options.draws):
             if str(seed) not in draws:
                 draws[str(seed)] = one_draw(touches, seed)
                 lines = (f'"{k}": {json.dumps(draw)}' for k, draw in draws.items())
-                write_text(asked.out, "{" + ",\n".join(lines) + "}\n")
+                write_text(options.out, "{" + ",\n".join(lines) + "}\n")
                 print(seed, flush=True)
     print(table(list(draws.values())))
 

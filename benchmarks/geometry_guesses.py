@@ -68,8 +68,8 @@ def _conditions() -> Iterator[tuple[str, Images]]:
     before[order] = plain[np.roll(order, 1)]
     for share in (0.1, 0.2, 0.3):
         yield f"{100 * share:g} % of the press before, any part", plain + share * before
-    own = np.roll(plain, 1, axis=0)
-    yield "20 % of the press before, part after part", plain + 0.2 * own
+    previous = np.roll(plain, 1, axis=0)
+    yield "20 % of the press before, part after part", plain + 0.2 * previous
     branch = rng.uniform(0.8, 1.2, (len(plain), 1, 1))
     yield "strength by the branch, 20 % either way", plain * branch
     for radius in (0.25, 0.5):

@@ -41,7 +41,7 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "growth.json"
 N_FEATURES, LONGEST_S, N_ASKED, N_ROUNDS = 71, 240, 20, 2
 KERNELS = 10_000
-# Else Dask has workers give memory back to the system at every step.
+# Without these, Dask workers give memory back to the system at every step.
 KEEP_MEMORY = {
     "MALLOC_TRIM_THRESHOLD_": "134217728",
     "MALLOC_MMAP_THRESHOLD_": "67108864",
@@ -73,27 +73,27 @@ def main() -> None:
     parser.add_argument("--shop", nargs="?", type=int, const=len(SHOP))
     parser.add_argument("--spread", action="store_true")
     parser.add_argument("--one-shop", nargs=2, type=int, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.one_shop:
-        print(json.dumps(shop(*asked.one_shop)))
+    options = parser.parse_args()
+    if options.one_shop:
+        print(json.dumps(shop(*options.one_shop)))
         return
-    if asked.shop:
-        keep("shop", [in_a_process("--one-shop", s) for s in SHOP[: asked.shop]])
+    if options.shop:
+        keep("shop", [in_a_process("--one-shop", s) for s in SHOP[: options.shop]])
         return
-    if asked.spread:
+    if options.spread:
         keep("spread", spread())
         return
-    if asked.one:
-        print(json.dumps(learnt(*asked.one)))
+    if options.one:
+        print(json.dumps(learnt(*options.one)))
         return
-    if not asked.picture:
-        rows = {way: measured(way, 3 if asked.quick else None) for way in WAYS}
+    if not options.picture:
+        rows = {way: measured(way, 3 if options.quick else None) for way in WAYS}
         RESULTS.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    draw(asked.picture or HERE.parent / "docs" / "images")
+    draw(options.picture or HERE.parent / "docs" / "images")
 
 
 def keep(name: str, rows: list[dict[str, Any]]) -> None:
-    """Write rows beside what was measured before."""
+    """Write rows beside those that were measured before."""
     before = json.loads(RESULTS.read_text(encoding="utf-8"))
     text = json.dumps(before | {name: {"rows": rows}}, indent=1) + "\n"
     RESULTS.write_text(text, encoding="utf-8")
@@ -111,23 +111,23 @@ def measured(way: str, most: int | None) -> dict[str, Any]:
 
 
 def in_a_process(option: str, size: Sequence[int]) -> dict[str, Any]:
-    """Return what a process of its own measures, or how it was `refused`."""
+    """Return the row that a process of its own measures, or how it was `refused`."""
     command = [sys.executable, __file__, option, *map(str, size)]
     environment = os.environ | dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
     )
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
-    row = {"refused": (done.stderr.strip().splitlines() or ["killed"])[-1]}
-    if not done.returncode:
-        row = json.loads(done.stdout)
+    completed = subprocess.run(command, capture_output=True, text=True, env=environment)
+    row = {"refused": (completed.stderr.strip().splitlines() or ["killed"])[-1]}
+    if not completed.returncode:
+        row = json.loads(completed.stdout)
     print(option, size, row, flush=True)
     return row
 
 
 def exponent(rows: list[dict[str, Any]], key: str) -> float:
     """Return how a figure grows with the size, fitted to the larger sizes."""
-    known = [row for row in rows if row["size"] <= KERNELS]
-    half = known[-max(3, -(-len(known) // 2)) :]
+    fitted = [row for row in rows if row["size"] <= KERNELS]
+    half = fitted[-max(3, -(-len(fitted) // 2)) :]
     at, figures = ([row[name] for row in half] for name in ("size", key))
     return float(np.polyfit(np.log(at), np.log(figures), 1)[0])
 
@@ -145,18 +145,18 @@ def learnt(n_objects: int, n_each: int, side: int) -> dict[str, float]:
     cpu = time.process_time()
     recogniser.fit(touches)
     learning_s = time.process_time() - cpu
-    some = [
+    tested = [
         touches[[k]] for k in range(0, len(touches), max(1, len(touches) // N_ASKED))
     ]
     belief = recogniser.start()
     cpu = time.process_time()
-    for touch in some:
+    for touch in tested:
         belief.update(touch)
         belief.decide()
     return {
         "learning_s": learning_s,
         "memory_mb": max(_peak_mb() - before, 1.0),
-        "belief_ms": 1e3 * (time.process_time() - cpu) / len(some),
+        "belief_ms": 1e3 * (time.process_time() - cpu) / len(tested),
     }
 
 
@@ -164,7 +164,7 @@ def shop(n_objects: int, n_each: int) -> dict[str, float]:
     """Learn very many touches; return CPU times, memory, and shares right."""
     from palpate.recognition import ObjectRecogniser
 
-    touches, asked = with_faces(n_objects, n_each)
+    touches, tested = with_faces(n_objects, n_each)
     recogniser, clock = ObjectRecogniser(), time.process_time
     Path("/proc/self/clear_refs").write_text("5")
     before, begun = _peak_mb(), clock()
@@ -173,13 +173,13 @@ def shop(n_objects: int, n_each: int) -> dict[str, float]:
     row["memory_mb"] = _peak_mb() - before
     belief, begun = recogniser.start(), clock()
     for k in range(N_ASKED):
-        belief.update(asked[[k]])
+        belief.update(tested[[k]])
         belief.decide()
     row["belief_ms"] = 1e3 * (clock() - begun) / N_ASKED
-    row["right"] = float((recogniser.predict(asked) == asked.object).mean())
-    row["nearest_mean"] = right_by_means(touches, asked)
+    row["right"] = float((recogniser.predict(tested) == tested.object).mean())
+    row["nearest_mean"] = right_by_means(touches, tested)
     begun = clock()
-    recogniser.add_object("one more", asked[:n_each])
+    recogniser.add_object("one more", tested[:n_each])
     row["adding_s"], begun = clock() - begun, clock()
     recogniser.forget_object("one more")
     row["forgetting_s"] = clock() - begun
@@ -192,7 +192,7 @@ def shop(n_objects: int, n_each: int) -> dict[str, float]:
 
 
 def spread() -> list[dict[str, Any]]:
-    """Do what is spread in this process and by two workers; return times of rounds."""
+    """Measure the spread parts in this process and by two workers; return rows."""
     from distributed import Client, LocalCluster
     from joblib import parallel_config
 
@@ -223,7 +223,7 @@ def spread() -> list[dict[str, Any]]:
 
 
 def spread_parts(folder: Path) -> dict[str, Any]:
-    """Return what is spread, by name, as functions."""
+    """Return the parts that are spread, by name, as functions."""
     from palpate.classifiers._landmarks import LandmarkRegression, Landmarks
     from palpate.library import TouchLibrary
     from palpate.recognition import ObjectRecogniser, _learning
@@ -261,9 +261,9 @@ def with_faces(n_objects: int, n_each: int) -> tuple[Any, Any]:
     from palpate import Touches
 
     rng = np.random.default_rng(0)
-    known = recorded_features(rng)
-    spread = known.std(axis=0)
-    faces = known[rng.integers(len(known), size=(n_objects, 2))]
+    recorded = recorded_features(rng)
+    spread = recorded.std(axis=0)
+    faces = recorded[rng.integers(len(recorded), size=(n_objects, 2))]
     faces = faces + 0.3 * spread * rng.normal(size=faces.shape)
 
     def met(objects: Any) -> Any:
@@ -276,7 +276,7 @@ def with_faces(n_objects: int, n_each: int) -> tuple[Any, Any]:
     return met(objects), met(rng.integers(n_objects, size=1000))
 
 
-def right_by_means(touches: Any, asked: Any) -> float:
+def right_by_means(touches: Any, tested: Any) -> float:
     """Return the share right of the nearest mean of scaled features."""
     from sklearn.neighbors import NearestCentroid
     from sklearn.pipeline import make_pipeline
@@ -284,7 +284,7 @@ def right_by_means(touches: Any, asked: Any) -> float:
 
     means = make_pipeline(StandardScaler(), NearestCentroid())
     means.fit(touches.images[:, 0], touches.object)
-    return float(means.score(asked.images[:, 0], asked.object))
+    return float(means.score(tested.images[:, 0], tested.object))
 
 
 def vectors(n_objects: int, n_each: int) -> Any:
@@ -292,9 +292,9 @@ def vectors(n_objects: int, n_each: int) -> Any:
     from palpate import Touches
 
     rng = np.random.default_rng(0)
-    known = recorded_features(rng)
-    spread = known.std(axis=0)
-    centres = known[rng.integers(len(known), size=n_objects)]
+    recorded = recorded_features(rng)
+    spread = recorded.std(axis=0)
+    centres = recorded[rng.integers(len(recorded), size=n_objects)]
     centres = centres + 0.3 * spread * rng.normal(size=centres.shape)
     drawn = np.repeat(centres, n_each, axis=0)
     drawn += 0.1 * spread * rng.normal(size=drawn.shape)
@@ -343,8 +343,8 @@ def draw(folder: Path) -> None:
     kept = {way: kept[way] for way in WAYS}
     figure, axes = plt.subplots(1, 3, figsize=(10.8, 3.6), layout="constrained")
     for axis, (key, label) in zip(axes, FIGURES.items(), strict=True):
-        for (way, found), marker in zip(kept.items(), "os^", strict=True):
-            rows = [row for row in found["rows"] if "refused" not in row]
+        for (way, result), marker in zip(kept.items(), "os^", strict=True):
+            rows = [row for row in result["rows"] if "refused" not in row]
             power = exponent(rows, key)
             print(f"{label}, {way}: {power:.2f}")
             axis.plot(

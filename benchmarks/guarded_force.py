@@ -1,4 +1,4 @@
-"""The true force on simulated objects, whatever the force sensor says.
+"""The true force on simulated objects, whatever the force sensor reads.
 
     python benchmarks/guarded_force.py [--touches 12]
 
@@ -23,7 +23,7 @@ BROKEN = ("mug", "box", "pen", "ball")
 
 
 def main() -> None:
-    """Touch, and print what was pressed."""
+    """Touch, and print the greatest forces."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--touches", type=int, default=12, help="of each resting face")
     n_touches = parser.parse_args().touches
@@ -42,12 +42,12 @@ def main() -> None:
         print(f"| `{name}` | {row} |")
     print("\n| force sensor | touches | greatest true force (N) | recorded as |")
     print("| --- | --- | --- | --- |")
-    for what, (guard, wrong) in SENSORS.items():
-        found = [touched(find_object(n), 0, guard, 8, wrong) for n in BROKEN]
-        outcomes = Counter(outcome for _, said in found for outcome in said)
-        said = ", ".join(f"{outcome} {n}" for outcome, n in outcomes.most_common())
-        most = max(float(peaks.max()) for peaks, _ in found)
-        print(f"| {what} | {sum(outcomes.values())} | {most:.2f} | {said} |")
+    for what, (guard, sensor) in SENSORS.items():
+        results = [touched(find_object(n), 0, guard, 8, sensor) for n in BROKEN]
+        outcomes = Counter(outcome for _, names in results for outcome in names)
+        recorded = ", ".join(f"{outcome} {n}" for outcome, n in outcomes.most_common())
+        most = max(float(peaks.max()) for peaks, _ in results)
+        print(f"| {what} | {sum(outcomes.values())} | {most:.2f} | {recorded} |")
 
 
 def touched(
@@ -55,18 +55,18 @@ def touched(
     face: int,
     guard: Guard,
     n_touches: int,
-    wrong: Callable[[], Callable[[float], float]] | None = None,
+    make_sensor: Callable[[], Callable[[float], float]] | None = None,
 ) -> tuple[Any, list[str]]:
-    """Return the greatest true force of each touch, and what it was recorded as."""
+    """Return the greatest true force of each touch, and its recorded outcome."""
     stand = put_down(thing, CAMERA, face=face, yaw_rad=1.0, random_state=7)
     bench, read = stand.robot._bench, stand.robot.read_force
     strategy = RandomHemisphere(stand.hemisphere, 3)
     history: list[Any] = []
     peaks = []
     for _ in range(n_touches):
-        if wrong is not None:
-            says = wrong()
-            stand.robot.read_force = lambda says=says: says(read())  # type: ignore
+        if make_sensor is not None:
+            sensor = make_sensor()
+            stand.robot.read_force = lambda sensor=sensor: sensor(read())  # type: ignore
         bench.peak_force_n = 0.0
         history.append(stand.touch(strategy.next_pose(None, history), guard))
         peaks.append(bench.peak_force_n)
@@ -74,42 +74,42 @@ def touched(
 
 
 def lagging(n_readings: int) -> Callable[[float], float]:
-    """Return what says each reading so many readings too late."""
+    """Return a force sensor that gives each reading `n_readings` too late."""
     past: list[float] = []
 
-    def says(force: float) -> float:
+    def sensor(force: float) -> float:
         past.append(force)
         return past[max(len(past) - 1 - n_readings, 0)]
 
-    return says
+    return sensor
 
 
 def drifting(n_per_reading: float) -> Callable[[float], float]:
-    """Return what adds a little more to every reading."""
+    """Return a force sensor that adds a little more to every reading."""
     added = [0.0]
 
-    def says(force: float) -> float:
+    def sensor(force: float) -> float:
         added[0] += n_per_reading
         return force + added[0]
 
-    return says
+    return sensor
 
 
 def dead() -> Callable[[float], float]:
-    """Return what says noise alone."""
+    """Return a force sensor that gives noise alone."""
     rng = np.random.default_rng(0)
     return lambda force: 0.05 + 0.01 * float(rng.standard_normal())
 
 
 def dead_in_contact() -> Callable[[float], float]:
-    """Return what says noise alone about a value once it has reached 0.3 N."""
+    """Return a force sensor that gives noise about 0.3 N once it has reached that."""
     rng, stuck = np.random.default_rng(0), [False]
 
-    def says(force: float) -> float:
+    def sensor(force: float) -> float:
         stuck[0] |= force > 0.3
         return 0.3 + 0.01 * float(rng.standard_normal()) if stuck[0] else force
 
-    return says
+    return sensor
 
 
 # Half of what a touch of 0.1 N changes in the image of this dome (grey levels).

@@ -1,4 +1,4 @@
-"""Damage JPEGs by chance and count what reading them says.
+"""Damage JPEGs by chance and count the outcomes of reading them.
 
 `python benchmarks/jpeg_damage.py [-n 3000] [--seed 0]` alters pictures of the dome as
 its camera wrote them, anywhere in the file, and reads each with `decode_bytes`.
@@ -18,7 +18,7 @@ KINDS = ("bit", "byte", "bytes changed", "bytes doubled", "bytes left out", "end
 
 
 def damaged(data, kind, chance):
-    """Return a file of which one thing is wrong; runs have 2 to 300 bytes."""
+    """Return a file with one damage; runs of bytes have 2 to 300."""
     at = chance.randrange(len(data))
     end = at + (1 if kind == "byte" else chance.randint(2, 300))
     if kind == "bit":
@@ -31,8 +31,8 @@ def damaged(data, kind, chance):
     return data[:at] + (data[end:] if kind == "bytes left out" else b"")
 
 
-def told(data, whole):
-    """Return what reading a damaged file comes to, beside the levels of the whole."""
+def outcome(data, whole):
+    """Return the outcome of reading a damaged file, given the levels of the whole."""
     try:
         levels = decode_bytes(data)
     except TouchesError:
@@ -45,14 +45,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-n", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    options = parser.parse_args()
     folder = Path(os.environ["PALPATE_DATA"]) / "bathtip/originals"
-    paths, chance = sorted(folder.rglob("*.jpg")), random.Random(given.seed)
+    paths, chance = sorted(folder.rglob("*.jpg")), random.Random(options.seed)
     counts = {kind: Counter() for kind in KINDS}
-    for number in range(given.n):
+    for number in range(options.n):
         data, kind = chance.choice(paths).read_bytes(), KINDS[number % len(KINDS)]
         broken = damaged(data, kind, chance)
-        counts[kind][told(broken, decode_bytes(data))] += 1
+        counts[kind][outcome(broken, decode_bytes(data))] += 1
     counts["all"] = sum(counts.values(), Counter())
     print("kind: refused, as before, read differently")
     for kind, n in counts.items():

@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-# Where the metadata name no licence in a word: what the licence's text is.
+# Licences by their text, where the metadata do not name them in a word.
 BY_TEXT = {"embreex": "BSD-2-Clause", "scikit-image": "BSD-3-Clause"}
 _SHORT = {"MIT License": "MIT", "Apache Software License": "Apache-2.0"}
 
@@ -26,21 +26,21 @@ def requirements():
 
 
 def licence(name):
-    """Return what an installed package says of its licence, in a word or two."""
+    """Return the licence that an installed package states, in a word or two."""
     about = metadata.metadata(name)
     classified = [
         line.rsplit(" :: ", 1)[1]
         for line in about.get_all("Classifier", [])
         if line.startswith("License :: ") and not line.endswith(":: OSI Approved")
     ]
-    said = [about.get("License-Expression"), BY_TEXT.get(name), *classified]
+    stated = [about.get("License-Expression"), BY_TEXT.get(name), *classified]
     short = (about.get("License") or "not told").splitlines()[0]
-    found = next((one for one in said if one), short)
-    return _SHORT.get(found, found)
+    text = next((entry for entry in stated if entry), short)
+    return _SHORT.get(text, text)
 
 
 def rows():
-    """Yield the rows of the table for what is installed."""
+    """Yield the rows of the table for the packages that are installed."""
     for name, extra in requirements():
         try:
             yield f"| {name} | {extra} | {licence(name)} |"

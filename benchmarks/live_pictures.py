@@ -46,7 +46,7 @@ def pictured(page: Page, address: str, folder: Path, name: str) -> None:
     """Save one picture of the page."""
     page.goto(address)
     page.wait_for_selector("#strip img")
-    page.wait_for_timeout(7000)  # until what was said is gone
+    page.wait_for_timeout(7000)  # until the messages are gone
     page.screenshot(path=folder / f"live-{name}.png")
 
 

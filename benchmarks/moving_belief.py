@@ -23,9 +23,9 @@ from palpate.simulation import DomeCamera
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "images" / "belief.gif"
 OBJECTS = ("ball", "mug", "pen", "stapler", "textbook", "toothbrush")
-# What is touched, and what is the right answer.
-SHOWN = {"mug": "mug", "toothbrush": "toothbrush", "pen": "pen"}
-SHOWN["massage ball"] = "unknown"
+# Each touched object and its right answer.
+ANSWERS = {"mug": "mug", "toothbrush": "toothbrush", "pen": "pen"}
+ANSWERS["massage ball"] = "unknown"
 N_PLACEMENTS, N_TOUCHES, LONGEST = 8, 10, 20
 ERROR, STRANGERS = 0.05, 0.25
 NOTHING = "nothing I know"
@@ -49,7 +49,7 @@ def main() -> None:
     camera = DomeCamera(image_shape=(120, 120))
     recogniser = learnt(camera)
     frames, durations_ms = [], []
-    for number, (name, answer) in enumerate(SHOWN.items()):
+    for number, (name, answer) in enumerate(ANSWERS.items()):
         touches = simulate_touches(name, LONGEST, camera, random_state=100 + number)
         episode = recogniser.episode(error=ERROR, strangers=STRANGERS)
         for touch in touches:
@@ -62,11 +62,11 @@ def main() -> None:
         if episode.decision != answer:
             raise SystemExit(f"{name} must end as {answer}, got {episode.decision}.")
     palette = frames[-1].quantize(64)
-    few = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
-    few[0].save(
+    quantised = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+    quantised[0].save(
         OUTPUT,
         save_all=True,
-        append_images=few[1:],
+        append_images=quantised[1:],
         duration=durations_ms,
         loop=0,
         optimize=True,
@@ -85,10 +85,10 @@ def drawn(name: str, image, episode) -> Image.Image:
     count = len(episode.touches)
     left.set_title(f"a {name}: touch {count}", fontsize=12, color=INK)
     last = episode.touches[-1]
-    shares = [last.posterior[one] for one in OBJECTS] + [last.unknown]
+    shares = [last.posterior[object_name] for object_name in OBJECTS] + [last.unknown]
     answer = "unknown" if episode.decision == "unknown" else episode.decision
     names = [*OBJECTS, "unknown"]
-    colours = [RIGHT if one == answer else GREY for one in names]
+    colours = [RIGHT if object_name == answer else GREY for object_name in names]
     places = np.r_[np.arange(len(OBJECTS)), len(OBJECTS) + 0.4]
     right.barh(places, 100 * np.array(shares), color=colours, height=0.72)
     right.set_yticks(places, [*OBJECTS, NOTHING], fontsize=11, color=INK)

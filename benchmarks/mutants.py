@@ -22,7 +22,7 @@ from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-# Each file and the tests that are asked to find a fault in it, fast ones first.
+# Each file and the tests that should find a fault in it, fast ones first.
 CORE = {
     "recognition/_belief.py": "belief beside_touch recogniser",
     "recognition/_calibration.py": "calibration strangers beside_touch fair_weight",
@@ -79,7 +79,7 @@ CORE = {
     "evaluation/_comparisons.py": "controls",
     "evaluation/_evaluate.py": "advice",
 }
-# What takes long to import and is none of the sources: once, not for each mutant.
+# Packages that take long to import: they are imported once, not for each mutant.
 HEAVY = (
     "numpy",
     "scipy.stats",
@@ -109,7 +109,7 @@ _SWAPS = {
     ast.NotIn: ast.In,
 }
 CPU_LIMIT_S = 90
-TIME_LIMIT_S = 3600  # for what waits for ever; the machine may be busy
+TIME_LIMIT_S = 3600  # for a mutant that waits for ever; the machine may be busy
 
 
 def faults(tree):
@@ -154,8 +154,8 @@ def is_found(source, name):
         _try_tests(source, name)
     end = time.monotonic() + TIME_LIMIT_S
     while time.monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
+        pid, status = os.waitpid(child, os.WNOHANG)
+        if pid:
             return status != 0
         time.sleep(0.05)
     with suppress(ProcessLookupError):
@@ -186,7 +186,7 @@ def _try_tests(source, name):
 
 
 def tried(subpackage, n_mutants, chance):
-    """Return how many faults of a subpackage were tried and found; print the others."""
+    """Return how many faults were tried and how many found; print the others."""
     listed = [
         (name, number, kind)
         for name in CORE
@@ -194,7 +194,7 @@ def tried(subpackage, n_mutants, chance):
         for number, kind in faults(ast.parse(_text(name)))
     ]
     chosen = chance.sample(listed, min(n_mutants, len(listed)))
-    found = Counter()
+    outcomes = Counter()
     with tempfile.TemporaryDirectory() as folder:
         shutil.copytree(ROOT / "src", Path(folder) / "src")
         for name in {name for name, _, _ in chosen}:
@@ -206,11 +206,11 @@ def tried(subpackage, n_mutants, chance):
             file.write_text(ast.unparse(mutant))
             is_there = is_found(Path(folder) / "src", name)
             file.write_text(_text(name))
-            found[is_there] += 1
+            outcomes[is_there] += 1
             if not is_there:
                 print(f"  not found: {name}:{where}", flush=True)
-    print(f"{subpackage}: {found[True]} of {len(chosen)}", flush=True)
-    return len(chosen), found[True]
+    print(f"{subpackage}: {outcomes[True]} of {len(chosen)}", flush=True)
+    return len(chosen), outcomes[True]
 
 
 def _is_none(node):
@@ -230,12 +230,12 @@ def main():
     )
     parser.add_argument("-n", type=int, default=24, help="faults in each subpackage")
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    options = parser.parse_args()
     for name in HEAVY:
         importlib.import_module(name)
     results = [
-        tried(subpackage, given.n, random.Random(f"{given.seed} {subpackage}"))
-        for subpackage in given.subpackages
+        tried(subpackage, options.n, random.Random(f"{options.seed} {subpackage}"))
+        for subpackage in options.subpackages
     ]
     n_tried, n_found = map(sum, zip(*results, strict=True))
     print(f"found {n_found} of {n_tried} ({n_found / n_tried:.0%})")

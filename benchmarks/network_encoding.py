@@ -43,19 +43,21 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--draws", type=int, default=3)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     torch.set_num_threads(1)
     logging.disable(logging.WARNING)
     result = {}
     for name, (file, split) in SETS.items():
-        touches = with_parts(Touches.load(asked.folder / file))
-        rows = [compared(touches, split, seed) for seed in range(asked.draws)]
+        touches = with_parts(Touches.load(options.folder / file))
+        rows = [compared(touches, split, seed) for seed in range(options.draws)]
         result[name] = rows
-        for way in rows[0]:
-            mean = np.mean([row[way] for row in rows], axis=0)
-            spread = np.std([row[way] for row in rows], axis=0)
-            print(f"{name:6} {way:22} {mean.round(1)} ({spread.round(1)})", flush=True)
-        write_text(asked.out, json.dumps(result, indent=1) + "\n")
+        for method in rows[0]:
+            mean = np.mean([row[method] for row in rows], axis=0)
+            spread = np.std([row[method] for row in rows], axis=0)
+            print(
+                f"{name:6} {method:22} {mean.round(1)} ({spread.round(1)})", flush=True
+            )
+        write_text(options.out, json.dumps(result, indent=1) + "\n")
 
 
 def with_parts(touches: Touches) -> Touches:
@@ -71,13 +73,13 @@ def compared(touches: Touches, split: str, seed: int) -> dict[str, list[float]]:
     names = np.random.default_rng(seed).permutation(np.unique(touches.object))
     others = np.isin(touches.object, names[: len(names) // 2])
     network = taught_network(touches[others], seed)
-    asked = touches[~others]
+    unseen = touches[~others]
     few = names[len(names) // 2 :][:10]
-    asked = asked[np.isin(asked.object, few)]
-    (fold, *_) = split_touches(asked, split)
+    unseen = unseen[np.isin(unseen.object, few)]
+    (fold, *_) = split_touches(unseen, split)
     train = draw_touches(fold.train, N_TRAIN, seed)
     encoding = {"network": [OnnxEncoding(network), PrincipalShare(0.99)]}
-    ways = {
+    recognisers = {
         "default": ObjectRecogniser(),
         "default and network": ObjectRecogniser(encodings=encoding),
         "network alone": ObjectRecogniser(None, encodings=encoding),
@@ -87,11 +89,14 @@ def compared(touches: Touches, split: str, seed: int) -> dict[str, list[float]]:
             classifier=LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"),
         ),
     }
-    return {way: figures(one, train, fold.test, seed) for way, one in ways.items()}
+    return {
+        method: figures(recogniser, train, fold.test, seed)
+        for method, recogniser in recognisers.items()
+    }
 
 
 class Small(TransformerMixin, BaseEstimator):
-    """Pixels of a small grey copy, with what the network gets."""
+    """Pixels of a small grey copy, as the network gets them."""
 
     def fit(self, X: object, y: object = None) -> "Small":
         """Learn nothing."""
@@ -127,13 +132,13 @@ def small(images: np.ndarray) -> np.ndarray:
     """Return grey images in one size, float32; dead taxels are 0."""
     levels = np.nan_to_num(np.asarray(images, np.float32))
     levels = ChannelMean().transform_checked(levels)
-    return np.stack([cv2.resize(one, (SIDE, SIDE)) for one in levels])
+    return np.stack([cv2.resize(image, (SIDE, SIDE)) for image in levels])
 
 
 def taught_network(touches: Touches, seed: int) -> np.ndarray:
     """Return a network that tells objects, but for its last layer, as ONNX bytes."""
     torch.manual_seed(seed)
-    # As encodings get them: of a dome, the disc about the rim.
+    # Encodings get the disc about the rim of a dome.
     clean = touches.images
     if find_geometry(touches) == "dome":
         grey = ChannelMean().transform_checked(clean)
@@ -161,9 +166,9 @@ def taught_network(touches: Touches, seed: int) -> np.ndarray:
             if len(rows) < 2:
                 continue
             shift = tuple(torch.randint(-3, 4, (2,)).tolist())
-            some = torch.roll(X[rows], shift, (2, 3)) * (0.8 + 0.4 * torch.rand(1))
+            batch = torch.roll(X[rows], shift, (2, 3)) * (0.8 + 0.4 * torch.rand(1))
             optimiser.zero_grad()
-            loss = torch.nn.functional.cross_entropy(network(some), y[rows])
+            loss = torch.nn.functional.cross_entropy(network(batch), y[rows])
             loss.backward()
             optimiser.step()
     with warnings.catch_warnings():

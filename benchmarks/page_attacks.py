@@ -103,12 +103,12 @@ def idle(attack: Attack) -> None:
     held: list[socket.socket] = []
 
     def hold(_: int) -> None:
-        for one in [*held]:
+        for connection in [*held]:
             with suppress(BlockingIOError):
-                one.setblocking(False)
-                if not one.recv(1):  # the server has closed it
-                    one.close()
-                    held.remove(one)
+                connection.setblocking(False)
+                if not connection.recv(1):  # the server has closed it
+                    connection.close()
+                    held.remove(connection)
         while len(held) < N_IDLE and not attack.over.is_set():
             held.append(socket.create_connection(attack.place, timeout=1.0))
         attack.over.wait(0.5)
@@ -132,7 +132,7 @@ def scans(attack: Attack) -> None:
 def racing(attack: Attack) -> None:
     """Read and change what the owner reads and changes, ten times a second each."""
     rng = np.random.default_rng(3)
-    ways: list[tuple[str, str, Any]] = [
+    requests: list[tuple[str, str, Any]] = [
         ("GET", "/api/state", None),
         ("GET", "/api/episode", None),
         ("POST", "/api/teach/undo", {}),
@@ -143,7 +143,7 @@ def racing(attack: Attack) -> None:
     clients = [httpx.Client(base_url=attack.base, timeout=30) for _ in range(N_RACING)]
 
     def ask(number: int) -> None:
-        method, path, body = ways[number % len(ways)]
+        method, path, body = requests[number % len(requests)]
         clients[number].request(method, path, json=body, headers=attack.bearer)
         attack.over.wait(0.1)
 
@@ -152,13 +152,13 @@ def racing(attack: Attack) -> None:
 
 def refused(attack: Attack) -> None:
     """Ask without the token as fast as answers come."""
-    attack.start(lambda _: _asked(attack), N_REFUSED)
+    attack.start(lambda _: _request(attack), N_REFUSED)
 
 
-def _asked(attack: Attack) -> None:
-    with socket.create_connection(attack.place, timeout=5.0) as one:
-        one.sendall(b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-        one.recv(65536)
+def _request(attack: Attack) -> None:
+    with socket.create_connection(attack.place, timeout=5.0) as connection:
+        connection.sendall(b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        connection.recv(65536)
 
 
 ATTACKS = {"idle": idle, "scans": scans, "racing": racing, "refused": refused}
@@ -215,8 +215,8 @@ def measured(names: list[str], seconds: float) -> dict[str, Any]:
         server = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=log)
         try:
             assert server.stdout is not None
-            told = json.loads(server.stdout.readline())
-            base, token = told["address"].rstrip("/"), told["token"]
+            answer = json.loads(server.stdout.readline())
+            base, token = answer["address"].rstrip("/"), answer["token"]
             owner, attack = Owner(base, token), Attack(base, token)
             owner.work(time.monotonic() + 2.0)
             owner.post("/api/learn", {})
@@ -227,7 +227,7 @@ def measured(names: list[str], seconds: float) -> dict[str, Any]:
             time.sleep(2.0)
             owner.seconds.clear()
             owner.work(time.monotonic() + seconds)
-            found = {
+            figures = {
                 "requests": len(owner.seconds),
                 "refused": len(owner.refusals) - before,
                 "kinds": sorted({*owner.refusals[before:]}),
@@ -237,7 +237,7 @@ def measured(names: list[str], seconds: float) -> dict[str, Any]:
                 **used(server.pid),
             }
             attack.end()
-            return found
+            return figures
         finally:
             server.kill()
             server.wait(10)
@@ -257,14 +257,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--only", action="append", choices=[*ATTACKS, "none", "all"])
-    asked = parser.parse_args()
+    options = parser.parse_args()
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, most), most))
     chosen = {"none": [], **{name: [name] for name in ATTACKS}, "all": [*ATTACKS]}
     for name, attacks in chosen.items():
-        if not asked.only or name in asked.only:
-            found = measured(attacks, asked.seconds)
-            print(json.dumps({"attack": name, **found}), flush=True)
+        if not options.only or name in options.only:
+            figures = measured(attacks, options.seconds)
+            print(json.dumps({"attack": name, **figures}), flush=True)
 
 
 if __name__ == "__main__":

@@ -38,8 +38,10 @@ def recording(place: Path) -> Path:
     centres = rng.uniform([150, 200], [330, 440], (12, 2))
     spots = [np.hypot(rows - row, cols - col) < 60 for row, col in centres]
     images = 90 + 80 * np.array(spots) + rng.integers(0, 8, (12, 480, 640))
-    rest = np.full((480, 640), 90, np.uint8)
-    touches = Touches(images.astype(np.uint8), object=["spot"] * 12, no_contact=rest)
+    no_contact = np.full((480, 640), 90, np.uint8)
+    touches = Touches(
+        images.astype(np.uint8), object=["spot"] * 12, no_contact=no_contact
+    )
     touches.save(place / "t.npz")
     return place / "t.npz"
 
@@ -85,43 +87,52 @@ def send(address: str, token: str, from_s: float, until_s: float) -> int:
 
 
 async def watch(base: str, token: str, seconds: float) -> dict[str, Any]:
-    """Let all clients work, and measure the gaps of those that read."""
+    """Let all clients work, and measure the gaps of the reading ones."""
     began_s = time.monotonic() + 3.0  # by then all are connected
     middle_s, end_s = began_s + seconds, began_s + 2 * seconds
     page = base.replace("http", "ws") + f"/ws?token={token}"
     reading = [read(page, end_s) for _ in range(N_READING)]
     loop = asyncio.get_running_loop()
-    with ProcessPoolExecutor(1) as other:  # its work must not hold up those that read
-        asked = f"{base}/api/touch", token, middle_s, end_s
-        sending = loop.run_in_executor(other, send, *asked)
+    with ProcessPoolExecutor(1) as other:  # its work must not hold up the readers
+        arguments = f"{base}/api/touch", token, middle_s, end_s
+        sending = loop.run_in_executor(other, send, *arguments)
         *times, answered = await asyncio.gather(*reading, sending)
-    found: dict[str, Any] = {"n_bodies_answered": answered, "load": os.getloadavg()[0]}
+    figures: dict[str, Any] = {
+        "n_bodies_answered": answered,
+        "load": os.getloadavg()[0],
+    }
     for name, start, end in (("alone", began_s, middle_s), ("json", middle_s, end_s)):
-        of_all = [np.array([t for t in some if start <= t <= end]) for some in times]
-        gaps_ms = [float(1e3 * np.diff(some).max()) for some in of_all]
-        found[name] = {
+        of_all = [
+            np.array([t for t in arrivals if start <= t <= end]) for arrivals in times
+        ]
+        gaps_ms = [float(1e3 * np.diff(arrivals).max()) for arrivals in of_all]
+        figures[name] = {
             "longest_gap_ms": max(gaps_ms),
             "median_of_longest_ms": float(np.median(gaps_ms)),
-            "frames_per_s": float(np.mean([len(some) / seconds for some in of_all])),
+            "frames_per_s": float(
+                np.mean([len(arrivals) / seconds for arrivals in of_all])
+            ),
         }
-    return found
+    return figures
 
 
 def main() -> None:
     """Start the server, measure, stop it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=10.0)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         sensor = f"replay:{recording(Path(place))}?rate=30"
         words = ["-m", "palpate", "serve", "--sensor", sensor, "--port", "0", "--json"]
         server = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE)
         try:
             assert server.stdout is not None
-            told = json.loads(server.stdout.readline())
-            base, token = told["address"].rstrip("/"), told["token"]
+            answer = json.loads(server.stdout.readline())
+            base, token = answer["address"].rstrip("/"), answer["token"]
             slow = stopped(int(base.rsplit(":", 1)[1]), token)
-            print(json.dumps(asyncio.run(watch(base, token, asked.seconds)), indent=1))
+            print(
+                json.dumps(asyncio.run(watch(base, token, options.seconds)), indent=1)
+            )
             slow.close()
         finally:
             server.terminate()

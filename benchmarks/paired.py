@@ -36,11 +36,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--only", help=f"of {', '.join([*INSIDE, *WHOLE])}")
     parser.add_argument("--json", type=Path, help="write the times here too")
-    given = parser.parse_args()
-    names = given.only.split(",") if given.only else [*INSIDE, *WHOLE]
+    options = parser.parse_args()
+    names = options.only.split(",") if options.only else [*INSIDE, *WHOLE]
     with (
-        checked_out(given.before) as before,
-        checked_out(given.after) as after,
+        checked_out(options.before) as before,
+        checked_out(options.after) as after,
         tempfile.TemporaryDirectory() as folder,
     ):
         for root in (before, after):
@@ -50,10 +50,12 @@ def main() -> None:
             draw(Path(folder))
         if "latency" in names:
             prepared(roots, Path(folder))
-        rows = {name: paired(name, roots, Path(folder), given.rounds) for name in names}
+        rows = {
+            name: paired(name, roots, Path(folder), options.rounds) for name in names
+        }
     show(rows)
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n")
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 def prepared(roots: dict[str, Path], folder: Path) -> None:
@@ -83,8 +85,8 @@ def measured(name: str, which: str, root: Path, folder: Path) -> dict[str, float
     """Return the seconds of one run: of the whole process, or as it measured itself."""
     if name in INSIDE:
         here = Path(__file__).resolve()
-        said = python(root, here, "--inside", name, f"{which}.palpate", folder=folder)
-        return json.loads(said)
+        output = python(root, here, "--inside", name, f"{which}.palpate", folder=folder)
+        return json.loads(output)
     usage, wall = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     python(root, *WHOLE[name], folder=folder)
     used, elapsed = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -99,7 +101,9 @@ def show(rows: dict[str, dict[str, list[dict[str, float]]]]) -> None:
     )
     for name, times in rows.items():
         for clock in ("cpu", "wall"):
-            old, new = ([one[clock] for one in times[w]] for w in ("before", "after"))
+            old, new = (
+                [seconds[clock] for seconds in times[w]] for w in ("before", "after")
+            )
             ratios = [b / a for a, b in zip(old, new, strict=True)]
             print(
                 f"{name:12s} {clock:5s} {1e3 * statistics.median(old):7.1f} ms "
@@ -136,10 +140,10 @@ def adding(_: str) -> dict[str, float]:
     from palpate.recognition import ObjectRecogniser
 
     touches = recorded(n_objects=50, n_each=100)
-    mine = np.flatnonzero(touches.object == touches.object[0])
-    others = np.delete(np.arange(len(touches)), mine[-10:])
+    object_rows = np.flatnonzero(touches.object == touches.object[0])
+    others = np.delete(np.arange(len(touches)), object_rows[-10:])
     recogniser = ObjectRecogniser("default").fit(touches[others])
-    name, more = str(touches.object[0]), touches[mine[-10:]]
+    name, more = str(touches.object[0]), touches[object_rows[-10:]]
     return clocked(lambda: recogniser.extend_object(name, more))
 
 
@@ -168,8 +172,8 @@ def files(_: str) -> dict[str, float]:
     source = Path(os.environ.get("PALPATE_DATA", "")) / "bathtip" / "originals"
     paths = sorted(source.glob("*/*/*.jpg")) or sorted(Path("pictures").iterdir())
     coded = [path.read_bytes() for path in (paths * 200)[:200]]
-    decode_bytes(coded[0])  # imports what decodes
-    return clocked(lambda: [decode_bytes(one) for one in coded])
+    decode_bytes(coded[0])  # imports the decoder
+    return clocked(lambda: [decode_bytes(data) for data in coded])
 
 
 def recorded(n_objects: int, n_each: int) -> Any:
@@ -205,7 +209,7 @@ def latency(model: str) -> dict[str, float]:
         recognise(picture)
     times = [clocked(lambda p=picture: recognise(p)) for picture in pictures]
     return {
-        clock: statistics.median(one[clock] for one in times)
+        clock: statistics.median(seconds[clock] for seconds in times)
         for clock in ("cpu", "wall")
     }
 
@@ -221,7 +225,7 @@ def kernels(_: str) -> dict[str, float]:
 
 
 def kernels_66(_: str) -> dict[str, float]:
-    """Learn 66 pairs of 20 touches from 22 kernels given, C = 1 and 100, 20 times."""
+    """Learn 66 pairs of 20 touches from 22 kernel matrices, C = 1 and 100, 20 times."""
     from palpate.classifiers import MKLSVC
     from palpate.classifiers.mkl import kernel_diagonals, paper_kernels
     from palpate.classifiers.mkl._kernels import kernel_stack
@@ -232,12 +236,14 @@ def kernels_66(_: str) -> dict[str, float]:
     bank, zero = paper_kernels(), np.zeros(20)
     stack = kernel_stack(bank, touches, touches, zero)
     stack /= kernel_diagonals(bank, touches, zero).sum(axis=1)[:, None, None]
-    given = np.ascontiguousarray(stack.transpose(1, 2, 0))
+    kernel_matrices = np.ascontiguousarray(stack.transpose(1, 2, 0))
     machines = [
         MKLSVC(C=C, kernels="precomputed", probability=False) for C in (1.0, 100.0)
     ]
-    machines[0].fit(given, codes)
-    return clocked(lambda: [one.fit(given, codes) for one in machines * 20])
+    machines[0].fit(kernel_matrices, codes)
+    return clocked(
+        lambda: [machine.fit(kernel_matrices, codes) for machine in machines * 20]
+    )
 
 
 def landmarks(_: str) -> dict[str, float]:
@@ -268,7 +274,9 @@ def dome(side: int) -> dict[str, float]:
             approaches.append((placed, pose))
     for approach in approaches[::6]:
         camera.touch(*approach, rng=rng)
-    return clocked(lambda: [camera.touch(*one, rng=rng) for one in approaches * 3])
+    return clocked(
+        lambda: [camera.touch(*approach, rng=rng) for approach in approaches * 3]
+    )
 
 
 def draw(folder: Path) -> None:
@@ -289,15 +297,17 @@ def drawn(n_objects: int, n_each: int, shape: tuple[int, int], seed: int) -> Any
     radius = 0.45 * min(shape)
     images = np.empty((n_objects * n_each, *shape), np.uint8)
     for number in range(len(images)):
-        own = np.random.default_rng([9, number // n_each])
+        object_rng = np.random.default_rng([9, number // n_each])
         y, x = np.array(shape) / 2 + rng.uniform(-3, 3, 2)
-        away = np.hypot(row[:, np.newaxis] - y, col - x)
-        image = np.where(away < radius, 120.0, 10.0) * (1 - 0.3 * (away / radius) ** 2)
+        distance = np.hypot(row[:, np.newaxis] - y, col - x)
+        image = np.where(distance < radius, 120.0, 10.0) * (
+            1 - 0.3 * (distance / radius) ** 2
+        )
         for _ in range(3):
-            dy, dx = own.uniform(-0.4, 0.4, 2) * radius + rng.normal(0, 4, 2)
-            width = own.uniform(0.05, 0.2) * radius
+            dy, dx = object_rng.uniform(-0.4, 0.4, 2) * radius + rng.normal(0, 4, 2)
+            width = object_rng.uniform(0.05, 0.2) * radius
             away2 = (row[:, np.newaxis] - y - dy) ** 2 + (col - x - dx) ** 2
-            image += 80 * np.exp(-away2 / (2 * width**2)) * (away < radius)
+            image += 80 * np.exp(-away2 / (2 * width**2)) * (distance < radius)
         noise = rng.normal(0, 2, shape)
         images[number] = np.clip(image + noise, 0, 255)
     return images, np.repeat([f"object {n:02d}" for n in range(n_objects)], n_each)

@@ -47,26 +47,28 @@ def main() -> None:
     parser.add_argument("--study")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--of", type=Path, metavar="FILE")
-    asked = parser.parse_args()
-    known = json.loads(MADE.read_text("utf-8"))
-    if asked.study:
-        draw_study(asked.study, asked.names, asked.quick, asked.of)
+    options = parser.parse_args()
+    records = json.loads(MADE.read_text("utf-8"))
+    if options.study:
+        draw_study(options.study, options.names, options.quick, options.of)
         return
-    if not asked.names:
-        print("\n".join(stale(known)) or "All pictures are of today.")
+    if not options.names:
+        print("\n".join(stale(records)) or "All pictures are of today.")
         return
-    for command in {known[name]["command"] for name in asked.names}:
-        if not asked.made:
+    for command in {records[name]["command"] for name in options.names}:
+        if not options.made:
             subprocess.run([sys.executable, *command.split()[1:]], check=True, cwd=ROOT)
-    for name in asked.names:
-        known[name]["sha256"] = inputs_hash(known[name]["inputs"])
-    MADE.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+    for name in options.names:
+        records[name]["sha256"] = inputs_hash(records[name]["inputs"])
+    MADE.write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
 
 
-def stale(known: dict[str, dict[str, Any]]) -> list[str]:
-    """Return the pictures whose inputs are not those that they were made of."""
+def stale(records: dict[str, dict[str, Any]]) -> list[str]:
+    """Return the pictures whose inputs have changed since they were made."""
     return [
-        n for n, one in known.items() if inputs_hash(one["inputs"]) != one["sha256"]
+        name
+        for name, record in records.items()
+        if inputs_hash(record["inputs"]) != record["sha256"]
     ]
 
 
@@ -78,12 +80,12 @@ def inputs_hash(inputs: list[str]) -> str:
         if not paths:
             raise FileNotFoundError(f"{MADE} names {pattern}, which is not there.")
         for path in paths:
-            digest.update(_shown(path, tables=pattern.endswith(TABLES)))
+            digest.update(_content(path, tables=pattern.endswith(TABLES)))
     return digest.hexdigest()
 
 
-def _shown(path: Path, *, tables: bool) -> bytes:
-    """Return what counts of a file."""
+def _content(path: Path, *, tables: bool) -> bytes:
+    """Return the content of a file that its hash covers."""
     data = path.read_bytes()
     if tables:
         return b"\n".join(line for line in data.splitlines() if line[:1] == b"|")
@@ -117,10 +119,10 @@ def draw_study(name: str, wanted: list[str], quick: bool, of: Path | None) -> No
         result = study.run(data=os.environ.get("PALPATE_DATA"), quick=quick, seed=0)
     with tempfile.TemporaryDirectory() as place:
         for path in study.write_pictures(place, result):
-            shown = path.name.replace(f"{name}-{name}", name)
-            if not wanted or shown in wanted:
-                (IMAGES / shown).write_bytes(path.read_bytes())
-                print(IMAGES / shown)
+            picture = path.name.replace(f"{name}-{name}", name)
+            if not wanted or picture in wanted:
+                (IMAGES / picture).write_bytes(path.read_bytes())
+                print(IMAGES / picture)
     if not wanted and not quick:
         page = ROOT / "docs" / "explanation" / f"{name}.md"
         tables = study.tables(result)
@@ -133,15 +135,15 @@ def with_tables(page: str, tables: list[tuple[str, list[str], list[list[str]]]])
     for title, *table in tables:
         heads, rows = split(*table, brackets="paper")
         head, mark = row_of(heads), f"<!-- table {len(parts)} -->"
-        found = re.search(
+        match = re.search(
             rf"^{re.escape(head)}\n[|: -]+\n(\|.*\n)*", page, re.MULTILINE
         )
-        if found is None:
+        if match is None:
             print(f"not on the page: {title}")
             continue
         lines = [head, "|---" * len(heads) + "|", *map(row_of, rows)]
         parts[mark] = "".join(f"{line}\n" for line in lines)
-        page = page[: found.start()] + mark + page[found.end() :]
+        page = page[: match.start()] + mark + page[match.end() :]
     for mark, part in parts.items():
         page = page.replace(mark, part)
     return page

@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def _objects(trial: Trial, plan: Plan) -> list[dict[str, Any]]:
-    """How often `default` and the disc's place are right, for each test object."""
+    """Return how often `default` and the disc's place are right, by test object."""
     right = {str(k): _accuracy(trial.episodes, k) for k in AFTER}
     place = _place_accuracy(trial, plan)
     return [
@@ -65,7 +65,7 @@ def _objects(trial: Trial, plan: Plan) -> list[dict[str, Any]]:
 
 
 def _place_accuracy(trial: Trial, plan: Plan) -> NDArray[np.float64]:
-    """Share of each test object's single touches that the disc's place names."""
+    """Return the share of single touches that the disc's place names, by object."""
     train, test = trial.fold.train, trial.fold.test
     recogniser, memory = trial.recogniser, trial.recogniser.memory_
     groups = left_out_groups(train, memory.labels, memory.objects, plan.label)
@@ -73,8 +73,8 @@ def _place_accuracy(trial: Trial, plan: Plan) -> NDArray[np.float64]:
     assert of_train is not None
     assert of_test is not None
     values = control_log_likelihood(of_train, memory.labels, groups, of_test)
-    known = (test.object, test.category, plan.orders, plan.seed)
-    return _accuracy(run_episodes(recogniser, values, *known), 1)
+    arguments = (test.object, test.category, plan.orders, plan.seed)
+    return _accuracy(run_episodes(recogniser, values, *arguments), 1)
 
 
 def _accuracy(episodes: Episodes, k: int) -> NDArray[np.float64]:
@@ -87,13 +87,13 @@ def _group(objects: list[dict[str, Any]], low: float, high: float) -> dict[str, 
     def held(share: float) -> bool:
         return low <= share < high or share == high == BOUNDS[-1]
 
-    some = [row for row in objects if held(row["disc centre"])]
+    rows = [row for row in objects if held(row["disc centre"])]
     shares = {
-        k: np.array([100 * row["default"][str(k)] for row in some]) for k in AFTER
+        k: np.array([100 * row["default"][str(k)] for row in rows]) for k in AFTER
     }
     return {
         "disc centre right": [low, high],
-        "n_objects": len(some),
+        "n_objects": len(rows),
         "default": {str(k): round(float(s.mean()), 1) for k, s in shares.items()},
         "sd": {str(k): round(float(s.std(ddof=1)), 1) for k, s in shares.items()},
     }

@@ -105,8 +105,8 @@ def placed(
         face = int(rng.integers(least, max(n_faces, least + 1)))
     if face >= n_faces:
         return None
-    how = {"face": face, "yaw_rad": yaw, "known_height": known_height}
-    return put_down(thing, CAMERA, random_state=seed, **how)
+    options = {"face": face, "yaw_rad": yaw, "known_height": known_height}
+    return put_down(thing, CAMERA, random_state=seed, **options)
 
 
 def strategy_of(name: str, stand: Stand, learnt: Any, seed: int) -> Any:
@@ -122,7 +122,7 @@ def strategy_of(name: str, stand: Stand, learnt: Any, seed: int) -> Any:
 def one_episode(
     stand: Stand, learnt: Any, name: str, seed: int, wrong_pose: bool = False
 ) -> Row:
-    """Touch until decided; what is believed after each attempt."""
+    """Touch until decided; return the row of the episode."""
     strategy = strategy_of(name, stand, learnt, seed)
     by_place = isinstance(learnt, SurfaceMap)
     belief = learnt.start_before(stand.hemisphere) if by_place else learnt.start()
@@ -157,10 +157,10 @@ def one_episode(
 
 
 def misread(record: TouchRecord, seed: int) -> TouchRecord:
-    """Return a record as an arm tells it that is 2 mm and 2 degrees off all along."""
-    way, axis = np.random.default_rng([seed, 5]).standard_normal((2, 3))
+    """Return the record of an arm that is always off by 2 mm and 2 degrees."""
+    direction, axis = np.random.default_rng([seed, 5]).standard_normal((2, 3))
     turn = Rotation.from_rotvec(np.deg2rad(2) * axis / np.linalg.norm(axis))
-    shift = 2 * way / np.linalg.norm(way)
+    shift = 2 * direction / np.linalg.norm(direction)
     x, y, z = (np.asarray(record.position_mm) + shift).tolist()
     start = SensorPose(record.start.position_mm, turn.apply(record.direction))
     return replace(record, start=start, position_mm=(x, y, z))
@@ -179,13 +179,15 @@ def pose_errors(stand: Stand, belief: PlaceBelief) -> tuple[float | None, float]
     middle = np.asarray(upright.centre_mm) - np.asarray(upright.position_mm)
     cos, sin = np.cos(target.yaw_rad), np.sin(target.yaw_rad)
     turned = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ middle
-    there = turned + np.asarray(target.position_mm) - stand.hemisphere.centre_mm
-    offset = float(np.hypot(*(there - pose.offset_mm)[:2]))
+    true_offset_mm = (
+        turned + np.asarray(target.position_mm) - stand.hemisphere.centre_mm
+    )
+    offset = float(np.hypot(*(true_offset_mm - pose.offset_mm)[:2]))
     if order == AZIMUTHS_OF_ROUND:
         return None, offset
     step = 2 * np.pi / order
-    off = (pose.turn_rad - target.yaw_rad + step / 2) % step - step / 2
-    return float(np.degrees(abs(off))), offset
+    turn_error = (pose.turn_rad - target.yaw_rad + step / 2) % step - step / 2
+    return float(np.degrees(abs(turn_error))), offset
 
 
 @cache
@@ -197,13 +199,13 @@ def _faces(thing: SimObject) -> list[int]:
 
 def face_and_symmetry(thing: SimObject, rotation: np.ndarray) -> tuple[int, int]:
     """Return the face a rotation is, and how many turns of it look alike."""
-    off = np.abs(thing.resting_rotations - rotation).max(axis=(1, 2))
-    face = int(off.argmin())
+    differences = np.abs(thing.resting_rotations - rotation).max(axis=(1, 2))
+    face = int(differences.argmin())
     return face, _faces(thing)[face]
 
 
 def summary(rows: list[Row]) -> Row:
-    """Means over episodes, with the standard deviation over seeds."""
+    """Return means over episodes, with the standard deviation over seeds."""
     right = np.array([row["decision"] == row["object"] for row in rows])
     wrong = np.array([row["decision"] not in (row["object"], None) for row in rows])
     seeds = np.array([row["seed"] for row in rows])
@@ -215,11 +217,11 @@ def summary(rows: list[Row]) -> Row:
     )
     poses: Row = {}
     for after in POSES_AFTER:
-        found = [row[f"pose_{after}"] for row in rows if f"pose_{after}" in row]
-        if found:
-            yaws = [yaw for yaw, _ in found if yaw is not None]
+        errors = [row[f"pose_{after}"] for row in rows if f"pose_{after}" in row]
+        if errors:
+            yaws = [yaw for yaw, _ in errors if yaw is not None]
             poses[f"yaw_deg_{after}"] = round(float(np.median(yaws)), 1)
-            offsets = [offset for _, offset in found]
+            offsets = [offset for _, offset in errors]
             poses[f"offset_mm_{after}"] = round(float(np.median(offsets)), 1)
     return {
         "episodes": len(rows),
@@ -236,7 +238,7 @@ def summary(rows: list[Row]) -> Row:
 
 
 def less_random(rows: list[Row], random: list[Row]) -> Row:
-    """Attempts less those of random places on the same placements, and its error."""
+    """Return attempts less those of random places there, and the error of that."""
     of_random = {row["placement"]: row["attempts"] for row in random}
     if any(row["placement"] not in of_random for row in rows):
         return {}
@@ -260,17 +262,17 @@ def table_of(kept: dict[str, list[Row]]) -> dict[str, Row]:
 def placements(
     seed: int, condition: str, n_episodes: int, known_height: bool = True
 ) -> Iterator[tuple[int, Stand]]:
-    """Put things down in turn, so often that there are as many episodes."""
+    """Put things down in turn until there are `n_episodes` at least."""
     things = STRANGERS if condition == "stranger" else HOUSEHOLD
-    done = 0
+    n_placed = 0
     for number in count():
         for code, thing in enumerate(things):
             where = seed_of(2, seed, number, code, CONDITIONS.index(condition))
             stand = placed(thing, condition, where, known_height)
             if stand is not None:
                 yield where, stand
-                done += 1
-        if done >= n_episodes:
+                n_placed += 1
+        if n_placed >= n_episodes:
             return
 
 
@@ -280,7 +282,7 @@ def seed_of(*numbers: int) -> int:
 
 
 def map_of(belief: str, recogniser: Any, touches: Touches, seed: int) -> Any:
-    """Return what knows the objects; "mesh" by their meshes, without any picture."""
+    """Return a map of the objects; "mesh" knows their meshes, without any picture."""
     if belief == "turns":
         return TouchMap(random_state=seed).fit(recogniser, touches)
     if belief == "places":
@@ -314,32 +316,34 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="a folder for taught touches")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--rows", type=Path, help="a file to add every episode to")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     kept: dict[str, list[Row]] = {}
-    for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
-        known = not asked.unknown_height
-        touches = taught(seed, asked.faces, asked.cache, known)
+    for seed in range(options.first_seed, options.first_seed + options.seeds):
+        known_height = not options.unknown_height
+        touches = taught(seed, options.faces, options.cache, known_height)
         recogniser = ObjectRecogniser(random_state=seed).fit(touches)
-        learnt = map_of(asked.belief, recogniser, touches, seed)
-        for condition, name in product(asked.conditions, asked.strategies):
+        learnt = map_of(options.belief, recogniser, touches, seed)
+        for condition, name in product(options.conditions, options.strategies):
             rows = kept.setdefault(f"{condition}, {name}", [])
-            for where, stand in placements(seed, condition, asked.episodes, known):
-                row = one_episode(stand, learnt, name, where, asked.wrong_pose)
+            for where, stand in placements(
+                seed, condition, options.episodes, known_height
+            ):
+                row = one_episode(stand, learnt, name, where, options.wrong_pose)
                 rows.append({"seed": seed, "placement": where, **row})
-                if asked.rows:
-                    with asked.rows.open("a") as file:
+                if options.rows:
+                    with options.rows.open("a") as file:
                         file.write(json.dumps({"of": condition, "by": name} | rows[-1]))
                         file.write("\n")
             print(seed, condition, name, flush=True)
         table = table_of(kept)
         for key, row in table.items():
             print(f"up to seed {seed}: {key:22s} {json.dumps(row)}", flush=True)
-        if asked.out:
+        if options.out:
             name = (
-                f"{asked.belief}, {asked.faces}"
-                + ", unknown height" * asked.unknown_height
+                f"{options.belief}, {options.faces}"
+                + ", unknown height" * options.unknown_height
             )
-            keep_rows(asked.out, name + ", wrong pose" * asked.wrong_pose, table)
+            keep_rows(options.out, name + ", wrong pose" * options.wrong_pose, table)
 
 
 if __name__ == "__main__":

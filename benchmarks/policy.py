@@ -45,25 +45,27 @@ Player = Callable[[BeliefObservations, Any, int], np.ndarray]
 
 def touch_env(surface_map: SurfaceMap) -> gymnasium.Env[Any, Any]:
     """Return the environment in which all play."""
-    name, how = "palpate/TouchBelief-v0", {"max_touches": BUDGET, "camera": CAMERA}
-    return gymnasium.make(name, surface_map=surface_map, **how)
+    name, options = "palpate/TouchBelief-v0", {"max_touches": BUDGET, "camera": CAMERA}
+    return gymnasium.make(name, surface_map=surface_map, **options)
 
 
 def trained(surface_map: SurfaceMap, n_steps: int, seed: int) -> tuple[Any, Row]:
     """Let PPO learn for so many steps, in four environments of this process.
 
-    Also tells the CPU seconds, and the mean return of its first and last episodes.
+    Also return the CPU seconds, and the mean return of its first and last episodes.
     """
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
 
     envs = make_vec_env(partial(touch_env, surface_map), N_ENVS, seed=seed_of(7, seed))
-    how = {"n_steps": N_STEPS, "batch_size": N_STEPS, "gamma": 1.0, "seed": seed}
+    options = {"n_steps": N_STEPS, "batch_size": N_STEPS, "gamma": 1.0, "seed": seed}
     began = time.process_time()
-    model = PPO("MultiInputPolicy", envs, **how).learn(n_steps)
+    model = PPO("MultiInputPolicy", envs, **options).learn(n_steps)
     cpu_s = round(time.process_time() - began)
-    returns = [np.array(own) for own in envs.env_method("get_episode_rewards")]
-    quarters = [np.array_split(own, 4) for own in returns]
+    returns = [
+        np.array(env_returns) for env_returns in envs.env_method("get_episode_rewards")
+    ]
+    quarters = [np.array_split(env_returns, 4) for env_returns in returns]
     first, *_, last = (np.concatenate(part) for part in zip(*quarters, strict=True))
     means = {"first": round(first.mean(), 2), "last": round(last.mean(), 2)}
     return model, {"cpu_s": cpu_s, "episodes": sum(map(len, returns)), **means}
@@ -86,11 +88,13 @@ def by_strategy(make: Callable[[Hemisphere, int], Any]) -> Player:
 
 def by_policy(model: Any, deterministic: bool) -> Player:
     """Return a player that does as a trained model says, by its mean or drawn."""
-    return lambda env, seen, seed: model.predict(seen, deterministic=deterministic)[0]
+    return lambda env, observation, seed: model.predict(
+        observation, deterministic=deterministic
+    )[0]
 
 
 def strategies(surface_map: SurfaceMap) -> dict[str, Player]:
-    """Return what needs no training."""
+    """Return the players that need no training."""
     return {
         "random": by_strategy(RandomHemisphere),
         "raster": by_strategy(lambda hemisphere, _: Raster(hemisphere)),
@@ -101,14 +105,16 @@ def strategies(surface_map: SurfaceMap) -> dict[str, Player]:
 
 
 def episode(env: Any, player: Player, thing: str, seed: int) -> Row:
-    """Play one episode; what came of it."""
-    seen, _ = env.reset(seed=seed, options={"object": thing})
+    """Play one episode; return its row."""
+    observation, _ = env.reset(seed=seed, options={"object": thing})
     inner = env
     while not isinstance(inner, BeliefObservations):
         inner = inner.env
     over, total, began = False, 0.0, time.process_time()
     while not over:
-        seen, reward, ended, truncated, info = env.step(player(inner, seen, seed))
+        observation, reward, ended, truncated, info = env.step(
+            player(inner, observation, seed)
+        )
         over, total = ended or truncated, total + reward
     n_attempts = len(inner.unwrapped.history)
     return {
@@ -132,7 +138,7 @@ def episodes(env: Any, player: Player, seed: int, n_rounds: int = 4) -> list[Row
 
 
 def summary(rows: list[Row], beside: list[Row]) -> Row:
-    """Means over episodes; attempts less those of `beside`, with their spread."""
+    """Return means over episodes; attempts less those of `beside`, with spread."""
     seeds = np.array([row["seed"] for row in rows])
     each = np.array([row["attempts"] for row in rows], float)
     saved = each - np.array([row["attempts"] for row in beside], float)

@@ -52,15 +52,15 @@ def one_each(touches: Touches, number: int) -> NDArray[np.bool_]:
 
 
 def ten_objects(touches: Touches) -> dict[str, object]:
-    """Ten objects, three choices; other members of their categories are unknown."""
+    """Measure three choices of ten objects; others of their categories are unknown."""
     rows = {}
     for split in ("between", "last"):
         for number in range(3):
-            known = one_each(touches, number)
+            learnt = one_each(touches, number)
             unknown = one_each(touches, number + 1)
             plan = Plan(touches=LENGTHS, orders=N_ORDERS)
             figures, _ = evaluate(
-                touches[known], split=split, unknown=touches[unknown], plan=plan
+                touches[learnt], split=split, unknown=touches[unknown], plan=plan
             )
             keys = ("accuracy", "unknown_auroc", "unknown_refused", "ece", "decision")
             rows[f"{split} {number}"] = {k: figures[k] for k in keys}
@@ -69,7 +69,7 @@ def ten_objects(touches: Touches) -> dict[str, object]:
 
 
 def drawn_objects(touches: Touches) -> dict[str, object]:
-    """Six draws of ten known and ten unknown objects, one pair of each category.
+    """Measure six draws of ten learnt and ten unknown objects, a pair a category.
 
     The unknown score was settled before these were drawn; `doubt` is the area of the
     probability outside the best object alone.
@@ -81,13 +81,13 @@ def drawn_objects(touches: Touches) -> dict[str, object]:
         for category in np.unique(touches.category):
             names = np.unique(touches.object[touches.category == category])
             pairs.append(rng.choice(names, 2, replace=False))
-        known, unknown = (
+        learnt, unknown = (
             np.isin(touches.object, [p[i] for p in pairs]) for i in (0, 1)
         )
         for split in ("last", "between"):
             plan = Plan(touches=(1, 5, 10, 15), orders=N_ORDERS)
             figures, (trial,) = evaluate(
-                touches[known], split=split, unknown=touches[unknown], plan=plan
+                touches[learnt], split=split, unknown=touches[unknown], plan=plan
             )
             keys = ("unknown_auroc", "unknown_refused", "decision")
             row = {k: figures[k] for k in keys}
@@ -106,12 +106,12 @@ def drawn_objects(touches: Touches) -> dict[str, object]:
 
 
 def few_touches(touches: Touches) -> dict[str, object]:
-    """Ten training touches of each of ten objects, tested on the last ones."""
+    """Measure ten training touches of each of ten objects, tested on the last ones."""
     rows = {}
     for number in range(3):
         plan = Plan(touches=LENGTHS, orders=N_ORDERS, train_touches=10, seed=number)
-        mine = touches[one_each(touches, number)]
-        figures, _ = evaluate(mine, split="last", plan=plan)
+        ten = touches[one_each(touches, number)]
+        figures, _ = evaluate(ten, split="last", plan=plan)
         rows[str(number)] = figures["accuracy"]
         print("few", number, figures["accuracy"], flush=True)
     return rows
@@ -135,7 +135,7 @@ def alter(touches: Touches, seed: int) -> Touches:
 
 
 def altered(touches: Touches) -> dict[str, object]:
-    """Ten objects, last touches, as they are and shifted and re-exposed."""
+    """Measure the last touches of ten objects, as recorded, and altered."""
     rows = {}
     for number in range(3):
         (fold,) = split_touches(touches[one_each(touches, number)], "last")
@@ -149,17 +149,17 @@ def altered(touches: Touches) -> dict[str, object]:
 
 
 def moved(touches: Touches) -> dict[str, object]:
-    """Learn 50 objects before the camera jumped and recognise after, both ways."""
-    found = beside.moved(touches, lengths=LENGTHS, orders=N_ORDERS)
+    """Learn 50 objects before the camera jumped and test after, and the reverse."""
+    results = beside.moved(touches, lengths=LENGTHS, orders=N_ORDERS)
     result: dict[str, object] = {}
-    for way, figures in found.items():
-        result[way] = {"accuracy": figures["accuracy"], "n": figures["n_objects"]}
-        print(way, result[way], flush=True)
+    for direction, figures in results.items():
+        result[direction] = {"accuracy": figures["accuracy"], "n": figures["n_objects"]}
+        print(direction, result[direction], flush=True)
     return result
 
 
 def sight(touches: Touches, photographs: beside.Photographs) -> dict[str, object]:
-    """Touch, one photograph, and both; 50 objects, then unseen objects' categories."""
+    """Measure touch, a photograph, and both; 50 objects, then unseen categories."""
     result: dict[str, object] = {}
     for label in beside.SPLIT_FOR:
         right = beside.sight(

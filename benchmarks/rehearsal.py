@@ -41,9 +41,9 @@ def halves(touches: Touches, by: str | None = None) -> Split:
         of = np.char.add(of, touches.columns[by].astype(str))
     first = np.zeros(len(touches), dtype=bool)
     for name in np.unique(of):
-        mine = np.flatnonzero(of == name)
-        mine = mine[np.argsort(order[mine], kind="stable")]
-        first[mine[: (len(mine) + 1) // 2]] = True
+        rows = np.flatnonzero(of == name)
+        rows = rows[np.argsort(order[rows], kind="stable")]
+        first[rows[: (len(rows) + 1) // 2]] = True
     return Split(touches[first], touches[~first])
 
 
@@ -58,11 +58,11 @@ def folds(touches: Touches, column: str) -> list[Split]:
 def random_fifth(touches: Touches) -> list[Split]:
     """Ask about touches drawn at random, a fifth of each object or so."""
     assert touches.object is not None
-    rng, asked = np.random.default_rng(SEED), np.zeros(len(touches), dtype=bool)
+    rng, is_test = np.random.default_rng(SEED), np.zeros(len(touches), dtype=bool)
     for name in np.unique(touches.object):
-        mine = rng.permutation(np.flatnonzero(touches.object == name))
-        asked[mine[: max(1, len(mine) // 5)]] = True
-    return [Split(touches[~asked], touches[asked])]
+        rows = rng.permutation(np.flatnonzero(touches.object == name))
+        is_test[rows[: max(1, len(rows) // 5)]] = True
+    return [Split(touches[~is_test], touches[is_test])]
 
 
 def mats(folder: Path) -> Touches:
@@ -72,12 +72,12 @@ def mats(folder: Path) -> Touches:
 def pairs_known(touches: Touches) -> list[Split]:
     """Ask half of the people on one mattress; of the others both are known."""
     people = np.unique(touches.subject, return_inverse=True)[1]
-    asked = [
+    test_masks = [
         (touches.session == name) & (people % 2 == half)
         for name in np.unique(touches.session)
         for half in range(2)
     ]
-    return [Split(touches[~t], touches[t]) for t in asked]
+    return [Split(touches[~t], touches[t]) for t in test_masks]
 
 
 def balls(folder: Path) -> list[Split]:
@@ -91,10 +91,10 @@ def balls(folder: Path) -> list[Split]:
 def jumped(folder: Path) -> list[Split]:
     """Ask about five objects of a dome after its camera jumped, and before."""
     touches = Touches.load(folder / "bathtip" / "bathtip50.npz")
-    early, mine = before_the_move(touches), np.isin(labels(touches), MOVED)
-    few = np.arange(len(touches)) % 3 == 0  # of the others a third
+    early, moved = before_the_move(touches), np.isin(labels(touches), MOVED)
+    few = np.arange(len(touches)) % 3 == 0  # a third of the other objects
     return [
-        Split(touches[(~mine & few) | (mine & side)], touches[mine & ~side])
+        Split(touches[(~moved & few) | (moved & side)], touches[moved & ~side])
         for side in (early, ~early)
     ]
 
@@ -105,10 +105,10 @@ def dome_halves(folder: Path) -> list[Split]:
 
 
 def another_camera(split: Split) -> Split:
-    """Turn, enlarge, move, light and expose otherwise what asks: another unit, a guess.
+    """Turn, enlarge, move, light and expose the test touches as another unit might.
 
-    Not as rehearsal draws it: 2 degrees, 3 % of the side, 2 % larger, and in each
-    colour another power law and light that falls off to one side (5 %).
+    The changes are not those of rehearsal: 2 degrees, 3 % of the side, 2 % larger, and
+    in each colour another power law and light that falls off to one side (5 %).
     """
     import cv2
 
@@ -124,14 +124,14 @@ def another_camera(split: Split) -> Split:
         light = 1 + np.tensordot(rng.normal(0, 0.05, 2), towards, 1)
         power = np.exp(rng.normal(0, 0.05))
         for i, image in enumerate(test.images):
-            one = cv2.warpAffine(image[..., k], turn, (n_cols, n_rows), borderMode=1)
-            levels = 255 * (one / 255.0) ** power * light
+            warped = cv2.warpAffine(image[..., k], turn, (n_cols, n_rows), borderMode=1)
+            levels = 255 * (warped / 255.0) ** power * light
             images[i, ..., k] = np.clip(levels, 0, 255)
     return Split(train, replaced(test, images))
 
 
 def another_readout(split: Split) -> Split:
-    """Read the array that asks out by other electronics: a guess, not as rehearsed.
+    """Read the tested array by other electronics, as a guess, not as rehearsed.
 
     Rows and columns have gains of their own (20 %), taxels a power law each (15 %), and
     a tenth of the mean of its row and column leaks into each.
@@ -144,14 +144,14 @@ def another_readout(split: Split) -> Split:
     images = np.sign(images) * top * (np.abs(images) / top) ** power
     images = images * np.exp(rng.normal(0, 0.2, shape[0]))[:, np.newaxis]
     images = images * np.exp(rng.normal(0, 0.2, shape[1]))
-    seen = np.nan_to_num(images)
-    leaks = seen.mean(axis=1, keepdims=True) + seen.mean(axis=2, keepdims=True)
+    finite = np.nan_to_num(images)
+    leaks = finite.mean(axis=1, keepdims=True) + finite.mean(axis=2, keepdims=True)
     leaking = 0.9 * images + 0.05 * leaks
     return Split(train, replaced(test, np.where(images > 0.02 * top, leaking, images)))
 
 
 def placed(touches: Touches) -> Touches:
-    """Return presses at other places and angles: as they are they are told at once."""
+    """Return presses at other places and angles; as recorded they are too easy."""
     import cv2
 
     rng, images = np.random.default_rng(SEED), np.empty_like(touches.images)
@@ -233,37 +233,41 @@ def accuracy(recogniser: ObjectRecogniser, touches: Touches) -> float:
 
 
 def measured(recogniser: ObjectRecogniser, test: Touches) -> list[float]:
-    """Return what is right in each of `WAYS`."""
-    found = [accuracy(recogniser, test)]
+    """Return the accuracy in each of `WAYS`."""
+    accuracies = [accuracy(recogniser, test)]
     names = [name for name in ("object", "category") if name in test.columns]
-    there = adapt(recogniser, test.without(*names))
-    found.append(accuracy(there, test))
+    adapted = adapt(recogniser, test.without(*names))
+    accuracies.append(accuracy(adapted, test))
     rng = np.random.default_rng(SEED)
     order = rng.permutation(len(test))
-    found.append(np.mean([confirmed(recogniser, test, order[[k]]) for k in range(3)]))
+    accuracies.append(
+        np.mean([confirmed(recogniser, test, order[[k]]) for k in range(3)])
+    )
     for n_each in (1, 3):
-        given = [
+        confirmed_rows = [
             order[test.object[order] == n][:n_each] for n in np.unique(test.object)
         ]
-        found.append(np.nan)
+        accuracies.append(np.nan)
         if np.bincount(np.unique(test.object, return_inverse=True)[1]).min() > n_each:
-            found[-1] = confirmed(recogniser, test, np.sort(np.concatenate(given)))
-    return found
+            accuracies[-1] = confirmed(
+                recogniser, test, np.sort(np.concatenate(confirmed_rows))
+            )
+    return accuracies
 
 
 def confirmed(recogniser: ObjectRecogniser, test: Touches, rows: np.ndarray) -> float:
-    """Return what is right of the others when some touches are confirmed."""
-    there = adapt(recogniser, test[rows])
-    return accuracy(there, test[np.setdiff1d(np.arange(len(test)), rows)])
+    """Return the accuracy on the other touches when some touches are confirmed."""
+    adapted = adapt(recogniser, test[rows])
+    return accuracy(adapted, test[np.setdiff1d(np.arange(len(test)), rows)])
 
 
-def said(recogniser: ObjectRecogniser, right: list[float]) -> str:
-    """Return what was expected of another day, and what came."""
+def expectation(recogniser: ObjectRecogniser, right: list[float]) -> str:
+    """Return the accuracy expected of another day beside the measured one, as text."""
     rehearsal, words = recogniser.chosen_["rehearsal"], []
-    for name, came in (("expected", right[0]), ("confirmed", right[3])):
-        if name in rehearsal and np.isfinite(came):
+    for name, actual in (("expected", right[0]), ("confirmed", right[3])):
+        if name in rehearsal and np.isfinite(actual):
             low, high = rehearsal[name]
-            words.append(f"{name} {100 * low:.0f}-{100 * high:.0f}, came {came:.0f}")
+            words.append(f"{name} {100 * low:.0f}-{100 * high:.0f}, came {actual:.0f}")
     return "; ".join(words)
 
 
@@ -272,7 +276,7 @@ def main(folder: Path, names: list[str]) -> None:
         f"{'':46}" + "".join(f"{way:>22}" for way in WAYS) + "   share, learning, trust"
     )
     for name, make in SETS.items():
-        if names and not any(one in name for one in names):
+        if names and not any(word in name for word in names):
             continue
         rows, costs, shares, trusts, words = [], [], [], [], []
         for split in make(folder):
@@ -286,7 +290,7 @@ def main(folder: Path, names: list[str]) -> None:
             costs.append(cost[1] / cost[0])
             shares.append(recogniser.chosen_["rehearsal"]["share"])
             trusts.append(recogniser.chosen_["rehearsal"].get("trust", np.nan))
-            words.append(said(recogniser, both[1]))
+            words.append(expectation(recogniser, both[1]))
         mean, spread = np.mean(rows, axis=0), np.std(rows, axis=0)
         cells = [
             f"{mean[0, k]:5.1f} {mean[1, k]:5.1f} ({spread[1, k]:4.1f})"
@@ -298,7 +302,7 @@ def main(folder: Path, names: list[str]) -> None:
             f"{np.mean(trusts):.2f}",
             flush=True,
         )
-        print(*(f"  {one}" for one in words if one), sep="\n", flush=True)
+        print(*(f"  {word}" for word in words if word), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ def environment(root: Path) -> dict[str, str]:
 
 def python(root: Path, *arguments: object, folder: Path | None = None) -> str:
     """Run `python ARGUMENTS` with a revision's palpate; return what it prints."""
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, *map(str, arguments)],
         cwd=folder or tempfile.gettempdir(),
         env=environment(root),
@@ -49,11 +49,11 @@ def python(root: Path, *arguments: object, folder: Path | None = None) -> str:
         text=True,
         check=True,
     )
-    return done.stdout
+    return completed.stdout
 
 
 def check_where(root: Path) -> None:
     """Refuse to compare when another palpate would be imported."""
-    found = python(root, "-c", "import palpate; print(palpate.__file__)").strip()
-    if not Path(found).resolve().is_relative_to(root.resolve()):
-        raise SystemExit(f"palpate is imported from {found}, not from {root}.")
+    location = python(root, "-c", "import palpate; print(palpate.__file__)").strip()
+    if not Path(location).resolve().is_relative_to(root.resolve()):
+        raise SystemExit(f"palpate is imported from {location}, not from {root}.")

@@ -52,17 +52,17 @@ def main() -> None:
     parser.add_argument("after", nargs="?", help="default: the tree as it is")
     parser.add_argument("--sets", help=f"of {','.join(SETS)}; default: all there are")
     parser.add_argument("--json", type=Path, help="write all that moved here")
-    given = parser.parse_args()
-    names = given.sets.split(",") if given.sets else list(SETS)
+    options = parser.parse_args()
+    names = options.sets.split(",") if options.sets else list(SETS)
     figures = []
-    for revision in (given.before, given.after):
+    for revision in (options.before, options.after):
         with tempfile.TemporaryDirectory() as folder, checked_out(revision) as root:
             check_where(root)
             figures.append(dict(flat(figures_of(root, Path(folder), names))))
     moved = compared(*figures)
     report(moved, len(figures[0]))
-    if given.json:
-        given.json.write_text(json.dumps(moved, indent=1) + "\n")
+    if options.json:
+        options.json.write_text(json.dumps(moved, indent=1) + "\n")
     sys.exit(1 if moved["figures"] else 0)
 
 
@@ -71,7 +71,7 @@ def figures_of(root: Path, folder: Path, names: list[str]) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     for name in names:
         print(f"{name}...", file=sys.stderr, flush=True)
-        if not (made(name, folder) or simulated(name, folder, root)):
+        if not (write_recorded(name, folder) or simulated(name, folder, root)):
             print(f"{name}: PALPATE_DATA does not hold it", file=sys.stderr)
             continue
         figures[name] = {"images": digest(folder / f"{name}.npz")}
@@ -84,41 +84,41 @@ def answers(name: str, preset: str, folder: Path, root: Path) -> dict[str, Any]:
     """Evaluate, learn, recognise, and ask a belief touch by touch."""
     train, model = f"{name}.npz", f"{name}-{preset}.palpate"
     options = ["--preset", preset, "--seed", "3"]
-    asked = ["--test", f"{name}-test.npz"] if made_apart(name, folder) else []
-    unknown = ["--unknown", f"{name}-unknown.npz"] if asked else []
+    test_options = ["--test", f"{name}-test.npz"] if made_apart(name, folder) else []
+    unknown = ["--unknown", f"{name}-unknown.npz"] if test_options else []
 
     def palpate(*arguments: str) -> Any:
-        said = python(root, "-m", "palpate", *arguments, "--json", folder=folder)
-        return json.loads(said)
+        output = python(root, "-m", "palpate", *arguments, "--json", folder=folder)
+        return json.loads(output)
 
     evaluated = palpate(
-        *["evaluate", "--train", train, *asked, *unknown, *SETS[name][1]],
+        *["evaluate", "--train", train, *test_options, *unknown, *SETS[name][1]],
         *["--preset", preset, *EVALUATE[:-1]],
     )
     evaluated.pop("seconds")
     palpate("learn", train, "-o", model, *options)
     few = f"{name}-few.npz"
-    write_few(folder / (asked[1] if asked else train), folder / few)
+    write_few(folder / (test_options[1] if test_options else train), folder / few)
     episodes = palpate("recognise", model, few)["episodes"]
-    said = python(
+    output = python(
         root, Path(__file__).resolve(), "--beliefs", model, few, folder=folder
     )
     kept = ("object", "decision", "touches_used", "reasons")
     return {
         "evaluate": evaluated,
         "recognise": [
-            {**{key: one[key] for key in kept}, "beliefs": beliefs(one)}
-            for one in episodes
+            {**{key: episode[key] for key in kept}, "beliefs": beliefs(episode)}
+            for episode in episodes
         ],
-        "belief": json.loads(said),
+        "belief": json.loads(output),
     }
 
 
 def beliefs(episode: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the posterior and the unknown score after every touch."""
     return [
-        {"posterior": one["posterior"], "unknown": one["unknown"]}
-        for one in episode["beliefs"]
+        {"posterior": belief["posterior"], "unknown": belief["unknown"]}
+        for belief in episode["beliefs"]
     ]
 
 
@@ -130,17 +130,17 @@ def posteriors(model: str, archive: str) -> list[Any]:
     recogniser = ObjectRecogniser.load(model)
     touches = Touches.load(archive)
     objects = np.asarray(touches.columns["object"])
-    found = []
+    updates = []
     for name in sorted(set(objects)):
         belief = recogniser.start()
         for row in np.flatnonzero(objects == name):
             belief.update(touches[int(row) : int(row) + 1])
-            found.append({"posterior": belief.posterior, "unknown": belief.unknown})
-    return found
+            updates.append({"posterior": belief.posterior, "unknown": belief.unknown})
+    return updates
 
 
-def made(name: str, folder: Path) -> bool:
-    """Write a recorded set's archives; False where it is not a recorded one."""
+def write_recorded(name: str, folder: Path) -> bool:
+    """Write the archives of a recorded set; return False for another set."""
     data = Path(os.environ.get("PALPATE_DATA", "no-such-folder"))
     source = data / {"bathtip50": "bathtip"}.get(name, name) / f"{name}.npz"
     if not source.exists():
@@ -157,17 +157,17 @@ def bathtip(arrays: dict[str, Any], folder: Path) -> None:
     """Write 10 objects, one of each category; last touches and unknown ones apart."""
     objects, categories = arrays["object"], arrays["category"]
     by_kind = {kind: sorted(set(objects[categories == kind])) for kind in categories}
-    known = [names[0] for _, names in sorted(by_kind.items())]
-    strange = [names[1] for _, names in sorted(by_kind.items())][:UNKNOWN]
+    learnt = [names[0] for _, names in sorted(by_kind.items())]
+    strangers = [names[1] for _, names in sorted(by_kind.items())][:UNKNOWN]
     later = np.zeros(len(objects), bool)
-    for name in known:
+    for name in learnt:
         rows = np.flatnonzero(objects == name)
         later[rows[np.argsort(arrays["order"][rows])][-LAST:]] = True
-    is_known = np.isin(objects, known)
+    is_learnt = np.isin(objects, learnt)
     parts = {
-        "": is_known & ~later,
+        "": is_learnt & ~later,
         "-test": later,
-        "-unknown": np.isin(objects, strange),
+        "-unknown": np.isin(objects, strangers),
     }
     for suffix, chosen in parts.items():
         np.savez(
@@ -264,7 +264,7 @@ def flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def compared(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
-    """Return what differs: figures, words, and what only one of them says."""
+    """Return the differences: figures, words, and names of one revision alone."""
     both = [name for name in before if name in after]
     moved = {name: [before[name], after[name]] for name in both}
     moved = {name: pair for name, pair in moved.items() if pair[0] != pair[1]}
@@ -284,7 +284,7 @@ def is_words(name: str, pair: list[Any]) -> bool:
 
 
 def report(moved: dict[str, Any], n_compared: int) -> None:
-    """Print what moved, and how far."""
+    """Print the differences."""
     for kind in ("figures", "words"):
         for name, (old, new) in moved[kind].items():
             print(f"{name}: {old!r} -> {new!r}")

@@ -17,21 +17,21 @@ from palpate.simulation import DomeCamera
 
 # Rings about the middle of the disc, in radii of the rim.
 INNER, MIDDLE, OUTER = (0.0, 0.2), (0.4, 0.7), (0.8, 0.95)
-# A touch that is so like the frame of no contact shows none.
+# A touch with this correlation with the frame of no contact shows none.
 ALIKE = 0.97
 
 
 def light(picture, row, col, radius):
     """Return log grey of three rings about the middle, and the outer one's slope."""
     rows, cols = np.indices(picture.shape)
-    away = np.hypot(rows - row, cols - col) / radius
-    ring = (away > OUTER[0]) & (away < OUTER[1])
+    distance = np.hypot(rows - row, cols - col) / radius
+    ring = (distance > OUTER[0]) & (distance < OUTER[1])
     sides = np.stack([rows - row, cols - col])[:, ring] / radius
     mean, down, right = np.linalg.lstsq(
         np.column_stack([np.ones(ring.sum()), *sides]), picture[ring], rcond=None
     )[0]
     means = [
-        np.log(picture[(away >= low) & (away < high)].mean())
+        np.log(picture[(distance >= low) & (distance < high)].mean())
         for low, high in (INNER, MIDDLE)
     ]
     return [*means, np.log(mean), down / mean, right / mean]
@@ -47,9 +47,9 @@ def dome(folder):
     ]
     rims, lights = [], []
     for name in np.unique(touches.object):
-        mine = touches.object == name
-        rims.append(np.median(labels[mine], axis=0))
-        resting = mine & (np.array(like) > ALIKE)
+        rows = touches.object == name
+        rims.append(np.median(labels[rows], axis=0))
+        resting = rows & (np.array(like) > ALIKE)
         if resting.sum() > 2:
             lights.append(light(np.median(pictures[resting], axis=0), *rims[-1]))
     rims, lights = np.array(rims), np.array(lights)
@@ -63,7 +63,7 @@ def dome(folder):
     camera = DomeCamera()
     n_rows = camera.image_shape[0]
     rim = [n_rows * v for v in (*camera.disc_centre, camera.disc_radius)]
-    rest = np.array(light(camera.no_contact().astype(float), *rim))
+    reference = np.array(light(camera.no_contact().astype(float), *rim))
     steps = {
         "gain": 1.1 * camera.gain,
         "specular": 1.1 * camera.specular,
@@ -72,7 +72,7 @@ def dome(folder):
     }
     for name, value in steps.items():
         other = replace(camera, **{name: value}).no_contact().astype(float)
-        change = np.array(light(other, *rim)) - rest
+        change = np.array(light(other, *rim)) - reference
         figures = (
             f"outer {change[2]:.4f}, middle over outer {change[1] - change[2]:.4f}"
         )
@@ -95,11 +95,12 @@ def mats(folder):
     both = sorted(set(rows[0]) & set(rows[1]))
     first, second = (np.array([side[key] for key in both]) for side in rows)
     loads = np.log(second.sum(axis=(1, 2)) / first.sum(axis=(1, 2)))
-    zero = [np.percentile(one, 5, axis=0) for one in (first, second)]
+    zero = [np.percentile(levels, 5, axis=0) for levels in (first, second)]
     mean = [
-        one.mean(axis=0) - low for one, low in zip((first, second), zero, strict=True)
+        levels.mean(axis=0) - low
+        for levels, low in zip((first, second), zero, strict=True)
     ]
-    loaded = np.all([one > np.percentile(one, 60) for one in mean], axis=0)
+    loaded = np.all([levels > np.percentile(levels, 60) for levels in mean], axis=0)
     gains = np.log(mean[1][loaded] / mean[0][loaded])
     half = np.sqrt(0.5)  # a difference of two sessions
     print(f"Mats: {len(both)} postures of a person on both mattresses")
@@ -115,12 +116,14 @@ def mats(folder):
 def array(folder):
     touches = Touches.load(folder / "taxel10x10" / "taxel10x10.npz")
     loads = touches.columns["frames"].astype(float).sum(axis=(2, 3))
-    left = np.median(loads[:, -1] / loads.max(axis=1))
-    print(f"Array: after a press {left:.3f} of its greatest load is left (median)")
+    share_left = np.median(loads[:, -1] / loads.max(axis=1))
+    print(
+        f"Array: after a press {share_left:.3f} of its greatest load is left (median)"
+    )
 
 
 def sd(values):
-    return [f"{one:.4f}" for one in np.std(values, axis=0, ddof=1)]
+    return [f"{value:.4f}" for value in np.std(values, axis=0, ddof=1)]
 
 
 def robust(values):

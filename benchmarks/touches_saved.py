@@ -43,26 +43,26 @@ def recorded_kinds(data: Path) -> Touches:
 
 
 def drawn(recorded: Touches, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of one object a kind, (n_kinds, most touches); rows of other objects."""
+    """Return rows of one object a kind, (n_kinds, most touches), and of the others."""
     taught, names = [], []
     for kind in KINDS:
         name = rng.choice(np.unique(recorded.object[recorded.category == kind]))
         rows = rng.permutation(np.flatnonzero(recorded.object == name))
         taught.append(rows[: max(COUNTS)])
         names.append(name)
-    rest = np.unique(recorded.object[~np.isin(recorded.object, names)])
+    others = np.unique(recorded.object[~np.isin(recorded.object, names)])
     asking = [
         rng.permutation(np.flatnonzero(recorded.object == name))[:N_ASKED]
-        for name in rest
+        for name in others
     ]
     return np.array(taught), np.concatenate(asking)
 
 
 def simulated_kinds(seed: int) -> Touches:
     """Return simulated touches of the nine objects of these kinds."""
-    shown = [thing for thing in HOUSEHOLD + UNSEEN if thing.category in KINDS]
-    how = {"max_tilt_deg": 50, "max_roll_deg": 0, "n_sessions": 3}
-    return simulate_touches(shown, random_state=seed, **how)
+    things = [thing for thing in HOUSEHOLD + UNSEEN if thing.category in KINDS]
+    options = {"max_tilt_deg": 50, "max_roll_deg": 0, "n_sessions": 3}
+    return simulate_touches(things, random_state=seed, **options)
 
 
 def plain(touches: Touches) -> Touches:
@@ -82,19 +82,19 @@ def exchanged(touches: Touches, rng: np.random.Generator) -> Touches:
 
 
 def one_draw(recorded: Touches, seed: int) -> dict[str, list[float]]:
-    """Accuracy after so many touches, by what was learnt and how."""
+    """Return accuracies after 1, 5 and 15 touches, by what was learnt and how."""
     rng = np.random.default_rng([9, seed])
     taught, asking = drawn(recorded, rng)
-    simulated, asked = simulated_kinds(seed), plain(recorded[asking])
+    simulated, tested = simulated_kinds(seed), plain(recorded[asking])
     plain_simulated = plain(simulated)
     wrong = exchanged(plain_simulated, rng)
     right: dict[str, list[float]] = {}
     for rehearse in (True, False):
-        how: dict[str, Any] = {"label": "category", "random_state": seed}
-        how["rehearse"] = rehearse
+        options: dict[str, Any] = {"label": "category", "random_state": seed}
+        options["rehearse"] = rehearse
         name = "rehearsed" if rehearse else "plain"
-        alone = ObjectRecogniser(**how).fit(plain_simulated)
-        right[f"{name}, simulated, 0"] = _accuracy(alone, asked)
+        alone = ObjectRecogniser(**options).fit(plain_simulated)
+        right[f"{name}, simulated, 0"] = _accuracy(alone, tested)
         for count in COUNTS:
             real = plain(recorded[taught[:, :count].ravel()])
             both = Touches.concatenate([plain_simulated, real])
@@ -102,10 +102,10 @@ def one_draw(recorded: Touches, seed: int) -> dict[str, list[float]]:
             if rehearse and count == COUNTS[1]:
                 sets["exchanged and real"] = Touches.concatenate([wrong, real])
             for title, touches in sets.items():
-                learnt = ObjectRecogniser(**how).fit(touches)
-                right[f"{name}, {title}, {count}"] = _accuracy(learnt, asked)
+                learnt = ObjectRecogniser(**options).fit(touches)
+                right[f"{name}, {title}, {count}"] = _accuracy(learnt, tested)
             adapted = adapt(alone, real)
-            right[f"{name}, simulated, adapted, {count}"] = _accuracy(adapted, asked)
+            right[f"{name}, simulated, adapted, {count}"] = _accuracy(adapted, tested)
     for count in COUNTS:
         rows = taught[:, :count].ravel()
         right[f"control, disc, {count}"] = [disc_alone(recorded, rows, asking)]
@@ -113,7 +113,7 @@ def one_draw(recorded: Touches, seed: int) -> dict[str, list[float]]:
 
 
 def disc_alone(recorded: Touches, taught: np.ndarray, asking: np.ndarray) -> float:
-    """Accuracy of one touch by disc, brightness and contrast, mean over objects."""
+    """Return the accuracy of a touch by disc, brightness and contrast alone."""
     images = recorded.images.reshape(len(recorded), -1)
     rims = recorded.columns["rim_circle_row_col_radius_px"]
     senses = np.column_stack([rims, images.mean(axis=1), images.std(axis=1)])

@@ -34,7 +34,7 @@ nitpicky = False
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "deflist"]
 
-# Named, since a subpackage that is new would be overlooked beside pages built before.
+# Pages are named, or a new subpackage would be overlooked beside pages built before.
 MADE = runpy.run_path(str(HERE / "reference.py"))
 autosummary_generate = [
     f"reference/generated/{subpackage}.rst" for subpackage in MADE["SUBPACKAGES"]
@@ -75,7 +75,7 @@ html_theme_options = {
 }
 html_sidebars = {"index": [], "versions": []}
 
-# `make linkcheck`: our own repository is not public yet; the rest is asked.
+# `make linkcheck` skips our own repository, which is not public yet.
 linkcheck_ignore = [
     r"https://github\.com/palpate/palpate",
     r"https?://(127\.|localhost)",
@@ -116,7 +116,7 @@ sphinx_gallery_conf = {
 }
 
 
-# What docstrings mean as it stands and reStructuredText would take for markup.
+# Plain characters of docstrings that reStructuredText would take for markup.
 MARKUP = [
     (re.compile(r"(?<![\\`])\|"), r"\|"),
     (re.compile(r"(?<=[\w)\] ])(?<!\*)\*(?=[\w( ])(?!\*)"), r"\*"),
@@ -129,7 +129,7 @@ NAMES = re.compile(r"\s*[\w*, ]+ : ")
 def plain(
     app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
 ) -> None:
-    """Escape what docstrings say in plain words; code in them stays as it is."""
+    """Escape markup in the plain words of docstrings; code in them stays as it is."""
     for number, line in enumerate(lines):
         if line.lstrip().startswith((">>>", "...", ".. ")) or "``" in line:
             continue
@@ -137,8 +137,8 @@ def plain(
         start = named.end() if named else 0
         words = ROLE.sub(r"\1", line[start:]).split("`")
         for odd, part in enumerate(words):
-            for found, escaped in MARKUP if odd % 2 == 0 else ():
-                part = found.sub(escaped, part)
+            for pattern, escaped in MARKUP if odd % 2 == 0 else ():
+                part = pattern.sub(escaped, part)
             words[odd] = part
         lines[number] = line[:start] + "`".join(words)
 

@@ -5,7 +5,7 @@ from typing import Any
 
 
 def one_look(gallery: Any, name: str) -> None:
-    """Give pictures the colours and letters of `palpate.mplstyle`, in a new start."""
+    """Reset the style of pictures to `palpate.mplstyle`."""
     import matplotlib as mpl
     import matplotlib.pyplot as plt
 

@@ -1,9 +1,10 @@
 """Pages that are made from the code.
 
 `python docs/reference.py` writes two that are kept: docs/reference/names.md, every
-public name with the first line of its docstring, and docs/contributing/shared.md, what
-else subpackages take from each other. Sphinx (`make docs`) calls `write_generated`,
-which makes a page for every subpackage, command and address of the API.
+public name with the first line of its docstring, and docs/contributing/shared.md, the
+other names that subpackages take from each other. Sphinx (`make docs`) calls
+`write_generated`, which makes a page for every subpackage, command and address of the
+API.
 """
 
 import ast
@@ -147,13 +148,13 @@ def taken(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def write_generated(folder: Path) -> None:
-    """Write what Sphinx reads besides the pages that people wrote."""
+    """Write the pages that Sphinx reads besides those that people wrote."""
     folder.mkdir(parents=True, exist_ok=True)
-    made = {
+    pages = {
         f"{subpackage}.rst": subpackage_page(subpackage) for subpackage in SUBPACKAGES
     }
-    made |= {"command-line.md": command_page(), "http.md": http_page()}
-    for name, text in made.items():
+    pages |= {"command-line.md": command_page(), "http.md": http_page()}
+    for name, text in pages.items():
         path = folder / name
         if not path.exists() or path.read_text("utf-8") != text:
             path.write_text(text, encoding="utf-8")

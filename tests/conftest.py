@@ -10,13 +10,13 @@ import pytest
 import typer.main
 from numpy.typing import NDArray
 
-# What somebody fetched on this computer is no part of a test.
+# Tests must not depend on the data that were fetched on this computer.
 os.environ["PALPATE_DATA_HOME"] = str(Path(__file__).parent / "nothing-fetched")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _made_once() -> Iterator[None]:
-    """Make the command line once in a process, as a process of its own does."""
+def _command_line_made_once() -> Iterator[None]:
+    """Build the command line once in a process of tests, as a real process does."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
         yield
@@ -24,7 +24,7 @@ def _made_once() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
-    """The folder of real touches; skips the test where it is not there."""
+    """Return the folder of real touches; skip the test where it is missing."""
     folder = os.environ.get("PALPATE_DATA")
     if not folder or not Path(folder).is_dir():
         pytest.skip("PALPATE_DATA does not name the folder of real touches")

@@ -1,4 +1,4 @@
-"""Every command and every Python block of the pages is run, or marked why it is not.
+"""Every command and every Python block of the pages is run, or says why not.
 
 A page is run from top to bottom in a folder of its own. Blocks of ```sh are commands,
 blocks of ```python share their names. `<!-- not run: REASON -->` before a block leaves
@@ -37,38 +37,38 @@ FENCE = re.compile(
 )
 NEEDS = re.compile(r"<!-- needs (\w+) -->")
 NOT_RUN = re.compile(r"<!-- not run: \w.{7,} -->")
-# Shown, not run: no commands and no Python.
-SHOWN = {"text", "toml", "json", "c", "{eval-rst}"}
+# Blocks that are neither commands nor Python.
+KINDS_NOT_RUN = {"text", "toml", "json", "c", "{eval-rst}"}
 
 
 def blocks(page):
     """Return (line, kind, body, reason) of every fenced block of a page."""
     text = "\n" + page.read_text("utf-8")
-    found = []
+    fenced = []
     for block in FENCE.finditer(text):
         before = block["before"]
         needed = NEEDS.search(before)
         missing = needed is not None and find_spec(needed[1]) is None
         reason = before.strip() if missing or NOT_RUN.search(before) else None
         line = text.count("\n", 0, block.start("mark"))
-        found.append((line, block["kind"].strip(), block["body"], reason))
-    return found
+        fenced.append((line, block["kind"].strip(), block["body"], reason))
+    return fenced
 
 
 def is_slow(page):
-    """Return whether a page says that its blocks take more than some seconds."""
+    """Return whether a page is marked as one that takes more than some seconds."""
     return "<!-- slow -->" in page.read_text("utf-8")[:200]
 
 
 def test_every_block_says_what_it_is():
-    """A block without a word for its language would never be run."""
-    unsaid = [
+    """A block that does not name its language would never be run."""
+    unlabelled = [
         f"{page.relative_to(ROOT)}:{line}: {kind or 'no language'}"
         for page in PAGES
         for line, kind, _, _ in blocks(page)
-        if kind not in {"sh", "python", *SHOWN}
+        if kind not in {"sh", "python", *KINDS_NOT_RUN}
     ]
-    assert unsaid == []
+    assert unlabelled == []
 
 
 def test_commands_are_not_hidden_as_text():
@@ -82,26 +82,26 @@ def test_commands_are_not_hidden_as_text():
 
 
 def printed_below(page):
-    """Return what stands right below a block as what that prints, by its line."""
-    lines, found = page.read_text("utf-8").splitlines(), blocks(page)
-    shown = {}
-    for (line, _, body, _), (next_line, kind, text, _) in pairwise(found):
+    """Return the text right below each block, which it prints, by the block's line."""
+    lines, page_blocks = page.read_text("utf-8").splitlines(), blocks(page)
+    printed = {}
+    for (line, _, body, _), (next_line, kind, text, _) in pairwise(page_blocks):
         end = line + body.count("\n") + 1
         if kind == "text" and not "".join(lines[end : next_line - 1]).strip():
-            shown[line] = text
-    return shown
+            printed[line] = text
+    return printed
 
 
-def is_like(output, shown):
-    """Return whether lines are those shown, of which "..." is any number."""
+def is_like(output, expected):
+    """Return whether an output has the expected lines; "..." is any number of them."""
     patterns = (
         r"(.*\n)*" if line.strip() == "..." else re.escape(line.rstrip()) + r" *\n"
-        for line in shown.splitlines()
+        for line in expected.splitlines()
     )
     return re.fullmatch("".join(patterns), output.rstrip() + "\n") is not None
 
 
-def test_what_is_printed_is_compared_with_what_is_shown():
+def test_output_is_compared_with_the_text_below_a_block():
     assert is_like("a\nb  \nc\n", "a\nb\nc\n")
     assert is_like("a\nb\nc\n", "...\nc\n")
     assert not is_like("a\nb\nc\n", "a\nb\n")
@@ -131,41 +131,41 @@ def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
     monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / ".cache"))  # ready models
     monkeypatch.setenv("PATH", f"{_commands(tmp_path)}{os.pathsep}{os.environ['PATH']}")
     names = {"__name__": "__main__"}
-    begun = time.monotonic()
-    shown = printed_below(page)
+    start = time.monotonic()
+    expected = printed_below(page)
     for line, kind, body, reason in blocks(page):
         if reason is not None or kind not in {"sh", "python"}:
             continue
         if kind == "python":
             printed = io.StringIO()
             with warnings.catch_warnings(), redirect_stdout(printed):
-                if "torch" in body:  # warns about itself
+                if "torch" in body:  # torch warns about itself
                     warnings.simplefilter("ignore")
                 exec(compile(body, f"{page}:{line}", "exec"), names)
             output = printed.getvalue()
         else:
-            done = subprocess.run(
+            completed = subprocess.run(
                 ["bash", "-euo", "pipefail", "-c", body],
                 capture_output=True,
                 text=True,
                 check=False,
             )
-            said = f"{page}:{line}\n{done.stdout}\n{done.stderr}"
-            assert done.returncode == 0, said
-            output = done.stdout
+            report = f"{page}:{line}\n{completed.stdout}\n{completed.stderr}"
+            assert completed.returncode == 0, report
+            output = completed.stdout
         print(output)
-        if line in shown:
-            assert is_like(output, shown[line]), f"{page}:{line} prints\n{output}"
-    print(f"{page.name}: {time.monotonic() - begun:.0f} s")
+        if line in expected:
+            assert is_like(output, expected[line]), f"{page}:{line} prints\n{output}"
+    print(f"{page.name}: {time.monotonic() - start:.0f} s")
 
 
 def _commands(folder):
-    """Return a folder with a `palpate` and a `python` that are those of this test."""
+    """Return a folder with the `palpate` and the `python` that run this test."""
     place = folder / ".commands"
     place.mkdir()
     python = shlex.quote(sys.executable)
-    for name, words in {"palpate": "-m palpate", "python": ""}.items():
+    for name, arguments in {"palpate": "-m palpate", "python": ""}.items():
         path = place / name
-        path.write_text(f'#!/bin/sh\nexec {python} {words} "$@"\n')
+        path.write_text(f'#!/bin/sh\nexec {python} {arguments} "$@"\n')
         path.chmod(0o755)
     return place

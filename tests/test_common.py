@@ -151,11 +151,11 @@ def test_text_and_empty_sets_are_refused(encoder):
 
 
 def changes_of(encoder, before, after):
-    """How far images move in the encoding, as a share of how far they lie apart."""
+    """Return how far images move in an encoding, as a share of their spread."""
     fitted = clone(encoder).fit(before)
     features, moved = fitted.transform(before), fitted.transform(after)
-    apart = np.linalg.norm(features - features.mean(axis=0), axis=1).mean()
-    return np.linalg.norm(features - moved, axis=1).mean() / apart
+    spread = np.linalg.norm(features - features.mean(axis=0), axis=1).mean()
+    return np.linalg.norm(features - moved, axis=1).mean() / spread
 
 
 # A quarter turn and a whole taxel resample nothing.
@@ -166,18 +166,18 @@ ALTERED = {
 }
 
 
-# Beside an area in taxels, small moments count for nothing until they are balanced;
-# pads lie beside what is pressed here.
-told = [
+# An unbalanced union is left out: its small moments count for nothing beside an area
+# in taxels. So are pads, which lie beside the pressed region here.
+comparable = [
     e
     for e in ENCODERS
     if getattr(e, "balanced", True) and getattr(e, "pads", None) is None
 ]
 
 
-@pytest.mark.parametrize("encoder", told, ids=repr)
+@pytest.mark.parametrize("encoder", comparable, ids=repr)
 @pytest.mark.parametrize("change", ALTERED)
-def test_encoder_is_blind_to_what_it_says(encoder, change, touches):
+def test_an_encoder_is_blind_to_the_changes_that_it_names(encoder, change, touches):
     pressed = np.pad(np.where(touches > 0.3, touches, 0), [(0, 0), (6, 6), (6, 6)])
     moved = changes_of(encoder, pressed, ALTERED[change](pressed))
     # Interpolation moves images of 22 x 22 taxels by up to 0.16 where they are turned.
@@ -203,12 +203,12 @@ COLOUR = [e for e in [*ENCODERS, *CLEANERS] if not isinstance(e, DomeCrop)]
 
 @pytest.mark.parametrize("encoder", COLOUR, ids=repr)
 def test_channels_are_transformed_one_by_one(encoder, touches):
-    """What is learnt is learnt from all channels as if they were touches."""
+    """An encoder learns from all channels as if they were touches."""
     colour = np.stack([touches, touches[::-1] ** 2, 3 * touches], axis=-1)
     fitted = clone(encoder).fit(colour)
     assert fitted.image_shape_ == (10, 10, 3)
-    made = fitted.transform(colour)
-    assert_array_equal(fitted.transform_checked(colour), made)
+    transformed = fitted.transform(colour)
+    assert_array_equal(fitted.transform_checked(colour), transformed)
     if isinstance(encoder, EncodingUnion):
         parts = [clone(part).fit_transform(colour) for part in encoder.encoders]
         expected = np.hstack(parts)
@@ -219,13 +219,13 @@ def test_channels_are_transformed_one_by_one(encoder, touches):
         grey = clone(encoder)
         if getattr(encoder, "unit", False):
             grey.set_params(unit=False)
-        apart = np.split(grey.fit(planes).transform(planes), 3)
-        joined = np.hstack if made.ndim == 2 else partial(np.stack, axis=-1)
-        expected = joined(apart)
+        by_channel = np.split(grey.fit(planes).transform(planes), 3)
+        joined = np.hstack if transformed.ndim == 2 else partial(np.stack, axis=-1)
+        expected = joined(by_channel)
         if getattr(encoder, "unit", False):
             expected = expected / np.linalg.norm(expected, axis=1, keepdims=True)
-    # Touches in another order: rounding only.
-    assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
+    # The touches are in another order: rounding only.
+    assert_allclose(transformed, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("encoder", COLOUR, ids=repr)
@@ -241,13 +241,13 @@ def test_channels_other_than_learnt_are_refused(encoder, touches):
         fitted.transform(colour)
 
 
-def test_what_takes_grey_images_alone_says_how_to_make_them(touches):
+def test_a_crop_of_grey_images_refuses_channels_and_says_how_to_make_grey(touches):
     with pytest.raises(ValueError, match=r"one channel, X\[..., 0\], or their mean"):
         DomeCrop().fit(touches[..., np.newaxis])
 
 
 class OfVectors(TransformerMixin, BaseEstimator):
-    """An estimator of images as one of vectors: a feature is a taxel, over and over."""
+    """Make an estimator of images one of vectors: features repeat as taxels."""
 
     def __init__(self, encoder=None):
         self.encoder = encoder
@@ -271,8 +271,8 @@ class OfVectors(TransformerMixin, BaseEstimator):
         return tags
 
 
-# What learns directions refuses one touch, and touches that do not differ, in its own
-# words, which are not scikit-learn's.
+# Encoders that learn directions refuse one touch, and touches that do not differ, in
+# other words than scikit-learn's.
 TOO_LITTLE = {"check_fit2d_1sample", "check_fit2d_1feature"}
 
 
@@ -286,7 +286,7 @@ def test_scikit_learns_checks_pass_on_vectors_made_images(encoder):
 
 
 def test_press_pose_takes_images_and_keeps_the_rules(touches):
-    """Its tags say images, for which scikit-learn has no checks but of the clone."""
+    """For images, as its tags say, scikit-learn checks nothing but the clone."""
     from sklearn.exceptions import SkipTestWarning
 
     with pytest.warns(SkipTestWarning, match="three_d_array=True"):

@@ -1,7 +1,6 @@
-"""Without its extra a command says in one sentence what to install, and how.
+"""A command without its extra says in one sentence what to install, and how.
 
-The extra's package is hidden, or stands behind one that cannot be imported, so this
-runs wherever palpate does.
+The package of the extra is hidden, so these tests run with and without it.
 """
 
 import importlib
@@ -16,7 +15,7 @@ from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.simulation import find_object
 
-# What is hidden, the extra that brings it, and the command that wants it.
+# The hidden package, its extra, and a command that needs it.
 COMMANDS = [
     (
         "matplotlib",
@@ -60,7 +59,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def web_anew(monkeypatch):
-    """Let the page be imported anew: its files import an extra at their head."""
+    """Let `palpate.web` be imported again: its files import an extra at the top."""
     for name in [*sys.modules]:
         if f"{name}.".startswith("palpate.web."):
             monkeypatch.delitem(sys.modules, name)
@@ -79,20 +78,21 @@ def test_the_refusal_names_package_and_extra(
         if name.partition(".")[0] == package:
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
-    for name in ("mug", "box"):  # built by another test, they would need nothing
-        for made in ("mesh", "_scene"):
-            monkeypatch.delitem(vars(find_object(name)), made, raising=False)
-    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # no process that would find it
+    for name in ("mug", "box"):  # cached by another test, they would need no package
+        for attribute in ("mesh", "_scene"):
+            monkeypatch.delitem(vars(find_object(name)), attribute, raising=False)
+    # Another process would find the package.
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
     monkeypatch.setattr(sys, "argv", ["palpate", *command.split()])
     monkeypatch.chdir(folder)
-    with pytest.raises(SystemExit) as stopped:
+    with pytest.raises(SystemExit) as stop:
         importlib.import_module("palpate.cli").main()
     printed = capsys.readouterr().err
-    assert stopped.value.code == 1, printed
-    said = " ".join(printed.split())
-    assert f'which is not installed: pip install "palpate[{extra}]"' in said
-    assert package.replace("_", "-").lstrip("py") in said.replace("_", "-")
-    assert "Traceback" not in said
+    assert stop.value.code == 1, printed
+    message = " ".join(printed.split())
+    assert f'which is not installed: pip install "palpate[{extra}]"' in message
+    assert package.replace("_", "-").lstrip("py") in message.replace("_", "-")
+    assert "Traceback" not in message
 
 
 NEED_NONE = """
@@ -115,7 +115,7 @@ for command in (
 
 
 def run_without(packages, arguments, folder, hidden):
-    """Run Python where packages cannot be imported, in its workers neither."""
+    """Run Python where it and its workers cannot import some packages."""
     for package in packages:
         refusal = f"raise ModuleNotFoundError('no {package}', name='{package}')"
         (hidden / f"{package}.py").write_text(refusal)
@@ -132,14 +132,15 @@ def run_without(packages, arguments, folder, hidden):
 @pytest.mark.slow
 def test_what_needs_no_extra_works_without_any(folder, tmp_path):
     packages = {package for package, _, _ in COMMANDS}
-    done = run_without(packages, ["-c", NEED_NONE], folder, tmp_path)
-    assert done.returncode == 0, done.stderr
+    completed = run_without(packages, ["-c", NEED_NONE], folder, tmp_path)
+    assert completed.returncode == 0, completed.stderr
 
 
 @pytest.mark.slow
 def test_workers_refuse_as_well(folder, tmp_path):
-    words = ["-m", "palpate", "simulate", "dome", "mug", "-o", "d.npz", "--workers=2"]
-    done = run_without({"trimesh"}, words, folder, tmp_path)
-    assert done.returncode == 1
-    assert 'pip install "palpate[sim]"' in done.stderr
-    assert "Traceback" not in done.stderr
+    arguments = ["-m", "palpate", "simulate", "dome", "mug"]
+    arguments += ["-o", "d.npz", "--workers=2"]
+    completed = run_without({"trimesh"}, arguments, folder, tmp_path)
+    assert completed.returncode == 1
+    assert 'pip install "palpate[sim]"' in completed.stderr
+    assert "Traceback" not in completed.stderr

@@ -1,4 +1,4 @@
-"""What the gallery says of its pictures holds for the numbers that are drawn."""
+"""The text of each gallery program holds for the numbers that it draws."""
 
 import re
 import runpy
@@ -23,14 +23,14 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    """Return a function that runs a program of the gallery; gives its names."""
+    """Return a function that runs a program of the gallery and returns its names."""
     monkeypatch.chdir(tmp_path)
     plt.switch_backend("agg")
     yield lambda name: runpy.run_path(str(EXAMPLES / f"plot_{name}.py"))
     plt.close("all")
 
 
-def test_below_each_press_is_what_it_changed(run):
+def test_below_each_press_is_its_change(run):
     names = run("01_first_press")
     touches, (above,), below = names["touches"], names["axes"], names["below"]
     assert touches.object.tolist() == ["mug", "ball", "pen", "box"]
@@ -45,9 +45,9 @@ def test_below_each_press_is_what_it_changed(run):
 def test_the_bar_stays_unknown_and_the_disc_is_taken_for_a_hexagon(run):
     names = run("03_unknown")
     strangers, curves = {*names["strangers"]}, names["curves"]
-    known = [curve for name, curve in curves.items() if name not in strangers]
-    assert all(curve[-1] <= curve[0] + 0.01 for curve in known)  # falls
-    assert min(curves["bar35"]) > 0.5 > max(curve[-1] for curve in known)
+    learnt = [curve for name, curve in curves.items() if name not in strangers]
+    assert all(curve[-1] <= curve[0] + 0.01 for curve in learnt)  # falls
+    assert min(curves["bar35"]) > 0.5 > max(curve[-1] for curve in learnt)
     assert max(curves["disc13"]) < 0.2
     assert names["decisions"]["disc13"] == "hexagon13"
 
@@ -140,13 +140,13 @@ def test_more_training_touches_help_much_then_little(run):
 def test_two_senses_are_better_than_each(run):
     names = run("23_sight")
     sure = {
-        what: belief.posterior["hexagon13-hole8"]
-        for what, belief in names["beliefs"].items()
+        sense: belief.posterior["hexagon13-hole8"]
+        for sense, belief in names["beliefs"].items()
     }
     assert sure["both"] > max(sure["touch"], sure["sight"])
 
 
-def test_the_mug_is_what_it_ends_with(run):
+def test_the_belief_ends_with_the_mug(run):
     names = run("02_belief")
     episode, axes = names["episode"], names["axes"]
     drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
@@ -174,17 +174,19 @@ def test_shapes_of_one_size_are_harder_than_sizes_of_one_shape(run):
     """A name is a shape, then its size and hole: "hexagon13-hole8"."""
     names = run("08_confusion")
     wrong = names["named"] != names["asked"].object
-    pairs = zip(names["asked"].object[wrong], names["named"][wrong], strict=True)
-    parts = [[re.fullmatch(r"([a-z]+)(.+)", one) for one in pair] for pair in pairs]
-    of_shape = np.mean([one[1] == other[1] for one, other in parts])
-    of_size = np.mean([one[2] == other[2] for one, other in parts])
+    confusions = zip(names["asked"].object[wrong], names["named"][wrong], strict=True)
+    parts = [
+        [re.fullmatch(r"([a-z]+)(.+)", name) for name in pair] for pair in confusions
+    ]
+    of_shape = np.mean([true[1] == named[1] for true, named in parts])
+    of_size = np.mean([true[2] == named[2] for true, named in parts])
     assert of_size > 1.5 * of_shape
 
 
 def test_a_shifted_camera_changes_nothing_afterwards(run):
     names = run("09_rim")
     rims, discs = names["rims"], names["discs"].reshape(3, -1)
-    # Found to half a pixel of what the picture was shifted by.
+    # The rim is found to half a pixel of the shift of the picture.
     np.testing.assert_allclose(rims.row - rims.row[0], [0, 7, -8], atol=0.5)
     np.testing.assert_allclose(rims.col - rims.col[0], [0, -9, 6], atol=0.5)
     assert np.corrcoef(discs)[0].min() > 0.97
@@ -200,11 +202,12 @@ def test_each_press_in_the_film_is_one_touch_at_its_peak(run):
     names = run("17_detector")
     assert len(names["found"]) == len(names["presses"]) == 3
     assert (names["change"][names["peaks"]] > names["detector"].begin).all()
-    # Twelve frames of rest, then nine of a press and eight of rest: peaks at the fifth.
+    # After twelve frames of rest each press takes nine, with its peak at the fifth, and
+    # eight of rest follow.
     np.testing.assert_allclose(names["peaks"], [16, 33, 50], atol=1)
 
 
-def test_what_is_kept_comes_back_and_twice_is_once(run):
+def test_a_library_returns_its_touches_and_stores_each_once(run):
     names = run("18_library")
     assert len(names["everything"]) == 20  # ten presses of the disc on each day
     assert len(names["discs"]) == len(names["back"]) == 10
@@ -238,13 +241,13 @@ def test_the_last_three_classifiers_give_likelihoods(run):
 
 
 def outlined(axis):
-    """Return what the clean-up finds in the picture of an axis."""
+    """Return the pressed region that the clean-up finds in the picture of an axis."""
     return ArrayCleanUp().fit_transform(axis.images[0].get_array()[np.newaxis])[0]
 
 
-def overlap(one, other):
+def overlap(first, second):
     """Return the share of the pixels of either that are in both."""
-    return np.sum(one & other) / np.sum(one | other)
+    return np.sum(first & second) / np.sum(first | second)
 
 
 def test_a_light_load_is_too_little_for_the_long_bar_and_a_thick_cover_blurs(run):
@@ -301,7 +304,7 @@ def test_a_boundary_is_short_and_its_slow_waves_miss_the_corners_of_a_hexagon(ru
 
 
 def test_descriptors_alone_are_as_poor_as_the_text_says():
-    """The page of the study has ten runs; its last column is of forty descriptors."""
+    """The page of the study has ten runs; its last column has forty descriptors."""
     page = (EXAMPLES.parent / "docs/explanation/liu2014.md").read_text("utf-8")
     rows = re.findall(r"\| simulated \| all \| FD \| .*\| ([\d.]+) \|", page)
     assert [round(float(score)) for score in rows] == [40, 48]
@@ -314,17 +317,17 @@ def test_geometry_is_easier_here_and_scaling_decides_which_features_count(run):
     drawn = [row for row in names["result"]["rows"] if row["data"] == "simulated"]
     for row in drawn:
         if row["paper"] and row["table"].startswith("Fig"):
-            what, paper = row["encoding"], row["paper"]
-            ours[what, row["classes"], row["features"]] = row["ours"]
-            assert paper == FIGURES[what, row["classes"]]
-            if what == "FD":
+            encoding, paper = row["encoding"], row["paper"]
+            ours[encoding, row["classes"], row["features"]] = row["ours"]
+            assert paper == FIGURES[encoding, row["classes"]]
+            if encoding == "FD":
                 assert abs(row["ours"] - paper) < 10
-            if what == "GE":
+            if encoding == "GE":
                 assert row["ours"] > paper + 10
     assert len(ours) == 12
     for classes in ("all", "all solid"):
         fd, ge, both = (
-            ours[what, classes, "z-scored"] for what in ("FD", "GE", "FD+GE")
+            ours[encoding, classes, "z-scored"] for encoding in ("FD", "GE", "FD+GE")
         )
         assert both - fd < ge - both
         assert ours["FD+GE", classes, "raw"] == ours["GE", classes, "raw"]
@@ -340,28 +343,30 @@ def test_geometry_is_easier_here_and_scaling_decides_which_features_count(run):
 
 
 def test_a_pose_is_where_the_part_lies_by_its_standard_deviations(run):
-    """Within four of them, of 15 numbers: chance leaves one in a thousand outside.
+    """All 15 numbers are within four of them: chance leaves one in a thousand outside.
 
-    Angles count from a learnt press: what two presses of a part differ by is true.
+    Angles count from a learnt press, so only differences of two presses of a part
+    are compared.
     """
     names = run("22_pose")
-    asked, found = names["asked"], names["found"]
-    true = asked.columns["position_mm"]
-    away_mm = np.stack([found.x_mm, found.y_mm], axis=1) - true
-    assert (np.abs(away_mm) < 4 * found.sd_mm[:, None]).all()
-    turn = 360 / asked.columns["symmetry"][::2]
-    wrong_deg = np.diff((found.angle_deg - asked.columns["angle_deg"]).reshape(3, 2))
-    wrong_deg = (wrong_deg[:, 0] + turn / 2) % turn - turn / 2
-    sd_deg = np.hypot(*found.sd_deg.reshape(3, 2).T)
-    assert (np.abs(wrong_deg) < 4 * sd_deg).all()
+    touches, poses = names["asked"], names["found"]
+    true_mm = touches.columns["position_mm"]
+    error_mm = np.stack([poses.x_mm, poses.y_mm], axis=1) - true_mm
+    assert (np.abs(error_mm) < 4 * poses.sd_mm[:, None]).all()
+    turn = 360 / touches.columns["symmetry"][::2]
+    error_deg = np.diff((poses.angle_deg - touches.columns["angle_deg"]).reshape(3, 2))
+    error_deg = (error_deg[:, 0] + turn / 2) % turn - turn / 2
+    sd_deg = np.hypot(*poses.sd_deg.reshape(3, 2).T)
+    assert (np.abs(error_deg) < 4 * sd_deg).all()
 
 
 @pytest.mark.realdata
 def test_clouds_of_the_disc_lie_apart(run, data_folder):
-    """The nearest of the clouds' middles names more than chance by far."""
+    """The nearest middle of a cloud names the object far more often than chance."""
     names = run("40_recorded_dome")
     rims, labels = names["rims"], names["touches"].object
     places = np.stack([rims.row, rims.col], axis=1)
     middles = [np.median(places[labels == name], axis=0) for name in names["some"]]
-    away = np.linalg.norm(places[:, None] - np.array(middles), axis=2)
-    assert np.mean(names["some"][away.argmin(axis=1)] == labels) > 0.5  # chance: 0.1
+    distances = np.linalg.norm(places[:, None] - np.array(middles), axis=2)
+    nearest = names["some"][distances.argmin(axis=1)]
+    assert np.mean(nearest == labels) > 0.5  # chance: 0.1

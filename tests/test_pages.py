@@ -1,4 +1,4 @@
-"""What the pages show: pictures and their commands, an install line, licences."""
+"""The pages have pictures with their commands, an install line, and licences."""
 
 import json
 import re
@@ -16,28 +16,28 @@ from tables import one_figure_a_cell, split
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-KNOWN = json.loads(pictures.MADE.read_text("utf-8"))
-SHOWN = re.compile(r"!\[[^\]]+\]\((?:docs/|\.\./)?images/([\w.-]+)\)")
+RECORDS = json.loads(pictures.MADE.read_text("utf-8"))
+PICTURE = re.compile(r"!\[[^\]]+\]\((?:docs/|\.\./)?images/([\w.-]+)\)")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_picture_stands_beside_its_command(page):
     text = " ".join(page.read_text("utf-8").split())
-    for name in SHOWN.findall(text):
-        command, *_ = KNOWN[name]["command"].partition(" --quick")
+    for name in PICTURE.findall(text):
+        command, *_ = RECORDS[name]["command"].partition(" --quick")
         assert command in text
         script = ROOT / command.split()[1]
         assert script.is_file()
-    assert len(re.findall(r"\]\([./a-z]*images/", text)) == len(SHOWN.findall(text))
+    assert len(re.findall(r"\]\([./a-z]*images/", text)) == len(PICTURE.findall(text))
 
 
-def test_every_picture_is_shown_and_none_is_older_than_what_it_shows():
+def test_every_picture_is_on_a_page_and_none_is_stale():
     images = pictures.IMAGES
-    there = {path.name for path in images.iterdir()} - {pictures.MADE.name}
+    names = {path.name for path in images.iterdir()} - {pictures.MADE.name}
     text = "".join(page.read_text("utf-8") for page in PAGES)
-    assert set(SHOWN.findall(text)) == there == set(KNOWN)
-    # CONTRIBUTING.md says what to do about those named here.
-    assert pictures.stale(KNOWN) == []
+    assert set(PICTURE.findall(text)) == names == set(RECORDS)
+    # CONTRIBUTING.md says how to draw the pictures named here again.
+    assert pictures.stale(RECORDS) == []
 
 
 def test_a_picture_is_stale_when_code_or_a_table_changes_and_not_for_words(
@@ -58,8 +58,8 @@ def test_a_picture_is_stale_when_code_or_a_table_changes_and_not_for_words(
     )
     assert hashed('"""Words."""\nSIZE = 4\n', "Words.\n\n| 5 |\n") != first
     assert hashed('"""Words."""\nSIZE = 3\n', "Words.\n\n| 6 |\n") != first
-    known = {"x.png": {"inputs": inputs, "sha256": first}}
-    assert pictures.stale(known) == ["x.png"]
+    records = {"x.png": {"inputs": inputs, "sha256": first}}
+    assert pictures.stale(records) == ["x.png"]
     with pytest.raises(FileNotFoundError, match=r"names gone\.py, which is not there"):
         pictures.inputs_hash(["gone.py"])
 
@@ -99,7 +99,7 @@ def test_the_first_page_is_read_in_minutes():
 
 @pytest.mark.parametrize("folder", ["tutorials", "howto", "explanation", "reference"])
 def test_an_index_links_every_page_that_is_written_by_hand(folder):
-    """A toctree is a list on the site alone; links can be followed anywhere."""
+    """A toctree is a list only on the site; links work everywhere."""
     text = (ROOT / "docs" / folder / "index.md").read_text("utf-8")
     trees = re.findall(r":::\{toctree\}\n(.*?)\n:::", text, flags=re.DOTALL)
     entries = [line for tree in trees for line in tree.split("\n") if line]
@@ -111,7 +111,7 @@ def test_an_index_links_every_page_that_is_written_by_hand(folder):
         assert f"# {title}\n" in written
 
 
-def test_every_verb_stands_on_the_page_of_commands():
+def test_the_page_of_commands_has_every_command():
     page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     command = typer.main.get_command(app)
     for verb, inner in command.commands.items():
@@ -128,9 +128,9 @@ LICENCES = (ROOT / "docs/reference/licences.md").read_text()
     not in (ROOT / "constraints.txt").read_text(),
     reason="these are not the packages of constraints.txt, whose licences are listed",
 )
-def test_the_page_says_what_the_packages_say():
-    wanted = set(licences.rows())
-    assert wanted <= set(LICENCES.splitlines()), "run python benchmarks/licences.py"
+def test_the_page_has_the_licences_that_the_packages_state():
+    expected = set(licences.rows())
+    assert expected <= set(LICENCES.splitlines()), "run python benchmarks/licences.py"
 
 
 def test_every_package_has_a_row():

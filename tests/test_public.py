@@ -1,7 +1,8 @@
-"""The public promise, who imports whom, and what importing loads.
+"""Public names, imports between subpackages, and libraries that importing loads.
 
-What a subpackage's `__all__` names is there and says what it is; imports go downwards,
-as docs/explanation/architecture.md says; `import palpate` loads no heavy library.
+Every name in the `__all__` of a subpackage is there and has a docstring; imports go
+downwards, as docs/explanation/architecture.md says; `import palpate` loads no heavy
+library.
 """
 
 import ast
@@ -48,7 +49,7 @@ def test_every_public_class_and_function_has_a_docstring(name):
 
 
 def own_doc(thing):
-    """Return a docstring that was written: dataclasses get their signature as one."""
+    """Return a docstring that was written; dataclasses get their signature as one."""
     written = (vars(thing) if inspect.isclass(thing) else {}).get("__doc__")
     documented = written if inspect.isclass(thing) else inspect.getdoc(thing)
     generated = documented and documented.startswith(f"{thing.__name__}(")
@@ -57,7 +58,7 @@ def own_doc(thing):
 
 @pytest.mark.parametrize("name", SUBPACKAGES)
 def test_every_public_method_has_a_docstring(name):
-    """Methods that are inherited say it where they are defined."""
+    """Inherited methods have it where they are defined."""
     subpackage = subpackage_named(name)
     silent = [
         f"{name}.{n}.{method}"
@@ -78,18 +79,18 @@ def test_the_root_offers_what_it_names():
     assert set(root.__all__) <= set(dir(root))
 
 
-def test_a_stranger_can_keep_the_public_names_in_mind():
+def test_public_names_are_at_most_130():
     assert sum(map(len, SUBPACKAGES.values())) <= 130
 
 
 def test_no_modules_import_each_other():
-    """Imports inside functions count too; those for types alone do not."""
+    """Imports inside functions count too; imports only for types do not."""
     assert import_circles(SOURCE, deferred=True) == []
 
 
 @pytest.mark.parametrize("name", SUBPACKAGES)
 def test_signatures_in_help_are_short(name):
-    """No default that is a whole table, no annotation that is spelt out."""
+    """No default is a whole table, and no annotation is spelt out."""
     subpackage = subpackage_named(name)
     long = {}
     for public in subpackage.__all__:
@@ -124,10 +125,10 @@ HEAVY = "{'sklearn', 'cv2', 'matplotlib', 'PIL', 'rich'}"
 
 def test_import_loads_nothing_heavy():
     code = f"import palpate, sys; print(sorted({HEAVY} & set(sys.modules)))"
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    assert done.stdout.strip() == "[]"
+    assert completed.stdout.strip() == "[]"
 
 
 def test_names_are_loaded_when_they_are_used():
@@ -182,8 +183,8 @@ ALLOWED = table()
 
 
 def imports_of(path):
-    """Yield (subpackage, name) of everything that a file takes from another one."""
-    here = path.relative_to(PACKAGE).parts[0]
+    """Yield (subpackage, names) of every import of a file from another subpackage."""
+    own_subpackage = path.relative_to(PACKAGE).parts[0]
     depth = len(path.relative_to(PACKAGE).parts)
     for node in ast.walk(ast.parse(path.read_text())):
         if not isinstance(node, ast.ImportFrom) or node.level != depth:
@@ -191,18 +192,18 @@ def imports_of(path):
         parts = (node.module or "").split(".")
         subpackages = [parts[0]] if parts[0] else [alias.name for alias in node.names]
         for subpackage in subpackages:
-            if subpackage in ALLOWED and subpackage != here:
+            if subpackage in ALLOWED and subpackage != own_subpackage:
                 names = [alias.name for alias in node.names] if parts[0] else []
                 yield subpackage, [*parts[1:], *(n for n in names if n.startswith("_"))]
 
 
-def test_every_room_is_on_the_page():
+def test_every_subpackage_is_on_the_page():
     subpackages = {p.name for p in PACKAGE.iterdir() if (p / "__init__.py").exists()}
     assert subpackages == set(ALLOWED)
 
 
 @pytest.mark.parametrize("subpackage", sorted(ALLOWED))
-def test_no_arrow_upwards_and_no_private_name(subpackage):
+def test_a_subpackage_imports_only_lower_ones_and_no_private_name(subpackage):
     wrong = [
         f"{path.relative_to(PACKAGE)}: {other}{'.' if inner else ''}{'.'.join(inner)}"
         for path in sorted((PACKAGE / subpackage).rglob("*.py"))
@@ -213,8 +214,8 @@ def test_no_arrow_upwards_and_no_private_name(subpackage):
     assert wrong == []
 
 
-def test_one_touch_goes_the_way_that_is_drawn():
-    """Every station is there, and an update reaches them in this order."""
+def test_an_update_passes_the_functions_that_the_page_draws():
+    """Every drawn function is there; an update reaches their files in this order."""
     page = (ROOT / "docs/explanation/architecture.md").read_text()
     drawn = re.findall(r"^ *(\w+/\w+\.py) +(\w+)  ", page, re.MULTILINE)
     assert len(drawn) >= 8
@@ -223,7 +224,7 @@ def test_one_touch_goes_the_way_that_is_drawn():
     inside = Path(palpate.__file__).parent
     passed = [str(Path(file).relative_to(inside)) for file in update_passed()]
     assert list(dict.fromkeys(f for f in passed if f in dict(drawn))) == [*dict(drawn)]
-    # 150 calls in 27 files when this was written: a fifth more wants to be noticed.
+    # There were 150 calls in 27 files; this fails when there are a fifth more.
     assert len(passed) < 180
     assert len({*passed}) < 33
 

@@ -1,4 +1,4 @@
-"""What all subpackages share: files that are whole, extras by name, tasks, bars."""
+"""Helpers of all subpackages: files written whole, extras by name, parallel tasks."""
 
 import errno
 import os
@@ -46,7 +46,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path):
 
 
 def test_file_and_folder_are_flushed_in_this_order(tmp_path, monkeypatch):
-    """A kill cannot show it: file first, then its name."""
+    """The file is flushed first, then its name; killing a process cannot show it."""
     flushed = []
 
     def fsync(handle):
@@ -107,21 +107,21 @@ def test_results_keep_the_order_of_their_tasks():
     ],
 )
 def test_a_full_disk_is_reported_by_the_name_that_was_asked_for(tmp_path, error):
-    """The second is how safetensors says it."""
+    """The second error is how safetensors reports a full disk."""
     target = tmp_path / "model.palpate"
     write_text(target, "old")
-    with pytest.raises(OSError, match="No space left") as caught, replacing(target):
+    with pytest.raises(OSError, match="No space left") as refusal, replacing(target):
         raise error
-    assert caught.value.filename == str(target)
-    assert caught.value.errno == errno.ENOSPC
+    assert refusal.value.filename == str(target)
+    assert refusal.value.errno == errno.ENOSPC
     assert [path.name for path in tmp_path.iterdir()] == ["model.palpate"]
 
 
 def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
-    """Not by the temporary name; a file where a folder should be stands for it."""
+    """The error has the name of the target, not of the temporary file."""
     (tmp_path / "file").write_text("")
     target = tmp_path / "file" / "kept"
-    with pytest.raises(OSError, match="Not a directory") as caught:
+    with pytest.raises(OSError, match="Not a directory") as refusal:
         write_text(target, "new")
-    assert caught.value.filename == str(target)
-    assert PARTIAL not in str(caught.value)
+    assert refusal.value.filename == str(target)
+    assert PARTIAL not in str(refusal.value)

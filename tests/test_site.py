@@ -1,4 +1,4 @@
-"""The site: a page for all that is public, examples that run, colours that differ."""
+"""The site has a page for every public name, examples that run, and clear colours."""
 
 import ast
 import inspect
@@ -22,12 +22,12 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 CHROMIUM = Path("/usr/bin/chromium")
 EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
-# The command line has a page of another kind.
+# The command line has a page of its own.
 SUBPACKAGES = {
     k: v for k, v in public_names(ROOT / "src" / "palpate").items() if k != "cli"
 }
 SAYS_ERRORS = re.compile(r"Raise|refus|Error")
-# Made for the caller, never by it: the docstring says by what.
+# Objects that a caller gets but never makes: the docstring names what makes them.
 MADE_BY = re.compile(r"Made by `\w+")
 
 
@@ -46,42 +46,46 @@ def test_every_public_name_gets_a_page(pages):
 
 @pytest.mark.parametrize("subpackage", SUBPACKAGES)
 def test_docstrings_name_every_parameter_and_the_errors(subpackage):
-    """In a section of parameters or attributes, or in words between backticks."""
+    """A section of parameters or attributes names them, or a text between backticks."""
     module = import_module(f"palpate.{subpackage}")
     silent = []
     for name in module.__all__:
         thing = getattr(module, name)
-        said = inspect.getdoc(thing) or ""
+        docstring = inspect.getdoc(thing) or ""
         if not (inspect.isclass(thing) or inspect.isfunction(thing)):
             continue
-        if not (MADE_BY.search(said) or getattr(thing, "_is_protocol", False)):
-            silent += [f"{name}: {one}" for one in _unnamed(thing, said)]
+        if not (MADE_BY.search(docstring) or getattr(thing, "_is_protocol", False)):
+            silent += [
+                f"{name}: {parameter}" for parameter in _unnamed(thing, docstring)
+            ]
         if (
             inspect.isfunction(thing)
             and _raises(thing)
-            and not SAYS_ERRORS.search(said)
+            and not SAYS_ERRORS.search(docstring)
         ):
             silent.append(f"{name}: errors")
     assert silent == []
 
 
-def _unnamed(thing, said):
-    """Return parameters of which a docstring does not speak."""
+def _unnamed(thing, docstring):
+    """Return the parameters that a docstring does not name."""
     try:
-        taken = list(inspect.signature(thing).parameters)
-    except ValueError:  # an error, built in
+        parameters = list(inspect.signature(thing).parameters)
+    except ValueError:  # a built-in error
         return []
     return [
-        one
-        for one in taken
-        if one not in ("X", "y")
-        and not re.search(rf"^\**{one}\b[\w*, ]*(:|$)|^[\w*, ]+, {one}\b", said, re.M)
-        and not re.search(rf"[`*]{one}\b", said)
+        name
+        for name in parameters
+        if name not in ("X", "y")
+        and not re.search(
+            rf"^\**{name}\b[\w*, ]*(:|$)|^[\w*, ]+, {name}\b", docstring, re.M
+        )
+        and not re.search(rf"[`*]{name}\b", docstring)
     ]
 
 
 def _raises(function):
-    """Return whether a function raises or checks in its own words."""
+    """Return whether a function itself raises an error or calls a check."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     return any(
         isinstance(node, ast.Raise)
@@ -90,7 +94,7 @@ def _raises(function):
     )
 
 
-def test_every_command_and_address_stands_on_its_page(pages):
+def test_the_pages_of_commands_and_addresses_have_them(pages):
     pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
     commands = pages["command_page"]()
     for words in ("learn", "library add", "explore recognise", "sensor check"):
@@ -98,7 +102,7 @@ def test_every_command_and_address_stands_on_its_page(pages):
     assert "`--pitch-mm float`" in commands
     addresses = pages["http_page"]()
     assert "## GET /api/state\n" in addresses
-    assert "\n| `" in addresses  # some take parameters
+    assert "\n| `" in addresses  # some addresses take parameters
 
 
 def test_the_gallery_is_large_enough_and_each_program_short():
@@ -117,7 +121,7 @@ def test_example_runs(path, tmp_path):
     pytest.importorskip("matplotlib", reason='pip install "palpate[plot]"')
     if "PALPATE_DATA" in path.read_text("utf-8") and not os.environ.get("PALPATE_DATA"):
         pytest.skip("needs recorded touches: PALPATE_DATA")
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, str(path)],
         cwd=tmp_path,
         env={**os.environ, "MPLBACKEND": "agg"},
@@ -125,7 +129,7 @@ def test_example_runs(path, tmp_path):
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert completed.returncode == 0, completed.stderr
 
 
 # Machado, Oliveira and Fernandes 2009 (doi:10.1109/TVCG.2009.113), severity 1.
@@ -158,9 +162,9 @@ def test_the_colours_of_pictures_differ_for_the_colour_blind(eyes):
     srgb = np.array([[int(c[i : i + 2], 16) / 255 for i in (0, 2, 4)] for c in codes])
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     lab = _lab((linear @ np.transpose(SEEN_BY[eyes])).clip(0, 1))
-    away = np.linalg.norm(lab[:, None] - lab[None], axis=2)
-    # A difference of 2.3 is just seen side by side; ten is told on thin lines.
-    assert away[np.triu_indices(len(codes), 1)].min() > 10
+    distances = np.linalg.norm(lab[:, None] - lab[None], axis=2)
+    # A difference of 2.3 is just visible side by side; ten is enough on thin lines.
+    assert distances[np.triu_indices(len(codes), 1)].min() > 10
 
 
 def _lab(linear):
@@ -180,15 +184,15 @@ def _lab(linear):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """Build the site but for the programs of the gallery, which have other tests."""
+    """Build the site without the programs of the gallery, which have other tests."""
     for module in ("numpydoc", "myst_parser", "sphinx_gallery", "pydata_sphinx_theme"):
         pytest.importorskip(module, reason='pip install "palpate[docs]"')
     folder = tmp_path_factory.mktemp("site")
-    left = shutil.ignore_patterns("_build", "gallery", "generated")
-    shutil.copytree(DOCS, folder / "docs", ignore=left)
+    ignored = shutil.ignore_patterns("_build", "gallery", "generated")
+    shutil.copytree(DOCS, folder / "docs", ignore=ignored)
     shutil.copytree(ROOT / "examples", folder / "examples")
     built = folder / "html"
-    done = subprocess.run(
+    completed = subprocess.run(
         [
             *f"{sys.executable} -m sphinx -q -W --keep-going".split(),
             "-D",
@@ -200,33 +204,33 @@ def site(tmp_path_factory):
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert completed.returncode == 0, completed.stderr
     return built
 
 
 @pytest.mark.slow
-def test_the_site_is_built_and_asks_nobody_outside(site):
+def test_the_site_is_built_and_loads_nothing_from_outside(site):
     names = site / "reference" / "generated" / "names"
     for subpackage, public in SUBPACKAGES.items():
         for name in public:
             assert (names / f"palpate.{subpackage}.{name}.html").is_file()
     page = (names / "palpate.recognition.ObjectRecogniser.html").read_text("utf-8")
-    assert 'rubric">Methods' in page  # a table of them before the rest
+    assert 'rubric">Methods' in page  # a table of methods comes first
     titles = re.compile(r"<h1>(.*?)<a")
     pages = [path.read_text("utf-8") for path in site.rglob("*.html")]
-    found_titles = [titles.search(one) for one in pages]
-    named = [one[1] for one in found_titles if one]
-    assert named.count("The command line") == 1
+    found_titles = [titles.search(page) for page in pages]
+    page_titles = [title[1] for title in found_titles if title]
+    assert page_titles.count("The command line") == 1
     loads = re.compile(
         r'<(?:script|img|link rel="stylesheet)[^>]+(?:src|href)="(http[^"]+)'
     )
-    asked = {found for page in pages for found in loads.findall(page)}
-    assert asked == set()
+    addresses = {address for page in pages for address in loads.findall(page)}
+    assert addresses == set()
 
 
 @pytest.mark.slow
 def test_the_site_fits_a_phone_and_finds_the_recogniser(site):
-    """No page scrolls sideways; what people come for is seen, and found, first."""
+    """No page scrolls sideways; the first screen and the search show the essentials."""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="playwright is not installed"
     )

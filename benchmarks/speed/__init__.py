@@ -116,8 +116,8 @@ def wall_ms(function: Callable[[], object]) -> float:
 def measured_apart(code: str, *arguments: object) -> dict[str, Any]:
     """Run code after `_PEAK` in a process of its own; return the JSON it prints."""
     command = [sys.executable, "-c", _PEAK + code, *map(str, arguments)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    return dict(json.loads(done.stdout))
+    completed = subprocess.run(command, check=True, capture_output=True, text=True)
+    return dict(json.loads(completed.stdout))
 
 
 def real_touches(data: str | Path | None) -> Path | None:

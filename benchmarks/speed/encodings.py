@@ -194,7 +194,7 @@ def bench_zernike(
 def _stages(
     pictures: list[Picture], seconds: float
 ) -> tuple[dict[str, float], Singles]:
-    """Milliseconds of each stage before the encoding, and the discs."""
+    """Return milliseconds of each stage before the encoding, and the discs."""
     images = np.stack([_decoded(picture) for picture in pictures])
     crop = DomeCrop(_SIZE).fit(images)
     rims = crop.rims(images)
@@ -231,7 +231,7 @@ def _encoding_row(
 
 
 def _hu_row(pictures: list[Picture], kind: str, seconds: float) -> Row:
-    """Hu's moments of the disc of a whole picture; OpenCV takes no least level off."""
+    """Time Hu's moments of the disc of a picture; OpenCV takes no least level off."""
     images = np.stack([_decoded(picture) for picture in pictures])
     encoder = HuMoments().fit(images[:1])
     disc = np.where(inscribed_mask(*images.shape[1:]), 255, 0).astype(np.uint8)
@@ -243,7 +243,7 @@ def _hu_row(pictures: list[Picture], kind: str, seconds: float) -> Row:
 
 
 def _peer(name: str, discs: Singles, seconds: float) -> dict[str, Any]:
-    """The same encoding by another package, on discs of positive levels."""
+    """Time the same encoding by another package, on discs of positive levels."""
     if name == "hu":
         ms = _each(lambda i: cv2.HuMoments(cv2.moments(discs[i])), seconds)
         return {"peer": "OpenCV", "peer_ms": ms}
@@ -257,13 +257,13 @@ def _peer(name: str, discs: Singles, seconds: float) -> dict[str, Any]:
 
 
 def _each(function: Callable[[int], object], seconds: float) -> float:
-    """Milliseconds for one touch, taking turns among all."""
+    """Return milliseconds for one touch, taking turns among all."""
     whole_ms = cpu_ms(lambda: [function(i) for i in range(_N_TOUCHES)], seconds)
     return whole_ms / _N_TOUCHES
 
 
 def _pictures(data: Path | None) -> list[Picture]:
-    """Coded JPEGs: real ones spread over the objects, or drawn ones."""
+    """Return coded JPEGs: real ones spread over the objects, or drawn ones."""
     if data is None:
         drawn = [drawn_dome(np.random.default_rng(n)) for n in range(_N_TOUCHES)]
         return [np.frombuffer(coded(image), np.uint8) for image in drawn]
@@ -309,7 +309,7 @@ def _centrosome(size: int, order: int) -> Encode:
 
 
 def dense_basis(size: int, order: int) -> Encode:
-    """One matrix product with the polynomials at all taxel centres in the disc."""
+    """Encode by a matrix product with the polynomials at taxel centres in the disc."""
     x, y, inside = _disc(size)
     degrees = np.array(zernike_degrees(order))
     taxels = np.flatnonzero(inside)
@@ -329,7 +329,7 @@ def dense_basis(size: int, order: int) -> Encode:
 
 
 def _disc(size: int) -> tuple[Floats, Floats, Bools]:
-    """Taxel centres x and y, in radii, and which lie in the inscribed disc."""
+    """Return taxel centres x and y, in radii, and which lie in the inscribed disc."""
     side = (2 * np.arange(size) + 1 - size) / size
     x, y = np.meshgrid(side, side)
     return x, y, np.hypot(x, y) <= 1

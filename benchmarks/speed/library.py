@@ -53,7 +53,7 @@ _PRODUCT = "float32 matrix product"
 _AT_ONCE = 50_000  # touches drawn at a time
 _NO_PEER = "nothing to compare with"
 _ADDED_SINGLY, _STREAMED, _CALLERS = 50, 1000, 32  # touches; and threads that add
-# What is done with a library that was just opened.
+# Actions on a library that was just opened.
 _ACTIONS: dict[str, Callable[[TouchLibrary], object]] = {
     "opened": lambda library: None,
     "opened, 50 listed": lambda library: library.list(limit=50),
@@ -95,7 +95,7 @@ def bench_likelihood(
 
 
 def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:
-    """Return what is measured beside ours; preparation is free."""
+    """Return the peers that are measured beside ours; preparation is free."""
     columns = np.ascontiguousarray(stored.T, dtype=np.float32)
     deviations = stored.std(axis=0, ddof=1)
     whitened = stored / deviations
@@ -155,8 +155,8 @@ def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
             with TouchLibrary.open(folder / "library") as library:
                 action(library)
 
-        shown = f"{size:,} touches {name} (wall)"
-        rows.append(row(shown, wall_ms(opened), reason=_NO_PEER))
+        title = f"{size:,} touches {name} (wall)"
+        rows.append(row(title, wall_ms(opened), reason=_NO_PEER))
     return rows
 
 
@@ -216,8 +216,8 @@ def bench_library_sizes(
 def _sizes_row(name: str, path: Path, n_touches: int) -> Row:
     if path.is_dir():
         pattern = r"_name_(?P<object>[a-z]+_\w+?)_at_"
-        rest = path / "baselineForCalibration.jpg"
-        touches = Touches.load(path, name_pattern=pattern, no_contact=rest)[:n_touches]
+        empty = path / "baselineForCalibration.jpg"
+        touches = Touches.load(path, name_pattern=pattern, no_contact=empty)[:n_touches]
     else:
         touches = Touches.load(path)[:n_touches]
     files = touches.files

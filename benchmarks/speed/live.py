@@ -58,15 +58,15 @@ def bench_latency(
             seconds = np.array([_stage_seconds(recogniser, p) for p in pictures])
             stages = np.column_stack([seconds, seconds.sum(axis=1)]) * 1e3
             for name, ms in zip((*STAGES, "in all"), stages.T, strict=True):
-                shown = f"{n_objects} objects {preset} {name}"
+                title = f"{n_objects} objects {preset} {name}"
                 late = float(np.quantile(ms, 0.99))
                 facts = {"p99_ms": late, "reason": "no peer does this"}
-                rows.append(row(shown, float(np.median(ms)), "none", None, **facts))
+                rows.append(row(title, float(np.median(ms)), "none", None, **facts))
     return rows
 
 
 def _stage_seconds(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
-    """Seconds of each stage for one touch, the second of its episode."""
+    """Return the seconds of each stage of one touch, the second of its episode."""
     encoder = recogniser.encoder_
     belief = recogniser.start()
     clock = time.perf_counter
@@ -140,17 +140,17 @@ def _page_rows(page: Any, seconds: float) -> list[Row]:
         event = json.loads(message)
         if event["kind"] == "touch":
             touch = event["episode"]["touches"][-1]
-            way_ms = 1e3 * (time.time() - touch["time_s"])
-            to_belief_ms.append(touch["latency_ms"] + way_ms)
+            transit_ms = 1e3 * (time.time() - touch["time_s"])
+            to_belief_ms.append(touch["latency_ms"] + transit_ms)
     taken_s, cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
-    seen, latencies_ms = max(1, n_frames), to_belief_ms or [float("nan")]
+    n_counted, latencies_ms = max(1, n_frames), to_belief_ms or [float("nan")]
     streamed: Row = {"frames_per_s": n_frames / taken_s}
-    streamed["kib_per_frame"] = n_bytes / seen / 1024
+    streamed["kib_per_frame"] = n_bytes / n_counted / 1024
     frame, touched = (f"{_STREAM} {what} page" for what in _WAYS)
     median, n_touches = float(np.median(latencies_ms)), len(to_belief_ms)
     return [
-        _alone(f"{frame} wall", 1e3 * taken_s / seen, **streamed),
-        _alone(f"{frame} cpu", 1e3 * cpu_s / seen),
+        _alone(f"{frame} wall", 1e3 * taken_s / n_counted, **streamed),
+        _alone(f"{frame} cpu", 1e3 * cpu_s / n_counted),
         _alone(f"{touched} median", median, n_touches=n_touches),
         _alone(f"{touched} greatest", float(max(latencies_ms))),
     ]
@@ -236,22 +236,23 @@ def _added(touches: Touches) -> list[Row]:
     before = np.setdiff1d(np.arange(len(touches)), [*first[-10:], *last])
     recogniser = ObjectRecogniser().fit(touches[before])
     more, other = touches[first[-10:]], touches[last]
-    ways: dict[str, Callable[[ObjectRecogniser], object]] = {
+    tasks: dict[str, Callable[[ObjectRecogniser], object]] = {
         "adding ten touches": lambda r: r.extend_object(str(names[0]), more),
         f"adding an object of {len(last)} touches": lambda r: r.add_object(
             "new", other
         ),
     }
     rows = []
-    for name, way in ways.items():
-        without = deepcopy(recogniser)  # of which what makes adding quick is not part
-        quick, slow = (_cpu_once(partial(way, r)) for r in (recogniser, without))
+    for name, task in tasks.items():
+        # A copy lacks the kept results that make adding quick.
+        without = deepcopy(recogniser)
+        quick, slow = (_cpu_once(partial(task, r)) for r in (recogniser, without))
         rows.append(row(f"{name} at {len(before)}", quick, "learning all again", slow))
     return rows
 
 
 def _lesson(touches: Touches) -> Row:
-    """Learn what the page's library holds after one more lesson."""
+    """Learn the library of the page again after one more lesson."""
     from palpate.web._learning import learn_in_process
 
     with tempfile.TemporaryDirectory() as folder:

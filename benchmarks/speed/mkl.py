@@ -175,7 +175,7 @@ def _kernel(kernel: Any, left: Floats, right: Floats) -> Floats:
 
 
 def _walk(stack: Floats, codes: Array, pairs: Array, C: float) -> None:
-    """SimpleMKL for pairs of classes, its machines by scikit-learn."""
+    """Learn SimpleMKL for pairs of classes, with machines of scikit-learn."""
     for pair in pairs:
         chosen = np.flatnonzero(np.isin(codes, pair))
         kernels = np.ascontiguousarray(stack[:, chosen[:, None], chosen])

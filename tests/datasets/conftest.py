@@ -1,4 +1,4 @@
-"""A server on 127.0.0.1 in place of the sources, and files in their layout."""
+"""A server on 127.0.0.1 replaces the sources; files have their layout."""
 
 import gc
 import io
@@ -17,23 +17,23 @@ from palpate.datasets import card, fetch, where
 
 
 class Quiet(SimpleHTTPRequestHandler):
-    asked: list[str]
+    requests: list[str]
 
     def log_message(self, *_):
         pass
 
     def do_GET(self):
-        self.asked.append(self.path)
+        self.requests.append(self.path)
         if self.headers.get("Accept-Encoding") != "identity":
             self.send_error(400)
         super().do_GET()
 
 
 class Sources:
-    """What the server has: `put` places a file at the path of a set's source."""
+    """The files of the server; `put` places one at the path of a set's source."""
 
-    def __init__(self, folder, address, asked):
-        self.folder, self.address, self.asked = folder, address, asked
+    def __init__(self, folder, address, requests):
+        self.folder, self.address, self.requests = folder, address, requests
 
     def put(self, name, content, path=None):
         place = self.folder / (path or urlsplit(card(name)["source"]["url"]).path[1:])
@@ -45,8 +45,8 @@ class Sources:
 @pytest.fixture
 def sources(tmp_path, monkeypatch):
     pytest.importorskip("pooch")
-    asked = []
-    handler = type("Handler", (Quiet,), {"asked": asked})
+    requests = []
+    handler = type("Handler", (Quiet,), {"requests": requests})
     folder = tmp_path / "sources"
     folder.mkdir()
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=folder))
@@ -55,7 +55,7 @@ def sources(tmp_path, monkeypatch):
     address = f"http://127.0.0.1:{server.server_port}"
     monkeypatch.setenv("PALPATE_DATA_MIRROR", address)
     monkeypatch.setenv("PALPATE_DATA", str(tmp_path / "fetched"))
-    yield Sources(folder, address, asked)
+    yield Sources(folder, address, requests)
     server.shutdown()
     server.server_close()
     thread.join()
@@ -64,17 +64,17 @@ def sources(tmp_path, monkeypatch):
         gc.collect()
 
 
-def left(folder):
-    """Return what lies in a folder, but for records and empty folders."""
-    found = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    return sorted(map(str, found))
+def files_in(folder):
+    """Return the paths of all files in a folder, sorted."""
+    paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return sorted(map(str, paths))
 
 
-def refused(name, match, error=ValueError):
-    """Fetch a set that is refused, of which nothing is left; return the message."""
+def refusal_of(name, match, error=ValueError):
+    """Fetch a set that is refused and leaves no file; return the message."""
     with pytest.raises(error, match=match) as refusal:
         fetch(name)
-    assert left(where()) == []
+    assert files_in(where()) == []
     return str(refusal.value)
 
 
@@ -105,5 +105,8 @@ def pins():
         "cuboid/_4",
     ]
     root = "dataset-image/Dataset-shapes"
-    files = {f"{root}/{n}.png": png(one) for n, one in zip(names, levels, strict=True)}
+    files = {
+        f"{root}/{name}.png": png(picture)
+        for name, picture in zip(names, levels, strict=True)
+    }
     return files, levels

@@ -1,6 +1,6 @@
 """Each converter makes the archive at hand, array for array.
 
-The sources' own files are not at hand, but for 772 pictures of BathTip: of the others
+Of the sources' own files only 772 pictures of BathTip are at hand. For the other sets
 the archive's touches are written back in the source's layout, without loss.
 """
 
@@ -24,13 +24,13 @@ pytestmark = pytest.mark.realdata
 
 
 def fetched(name):
-    """Return the path of a set, and the warnings but for that of the first hash."""
-    with warnings.catch_warnings(record=True) as told:
+    """Return the path of a set, and the warnings after that of the first hash."""
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         path = fetch(name)
-    said = [str(one.message) for one in told]
-    assert "was trusted" in said[0]
-    return path, said[1:]
+    messages = [str(warning.message) for warning in warned]
+    assert "was trusted" in messages[0]
+    return path, messages[1:]
 
 
 def behind_the_figures(data_folder, name):
@@ -45,10 +45,10 @@ def pins_back(arrays):
 
 
 def digit_back(arrays):
-    whose = zip(arrays["object"], arrays["part"], arrays["order"], strict=True)
-    names = [f"data/{o}_{part}/interaction_{n:04d}.jpg" for o, part, n in whose]
+    labels = zip(arrays["object"], arrays["part"], arrays["order"], strict=True)
+    names = [f"data/{o}_{part}/interaction_{n:04d}.jpg" for o, part, n in labels]
     large = arrays["images"][..., ::-1].repeat(2, axis=1).repeat(2, axis=2)
-    return zipped({n: png(one) for n, one in zip(names, large, strict=True)})
+    return zipped({n: png(levels) for n, levels in zip(names, large, strict=True)})
 
 
 def films_back(arrays):
@@ -73,9 +73,11 @@ def text_of(levels, gap):
 def mattress_back(arrays):
     columns = ("subject", "session", "object", "images")
     files = {}
-    for who, mat, what, levels in zip(*(arrays[c] for c in columns), strict=True):
-        name = mat.capitalize()
-        place = f"experiment-ii/{who}/{name}_Mat/Matrix_{name}_{what}.txt"
+    for subject, session, object, levels in zip(
+        *(arrays[c] for c in columns), strict=True
+    ):
+        name = session.capitalize()
+        place = f"experiment-ii/{subject}/{name}_Mat/Matrix_{name}_{object}.txt"
         files[place] = text_of(levels, " ")
     return files
 
@@ -83,12 +85,12 @@ def mattress_back(arrays):
 def postures_back(arrays):
     files = {}
     columns = ("subject", "object", "images")
-    for who, what, levels in zip(*(arrays[c] for c in columns), strict=True):
+    for subject, object, levels in zip(*(arrays[c] for c in columns), strict=True):
         frames = np.stack(
             [0 * levels, 0 * levels + 1, levels, levels // 2, levels // 3]
         )
         film = b"Frame by frame\n" + text_of(frames.reshape(5, -1), "\t")
-        files[f"experiment-i/{who}/{int(what[1:])}.txt"] = film
+        files[f"experiment-i/{subject}/{int(object[1:])}.txt"] = film
     return files
 
 
@@ -104,9 +106,9 @@ def postures_back(arrays):
 def test_a_zip_becomes_the_archive_at_hand(name, back, sources, data_folder):
     arrays = behind_the_figures(data_folder, name)
     sources.put(name, back(arrays))
-    path, said = fetched(name)
-    assert said == []  # no array differs from the card's
-    same_as(path, arrays)
+    path, messages = fetched(name)
+    assert messages == []  # no array differs from the card's
+    assert_same_archive(path, arrays)
 
 
 @pytest.mark.parametrize(
@@ -117,29 +119,33 @@ def test_a_zip_becomes_the_archive_at_hand(name, back, sources, data_folder):
 def test_a_list_of_files_becomes_the_archive_at_hand(name, back, sources, data_folder):
     arrays = behind_the_figures(data_folder, name)
     files = {**back(arrays), "experiment-ii/S8/Air_Mat/Matrix_Air_B1.txt": b"no"}
-    sums = {p: hashlib.sha256(content).hexdigest() for p, content in files.items()}
-    listed = "".join(f"{digest} {p}\n" for p, digest in sums.items())
+    sums = {
+        place: hashlib.sha256(content).hexdigest() for place, content in files.items()
+    }
+    listed = "".join(f"{digest} {place}\n" for place, digest in sums.items())
     sources.put(name, f"{listed}{'0' * 64} LICENSE.txt\n".encode())
     for place, content in files.items():
         sources.put(name, content, f"files/pmd/1.0.0/{place}")
-    path, said = fetched(name)
-    assert said == []
-    same_as(path, arrays)
-    assert not [one for one in sources.asked if "ii/S8" in one or "LICENSE" in one]
+    path, messages = fetched(name)
+    assert messages == []
+    assert_same_archive(path, arrays)
+    assert not [
+        path for path in sources.requests if "ii/S8" in path or "LICENSE" in path
+    ]
 
 
-def same_as(path, arrays):
-    """Fail where an array has another name, type or value, or another place."""
-    with np.load(path) as made:
-        assert list(made) == list(arrays)
-        for key, wanted in arrays.items():
-            assert made[key].dtype == wanted.dtype, key
-            assert_array_equal(made[key], wanted, err_msg=key)
+def assert_same_archive(path, arrays):
+    """Fail where an array has another name, type, value or position."""
+    with np.load(path) as archive:
+        assert list(archive) == list(arrays)
+        for key, expected in arrays.items():
+            assert archive[key].dtype == expected.dtype, key
+            assert_array_equal(archive[key], expected, err_msg=key)
 
 
 @pytest.mark.slow
 def test_pictures_become_their_rows_to_the_bit(sources, data_folder):
-    """772 pictures as the camera wrote them; they come back beside the archive too."""
+    """772 pictures of the camera become rows, and lie beside the archive too."""
     originals = data_folder / "bathtip" / "originals"
     pictures = {p.relative_to(originals): p for p in originals.rglob("*.jpg")}
     buffer = io.BytesIO()
@@ -147,15 +153,15 @@ def test_pictures_become_their_rows_to_the_bit(sources, data_folder):
         for name, place in pictures.items():
             archive.write(place, f"repository/code/data/touch/{name}")
     sources.put("bathtip", buffer.getvalue())
-    path, said = fetched("bathtip")
-    assert "not the arrays behind the figures" in said[0]  # 40 objects are missing
+    path, messages = fetched("bathtip")
+    assert "not the arrays behind the figures" in messages[0]  # 40 objects are missing
     arrays = behind_the_figures(data_folder, "bathtip")
     rows = np.isin(arrays["source_path"], [p.as_posix() for p in pictures])
     assert rows.sum() == 772
-    with np.load(path) as made:
+    with np.load(path) as converted:
         for key in ("images", "object", "category", "order", "position_raw"):
-            assert_array_equal(made[key], arrays[key][rows], err_msg=key)
-        assert_array_equal(made["no_contact"], arrays["no_contact"])
+            assert_array_equal(converted[key], arrays[key][rows], err_msg=key)
+        assert_array_equal(converted["no_contact"], arrays["no_contact"])
     again = where() / "bathtip" / "originals"
     assert {p.relative_to(again) for p in again.rglob("*.jpg")} == set(pictures)
     for name, place in pictures.items():
@@ -164,7 +170,7 @@ def test_pictures_become_their_rows_to_the_bit(sources, data_folder):
 
 @pytest.mark.slow
 def test_all_pictures_become_the_archive(sources, data_folder):
-    """Pictures of which each 4 x 4 block has the level of the archive's pixel."""
+    """Each 4 x 4 block of a picture has the level of a pixel of the archive."""
     arrays = behind_the_figures(data_folder, "bathtip")
 
     def large(levels):
@@ -174,12 +180,13 @@ def test_all_pictures_become_the_archive(sources, data_folder):
 
     shots = zip(arrays["source_path"], arrays["images"], strict=True)
     files = {str(name): large(levels) for name, levels in shots}
-    one = min(files)
-    files[one.replace("img_", "img_600")] = files[one]  # kept apart: not in the archive
+    first = min(files)
+    added = first.replace("img_", "img_600")  # a touch that the archive leaves out
+    files[added] = files[first]
     files["baselineForCalibration.jpg"] = large(arrays["no_contact"])
     sources.put("bathtip", zipped(files))
-    path, said = fetched("bathtip")
-    assert said == []
+    path, messages = fetched("bathtip")
+    assert messages == []
     touches = Touches.load(path)
     assert_array_equal(touches.images, arrays["images"])
     assert touches.columns["source_path"].tolist() == arrays["source_path"].tolist()

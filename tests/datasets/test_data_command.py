@@ -1,4 +1,4 @@
-"""`palpate data`, and the verbs that find what it fetched."""
+"""`palpate data`, and the commands that use the sets and models it fetched."""
 
 import json
 import re
@@ -20,7 +20,7 @@ from .conftest import zipped
 
 @pytest.fixture
 def palpate(capsys, monkeypatch):
-    """Call `palpate ARGUMENTS...`; return the exit code and what it printed."""
+    """Call `palpate ARGUMENTS...`; return the exit code and its output."""
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["palpate", *map(str, arguments)])
@@ -42,8 +42,8 @@ def test_list_where_and_card(palpate, sources, pins):
     assert "None stated by the source" in err
     assert "github.com/marselap/tactip-cnn-bayes" in err
     assert "was trusted" in err
-    listed = json.loads(palpate("data", "list", "--json")[1])
-    states = {one["name"]: one["state"] for one in listed["sets"]}
+    answer = json.loads(palpate("data", "list", "--json")[1])
+    states = {record["name"]: record["state"] for record in answer["sets"]}
     assert set(states) == set(names())
     assert states["tactip4"] == "there"
     assert states["mattress"] == "to fetch"
@@ -52,27 +52,41 @@ def test_list_where_and_card(palpate, sources, pins):
     assert "tactip4         there     800 pictures" in out
 
 
-def test_fetch_as_json_says_what_is_not_as_it_was(palpate, sources, pins):
+def test_fetch_as_json_notes_arrays_that_differ_from_those_of_the_figures(
+    palpate, sources, pins
+):
     sources.put("tactip4", zipped(pins[0]))
     code, out, _ = palpate("data", "fetch", "tactip4", "--json")
-    told = json.loads(out)
-    assert (code, told["name"]) == (0, "tactip4")
-    assert any("not the arrays behind the figures" in note for note in told["notes"])
-    told = json.loads(palpate("data", "fetch", "tactip4", "--json")[1])
-    assert told["notes"] == []
+    answer = json.loads(out)
+    assert (code, answer["name"]) == (0, "tactip4")
+    assert any("not the arrays behind the figures" in note for note in answer["notes"])
+    answer = json.loads(palpate("data", "fetch", "tactip4", "--json")[1])
+    assert answer["notes"] == []
 
 
 @pytest.mark.parametrize("name", names())
-def test_a_card_for_people_says_what_it_says_for_machines(palpate, name):
+def test_a_printed_card_has_the_texts_of_the_json(palpate, name):
     code, out, _ = palpate("data", "card", name)
     assert code == 0
-    one = card(name)
-    said = [one["what"], one["licence"], one["sensor"], one["source"]["page"]]
-    said += [*one["leaks"], *one["not_for"], one["tried"], one.get("why_not", "")]
-    said += [figure[key] for figure in one["figures"] for key in ("figure", "command")]
-    assert [text for text in said if text not in out] == []
+    record = card(name)
+    texts = [
+        record["what"],
+        record["licence"],
+        record["sensor"],
+        record["source"]["page"],
+    ]
+    texts += [
+        *record["leaks"],
+        *record["not_for"],
+        record["tried"],
+        record.get("why_not", ""),
+    ]
+    texts += [
+        figure[key] for figure in record["figures"] for key in ("figure", "command")
+    ]
+    assert [text for text in texts if text not in out] == []
     code, out, _ = palpate("data", "card", name, "--json")
-    assert json.loads(out)["licence"] == one["licence"]
+    assert json.loads(out)["licence"] == record["licence"]
 
 
 @pytest.mark.parametrize(
@@ -111,7 +125,7 @@ def camera(rng, pattern):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:bathtip:UserWarning")
 def test_two_commands_make_the_demo(palpate, sources, tmp_path, monkeypatch):
-    """An outsider has no PALPATE_DATA: what was fetched lies in the cache."""
+    """Without PALPATE_DATA the fetched set lies in the cache."""
     monkeypatch.delenv("PALPATE_DATA")
     monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
@@ -130,8 +144,8 @@ def test_two_commands_make_the_demo(palpate, sources, tmp_path, monkeypatch):
     assert code == 0, err
     assert json.loads(out)["n_labels"] == 2
     archive = tmp_path / "cache" / "bathtip" / "bathtip50.npz"
-    asked = ("--split", "last", "--touches", "1,3", "--orders", "2", "--json")
-    code, out, err = palpate("evaluate", "--train", archive, *asked)
+    options = ("--split", "last", "--touches", "1,3", "--orders", "2", "--json")
+    code, out, err = palpate("evaluate", "--train", archive, *options)
     assert code == 0, err
     assert json.loads(out)["n_labels"] == 4
     code, out, err = palpate("benchmark", "--protocols", "halves", "--recognisers",
@@ -142,7 +156,7 @@ def test_two_commands_make_the_demo(palpate, sources, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def ready(tmp_path_factory):
-    """The cache in which the ready model of an array was made, beside an older one."""
+    """A cache with the ready model of an array, which replaced an older one."""
     cache = tmp_path_factory.mktemp("cache")
     older = cache / "models" / "sim-array-0.palpate"
     older.parent.mkdir()
@@ -156,11 +170,11 @@ def ready(tmp_path_factory):
 def test_a_ready_model_is_made_once_and_recognises_its_sensor(
     palpate, ready, tmp_path, monkeypatch
 ):
-    """The noiseless presses of its own parts, drawn anew, after three of each."""
+    """It recognises new noiseless presses of its own parts after three of each."""
     assert "sim-array       to make" in palpate("data", "list")[1]
     monkeypatch.setenv("PALPATE_DATA_HOME", str(ready))
-    [path] = (ready / "models").iterdir()  # what other code made was taken away
-    made = path.stat().st_mtime_ns
+    [path] = (ready / "models").iterdir()  # the model of other code was deleted
+    modified_ns = path.stat().st_mtime_ns
     assert "sim-array       there" in palpate("data", "list")[1]
     code, out, err = palpate("data", "fetch", "sim-array")
     assert code == 0, err
@@ -174,7 +188,7 @@ def test_a_ready_model_is_made_once_and_recognises_its_sensor(
         max(e["beliefs"][-1]["posterior"].items(), key=itemgetter(1)) for e in episodes
     ]
     assert [name for name, _ in best] == ["bar10", "disc13"]
-    assert path.stat().st_mtime_ns == made
+    assert path.stat().st_mtime_ns == modified_ns
     code, _, err = palpate("data", "fetch", "sim-arrow")
     assert code != 0
     assert "'sim-array'" in err
@@ -203,13 +217,13 @@ def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     code, _, err = served("sim-array", "--library", desk)
     assert code == 1
     assert re.search(r"must be learnt on in a library that is not there.*desk", err)
-    # Nor does `live`, which may be told to teach and learn, write over the ready one.
+    # `live` can teach and learn, but does not overwrite the ready model either.
     code, _, err = palpate(
         "live", "sim-array", "--sensor", "sim:bar10", "--library", desk
     )
     assert code == 1
     assert re.search(r"must be learnt on in a library that is not there.*desk", err)
-    # A sensor that was not there costs nothing: the same library is begun again.
+    # An absent sensor leaves no library behind, so that the next start can make it.
     later, absent = tmp_path / "later", "serial:/dev/nowhere?shape=10x10"
     code, _, err = palpate("live", "sim-array", "--sensor", absent, "--library", later)
     assert code == 1
@@ -220,7 +234,7 @@ def test_a_ready_model_of_a_page_is_a_copy_in_its_library(
     assert used == [copy, path, path]
 
 
-def test_a_ready_model_that_is_nearly_named_is_asked_about(palpate, tmp_path):
+def test_a_misspelt_ready_model_is_refused_with_the_nearest_name(palpate, tmp_path):
     code, _, err = palpate("recognise", "sim-dom", tmp_path)
     assert code == 1
     assert "There is no model file sim-dom. Did you mean 'sim-dome'?" in err
@@ -235,18 +249,17 @@ NEEDED = {
 
 def row(name):
     """Return the row of a set in docs/reference/data.md."""
-    one = card(name)
-    place = ", ".join(f"`{place}`" for place in one["makes"])
-    source = (
-        f"[{one['source']['page'].split('//')[1].rstrip('/')}]({one['source']['page']})"
-    )
-    state = "no" if "why_not" in one else "yes"
+    record = card(name)
+    place = ", ".join(f"`{place}`" for place in record["makes"])
+    page = record["source"]["page"]
+    source = f"[{page.split('//')[1].rstrip('/')}]({page})"
+    state = "no" if "why_not" in record else "yes"
     cells = (
         f"`{name}`",
-        one["what"],
+        record["what"],
         place,
         source,
-        one["licence"].split(".")[0],
+        record["licence"].split(".")[0],
         state,
     )
     return f"| {' | '.join(cells)} |"
@@ -254,25 +267,25 @@ def row(name):
 
 @pytest.mark.parametrize("name", names())
 def test_a_card_is_complete(name):
-    one = card(name)
-    assert set(one) >= NEEDED
-    assert ("why_not" in one) != ("convert" in one)
-    for known in one["figures"]:
-        assert set(known) == {"figure", "split", "command", "page"}
-    if "convert" in one:
-        columns = set(one["convert"].get("columns", {}))
-        assert set(one["arrays"]) <= columns | set(one["holds"])
-        assert one["source"]["most_mb"] > 0
-        assert re.search(r"[0-9a-f]{8}|1\.0\.0", one["source"]["url"])
-        assert all(re.fullmatch("[0-9a-f]{64}", s) for s in one["arrays"].values())
+    record = card(name)
+    assert set(record) >= NEEDED
+    assert ("why_not" in record) != ("convert" in record)
+    for figure in record["figures"]:
+        assert set(figure) == {"figure", "split", "command", "page"}
+    if "convert" in record:
+        columns = set(record["convert"].get("columns", {}))
+        assert set(record["arrays"]) <= columns | set(record["holds"])
+        assert record["source"]["most_mb"] > 0
+        assert re.search(r"[0-9a-f]{8}|1\.0\.0", record["source"]["url"])
+        assert all(re.fullmatch("[0-9a-f]{64}", s) for s in record["arrays"].values())
 
 
 @pytest.mark.parametrize("name", names())
-def test_figures_stand_on_their_page(name):
+def test_numbers_of_figures_are_on_their_page(name):
     """Every number of a figure is on the page that the card names for it."""
-    for known in card(name)["figures"]:
-        page = (DOCS.parent / known["page"]).read_text(encoding="utf-8")
-        numbers = re.findall(r"(?<![\w.])\d+(?:\.\d+)?(?![\w])", known["figure"])
+    for figure in card(name)["figures"]:
+        page = (DOCS.parent / figure["page"]).read_text(encoding="utf-8")
+        numbers = re.findall(r"(?<![\w.])\d+(?:\.\d+)?(?![\w])", figure["figure"])
         assert numbers
         for number in numbers:
             assert re.search(rf"(?<![\d.]){re.escape(number)}(?![\d.]*\d)", page), (
@@ -285,7 +298,7 @@ def test_the_page_of_recorded_touches_has_the_set(name):
     assert row(name) in (DOCS / "reference/data.md").read_text("utf-8"), row(name)
 
 
-def test_no_licence_is_made_up():
+def test_every_licence_is_stated_or_said_to_be_missing():
     for name in names():
         licence = card(name)["licence"]
         assert licence.startswith(("None stated", "GPL-3 of the", "Open Data Commons"))

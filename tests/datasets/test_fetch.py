@@ -1,4 +1,4 @@
-"""Fetching from a server on this computer: once, checked, whole or not at all."""
+"""Sets are fetched from a local server once, checked, and whole or not at all."""
 
 import hashlib
 import zipfile
@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from palpate import Touches
 from palpate.datasets import card, fetch, load, names, where
 
-from .conftest import left, refused, zipped
+from .conftest import files_in, refusal_of, zipped
 
 pytestmark = pytest.mark.filterwarnings("ignore:tactip4:UserWarning")
 
@@ -20,22 +20,22 @@ pytestmark = pytest.mark.filterwarnings("ignore:tactip4:UserWarning")
 def test_a_set_becomes_an_archive_once(sources, pins, tmp_path):
     files, levels = pins
     sources.put("tactip4", zipped({**files, "README.md": b"pins"}))
-    with pytest.warns(UserWarning, match="tactip4: ") as told:
+    with pytest.warns(UserWarning, match="tactip4: ") as warned:
         path = fetch("tactip4")
     touches = Touches.load(path)
     assert touches.object.tolist() == ["cuboid"] * 3 + ["prism"] * 2
     assert touches.columns["frame"].tolist() == [1, 2, 10, 1, 2]  # 4 is not in the card
     assert_array_equal(touches.images, levels[[0, 1, 2, 4, 3]])
-    said = [str(one.message) for one in told]
-    assert "no SHA-256 of the source was known" in said[0]
-    assert "images, object, frame are not the arrays behind the figures" in said[1]
-    assert left(tmp_path / "fetched") == [
+    messages = [str(warning.message) for warning in warned]
+    assert "no SHA-256 of the source was known" in messages[0]
+    assert "images, object, frame are not the arrays behind the figures" in messages[1]
+    assert files_in(tmp_path / "fetched") == [
         ".fetched/tactip4.sha256",
         "tactip4/tactip4.npz",
     ]
     assert fetch("tactip4") == path
     assert_array_equal(load("tactip4").images, touches.images)
-    assert len(sources.asked) == 1
+    assert len(sources.requests) == 1
 
 
 def test_the_first_hash_is_kept_and_another_is_refused(sources, pins):
@@ -54,7 +54,7 @@ def test_the_first_hash_is_kept_and_another_is_refused(sources, pins):
     assert fetch("tactip4").is_file()
 
 
-def test_a_download_that_is_whole_is_not_asked_for_again(sources, pins, monkeypatch):
+def test_a_whole_download_is_not_requested_again(sources, pins, monkeypatch):
     sources.put("tactip4", zipped(pins[0]))
 
     def no_room(*_, **__):
@@ -64,9 +64,9 @@ def test_a_download_that_is_whole_is_not_asked_for_again(sources, pins, monkeypa
         patch.setattr(np, "savez_compressed", no_room)
         with pytest.raises(OSError, match="No space left"):
             fetch("tactip4")
-    assert left(where() / "tactip4") == []
+    assert files_in(where() / "tactip4") == []
     fetch("tactip4")
-    assert len(sources.asked) == 1
+    assert len(sources.requests) == 1
 
 
 def test_a_full_disk_leaves_no_part_of_a_download(sources, pins, monkeypatch):
@@ -79,7 +79,7 @@ def test_a_full_disk_leaves_no_part_of_a_download(sources, pins, monkeypatch):
         raise OSError(ENOSPC, "No space left on device")
 
     monkeypatch.setattr(pooch.HTTPDownloader, "__call__", no_room)
-    refused("tactip4", "No space left", OSError)
+    refusal_of("tactip4", "No space left", OSError)
 
 
 def test_a_download_that_is_cut_off_leaves_nothing(sources, pins, monkeypatch):
@@ -92,7 +92,7 @@ def test_a_download_that_is_cut_off_leaves_nothing(sources, pins, monkeypatch):
         outputfile.write(source.read(len(content) // 2))
 
     monkeypatch.setattr(SimpleHTTPRequestHandler, "copyfile", half)
-    refused("tactip4", r"cut off.*`mirror`", OSError)
+    refusal_of("tactip4", r"cut off.*`mirror`", OSError)
 
 
 def test_an_interruption_leaves_nothing(sources, pins):
@@ -103,7 +103,7 @@ def test_an_interruption_leaves_nothing(sources, pins):
 
     with pytest.raises(KeyboardInterrupt):
         fetch("tactip4", progress=stop)
-    assert left(where()) == []
+    assert files_in(where()) == []
 
 
 def test_without_a_network_one_sentence_says_what_to_do(tmp_path):
@@ -111,9 +111,9 @@ def test_without_a_network_one_sentence_says_what_to_do(tmp_path):
     # Port 9 of this computer answers nobody.
     with pytest.raises(
         OSError, match=r"cannot be reached.*network.*`mirror`"
-    ) as failed:
+    ) as refusal:
         fetch("tactip4", folder=tmp_path, mirror="http://127.0.0.1:9")
-    assert "\n" not in str(failed.value)
+    assert "\n" not in str(refusal.value)
 
 
 def test_what_the_source_has_no_more_is_named(sources):
@@ -138,7 +138,7 @@ def test_what_is_too_large_is_refused_before_it_is_there(sources, monkeypatch):
     place = sources.put("tactip4", b"")
     with place.open("wb") as file:
         file.truncate(501 * 10**6)  # a sparse file
-    refused("tactip4", "at most 500 MB, got 501")
+    refusal_of("tactip4", "at most 500 MB, got 501")
 
 
 def test_no_path_of_a_zip_leads_out(sources, pins, tmp_path):
@@ -151,7 +151,7 @@ def test_no_path_of_a_zip_leads_out(sources, pins, tmp_path):
     sources.put("tactip4", zipped({**files, **hostile}))
     fetch("tactip4")
     assert not list(tmp_path.rglob("*escaped*"))
-    assert {p.split("/")[0] for p in left(where())} == {".fetched", "tactip4"}
+    assert {p.split("/")[0] for p in files_in(where())} == {".fetched", "tactip4"}
 
 
 @pytest.mark.parametrize("damage", ["no zip", "cut", "changed"])
@@ -161,12 +161,12 @@ def test_a_damaged_zip_is_deleted(damage, sources, pins):
         content[100:140] = bytes(40)
     kept = {"no zip": b"<html>", "cut": content[:-30]}.get(damage, content)
     place = sources.put("tactip4", bytes(kept))
-    refused("tactip4", r"tactip4: .*fetch it again")
+    refusal_of("tactip4", r"tactip4: .*fetch it again")
     place.write_bytes(zipped(pins[0]))
     assert fetch("tactip4").is_file()
 
 
-def test_a_source_of_another_layout_is_said(sources):
+def test_a_source_of_another_layout_is_refused(sources):
     sources.put("tactip4", zipped({"new/place.png": b""}))
     with pytest.raises(ValueError, match=r"files like .*laid out in another way"):
         fetch("tactip4")
@@ -180,7 +180,7 @@ def test_a_list_of_checksums_is_believed_file_by_file(sources):
     other = hashlib.sha256(b"").hexdigest()
     sums = f"{other} {inside}\n{other} ../../etc/passwd\nno line\n"
     place = sources.put("mattress", sums.encode())
-    refused("mattress", other)
+    refusal_of("mattress", other)
     true = hashlib.sha256(text * 64).hexdigest()
     place.write_text(sums.replace(other, true, 1))
     with pytest.warns(UserWarning, match="mattress: "):
@@ -188,23 +188,23 @@ def test_a_list_of_checksums_is_believed_file_by_file(sources):
     assert (touches.images == 1).all()
     assert touches.images.shape == (1, 64, 27)
     assert touches.session.tolist() == ["air"]
-    assert "passwd" not in "".join(sources.asked)
+    assert "passwd" not in "".join(sources.requests)
 
 
 # pooch leaves the socket of a failed download open.
 @pytest.mark.filterwarnings("ignore:mattress", "ignore:unclosed:ResourceWarning")
-def test_files_that_are_done_are_not_asked_for_again(sources):
-    one, two = (b"\n".join([n * 27] * 64) for n in (b"1 ", b"2 "))
-    done, lacking = (f"experiment-ii/S1/Air_Mat/Matrix_Air_B{n}.txt" for n in (1, 2))
-    hashes = [hashlib.sha256(text).hexdigest() for text in (one, two)]
-    listed = f"{hashes[0]} {done}\n{hashes[1]}  {lacking}\n"
-    sources.put("mattress", listed.encode())
-    sources.put("mattress", one, f"files/pmd/1.0.0/{done}")
+def test_files_that_were_fetched_are_not_requested_again(sources):
+    first, second = (b"\n".join([n * 27] * 64) for n in (b"1 ", b"2 "))
+    fetched, lacking = (f"experiment-ii/S1/Air_Mat/Matrix_Air_B{n}.txt" for n in (1, 2))
+    hashes = [hashlib.sha256(text).hexdigest() for text in (first, second)]
+    sums = f"{hashes[0]} {fetched}\n{hashes[1]}  {lacking}\n"
+    sources.put("mattress", sums.encode())
+    sources.put("mattress", first, f"files/pmd/1.0.0/{fetched}")
     with pytest.raises(OSError, match="404"):
         fetch("mattress")
-    sources.put("mattress", two, f"files/pmd/1.0.0/{lacking}")
+    sources.put("mattress", second, f"files/pmd/1.0.0/{lacking}")
     assert len(Touches.load(fetch("mattress"))) == 2
-    assert sum(path.endswith(done) for path in sources.asked) == 1
+    assert sum(path.endswith(fetched) for path in sources.requests) == 1
 
 
 def test_what_cannot_be_fetched_says_why(tmp_path):
@@ -215,7 +215,7 @@ def test_what_cannot_be_fetched_says_why(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_where(monkeypatch, tmp_path):
+def test_where_follows_the_environment_and_the_system(monkeypatch, tmp_path):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     monkeypatch.delenv("PALPATE_DATA_HOME")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -233,13 +233,13 @@ def test_where(monkeypatch, tmp_path):
     assert str(where("given")) == "given"
 
 
-def test_what_is_there_is_neither_asked_for_nor_changed(sources, tmp_path):
+def test_an_archive_that_is_there_is_neither_requested_nor_changed(sources, tmp_path):
     archive = where() / "tactip4" / "tactip4.npz"
     archive.parent.mkdir(parents=True)
     archive.write_bytes(b"mine")
     assert fetch("tactip4") == archive
     assert archive.read_bytes() == b"mine"
-    assert sources.asked == []
+    assert sources.requests == []
 
 
 def test_an_archive_holds_plain_arrays(sources, pins):

@@ -1,4 +1,4 @@
-"""A mirror that lies: names, sizes, numbers and times that would hold up a computer."""
+"""A mirror sends names, sizes, numbers and times that could hold up a computer."""
 
 import hashlib
 import io
@@ -13,7 +13,7 @@ from scipy.io import savemat
 from palpate import Touches
 from palpate.datasets import card, fetch
 
-from .conftest import png, refused, zipped
+from .conftest import png, refusal_of, zipped
 
 # pooch leaves the socket of a failed download open.
 pytestmark = [
@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning"),
 ]
 ROOT = "dataset-image/Dataset-shapes"
-PICTURE = f"{ROOT}/cuboid/_3.png"  # the set has one of this name
+PICTURE = f"{ROOT}/cuboid/_3.png"  # the set has a picture of this name
 
 
 @pytest.fixture
@@ -29,14 +29,14 @@ def small_sources(monkeypatch):
     """Let every source have at most 1 MB."""
 
     def small(name):
-        one = card(name)
-        return {**one, "source": {**one["source"], "most_mb": 1}}
+        record = card(name)
+        return {**record, "source": {**record["source"], "most_mb": 1}}
 
     monkeypatch.setattr("palpate.datasets._fetch.card", small)
 
 
 def long_names(archive):
-    """As long as a zip can have; a pattern takes the square of that, or its cube."""
+    """Add the longest names of a zip; a pattern may take their square, or cube."""
     for n in range(20):
         archive.writestr(f"{ROOT}/cuboid/_{'0' * 65_000}{n}.png", b"")
 
@@ -60,36 +60,36 @@ def test_what_could_hold_a_computer_up_is_passed_over(sources, pins, add):
 
 
 def test_no_more_is_inflated_than_the_list_promises(sources, pins):
-    """A file whose size in the list is a lie."""
+    """The zip lists a smaller size of one file than it has."""
     bomb = bytes(10**6)
     content = zipped({**pins[0], f"{ROOT}/prism/_8.png": bomb})
-    told = len(bomb).to_bytes(4, "little")
-    sources.put("tactip4", content.replace(told, (1000).to_bytes(4, "little")))
-    refused("tactip4", r"tactip4: .*The download was deleted")
+    size = len(bomb).to_bytes(4, "little")
+    sources.put("tactip4", content.replace(size, (1000).to_bytes(4, "little")))
+    refusal_of("tactip4", r"tactip4: .*The download was deleted")
 
 
 def test_the_sum_of_a_zips_files_is_bounded(sources, pins, small_sources):
     large = {f"{ROOT}/prism/_{n}.png": bytes(300_000) for n in (13, 14, 16, 17)}
     sources.put("tactip4", zipped({**pins[0], **large}))
-    refused("tactip4", "files must have at most 1 MB, got 1")
+    refusal_of("tactip4", "files must have at most 1 MB, got 1")
 
 
 def test_a_set_has_no_more_files_than_it_can_have(sources):
     files = {f"data/a_b/interaction_{n:04d}.jpg": b"" for n in range(901)}
     sources.put("digit_survey", zipped(files))
-    refused("digit_survey", "at most 900 files, got 901")
+    refusal_of("digit_survey", "at most 900 files, got 901")
 
 
 def test_a_zip_with_a_very_long_list_is_not_read(sources, pins, monkeypatch):
     monkeypatch.setattr("palpate.datasets._fetch._LONGEST_LIST", 400)
     sources.put("tactip4", zipped(pins[0]))
-    refused("tactip4", "list of files must have at most")
+    refusal_of("tactip4", "list of files must have at most")
 
 
 def test_a_picture_of_very_many_pixels_is_refused(sources, pins):
     large = png(np.zeros((3000, 3000), np.uint8))
     sources.put("tactip4", zipped({**pins[0], f"{ROOT}/prism/_8.png": large}))
-    refused("tactip4", "at most 307200 pixels, got 3000 x 3000")
+    refusal_of("tactip4", "at most 307200 pixels, got 3000 x 3000")
 
 
 def listed(sources, texts):
@@ -107,21 +107,21 @@ WHOLE = b"\n".join([b"1 " * 27] * 64)
 
 def test_files_of_a_list_are_bounded_by_their_sum(sources, small_sources):
     listed(sources, [WHOLE + b" " * 400_000 + b"%d" % n for n in range(4)])
-    refused("mattress", "the source must have at most 1 MB")
-    assert len(sources.asked) == 4  # the list and three files
+    refusal_of("mattress", "the source must have at most 1 MB")
+    assert len(sources.requests) == 4  # the list and three files
 
 
 def test_a_list_names_no_more_files_than_the_set_can_have(sources):
     place = listed(sources, [WHOLE])
-    known = place.read_text()
-    more = [known.replace("_B1", f"_B{n}") for n in range(2, 700)]
-    place.write_text(known + "".join(more))
-    refused("mattress", "name at most 696, got 699")
-    assert len(sources.asked) == 1
+    lines = place.read_text()
+    more = [lines.replace("_B1", f"_B{n}") for n in range(2, 700)]
+    place.write_text(lines + "".join(more))
+    refusal_of("mattress", "name at most 696, got 699")
+    assert len(sources.requests) == 1
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (WHOLE.replace(b"1", b"-1", 1), "0 to 65535, got others"),
         (WHOLE.replace(b"1", b"65536", 1), "0 to 65535, got others"),
@@ -130,9 +130,9 @@ def test_a_list_names_no_more_files_than_the_set_can_have(sources):
     ],
     ids=["negative", "large", "short", "long"],
 )
-def test_counts_that_are_none_are_refused(sources, text, told):
+def test_counts_that_are_none_are_refused(sources, text, message):
     listed(sources, [text])
-    refused("mattress", told)
+    refusal_of("mattress", message)
 
 
 def film(**arrays):
@@ -156,7 +156,7 @@ def film(**arrays):
 )
 def test_a_film_that_is_none_is_refused_in_a_sentence(sources, content, got):
     sources.put("taxel10x10", content)
-    assert "fetch it again" in refused("taxel10x10", got)
+    assert "fetch it again" in refusal_of("taxel10x10", got)
 
 
 def test_a_source_that_sends_a_little_now_and_then_is_given_up(
@@ -184,7 +184,7 @@ def test_a_source_that_sends_a_little_now_and_then_is_given_up(
 )
 @pytest.mark.realdata
 def test_the_cards_know_every_array_behind_the_figures(name, data_folder):
-    """What is fetched is compared with these, also where the source has no SHA-256."""
+    """Fetched arrays are compared with these digests, with or without a SHA-256."""
 
     def digest(array):  # of kind, shape and values; text of any width
         text = array.dtype.kind == "U"

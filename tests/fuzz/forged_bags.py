@@ -1,4 +1,4 @@
-"""Bags of ROS 2 that are whole files and hold messages no honest writer would write."""
+"""Bags of ROS 2 that are whole files but hold messages that no program writes."""
 
 import sqlite3
 import struct
@@ -26,7 +26,7 @@ ENCODINGS = [
 ]
 KINDS = ["UInt8", "Int16", "Float32", "Float64", "Int64", "Byte"]
 OTHERS = ["std_msgs/msg/String", "std_msgs/msg/Header"]
-# What a cell of the table of messages may be made to hold instead.
+# Values that replace a cell of the table of messages.
 CELLS = [None, "text", -1, 2**62, 0.5, b"", b"\0" * 4, b"\0\1\0\0" * 64]
 
 
@@ -38,7 +38,7 @@ def store():
 def bag(chance, folder):
     """Write a bag of the topic /pad, SQLite or MCAP, with a share of odd messages."""
     plugin = chance.choice([StoragePlugin.SQLITE3, StoragePlugin.MCAP])
-    share, n_messages = chance.choice([0.0, 0.2, 1.0]), chance.choice([0, 1, 3])
+    odd_share, n_messages = chance.choice([0.0, 0.2, 1.0]), chance.choice([0, 1, 3])
     path = folder / "bag"
     writer = Writer(path, version=9, storage_plugin=plugin)
     if chance.random() < 0.2:
@@ -48,22 +48,24 @@ def bag(chance, folder):
     picture = chance.random() < 0.5
     kind = chance.choice(KINDS)
     with writer:
-        lines = {}
+        connections = {}
         for number in range(n_messages):
-            odd = chance.random() < share
+            odd = chance.random() < odd_share
             if odd and chance.random() < 0.3:
                 picture, kind = chance.random() < 0.5, chance.choice(KINDS)
             message = _image(chance, odd) if picture else _array(chance, odd, kind)
             if odd and chance.random() < 0.1:
                 message = store().types[OTHERS[0]]("no touch")
             name = message.__msgtype__
-            if name not in lines:
-                lines[name] = writer.add_connection("/pad", name, typestore=store())
+            if name not in connections:
+                connections[name] = writer.add_connection(
+                    "/pad", name, typestore=store()
+                )
             raw = bytes(store().serialize_cdr(message, name))
             if odd and chance.random() < 0.5:
                 raw = _damaged(raw, chance)
             time_ns = chance.choice([0, 10**9, 2**62]) if odd else number * 10**9
-            writer.write(lines[name], time_ns, raw)
+            writer.write(connections[name], time_ns, raw)
     if plugin is StoragePlugin.SQLITE3 and chance.random() < 0.3:
         _alter_rows(path, chance)
     return path
@@ -102,23 +104,23 @@ def _array(chance, odd, kind):
         n_values = chance.choice([0, 11, 12, 13])
     dims = [types["std_msgs/msg/MultiArrayDimension"]("d", n, n) for n in sizes]
     layout = types["std_msgs/msg/MultiArrayLayout"](dims, offset)
-    made = types[f"std_msgs/msg/{kind}MultiArray"]
+    message_type = types[f"std_msgs/msg/{kind}MultiArray"]
     dtype = {"UInt8": np.uint8, "Byte": np.uint8}.get(kind) or getattr(np, kind.lower())
     values = np.arange(n_values).astype(dtype)
     if odd and values.dtype.kind == "f" and n_values:
         values[0] = chance.choice([np.nan, np.inf, 1.0])
-    return made(layout, values)
+    return message_type(layout, values)
 
 
 def _damaged(raw, chance):
-    """Return a message with a word, often a length, that is another one."""
+    """Return a message with another 4-byte word, often a length, or cut."""
     at = 4 * chance.randrange(len(raw) // 4)
     word = chance.choice([0, 1, 2**16, 2**31 - 1, 2**32 - 1]).to_bytes(4, "little")
     return chance.choice([raw[:at], raw[:at] + word + raw[at + 4 :], raw[at:], b""])
 
 
 def _alter_rows(path, chance):
-    """Let a table of a SQLite bag hold what its columns were not made for."""
+    """Give a column of a SQLite bag a value of another kind."""
     for file in path.glob("*.db3"):
         column = chance.choice(["topic_id", "timestamp", "data"])
         with sqlite3.connect(file) as database:
@@ -131,7 +133,7 @@ def _alter_rows(path, chance):
 
 
 def bombs(folder, n_bytes):
-    """Write bags whose few bytes unpack to `n_bytes`, whole ones and forged ones."""
+    """Write small bags that unpack to `n_bytes`: whole ones, then forged ones."""
     folder.mkdir(exist_ok=True)
     whole, forged = [], []
     modes = [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE]
@@ -161,7 +163,7 @@ def bombs(folder, n_bytes):
 
 
 def _one_chunk(compression, packed, size):
-    """Return an MCAP file without an index, of one chunk said to unpack to `size`."""
+    """Return an MCAP file of one chunk that claims to unpack to `size`, no index."""
     kind = struct.pack("<I", len(compression)) + compression.encode()
     chunk = struct.pack("<QQQI", 0, 0, size, 0) + kind + struct.pack("<Q", len(packed))
     records = [(1, b"\4\0\0\0ros2\0\0\0\0"), (6, chunk + packed), (2, bytes(20))]

@@ -1,4 +1,4 @@
-"""Model files changed by chance or by intent, with a checksum that is right again."""
+"""Model files that are changed, with a checksum that fits the change."""
 
 import hashlib
 import json
@@ -51,7 +51,7 @@ def opened(path):
 
 
 def forged(path, document, tensors):
-    """Write a document and arrays with the checksum that they should have."""
+    """Write a document and arrays with their right checksum."""
     text = document if isinstance(document, str) else json.dumps(document)
     kept = {name: array for name, array in tensors.items() if name != "empty"}
     digest = hashlib.sha256(text.encode())
@@ -64,7 +64,7 @@ def forged(path, document, tensors):
 
 
 def mutated(document, tensors, seed):
-    """Return a copy of a model in which one to three things were changed."""
+    """Return a copy of a model with one to three changes."""
     chance = random.Random(seed)
     document, tensors = json.loads(json.dumps(document)), dict(tensors)
     for _ in range(chance.choice([1, 1, 1, 2, 3])):
@@ -108,8 +108,8 @@ def _change_document(document, chance):
     elif kind == 2 and isinstance(value, list) and value:
         holder[key] = value * chance.choice([2, 1000])
     elif kind == 3:
-        other, there = chance.choice(places)
-        holder[key] = json.loads(json.dumps(other[there]))
+        other, other_key = chance.choice(places)
+        holder[key] = json.loads(json.dumps(other[other_key]))
     elif key == "float":
         holder[key] = chance.choice(FLOATS)
     elif isinstance(value, str):

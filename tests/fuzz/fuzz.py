@@ -1,4 +1,4 @@
-"""A standing campaign: what comes from outside, changed by chance, seed after seed.
+"""A standing campaign: input from outside, changed by chance, seed after seed.
 
 `python tests/fuzz/fuzz.py --seconds 60` goes on where the last run stopped, as its file
 `.fuzz-seeds.json` says. A failure is printed with the kind and the seed that make it
@@ -36,7 +36,7 @@ SLOWEST_S = 5.0
 
 
 def changed(data, chance):
-    """Return bytes of which one to four places are other than they were."""
+    """Return the bytes with one to four places changed."""
     data = bytearray(data)
     for _ in range(chance.choice([1, 1, 2, 4])):
         at, n = chance.randrange(len(data) + 1), chance.choice([1, 2, 4, 64])
@@ -57,7 +57,7 @@ def changed(data, chance):
 @cache
 def saved_models():
     folder = Path(tempfile.mkdtemp())
-    return [opened(one.save(folder / "m.palpate")) for one in models()]
+    return [opened(recogniser.save(folder / "m.palpate")) for recogniser in models()]
 
 
 def model(chance, folder):
@@ -79,10 +79,10 @@ def archive_members():
     touches = Touches(
         images, object=["a"] * 3 + ["b"] * 3, force_n=np.arange(6.0), session=["s"] * 6
     )
-    stream = Path(tempfile.mkdtemp()) / "t.npz"
-    touches.save(stream)
-    with zipfile.ZipFile(stream) as opened_:
-        return {name: opened_.read(name) for name in opened_.namelist()}
+    path = Path(tempfile.mkdtemp()) / "t.npz"
+    touches.save(path)
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
 
 
 def archive(chance, folder):
@@ -102,9 +102,9 @@ def archive(chance, folder):
         )
         members[name] = members[name].replace(old, new)
     path = folder / "t.npz"
-    with zipfile.ZipFile(path, "w") as made:
+    with zipfile.ZipFile(path, "w") as archive:
         for member, content in members.items():
-            made.writestr(member, content)
+            archive.writestr(member, content)
     if chance.random() < 0.2:
         path.write_bytes(changed(path.read_bytes(), chance))
     try:
@@ -117,14 +117,14 @@ def archive(chance, folder):
 @cache
 def pictures():
     levels = np.random.default_rng(0).integers(0, 255, (24, 32), dtype=np.uint8)
-    made = []
+    encoded = []
     for mode, kind in (("L", "JPEG"), ("RGB", "JPEG"), ("L", "PNG"), ("P", "PNG")):
         stream = io.BytesIO()
         picture = Image.fromarray(levels)
         options = {"progressive": True} if mode == "RGB" else {}
         picture.convert(mode).save(stream, kind, **options)
-        made.append(stream.getvalue())
-    return made + [path.read_bytes() for path in sorted(CORPUS.glob("picture-*"))]
+        encoded.append(stream.getvalue())
+    return encoded + [path.read_bytes() for path in sorted(CORPUS.glob("picture-*"))]
 
 
 def picture(chance, folder):
@@ -174,7 +174,7 @@ def message(chance, folder):
 
 
 @cache
-def known():
+def learnt_patterns():
     rng = np.random.default_rng(0)
     patterns = {name: rng.normal(size=(3, 8)) for name in "abcd"}
     start = Touches(
@@ -192,30 +192,30 @@ def drawn(pattern, rng, n_touches):
 
 def learning(chance, folder):
     """Learning, forgetting and touching in any order keep a belief a belief."""
-    patterns, recogniser = known()
+    patterns, recogniser = learnt_patterns()
     rng = np.random.default_rng(chance.randrange(2**32))
     recogniser.save(folder / "b.palpate")
     recogniser = ObjectRecogniser.load(folder / "b.palpate")
-    names, now = {"a", "b"}, recogniser.start()
+    names, belief = {"a", "b"}, recogniser.start()
     for _ in range(8):
         name = chance.choice("abcd")
-        few = Touches(drawn(patterns[name], rng, 3), geometry="none")
+        touches = Touches(drawn(patterns[name], rng, 3), geometry="none")
         step = chance.choice(["learn", "forget", "touch", "touch", "touch", "end"])
         if step == "learn":
             learn = recogniser.extend_object if name in names else recogniser.add_object
-            learn(name, few)
+            learn(name, touches)
             names.add(name)
         elif step == "forget" and name in names and len(names) > 2:
             recogniser.forget_object(name)
             names.discard(name)
         elif step == "touch":
-            now.update(few[: chance.randint(1, 3)])
-            assert abs(sum(now.posterior.values()) + now.unknown - 1) < 1e-9
-            assert 0 <= now.unknown <= 1
-            assert now.decide() in (*now.posterior, "unknown", None)
+            belief.update(touches[: chance.randint(1, 3)])
+            assert abs(sum(belief.posterior.values()) + belief.unknown - 1) < 1e-9
+            assert 0 <= belief.unknown <= 1
+            assert belief.decide() in (*belief.posterior, "unknown", None)
             continue
-        now = recogniser.start()
-        assert set(now.posterior) == names
+        belief = recogniser.start()
+        assert set(belief.posterior) == names
     return "kept"
 
 
@@ -225,12 +225,12 @@ def library(chance, folder):
 
 
 def belief(chance, folder):
-    """A belief is a probability after whatever comes, and copies of it are its own."""
+    """A belief stays a probability whatever comes, and its copies are independent."""
     return _played("belief", chance)
 
 
 def session(chance, folder):
-    """The live page's session in any order: nothing lost, refusals of our own alone."""
+    """The live page's session loses no touch in any order of commands."""
     return _played("session", chance)
 
 
@@ -249,12 +249,12 @@ def client():
     served = PageServer().running(create_app(session, "token"), log_level="error")
     address = served.__enter__()
     atexit.register(served.__exit__, None, None, None)
-    known = {"Authorization": "Bearer token"}
-    return httpx.Client(base_url=address, headers=known, timeout=30)
+    headers = {"Authorization": "Bearer token"}
+    return httpx.Client(base_url=address, headers=headers, timeout=30)
 
 
 def http(chance, folder):
-    """Orders in any order, some of them damaged, are answered, never with a fault."""
+    """Commands in any order, some damaged, are answered, never by a server error."""
     image = [[chance.randint(0, 255) for _ in range(4)] for _ in range(4)]
     orders = [
         ("touch", {"image": image}),
@@ -282,22 +282,22 @@ def http(chance, folder):
 
 
 _KINDS = (model, archive, picture, bag, message, learning, library, belief, session)
-KINDS = {one.__name__: one for one in (*_KINDS, http)}
+KINDS = {kind.__name__: kind for kind in (*_KINDS, http)}
 
 
-# What takes time once, and not for each input.
-MADE_FIRST = {
+# Caches that are filled before the time of an input is measured.
+PREPARATIONS = {
     "model": saved_models,
-    "learning": known,
+    "learning": learnt_patterns,
     "belief": recognisers,
     "http": client,
 }
 
 
 def tried(kind, seed):
-    """Try one input of one kind; return what became of it, or raise."""
+    """Try one input of one kind; return its outcome, or raise."""
     chance = random.Random(f"{kind} {seed}")
-    MADE_FIRST.get(kind, int)()
+    PREPARATIONS.get(kind, int)()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("error")
         return KINDS[kind](chance, Path(folder))
@@ -310,20 +310,20 @@ def main():
     parser.add_argument("--kind", choices=sorted(KINDS))
     parser.add_argument("--seed", type=int)
     parser.add_argument("--file", type=Path, default=Path(".fuzz-seeds.json"))
-    given = parser.parse_args()
-    kinds = [given.kind] if given.kind else list(KINDS)
-    if given.seed is not None:
+    options = parser.parse_args()
+    kinds = [options.kind] if options.kind else list(KINDS)
+    if options.seed is not None:
         for kind in kinds:
-            print(kind, given.seed, tried(kind, given.seed))
+            print(kind, options.seed, tried(kind, options.seed))
         return 0
-    following = json.loads(given.file.read_text()) if given.file.exists() else {}
+    following = json.loads(options.file.read_text()) if options.file.exists() else {}
     outcomes, failures = {kind: Counter() for kind in kinds}, 0
     for kind in kinds:
-        MADE_FIRST.get(kind, int)()
-    end = time.monotonic() + given.seconds
+        PREPARATIONS.get(kind, int)()
+    end = time.monotonic() + options.seconds
     while time.monotonic() < end:
         for kind in kinds:
-            share = time.monotonic() + given.seconds / 20 / len(kinds)
+            share = time.monotonic() + options.seconds / 20 / len(kinds)
             while time.monotonic() < min(share, end):
                 seed = following.get(kind, 0)
                 following[kind] = seed + 1
@@ -336,7 +336,7 @@ def main():
                     outcomes[kind]["FAILED"] += 1
                     print(f"FAILED: --kind {kind} --seed {seed}")
                     print(traceback.format_exc(limit=-3))
-        given.file.write_text(json.dumps(following))
+        options.file.write_text(json.dumps(following))
     for kind, counts in outcomes.items():
         print(f"{kind:9} seeds to {following.get(kind, 0):6}", dict(counts))
     return failures

@@ -1,7 +1,7 @@
 """State machines: orders in any sequence, beside references that are simple dicts.
 
-`play(machine, seed)` tries some sequences of one seed; what hypothesis finds wrong it
-makes as short as it can, and `print` shows it.
+`play(machine, seed)` tries some sequences of one seed. Hypothesis prints a sequence
+that fails, as short as it can make it.
 """
 
 import copy
@@ -51,15 +51,15 @@ def play(machine, seed, n_sequences=1, n_steps=25):
 
 
 class Names:
-    """What touches are called and whether they are out: `known` by id."""
+    """The object of each touch and whether it is retracted: `touches` by id."""
 
     def __init__(self):
-        self.known, self.into, self.names = {}, {}, set()
+        self.touches, self.into, self.names = {}, {}, set()
 
     def add(self, ids, label):
         label = self.into.get(label, label)
         self.names.add(label)
-        self.known |= {key: [label, False] for key in ids}
+        self.touches |= {key: [label, False] for key in ids}
 
     def rename(self, old, new):
         old = self.into.get(old, old)
@@ -79,7 +79,7 @@ class Names:
 
     def _call(self, old, new):
         self.into = {n: new if to == old else to for n, to in self.into.items()}
-        for touch in self.known.values():
+        for touch in self.touches.values():
             touch[0] = new if touch[0] == old else touch[0]
 
     def retract(self, ids):
@@ -89,9 +89,9 @@ class Names:
         return self._put(ids, False)
 
     def _put(self, ids, out):
-        n_changed = sum(self.known[key][1] != out for key in ids)
+        n_changed = sum(self.touches[key][1] != out for key in ids)
         for key in ids:
-            self.known[key][1] = out
+            self.touches[key][1] = out
         return bool(n_changed)
 
 
@@ -119,7 +119,7 @@ class LibraryMachine(RuleBasedStateMachine):
         self.truth.add(ids, label)
 
     @rule(two=st.lists(names, min_size=2, max_size=2, unique=True), merge=st.booleans())
-    def call(self, two, merge):
+    def rename_or_merge(self, two, merge):
         with TouchLibrary.open(self.folder) as library:
             try:
                 (library.merge_objects if merge else library.rename_object)(*two)
@@ -127,20 +127,22 @@ class LibraryMachine(RuleBasedStateMachine):
                 return
         assert (self.truth.merge if merge else self.truth.rename)(*two), two
 
-    @precondition(lambda self: self.truth.known)
+    @precondition(lambda self: self.truth.touches)
     @rule(data=st.data(), out=st.booleans())
-    def put(self, data, out):
+    def retract_or_restore(self, data, out):
         places = st.sets(
-            st.integers(0, len(self.truth.known) - 1), min_size=1, max_size=3
+            st.integers(0, len(self.truth.touches) - 1), min_size=1, max_size=3
         )
-        ids = [[*self.truth.known][place] for place in sorted(data.draw(places))]
+        ids = [[*self.truth.touches][place] for place in sorted(data.draw(places))]
         with TouchLibrary.open(self.folder) as library:
-            made = library.retract(ids, reason="wet") if out else library.restore(ids)
-        assert bool(made) == (self.truth.retract if out else self.truth.restore)(ids)
+            changed = (
+                library.retract(ids, reason="wet") if out else library.restore(ids)
+            )
+        assert bool(changed) == (self.truth.retract if out else self.truth.restore)(ids)
 
     @rule()
     def kill(self):
-        """What was acknowledged is in the log; nobody has emptied it."""
+        """A killed writer leaves acknowledged touches in a log that nobody emptied."""
         with TouchLibrary.open(self.folder) as library:
             library.list(limit=1)
             library.retract([], reason="nothing")
@@ -155,7 +157,7 @@ class LibraryMachine(RuleBasedStateMachine):
         self.n_copies += 1
         copy = self.folder.with_name(f"{self.n_copies}")
         with TouchLibrary.open(self.folder) as library:
-            assert library.backup(copy) == len(self.truth.known)
+            assert library.backup(copy) == len(self.truth.touches)
         self.folder = copy
 
     @rule()
@@ -168,17 +170,17 @@ class LibraryMachine(RuleBasedStateMachine):
         with TouchLibrary.open(self.folder) as library:
             rows = library.list(limit=None, retracted=True)
             history = library.history()
-        seen = {row.id: [row.object, row.retracted] for row in rows}
-        assert list(seen.items()) == list(self.truth.known.items())
+        touches = {row.id: [row.object, row.retracted] for row in rows}
+        assert list(touches.items()) == list(self.truth.touches.items())
         assert [change.after for change in history] == sorted(c.after for c in history)
 
 
 @cache
 def recognisers():
-    """Two recognisers of four objects: of touches far apart, and of mere noise."""
+    """Return a recogniser of four objects that differ clearly, and one of noise."""
     rng = np.random.default_rng(0)
     labels = np.repeat(list("abcd"), 4)
-    made = []
+    cases = []
     for spread in (0.05, 30.0):
         patterns = np.repeat(rng.normal(size=(4, 3, 8)), 4, axis=0)
         images = patterns + spread * rng.normal(size=patterns.shape)
@@ -186,21 +188,22 @@ def recognisers():
         touches = Touches(images, object=labels, category=kinds, geometry="none")
         recogniser = ObjectRecogniser().fit(touches)
         recogniser.learn_modality("sight", images[:, 0, :2], labels)
-        made.append((recogniser, images))
-    return made
+        cases.append((recogniser, images))
+    return cases
 
 
 numbers = st.one_of(
     st.floats(-1e3, 0), st.sampled_from([0.0, -1e6, 1e6, -1e308, 1e308, -math.inf])
 )
-said_of_four = st.lists(numbers, min_size=4, max_size=4)
+log_likelihoods_of_four = st.lists(numbers, min_size=4, max_size=4)
 errors = st.sampled_from([1e-6, 0.01, 0.05, 0.5])
 
 
 class BeliefMachine(RuleBasedStateMachine):
-    """A belief: touched, copied, pickled, asked; a probability after whatever comes.
+    """A belief stays a probability through updates, copies, pickles and decisions.
 
-    `entered` is all that entered: the same in one update must say the same.
+    `entered` is every log-likelihood that entered it: one update with all of them
+    must give the same belief.
     """
 
     @initialize(number=st.sampled_from([0, 1]))
@@ -214,22 +217,24 @@ class BeliefMachine(RuleBasedStateMachine):
         self.belief.update(evidence)
         self.entered.append(evidence.log_likelihood)
 
-    @rule(row=said_of_four.filter(lambda row: max(row) > -math.inf))
-    def hear(self, row):
+    @rule(row=log_likelihoods_of_four.filter(lambda row: max(row) > -math.inf))
+    def update_from_log_likelihood(self, row):
         self.belief.update_from_log_likelihood([row])
         self.entered.append(np.array([row]))
 
     @rule(n_times=st.sampled_from([10, 100, 2000]), place=st.integers(0, 15))
     def touch_again_and_again(self, n_times, place):
-        said = self.recogniser.evidence(self.images[[place]]).log_likelihood
-        self.belief.update_from_log_likelihood(np.repeat(said, n_times, axis=0))
-        self.entered.append(np.repeat(said, n_times, axis=0))
+        log_likelihood = self.recogniser.evidence(self.images[[place]]).log_likelihood
+        self.belief.update_from_log_likelihood(
+            np.repeat(log_likelihood, n_times, axis=0)
+        )
+        self.entered.append(np.repeat(log_likelihood, n_times, axis=0))
 
     @rule(place=st.integers(0, 15))
-    def see(self, place):
-        seen = self.images[place, 0, :2]
-        self.belief.update_sense("sight", seen)
-        self.senses.append(seen)
+    def update_sense(self, place):
+        features = self.images[place, 0, :2]
+        self.belief.update_sense("sight", features)
+        self.senses.append(features)
 
     @rule(
         bad=st.sampled_from(
@@ -245,46 +250,46 @@ class BeliefMachine(RuleBasedStateMachine):
             ]
         )
     )
-    def mishear(self, bad):
-        before = self._said()
+    def bad_log_likelihood_is_refused(self, bad):
+        before = self._answers()
         try:
             self.belief.update_from_log_likelihood(bad[0], **bad[1])
         except (ValueError, TypeError):
-            assert self._said() == before
+            assert self._answers() == before
         else:
             raise AssertionError(f"{bad} was taken")
 
     @rule(image=st.sampled_from([np.zeros((2, 2)), np.full((3, 8), np.inf), "x"]))
-    def mistouch(self, image):
-        before = self._said()
+    def bad_image_is_refused(self, image):
+        before = self._answers()
         try:
             self.belief.update(image)
         except (ValueError, TypeError):
-            assert self._said() == before
+            assert self._answers() == before
         else:
             raise AssertionError(f"{image} was taken")
 
-    @rule(how=st.sampled_from([copy.copy, copy.deepcopy, pickle.dumps]))
-    def copy_and_go_on(self, how):
-        """What happens to a copy does not happen to the belief, nor the other way."""
-        other = how(self.belief)
-        other = pickle.loads(other) if how is pickle.dumps else other
-        before = self._said()
-        assert self._said(other) == before
+    @rule(copier=st.sampled_from([copy.copy, copy.deepcopy, pickle.dumps]))
+    def copy_and_go_on(self, copier):
+        """A copy and the belief do not change each other."""
+        other = copier(self.belief)
+        other = pickle.loads(other) if copier is pickle.dumps else other
+        before = self._answers()
+        assert self._answers(other) == before
         other.update(self.images[0])
         other.update_sense("sight", self.images[0, 0, :2])
-        assert self._said() == before
-        before = self._said(other)
+        assert self._answers() == before
+        before = self._answers(other)
         self.touch([1])
-        assert self._said(other) == before
+        assert self._answers(other) == before
 
     @rule(error=errors, refusal=errors, level=st.sampled_from(["object", "any"]))
     def decide(self, error, refusal, level):
         belief = self.belief
-        asked = {"error": error, "refusal": refusal, "level": level}
-        decision = belief.decide(**asked)
-        assert decision == belief.decide(**asked)
-        reason = belief.reason(**asked)
+        options = {"error": error, "refusal": refusal, "level": level}
+        decision = belief.decide(**options)
+        assert decision == belief.decide(**options)
+        reason = belief.reason(**options)
         name = decision if level == "object" else getattr(decision, "name", None)
         shares = {**belief.posterior, **belief.categories}
         if name is None:
@@ -303,9 +308,9 @@ class BeliefMachine(RuleBasedStateMachine):
 
     @rule()
     def show(self):
-        shown = self.belief._repr_html_()
-        assert shown.count("<tr>") == 5
-        assert "nan" not in shown + repr(self.belief)
+        html = self.belief._repr_html_()
+        assert html.count("<tr>") == 5
+        assert "nan" not in html + repr(self.belief)
         json.dumps(self.belief.explain(), allow_nan=False)
 
     @invariant()
@@ -324,7 +329,7 @@ class BeliefMachine(RuleBasedStateMachine):
         assert belief.touches_used == sum(map(len, self.entered)) == len(belief.flags)
 
     def teardown(self):
-        """All that entered, in one update, says what it said bit by bit."""
+        """One update with all that entered gives the belief of the many updates."""
         if not hasattr(self, "belief"):
             return
         once = self.recogniser.start()
@@ -332,15 +337,20 @@ class BeliefMachine(RuleBasedStateMachine):
             once.update_from_log_likelihood(np.concatenate(self.entered))
         if self.senses:
             once.update_sense("sight", np.stack(self.senses))
-        # Sums in another order: a part in 1e9 of what was added up.
+        # Sums are in another order: a part in 1e9 of the sum.
         np.testing.assert_allclose(
             self.belief.log_posterior, once.log_posterior, rtol=1e-9, atol=1e-6
         )
 
-    def _said(self, belief=None):
-        one = self.belief if belief is None else belief
-        every = one.posterior, one.unknown, one.touches_used, tuple(one.flags)
-        return repr((*every, one.explain(), one.decide(), one.categories))
+    def _answers(self, belief=None):
+        belief = self.belief if belief is None else belief
+        answers = (
+            belief.posterior,
+            belief.unknown,
+            belief.touches_used,
+            tuple(belief.flags),
+        )
+        return repr((*answers, belief.explain(), belief.decide(), belief.categories))
 
 
 class PressedArray(LiveSensor):
@@ -348,21 +358,21 @@ class PressedArray(LiveSensor):
 
     def __init__(self):
         super().__init__("pressed", "count", (6, 8), np.uint8, "none")
-        self.rest, self.press = np.full((6, 8), 20, np.uint8), None
+        self.idle_frame, self.press = np.full((6, 8), 20, np.uint8), None
 
     def _open(self):
         pass
 
     def _grab(self):
         time.sleep(0.001)
-        return [self.rest if self.press is None else self.press]
+        return [self.idle_frame if self.press is None else self.press]
 
     def _close(self):
         pass
 
 
 def press_of(name, number):
-    """Return how an object presses: its place, a little otherwise each time."""
+    """Return the frame of an object that presses, a little different by number."""
     image = np.full((6, 8), 20, np.uint8)
     column = "abcde".index(name)
     image[1:4, column : column + 3] = 150 + number % 50
@@ -371,7 +381,7 @@ def press_of(name, number):
 
 
 def until(condition, seconds=20.0):
-    """Wait until something is so; fail where it does not become so."""
+    """Wait until a condition holds; fail after `seconds`."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -381,8 +391,8 @@ def until(condition, seconds=20.0):
 class SessionMachine(RuleBasedStateMachine):
     """The live page's session, with hands on the sensor and orders in any sequence.
 
-    Learning runs in this process. Every stored touch stays in `truth` until somebody
-    leaves it out, whatever else happens.
+    Learning runs in this process. Every stored touch stays in `truth` until it is
+    retracted, whatever else happens.
     """
 
     def __init__(self):
@@ -400,7 +410,8 @@ class SessionMachine(RuleBasedStateMachine):
         self.sensor = PressedArray()
         self.session = LiveSession(self.sensor, library=self.folder).start()
         self.lesson = None
-        self.has, self.had, self.asking, self.pressed = False, False, False, False
+        self.has_baseline = self.had_baseline = False
+        self.asking = self.pressed = False
         self.n_touches, self.closed = 0, False
 
     def teardown(self):
@@ -415,18 +426,18 @@ class SessionMachine(RuleBasedStateMachine):
 
     @rule(name=names)
     def touch(self, name):
-        """Press the sensor once; the touch goes where it should."""
+        """Press the sensor once; the touch goes to the lesson or to the episode."""
         watch, n_episode = self.session.watch, self._n_touches()
         n_stored, n_tried = self._n_stored(), watch._n_presses
         self.number += 1
         seen = self.sensor.n_frames
         self.sensor.press = press_of(name, self.number)
-        if self.has:
+        if self.has_baseline:
             until(lambda: watch.detector.touching)
         until(lambda: self.sensor.n_frames > seen + 6)
         self.sensor.press = None
         until(lambda: not watch.detector.touching)
-        if not self.has:
+        if not self.has_baseline:
             return
         if self.asking:
             until(lambda: watch._n_presses == n_tried + 1)
@@ -440,13 +451,13 @@ class SessionMachine(RuleBasedStateMachine):
         else:
             fresh = self.closed
             until(lambda: self._n_touches() == (1 if fresh else n_episode + 1))
-            self._felt()
+            self._touch_counted()
 
     @rule(name=names)
     def post_touch(self, name):
         self.number += 1
         self.session.post_touch(press_of(name, self.number))
-        self._felt()
+        self._touch_counted()
 
     @rule(name=names)
     def post_lesson(self, name):
@@ -479,28 +490,28 @@ class SessionMachine(RuleBasedStateMachine):
 
     @rule()
     def undo(self):
-        while self.undoable and self.truth.known[self.undoable[-1]][1]:
+        while self.undoable and self.truth.touches[self.undoable[-1]][1]:
             self.undoable.pop()
         if not self.undoable:
             self._refused(self.session.undo)
             return
         key = self.undoable.pop()
-        mine = self.lesson is not None and key in self.session.teacher.lesson.ids
-        assert self.session.undo() == self.truth.known[key][0]
+        in_lesson = self.lesson is not None and key in self.session.teacher.lesson.ids
+        assert self.session.undo() == self.truth.touches[key][0]
         self.truth.retract([key])
-        if mine:
+        if in_lesson:
             self.lesson[2] -= 1
 
     @rule(ask=st.booleans())
     def baseline(self, ask):
         self.session.take_baseline(ask_press=ask)
-        self.had, self.has = self.has, True
+        self.had_baseline, self.has_baseline = self.has_baseline, True
         self.asking, self.pressed = ask, False
 
     @rule()
     def undo_baseline(self):
         self.session.end_press(undo=True)
-        self.has, self.asking, self.pressed = self.had, False, False
+        self.has_baseline, self.asking, self.pressed = self.had_baseline, False, False
 
     @rule()
     def end_press(self):
@@ -509,7 +520,7 @@ class SessionMachine(RuleBasedStateMachine):
 
     @rule()
     def press_difference(self):
-        if self.pressed and self.has:
+        if self.pressed and self.has_baseline:
             assert self.session.press_difference().max() > 100
         else:
             self._refused(self.session.press_difference)
@@ -536,7 +547,7 @@ class SessionMachine(RuleBasedStateMachine):
             self._refused(lambda: self.session.forget(name))
             return
         self.session.forget(name)
-        self.truth.retract([k for k, v in self.truth.known.items() if v[0] == name])
+        self.truth.retract([k for k, v in self.truth.touches.items() if v[0] == name])
         self._learnt_again()
 
     @rule()
@@ -563,7 +574,7 @@ class SessionMachine(RuleBasedStateMachine):
         assert lesson == self.lesson
         assert state["library"]["undoable"] == len(self.undoable) or self.undoable
         assert len(state["episode"]["touches"]) == self.n_touches
-        assert state["sensor"]["baseline"] == self.has
+        assert state["sensor"]["baseline"] == self.has_baseline
         assert (state["sensor"]["press"] is not None) == self.asking
         learnt = state["model"] and state["model"]["objects"]
         assert learnt == self.learnt
@@ -585,15 +596,15 @@ class SessionMachine(RuleBasedStateMachine):
             self._learnt()
 
     def _learnt(self):
-        known = sorted(name for name, n in self._counts().items() if n > 1)
-        self.learnt = known if len(known) > 1 else None
+        learnt = sorted(name for name, n in self._counts().items() if n > 1)
+        self.learnt = learnt if len(learnt) > 1 else None
         assert bool(self.session.learn_error) == (self.learnt is None)
         self._begun()
 
     def _begun(self):
         self.n_touches, self.closed = 0, False
 
-    def _felt(self):
+    def _touch_counted(self):
         self.n_touches = 1 if self.closed else self.n_touches + 1
         self.closed = False
 
@@ -603,8 +614,8 @@ class SessionMachine(RuleBasedStateMachine):
         self.undoable.append(key)
 
     def _counts(self):
-        shown = [name for name, out in self.truth.known.values() if not out]
-        return {name: shown.count(name) for name in sorted(set(shown))}
+        labels = [name for name, out in self.truth.touches.values() if not out]
+        return {name: labels.count(name) for name in sorted(set(labels))}
 
     def _rows(self):
         return self.session.teacher.library.list(limit=None, retracted=True)

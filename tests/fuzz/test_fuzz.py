@@ -1,4 +1,4 @@
-"""Some seeds of the standing campaign, and what it found; `make fuzz` goes on."""
+"""Some seeds of the standing campaign, and its findings; `make fuzz` goes on."""
 
 import subprocess
 import sys
@@ -23,7 +23,7 @@ SEEDS = {
 
 
 @pytest.mark.parametrize(("kind", "n_seeds"), SEEDS.items())
-def test_some_seeds(kind, n_seeds):
+def test_inputs_of_some_seeds_are_handled(kind, n_seeds):
     if kind == "bag":
         pytest.importorskip("lz4", reason='needs the extra "ros"')
     for seed in range(n_seeds):
@@ -43,7 +43,7 @@ def test_a_run_goes_on_where_the_last_one_stopped(tmp_path, monkeypatch):
 
 
 def test_a_bag_that_unpacks_to_much_is_refused(tmp_path):
-    """In every container, whatever sizes it declares; or read if one says so."""
+    """Bags in any container are refused below their size; whole ones are read above."""
     forged_bags = pytest.importorskip("forged_bags")
     whole, forged = forged_bags.bombs(tmp_path, 4 * 2**20)
     for path in [*whole, *forged]:
@@ -69,12 +69,12 @@ print(peak_kib() - before)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells peaks")
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
 def test_a_refused_bag_was_not_unpacked(tmp_path):
     forged_bags = pytest.importorskip("forged_bags")
     small, _ = forged_bags.bombs(tmp_path / "small", 4 * 2**20)
     whole, forged = forged_bags.bombs(tmp_path, 64 * 2**20)
     command = [sys.executable, "-c", PEAKS, *map(str, [small[0], *whole, *forged])]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    # Counted in pieces of 1 MiB, out of files of up to 280 KiB.
-    assert int(done.stdout) < 16 * 2**10
+    completed = subprocess.run(command, check=True, capture_output=True, text=True)
+    # It is unpacked in pieces of 1 MiB, from files of up to 280 KiB.
+    assert int(completed.stdout) < 16 * 2**10

@@ -1,4 +1,4 @@
-"""Shared by tests of the library: a library, and rows changed behind its back."""
+"""Fixtures of the library: an empty one, one with touches, and altered rows."""
 
 import multiprocessing
 import os
@@ -14,11 +14,11 @@ from palpate.touches import Touches
 
 
 def press_of(seed, n_touches=1, side=5):
-    """Return touches drawn by a seed, of an object with a name as long."""
+    """Return touches drawn by a seed, of an object whose name has any length."""
     rng = np.random.default_rng(seed)
     return Touches(
         rng.integers(0, 255, (n_touches, side, 6), dtype=np.uint8),
-        object=["o" * (1 + seed % 9)] * n_touches,  # texts of any length
+        object=["o" * (1 + seed % 9)] * n_touches,
         press=[seed] * n_touches,
         loads=rng.normal(size=(n_touches, 20)),
     )
@@ -34,38 +34,41 @@ def started(target, *arguments):
     return process, reading
 
 
-def said_elsewhere(task, prepare=lambda: None):
-    """Return as text what a task returns or raises in a process that is prepared."""
+def outcome_elsewhere(task, prepare=lambda: None):
+    """Return as text what a task returns or raises in a process of its own."""
 
     def run(pipe):
         prepare()
         try:
-            said = str(task())
+            outcome = str(task())
         except BaseException as error:
-            said = f"{type(error).__name__}: {error}"
-        os.write(pipe, said.encode())
+            outcome = f"{type(error).__name__}: {error}"
+        os.write(pipe, outcome.encode())
         os._exit(0)
 
     process, pipe = started(run)
     with os.fdopen(pipe) as stream:
-        said = stream.read()
+        outcome = stream.read()
     process.join()
-    return said
+    return outcome
 
 
-def assert_alike(read, given):
-    """Fail where touches that were read are not those that were given."""
-    assert read.images.dtype == given.images.dtype
-    assert_array_equal(read.images, given.images)
-    for here, there in ((read.columns, given.columns), (read.whole, given.whole)):
-        assert set(here) == set(there)
-        for name, array in there.items():
-            assert_array_equal(here[name], array, err_msg=name)
-            assert here[name].dtype.kind == array.dtype.kind
+def assert_alike(read, expected):
+    """Fail where touches that were read are not those that are expected."""
+    assert read.images.dtype == expected.images.dtype
+    assert_array_equal(read.images, expected.images)
+    for arrays, expected_arrays in (
+        (read.columns, expected.columns),
+        (read.whole, expected.whole),
+    ):
+        assert set(arrays) == set(expected_arrays)
+        for name, array in expected_arrays.items():
+            assert_array_equal(arrays[name], array, err_msg=name)
+            assert arrays[name].dtype.kind == array.dtype.kind
 
 
 def rows_of(folder):
-    """Return every row of a library, those that were retracted too."""
+    """Return every row of a library, also the retracted ones."""
     with TouchLibrary.open(folder) as library:
         return library.list(limit=None, retracted=True)
 

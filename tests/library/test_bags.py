@@ -20,7 +20,7 @@ ROS1 = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
 def _header(types, stamp):
     time = types["builtin_interfaces/msg/Time"](stamp, 250_000_000)
     header = types["std_msgs/msg/Header"]
-    # Those of ROS 1 are numbered.
+    # Headers of ROS 1 are numbered.
     number = [0] if types is ROS1.types else []
     return header(*number, time, "pad")
 
@@ -80,7 +80,7 @@ def test_images_of_a_bag_are_touches(bag, rng):
 
 
 def test_a_digest_of_all_messages_is_kept(bag, library):
-    """Bags in SQLite have no checksum: the library keeps one of what was read."""
+    """Bags in SQLite have no checksum; the library keeps one of their messages."""
     images = np.zeros((2, 2, 3), np.uint8)
     messages = [_image(image, "mono8", stamp=n) for n, image in enumerate(images)]
     touches = read_bag(bag(*messages), "/pad")
@@ -95,22 +95,22 @@ def test_a_digest_of_all_messages_is_kept(bag, library):
     assert library.touches().whole["set_bag_sha256"] == digest
 
 
-def test_a_misspelt_topic_is_told_with_the_one_meant(bag, tmp_path):
+def test_a_misspelt_topic_is_refused_with_the_one_that_was_meant(bag, tmp_path):
     path = bag(_image(np.zeros((2, 2), np.uint8), "mono8"), topic="/finger/image")
-    words = ["library", "add", str(tmp_path / "lab"), str(path)]
-    kind = r"\(/finger/image of sensor_msgs/msg/Image\), got "
-    done = CliRunner().invoke(app, [*words, "--topic", "/finger/imag"])
-    assert re.search(kind + "'/finger/imag'.*mean", str(done.exception))
+    arguments = ["library", "add", str(tmp_path / "lab"), str(path)]
+    topics = r"\(/finger/image of sensor_msgs/msg/Image\), got "
+    result = CliRunner().invoke(app, [*arguments, "--topic", "/finger/imag"])
+    assert re.search(topics + "'/finger/imag'.*mean", str(result.exception))
     assert not (tmp_path / "lab").exists()
 
 
 def test_a_fourth_channel_of_a_bag_is_left_out(bag):
-    """Its value must not matter; blue comes first in bgra8: 0.114 * 255 = 29.07."""
+    """The luma of blue is 0.114 * 255 = 29.07, of red 76.2, whatever the fourth."""
     bgra = np.array([[[255, 0, 0, 0], [255, 0, 0, 255]]], dtype=np.uint8)
-    found = read_bag(bag(_image(bgra, "bgra8")), "/pad").images.tolist()
-    assert found == [[[29, 29]]]
-    found = read_bag(bag(_image(bgra, "rgba8")), "/pad").images.tolist()
-    assert found == [[[76, 76]]]
+    images = read_bag(bag(_image(bgra, "bgra8")), "/pad").images.tolist()
+    assert images == [[[29, 29]]]
+    images = read_bag(bag(_image(bgra, "rgba8")), "/pad").images.tolist()
+    assert images == [[[76, 76]]]
 
 
 def test_byte_order_and_colour_are_understood(bag):
@@ -134,7 +134,7 @@ def test_arrays_of_a_bag_are_touches(bag, sizes, shape):
 
 
 def _cloud(values, names=("x", "y", "z", "force"), row_pad=0, types=STORE.types):
-    """Points whose last field is a float32 reading after those of their place."""
+    """Return a cloud of points; the last of their float32 fields is the reading."""
     n_rows, n_cols = values.shape
     fields = [
         types["sensor_msgs/msg/PointField"](name, 4 * i, 7, 1)
@@ -218,7 +218,7 @@ def test_what_is_no_touch_is_refused(bag, tmp_path):
         read_bag(tmp_path / "no.mcap", "/pad")
 
 
-def test_what_reads_a_dataset_is_named(tmp_path, monkeypatch):
+def test_the_package_that_reads_a_dataset_is_named(tmp_path, monkeypatch):
     (tmp_path / "robot" / "meta").mkdir(parents=True)
     (tmp_path / "robot" / "meta" / "info.json").touch()
     monkeypatch.setattr("palpate.library._bags.entry_points", lambda group: [])
@@ -281,8 +281,8 @@ def test_a_bag_of_ros_1_that_unpacks_to_much_or_is_damaged_is_refused(tmp_path):
             read_bag(path, max_bytes=2**20)
         assert read_bag(path, max_bytes=2**30).images.shape == (1, 2000, 2000)
     whole = old_bag(tmp_path / "d.bag", pad=_pictures(4)).read_bytes()
-    cut = tmp_path / "cut.bag"
+    damaged = tmp_path / "cut.bag"
     for content in (b"#ROSBAG V2.0\n", whole[: len(whole) // 2], b"no bag at all"):
-        cut.write_bytes(content)
+        damaged.write_bytes(content)
         with pytest.raises(LibraryError, match=r"cut.bag must be a bag of ROS or"):
-            read_bag(cut)
+            read_bag(damaged)

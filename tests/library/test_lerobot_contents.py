@@ -1,4 +1,4 @@
-"""What a LeRobotDataset stores of every feature, against the touches it was made of.
+"""Every feature of a LeRobotDataset, against the touches that it was exported from.
 
 Expected values are computed here from the touches that went in, episode by episode.
 """
@@ -36,7 +36,7 @@ DTYPES = {
     "task_index": ("int64", [1]),
 }
 
-WAYS = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
+STATISTICS = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
 
 
 @pytest.fixture
@@ -55,16 +55,18 @@ def frames_of(folder):
     return pq.read_table(folder / "data/chunk-000/file-000.parquet")
 
 
-def about(folder, name):
+def metadata(folder, name):
     return json.loads((folder / f"meta/{name}.json").read_text())
 
 
 def test_every_feature_has_its_kind_and_shape(exported, seven):
     folder = exported(seven)
-    features = about(folder, "info")["features"]
-    found = {name: (one["dtype"], one["shape"]) for name, one in features.items()}
-    assert found == DTYPES
-    assert {one["names"] for one in features.values()} == {None}
+    features = metadata(folder, "info")["features"]
+    dtypes = {
+        name: (feature["dtype"], feature["shape"]) for name, feature in features.items()
+    }
+    assert dtypes == DTYPES
+    assert {feature["names"] for feature in features.values()} == {None}
     schema = frames_of(folder).schema
     for name, (kind, shape) in DTYPES.items():
         stored = schema.field(name).type
@@ -74,20 +76,20 @@ def test_every_feature_has_its_kind_and_shape(exported, seven):
         assert names.get(str(stored), str(stored)) == kind, name
 
 
-def test_every_value_is_the_touches(exported, seven):
-    """Arrays are stored in float32, the rest as it is; the last action stays."""
+def test_every_value_is_that_of_the_touches(exported, seven):
+    """Arrays are stored in float32; the last action of an episode stays in place."""
     frames = frames_of(exported(seven)).to_pydict()
-    known, place = seven.columns, seven.columns["position_mm"].astype(np.float32)
-    force = known["force_n"].astype(np.float32)
+    columns, place = seven.columns, seven.columns["position_mm"].astype(np.float32)
+    force = columns["force_n"].astype(np.float32)
     assert_array_equal(frames["observation.tactile"], seven.images)
     assert_array_equal(frames["observation.position_mm"], place)
     assert_array_equal(frames["observation.force_n"], force)
     assert_array_equal(frames["observation.state"], np.c_[place, force])
     assert_array_equal(frames["action"], place[[1, 1, 2, 4, 5, 5, 6]])
-    assert frames["object"] == known["object"].tolist()
-    assert frames["session"] == known["session"].tolist()
-    assert frames["time_s"] == known["time_s"].tolist()
-    assert frames["order"] == known["order"].tolist()
+    assert frames["object"] == columns["object"].tolist()
+    assert frames["session"] == columns["session"].tolist()
+    assert frames["time_s"] == columns["time_s"].tolist()
+    assert frames["order"] == columns["order"].tolist()
     assert frames["index"] == [0, 1, 2, 3, 4, 5, 6]
     assert frames["episode_index"] == np.repeat(range(4), LENGTHS).tolist()
     assert frames["frame_index"] == [0, 1, 0, 0, 1, 2, 0]
@@ -95,7 +97,7 @@ def test_every_value_is_the_touches(exported, seven):
     assert frames["task_index"] == [0, 0, 0, 1, 1, 1, 1]
 
 
-def test_episodes_tell_where_they_begin_and_end(exported, seven):
+def test_episodes_have_their_task_length_and_first_and_last_index(exported, seven):
     folder = exported(seven)
     rows = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet")
     for number, row in enumerate(rows.to_pylist()):
@@ -121,7 +123,7 @@ def test_episodes_tell_where_they_begin_and_end(exported, seven):
 
 def test_info_says_how_much_there_is_and_where(exported, seven):
     folder = exported(seven.with_columns(no_contact=np.ones((3, 4), np.float32)))
-    info = about(folder, "info")
+    info = metadata(folder, "info")
     info.pop("features")
     whole = info.pop("palpate")
     assert info == {
@@ -143,34 +145,36 @@ def test_info_says_how_much_there_is_and_where(exported, seven):
     assert whole["whole"]["no_contact"] == np.ones((3, 4)).tolist()
 
 
-def test_spread_is_over_what_was_read(exported, seven):
-    """Of every feature of numbers; what is NaN counts nowhere, all of it as 0."""
+def test_statistics_are_over_all_frames_that_were_read(exported, seven):
+    """NaN counts nowhere, and a taxel that is always NaN counts as 0."""
     folder = exported(seven)
-    stats = about(folder, "stats")
+    stats = metadata(folder, "stats")
     assert set(stats) == set(DTYPES) - {"object", "session"}
     frames = frames_of(folder).to_pydict()
     for name, spread in stats.items():
         values = np.asarray(frames[name], float).reshape(7, *DTYPES[name][1])
         dead = np.isnan(values).all(axis=0)
         values[:, dead] = 0
-        assert set(spread) == {*WAYS, "count"}
+        assert set(spread) == {*STATISTICS, "count"}
         assert spread["count"] == [7]
-        for way, function in WAYS.items():
+        for statistic, function in STATISTICS.items():
             expected = function(values, axis=0)
             # The deviation comes of sums of squares: exact to the root of rounding,
             # times the level (times are near 100 s).
-            assert_allclose(spread[way], expected, rtol=1e-9, atol=2e-6, err_msg=name)
+            assert_allclose(
+                spread[statistic], expected, rtol=1e-9, atol=2e-6, err_msg=name
+            )
     assert np.array(stats["observation.tactile"]["mean"])[0, 0] == 0
 
 
 @pytest.mark.parametrize("channels", [None, ("r", "g", "b")])
 def test_pictures_of_a_camera_are_stored_as_png(exported, rng, channels):
-    """Of three channels, grey three times; the spread is of shares by channel."""
+    """Grey is stored three times; the statistics are of shares of 255 by channel."""
     sides = (3, 60, 50) if channels is None else (3, 60, 50, 3)
     images = rng.integers(0, 200, sides, dtype=np.uint8)
     more = {} if channels is None else {"channels": list(channels)}
     folder = exported(Touches(images, object=["cup"] * 3, geometry="plane", **more))
-    info, stats = about(folder, "info"), about(folder, "stats")
+    info, stats = metadata(folder, "info"), metadata(folder, "stats")
     assert info["features"]["observation.tactile"] == {
         "dtype": "image",
         "shape": [60, 50, 3],
@@ -178,21 +182,23 @@ def test_pictures_of_a_camera_are_stored_as_png(exported, rng, channels):
     }
     assert info["palpate"]["grey"] is (channels is None)
     assert info["palpate"]["dtype"] == "|u1"
-    wide = images if channels else np.repeat(images[..., np.newaxis], 3, axis=3)
+    rgb = images if channels else np.repeat(images[..., np.newaxis], 3, axis=3)
     stored = frames_of(folder).to_pydict()["observation.tactile"]
-    for one, image in zip(stored, wide, strict=True):
-        assert one["path"] is None
-        assert_array_equal(np.asarray(Image.open(io.BytesIO(one["bytes"]))), image)
-    flat = wide.reshape(-1, 3) / 255
+    for record, image in zip(stored, rgb, strict=True):
+        assert record["path"] is None
+        assert_array_equal(np.asarray(Image.open(io.BytesIO(record["bytes"]))), image)
+    shares = rgb.reshape(-1, 3) / 255
     spread = stats["observation.tactile"]
     assert np.shape(spread["mean"]) == (3, 1, 1)
-    for way, function in WAYS.items():
+    for statistic, function in STATISTICS.items():
         # Sums over 9000 pixels in another order.
-        assert_allclose(np.ravel(spread[way]), function(flat, axis=0), rtol=1e-9)
+        assert_allclose(
+            np.ravel(spread[statistic]), function(shares, axis=0), rtol=1e-9
+        )
 
 
 @pytest.mark.parametrize(
-    ("shape", "about_them", "kind"),
+    ("shape", "columns", "kind"),
     [
         ((48, 60), {"geometry": "plane"}, "float32"),
         ((48, 60, 3), {"channels": ["r", "g", "b"]}, "float32"),
@@ -201,15 +207,15 @@ def test_pictures_of_a_camera_are_stored_as_png(exported, rng, channels):
         ((49, 60), {"geometry": "none"}, "float32"),
     ],
 )
-def test_what_may_be_an_array_is_stored_as_one(exported, rng, shape, about_them, kind):
+def test_what_may_be_an_array_is_stored_as_one(exported, rng, shape, columns, kind):
     images = rng.integers(0, 255, (4, *shape), dtype=np.uint8)
-    folder = exported(Touches(images, object=["cup"] * 4, **about_them))
-    feature = about(folder, "info")["features"]["observation.tactile"]
+    folder = exported(Touches(images, object=["cup"] * 4, **columns))
+    feature = metadata(folder, "info")["features"]["observation.tactile"]
     assert feature["dtype"] == kind
     if kind == "float32":
         assert feature["shape"] == [*shape]
-        found = np.array(frames_of(folder).to_pydict()["observation.tactile"])
-        assert_array_equal(found, images)
+        stored = np.array(frames_of(folder).to_pydict()["observation.tactile"])
+        assert_array_equal(stored, images)
 
 
 def test_without_labels_the_task_is_to_touch(exported, rng):
@@ -238,12 +244,12 @@ ROOT = Path(__file__).parents[2]
 def test_lerobot_reads_exports_and_finds_the_camera():
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
-    made = subprocess.run(
+    completed = subprocess.run(
         ["make", "--silent", "check-lerobot"], cwd=ROOT, capture_output=True, text=True
     )
-    said = made.stdout + made.stderr
-    if made.returncode and ".installed] Error" in said:
-        pytest.skip(f"lerobot's environment cannot be made: {said.strip()[-300:]}")
-    assert made.returncode == 0, said[-3000:]
-    assert " passed" in said
-    assert "skipped" not in said
+    output = completed.stdout + completed.stderr
+    if completed.returncode and ".installed] Error" in output:
+        pytest.skip(f"lerobot's environment cannot be made: {output.strip()[-300:]}")
+    assert completed.returncode == 0, output[-3000:]
+    assert " passed" in output
+    assert "skipped" not in output

@@ -1,4 +1,4 @@
-"""Rows and pages that something altered: refused, found, and the rest kept."""
+"""Altered rows and pages are refused and reported; all other touches are kept."""
 
 import os
 import shutil
@@ -64,37 +64,37 @@ REFUSED = {
 def test_what_is_altered_is_refused_left_out_found_and_set_aside(
     folder, alter, statement, numbers
 ):
-    before, places = rows_of(folder), [int(n) - 1 for n in numbers]
+    before, lost_rows = rows_of(folder), [int(n) - 1 for n in numbers]
     alter(folder, statement)
     with TouchLibrary.open(folder) as library:
         for read in (library.touches, lambda: library.select().touches(range(5))):
             with pytest.raises(LibraryError):
                 read()
-        if len(places) < 6:
+        if len(lost_rows) < 6:
             with pytest.warns(UserWarning, match="left out"):
-                rest = library.touches(damaged="skip")
-            assert len(rest) == 5 - len({*places} - {3})
+                undamaged = library.touches(damaged="skip")
+            assert len(undamaged) == 5 - len({*lost_rows} - {3})
         report = library.check()
     assert not report.ok
     assert len(report.problems) < 20
-    done = repair_library(folder)
+    repair = repair_library(folder)
     assert check_library(folder).ok
-    assert done.rebuilt
+    assert repair.rebuilt
     assert list(folder.glob("damaged/*/library.sqlite"))
     kept = rows_of(folder)
-    lost = len(before) - len(kept)
-    assert lost == len(done.lost)
-    if "change" in statement:  # of names: touches are whole, called as they came
+    n_lost = len(before) - len(kept)
+    assert n_lost == len(repair.lost)
+    if "change" in statement:  # touches are whole, but under their first names
         assert [r._replace(object=None) for r in kept] == [
             r._replace(object=None) for r in before
         ]
     elif "objects" in statement or "SET object" in statement:
         assert kept == before
     else:
-        assert kept == [row for n, row in enumerate(before) if n not in places]
+        assert kept == [row for n, row in enumerate(before) if n not in lost_rows]
 
 
-FOUND = {
+UNNOTICED = {
     "last": "DELETE FROM touches WHERE number = 6",
     "one": "DELETE FROM touches WHERE number = 3",
     "touch and image": "DELETE FROM images WHERE number = 6; "
@@ -113,7 +113,7 @@ FOUND = {
 }
 
 
-@pytest.mark.parametrize("statements", FOUND.values(), ids=FOUND)
+@pytest.mark.parametrize("statements", UNNOTICED.values(), ids=UNNOTICED)
 def test_what_reading_cannot_notice_is_found_by_a_check(folder, alter, statements):
     before = {row.id: row for row in rows_of(folder)}
     alter(folder, *statements.split("; "))
@@ -121,31 +121,31 @@ def test_what_reading_cannot_notice_is_found_by_a_check(folder, alter, statement
     assert not report.ok
     with suppress(LibraryError):
         repair_library(folder)
-        left = {problem.kind for problem in check_library(folder).problems}
-        assert left <= {"left out"}
+        kinds = {problem.kind for problem in check_library(folder).problems}
+        assert kinds <= {"left out"}
         gone = set(before) - {row.id for row in rows_of(folder)}
         assert len(gone) == ("DELETE FROM touches" in statements)
     assert list(folder.rglob("library.sqlite"))
 
 
 def test_a_flip_that_makes_bytes_a_text_is_no_crash(folder):
-    """The type of a cell is one byte of its row: that of bytes plus one is of text."""
+    """One byte of a row is the type of a cell; text is the type of bytes plus one."""
     path = folder / "library.sqlite"
     with closing(sqlite3.connect(path)) as database:
         [[n_bytes]] = database.execute("SELECT length(content) FROM arrays")
     content = bytearray(path.read_bytes())
-    kind = 12 + 2 * n_bytes  # of the content, after that of a digest of 32 bytes
-    header = bytes([4, 12 + 2 * 32, 0x80 | kind >> 7, kind & 0x7F])
+    cell_type = 12 + 2 * n_bytes  # follows that of a digest of 32 bytes
+    header = bytes([4, 12 + 2 * 32, 0x80 | cell_type >> 7, cell_type & 0x7F])
     content[content.index(header) + 3] ^= 1
     path.write_bytes(content)
-    found = {problem.kind for problem in check_library(folder).problems}
-    assert found == {"array", "database"}
+    kinds = {problem.kind for problem in check_library(folder).problems}
+    assert kinds == {"array", "database"}
     with TouchLibrary.open(folder) as library, pytest.warns(UserWarning, match="check"):
         assert library.touches().no_contact is None
 
 
 def test_a_forged_image_is_found_since_its_id_does_not_follow(folder):
-    """Even where whoever forged it computed every digest and the chain anew."""
+    """The forger may even have computed every digest and the chain anew."""
     with TouchLibrary.open(folder) as library:
         store, tables = library._store, library._tables
         [row] = stored_touches(store, "WHERE t.number = ?", [2])
@@ -172,16 +172,16 @@ def test_a_forged_image_is_found_since_its_id_does_not_follow(folder):
     assert "must follow from what it holds" in problem.what
 
 
-def test_an_older_database_put_back_is_told_until_it_is_accepted(folder):
-    """Also when touches have been added to it since."""
+def test_an_older_database_put_back_is_reported_until_it_is_accepted(folder):
+    """The check reports it also after touches were added since."""
     before = (folder / "library.sqlite").read_bytes()
     with TouchLibrary.open(folder) as library:
         library.add(press_of(1, 3))
         library.rename_object("mug", "cup")
     (folder / "library.sqlite").write_bytes(before)
     for n_added in range(2):
-        told = "once held 3 more touches and 1 more changes"
-        with pytest.warns(UserWarning, match=told) as warned:
+        message = "once held 3 more touches and 1 more changes"
+        with pytest.warns(UserWarning, match=message) as warned:
             library = TouchLibrary.open(folder)
         assert warned[0].filename == __file__
         with library:
@@ -190,8 +190,8 @@ def test_an_older_database_put_back_is_told_until_it_is_accepted(folder):
         [problem] = check_library(folder).problems
         assert problem.kind == "lost"
         assert "3 more touches and 1 more changes" in problem.what
-    done = repair_library(folder)
-    assert (done.rebuilt, done.n_touches, done.set_aside) == (False, 7, None)
+    repair = repair_library(folder)
+    assert (repair.rebuilt, repair.n_touches, repair.set_aside) == (False, 7, None)
     assert check_library(folder).ok
     assert len(rows_of(folder)) == 7
 
@@ -229,25 +229,25 @@ def test_a_repair_keeps_all_that_is_whole_and_deletes_nothing(
     path = folder / "library.sqlite"
     content = bytearray(path.read_bytes())
     rng = np.random.default_rng(seed)
-    # Pages of these kinds, but the first: their first byte tells.
+    # The first byte of a page is its kind; the first page stays whole.
     pages = [p for p in range(1, len(content) // PAGE) if content[p * PAGE] in kinds]
     for page in rng.permutation(pages)[:n_pages]:
-        where = slice(page * PAGE + 100, (page + 1) * PAGE - 8)
-        content[where] = rng.bytes(where.stop - where.start)
+        span = slice(page * PAGE + 100, (page + 1) * PAGE - 8)
+        content[span] = rng.bytes(span.stop - span.start)
     path.write_bytes(content)
     assert not check_library(folder).ok
-    done = repair_library(folder)
+    repair = repair_library(folder)
     kept, kept_images = _facts(folder)
     assert kept == [row for row in before if row.id in kept_images]
     assert kept_images.items() <= images.items()
     if kinds == INDEX:
-        assert done.lost == []
+        assert repair.lost == []
     # A row of the table of touches takes more than 200 bytes, that of an image more.
-    assert len(done.lost) <= n_pages * PAGE // 200
-    assert len(kept) + len(done.lost) == len(before)
-    named = {key for key in done.lost if not key.startswith("number ")}
+    assert len(repair.lost) <= n_pages * PAGE // 200
+    assert len(kept) + len(repair.lost) == len(before)
+    named = {key for key in repair.lost if not key.startswith("number ")}
     assert named <= images.keys() - kept_images.keys()
-    assert Path(done.set_aside).read_bytes() == bytes(content)
+    assert Path(repair.set_aside).read_bytes() == bytes(content)
     assert check_library(folder).ok
     with TouchLibrary.open(folder) as library:
         for seed in range(8):
@@ -277,7 +277,7 @@ def test_a_repair_that_fails_leaves_the_library_as_it_was(folder, alter, monkeyp
 
 
 def test_what_another_adds_after_a_repair_is_not_lost(folder, alter):
-    """It is refused, or is in the new database: not in the one set aside alone."""
+    """The touch is refused, or is in the new database, not only in the old one."""
     with TouchLibrary.open(folder) as other:
         assert len(other) == 5
         alter(folder, "UPDATE touches SET force_n = 9 WHERE number = 2")

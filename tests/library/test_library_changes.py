@@ -1,4 +1,4 @@
-"""Renames, merges, retractions, and touches that come back from an export after."""
+"""Renames, merges, retractions, and touches that come back from an export."""
 
 import time
 import unicodedata
@@ -38,12 +38,12 @@ def state_of(folder):
 
 @pytest.fixture
 def rebuilt(alter):
-    """Have a database made anew that lacks nothing; return what is in it."""
+    """Have a whole database rebuilt; return its rows, objects and history."""
 
     def rebuild(folder):
         alter(folder, "UPDATE tally SET touches = x'00'")
-        done = repair_library(folder)
-        assert (done.rebuilt, done.lost, done.n_changes_lost) == (True, [], 0)
+        repair = repair_library(folder)
+        assert (repair.rebuilt, repair.lost, repair.n_changes_lost) == (True, [], 0)
         assert check_library(folder).ok
         return state_of(folder)
 
@@ -53,7 +53,7 @@ def rebuilt(alter):
 def test_changes_follow_one_another_even_while_the_clock_is_wrong(
     folder, rebuilt, monkeypatch
 ):
-    """Standing still or set back: each names what was there when it was made."""
+    """A change names the objects of its time, also where the clock stands still."""
     monkeypatch.setattr(time, "time", lambda: 1000.0)
     with TouchLibrary.open(folder) as library:
         for old, new in ("ax", "xy", "ya", "az"):
@@ -71,7 +71,7 @@ def test_changes_follow_one_another_even_while_the_clock_is_wrong(
     assert rebuilt(folder) == before
 
 
-def test_every_change_is_told_with_its_time_and_reason(folder):
+def test_the_history_has_every_change_with_its_time_and_reason(folder):
     start = time.time()
     with TouchLibrary.open(folder) as library:
         ids = [row.id for row in library.list()]
@@ -112,9 +112,9 @@ def test_what_changes_nothing_leaves_nothing(folder):
         for reason in (" ", "\ud800"):
             with pytest.raises(ValueError, match="reason must be a text"):
                 library.retract(object="a", reason=reason)
-        for one in "ab":
+        for name in "ab":
             with pytest.raises(LibraryError, match="which are one"):
-                library.merge_objects(one, one)
+                library.merge_objects(name, name)
         assert [change.action for change in library.history()] == ["retract", "restore"]
         assert library.stats().n_changes == 2
         assert library.check().ok
@@ -123,12 +123,12 @@ def test_what_changes_nothing_leaves_nothing(folder):
 def test_touches_are_chosen_by_ids_or_by_their_object(folder, rebuilt):
     with TouchLibrary.open(folder) as library:
         ids = [row.id for row in library.list()]
-        for how in ({}, {"ids": ids[:1], "object": "a"}):
+        for chosen in ({}, {"ids": ids[:1], "object": "a"}):
             with pytest.raises(ValueError, match="Give either ids or object"):
-                library.retract(**how, reason="wet")
+                library.retract(**chosen, reason="wet")
         library.merge_objects("a", "b")
         library.retract(ids[0], reason="wet")
-        # Those of the merged one are of the object; the retracted one is left as it is.
+        # Touches of the merged object count; the retracted one keeps its reason.
         assert library.retract(object="a", reason="dry") == 3
         assert [row.name for row in library.objects()] == ["c"]
         assert library.add(touches("aabbcc")) == ids
@@ -163,16 +163,18 @@ def test_merged_objects_stay_one_through_merges_renames_and_repairs(folder, rebu
 
 
 @pytest.mark.parametrize(("n_objects", "more"), [(20, False), (21, True)])
-def test_unknown_names_are_told_with_twenty_known_ones(library, n_objects, more):
+def test_unknown_names_are_refused_with_the_first_twenty_names(
+    library, n_objects, more
+):
     names = [f"thing {k:02}" for k in range(n_objects)]
     with pytest.raises(LibraryError, match=r"library \(it has none\), got 'x'"):
         library.rename_object("x", "y")
     library.add(touches(names))
-    with pytest.raises(LibraryError) as refused:
+    with pytest.raises(LibraryError) as refusal:
         library.rename_object("thing 7", "y")
     listed = ", ".join(map(repr, names[:20])) + ", ..." * more
-    assert f"library ({listed}), got 'thing 7'" in str(refused.value)
-    assert "Did you mean" in str(refused.value)
+    assert f"library ({listed}), got 'thing 7'" in str(refusal.value)
+    assert "Did you mean" in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["time_s", "force_n"])
@@ -188,7 +190,7 @@ def test_numbers_of_any_size_and_texts_of_digits_stay_what_they_are(folder, name
 
 @pytest.mark.parametrize("gone", ["a", "c"])
 def test_changes_of_touches_that_are_lost_cost_no_other(folder, alter, gone):
-    """Those that concern others too are kept, and a check is content with them."""
+    """A change that concerns other touches too is kept, and a check accepts it."""
     with TouchLibrary.open(folder) as library:
         ids = {n: [row.id for row in library.list(f"object = {n}")] for n in "abc"}
         library.retract([ids["a"][0], *ids["b"], ids["c"][1]], reason="wet")
@@ -197,9 +199,9 @@ def test_changes_of_touches_that_are_lost_cost_no_other(folder, alter, gone):
         library.merge_objects("c", "b")
     numbers = {"a": "1, 2", "c": "5, 6"}[gone]
     alter(folder, f"UPDATE touches SET force_n = 9 WHERE number IN ({numbers})")
-    done = repair_library(folder)
-    assert done.lost == ids[gone]
-    assert (done.n_changes, done.n_changes_lost) == (3, 1)
+    repair = repair_library(folder)
+    assert repair.lost == ids[gone]
+    assert (repair.n_changes, repair.n_changes_lost) == (3, 1)
     rows = {row.id: (row.object, row.reason) for row in state_of(folder)[0]}
     kept = {
         "a": dict(zip(ids["c"], [("b", None)] * 2, strict=True)),
@@ -211,7 +213,7 @@ def test_changes_of_touches_that_are_lost_cost_no_other(folder, alter, gone):
 
 
 def test_a_change_that_cannot_be_read_is_counted_and_the_touches_stay(folder, alter):
-    """The names and retractions are then those of the changes that are left."""
+    """Names and retractions then follow from the changes that are left."""
     with TouchLibrary.open(folder) as library:
         library.rename_object("a", "x")
         library.retract(object="c", reason="wet")
@@ -222,8 +224,8 @@ def test_a_change_that_cannot_be_read_is_counted_and_the_touches_stay(folder, al
             library.history()
         with pytest.raises(LibraryError):
             library.touches()
-    done = repair_library(folder)
-    assert (done.n_touches, done.lost, done.n_changes_lost) == (6, [], 1)
+    repair = repair_library(folder)
+    assert (repair.n_touches, repair.lost, repair.n_changes_lost) == (6, [], 1)
     rows = state_of(folder)[0]
     assert [row.object for row in rows] == list("aabbcc")
     assert [row.reason for row in rows] == [*[None] * 4, "wet", "wet"]
@@ -266,11 +268,11 @@ def test_a_name_that_no_terminal_should_print_is_refused(name):
             Touches(IMAGES, **{column: ["pen", name]})
 
 
-@pytest.mark.parametrize("given", [["pen", "mug\0"], ("pen", "mug\0")])
-def test_a_trailing_nul_is_refused_rather_than_lost(given):
+@pytest.mark.parametrize("labels", [["pen", "mug\0"], ("pen", "mug\0")])
+def test_a_trailing_nul_is_refused_rather_than_lost(labels):
     """Numpy drops it without a word."""
     with pytest.raises(TouchesError, match="must be of letters that can be printed"):
-        Touches(IMAGES, object=given)
+        Touches(IMAGES, object=labels)
 
 
 def test_other_scripts_and_emoji_are_names():
@@ -280,8 +282,8 @@ def test_other_scripts_and_emoji_are_names():
 
 def _touches(seed=0, **columns):
     images = np.random.default_rng(seed).integers(0, 255, (6, 4, 4), dtype=np.uint8)
-    known = {"object": ["a", "b", "c"] * 2, "press": np.arange(6)} | columns
-    return Touches(images, **known)
+    columns = {"object": ["a", "b", "c"] * 2, "press": np.arange(6)} | columns
+    return Touches(images, **columns)
 
 
 def _exported(library, tmp_path, where=None):
@@ -326,7 +328,7 @@ def test_another_object_of_a_freed_name_stays_another(library, tmp_path):
 
 
 def test_touches_of_unlike_columns_come_back(library, tmp_path):
-    """An export fills what some lack, and writes numbers among texts as text."""
+    """An export fills gaps of columns, and writes numbers among texts as text."""
     first = library.add(_touches(session=np.arange(6), episode=["x", "", "y"] * 2))
     second = library.add(_touches(1, session=["s", "t", "u"] * 2))
     third = library.add(_touches(2))
@@ -344,7 +346,7 @@ def test_an_export_given_twice_at_once_adds_nothing(library, tmp_path):
 
 
 def test_a_renamed_touch_that_a_repair_lost_comes_back(library, tmp_path, alter):
-    """As what its object is called now, beside those that were kept."""
+    """It has the present name of its object, like the touches that were kept."""
     ids = library.add(_touches())
     library.rename_object("a", "mug")
     exported = _exported(library, tmp_path)
@@ -389,7 +391,7 @@ def test_a_name_that_no_database_holds_is_unknown(library):
 @pytest.mark.parametrize(
     "name", ["it's", "a \"b\" 'c'", "''", "and", "5", "ツ = or", "' or 1 = 1"]
 )
-def test_any_name_can_be_asked_for(library, name):
+def test_a_filter_takes_any_name(library, name):
     library.add(_touches(object=[name, "b", "c"] * 2))
     assert [r.object for r in library.list(f"object = {quoted(name)}")] == [name] * 2
     assert library.count(f"object != {quoted(name)}") == 4

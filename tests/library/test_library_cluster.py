@@ -47,14 +47,14 @@ def on_cluster(cluster):
 
 
 def _spectrum(touches):
-    """Features that take some arithmetic, so that rounding could differ."""
+    """Return features that take some arithmetic, so that rounding could differ."""
     values = np.linalg.svd(touches.images.astype(float), compute_uv=False)
     return np.log1p(values)
 
 
 @pytest.fixture
 def library(tmp_path):
-    """More touches than are encoded at once."""
+    """A library of more touches than are encoded at once."""
     rng = np.random.default_rng(0)
     with TouchLibrary.open(tmp_path / "library", create=True) as opened:
         opened.add(Touches(rng.normal(size=(2000, 12, 12)), object=["a", "b"] * 1000))
@@ -74,22 +74,22 @@ def test_a_library_is_encoded_alike_everywhere(library, on_cluster):
     assert_allclose(remote, alone, rtol=0, atol=1e-10)
 
 
-def _kinds():
+def _touches_of_two_categories():
     """Return touches of two categories of two objects each."""
     rng = np.random.default_rng(1)
     categories = rng.normal(size=(2, 3, 24))
-    kind, one = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
+    kind, number = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
     images = categories[kind] + 0.5 * rng.normal(size=(80, 3, 24))
     return Touches(
         images,
-        object=[f"{k}{o}" for k, o in zip(kind, one, strict=True)],
+        object=[f"{k}{o}" for k, o in zip(kind, number, strict=True)],
         category=kind,
         geometry="none",
     )
 
 
 def _slow_sum(number, block, folder):
-    """Leave a mark with this worker's number, so that the test can kill it."""
+    """Leave a file named after this worker's process, so that the test can kill it."""
     (folder / f"{number}.{os.getpid()}").touch()
     time.sleep(0.3)
     return number**2 + float(block.sum())
@@ -97,7 +97,7 @@ def _slow_sum(number, block, folder):
 
 @pytest.mark.slow
 def test_tasks_of_a_dead_worker_are_done_again_whatever_they_hold(on_cluster, tmp_path):
-    """SIGKILL one while it works: the scheduler holds its tasks and their arguments."""
+    """A worker gets SIGKILL while it works; the scheduler holds all its tasks."""
     blocks = [np.full(1000, number / 1000) for number in range(12)]
     tasks = [(number, block, tmp_path) for number, block in enumerate(blocks)]
     results = results_of(_slow_sum, len(tasks), tasks.__getitem__)
@@ -109,7 +109,7 @@ def test_tasks_of_a_dead_worker_are_done_again_whatever_they_hold(on_cluster, tm
 
 
 @pytest.mark.slow
-def test_a_task_that_fails_fails_as_here(on_cluster):
+def test_a_task_that_fails_raises_its_own_error(on_cluster):
     with pytest.raises(ZeroDivisionError):
         list(results_of(divmod, 3, lambda n: (1, n)))
 
@@ -122,7 +122,7 @@ def _dies(number):
 def test_a_task_that_kills_its_workers_is_not_tried_for_ever(
     cluster, on_cluster, monkeypatch
 ):
-    """Dask gives up after four, here after one; most often it was the memory."""
+    """Dask gives up after four dead workers, here after one."""
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)
     with pytest.raises(OSError, match="must fit into the memory of one worker"):
         list(results_of(_dies, 1, lambda n: (n,)))
@@ -146,19 +146,19 @@ def _marked(folder, touches):
 def test_a_cluster_that_goes_away_for_good_ends_in_a_sentence(
     library, tmp_path, monkeypatch, lost
 ):
-    """Within the time that is waited for it, and with nothing half done."""
+    """The sentence comes within the longest absence, and nothing half done is kept."""
     monkeypatch.setattr(_parallel, "LONGEST_ABSENCE_S", 3.0)
     marks = tmp_path / "marks"
     marks.mkdir()
     options = {"threads_per_worker": 1, "host": "127.0.0.1", "silence_logs": 50}
-    with distributed.LocalCluster(1, dashboard_address=":0", **options) as brief:
+    with distributed.LocalCluster(1, dashboard_address=":0", **options) as short_lived:
 
         def leave():
             while not any(marks.iterdir()):
                 time.sleep(0.05)
-            brief.scale(0) if lost == "workers" else brief.close()
+            short_lived.scale(0) if lost == "workers" else short_lived.close()
 
-        with distributed.Client(brief.scheduler_address, timeout=2):
+        with distributed.Client(short_lived.scheduler_address, timeout=2):
             leaving = Thread(target=leave)
             leaving.start()
             begun = time.monotonic()
@@ -183,9 +183,9 @@ def parquet(tmp_path):
     touches = Touches(
         images, object=np.repeat([f"part {k}" for k in range(20)], 30), geometry="none"
     )
-    with TouchLibrary.open(tmp_path / "library", create=True) as made:
-        made.add(touches)
-        made.export(tmp_path / "set.parquet")
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(touches)
+        library.export(tmp_path / "set.parquet")
     table = pq.read_table(tmp_path / "set.parquet")
     pq.write_table(table, tmp_path / "set.parquet", row_group_size=60)
     return touches, tmp_path / "set.parquet"
@@ -193,11 +193,11 @@ def parquet(tmp_path):
 
 @pytest.fixture
 def palpate(monkeypatch, capsys):
-    """Call `palpate ARGUMENTS... --json`; return what it says."""
+    """Call `palpate ARGUMENTS... --json`; return its answer."""
 
-    def run(*given):
-        words = map(str, ["palpate", *given, "--json"])
-        monkeypatch.setattr(sys, "argv", list(words))
+    def run(*arguments):
+        argv = map(str, ["palpate", *arguments, "--json"])
+        monkeypatch.setattr(sys, "argv", list(argv))
         with suppress(SystemExit):
             main()
         return json.loads(capsys.readouterr().out)
@@ -207,7 +207,7 @@ def palpate(monkeypatch, capsys):
 
 @pytest.fixture
 def few_at_once(monkeypatch):
-    """Landmarks from 5,000 targets on, tasks of 100 touches or a row group."""
+    """Use landmarks from 5,000 targets on, and tasks of 100 touches or a row group."""
     monkeypatch.setattr(_kernel_ridge, "_MOST_TARGETS", 5000)
     monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 100)
     monkeypatch.setattr("palpate.touches._sources._AT_ONCE", 1)
@@ -218,11 +218,11 @@ def test_the_command_learns_parquet_alike_everywhere(
     cluster, parquet, few_at_once, tmp_path, palpate
 ):
     touches, path = parquet
-    places = {"one": [], "cluster": ["--cluster", cluster.scheduler_address]}
+    options = {"one": [], "cluster": ["--cluster", cluster.scheduler_address]}
     answers = []
-    for name, place in places.items():
+    for name, where in options.items():
         output = tmp_path / f"{name}.palpate"
-        learnt = palpate("learn", path, "-o", output, *place)
+        learnt = palpate("learn", path, "-o", output, *where)
         assert learnt["n_train_touches"] == len(touches)
         answers.append(ObjectRecogniser.load(output).log_likelihood(touches[::20]))
     # The same arithmetic in the same blocks, added in the same order.
@@ -246,15 +246,15 @@ def test_a_worker_that_dies_while_parquet_is_learnt_changes_nothing(
     killing.start()
     together = ObjectRecogniser().fit(ParquetTouches(path))
     killing.join()
-    asked = touches[::20]
+    tested = touches[::20]
     assert_allclose(
-        together.log_likelihood(asked), alone.log_likelihood(asked), rtol=0, atol=1e-6
+        together.log_likelihood(tested), alone.log_likelihood(tested), rtol=0, atol=1e-6
     )
 
 
 @pytest.mark.slow
 def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
-    """A small study in one process, two, and a cluster."""
+    """A small study runs in one process, in two, and on a cluster."""
     from palpate.studies import run_study
     from palpate.studies.liu2014 import Liu2014Plan
 
@@ -263,15 +263,15 @@ def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
     plan = Liu2014Plan.quick(protocol="nested", **small)
 
     def figures(workers):
-        done = run_study("liu2014", workers=workers, plan=plan, progress=False)
-        return [row["ours"] for row in done["rows"]]
+        study = run_study("liu2014", workers=workers, plan=plan, progress=False)
+        return [row["ours"] for row in study["rows"]]
 
     with parallel_config("loky", n_jobs=1):
-        one = figures(1)
+        expected = figures(1)
     with parallel_config("loky", n_jobs=2):
-        assert_allclose(figures(2), one, rtol=0, atol=1e-10)
+        assert_allclose(figures(2), expected, rtol=0, atol=1e-10)
     with distributed.Client(cluster.scheduler_address), parallel_config("dask"):
-        assert_allclose(figures(-1), one, rtol=0, atol=1e-10)
+        assert_allclose(figures(-1), expected, rtol=0, atol=1e-10)
 
 
 @pytest.mark.slow
@@ -280,17 +280,19 @@ def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, palpate):
 
     Every category is left out once per fold; processes share the folds.
     """
-    _kinds().save(tmp_path / "t.npz")
-    given = ["--train", tmp_path / "t.npz", "--split", "unseen-objects"]
-    given += ["--label", "category", "--touches", "1,3", "--orders", 2]
-    places = {
+    _touches_of_two_categories().save(tmp_path / "t.npz")
+    arguments = ["--train", tmp_path / "t.npz", "--split", "unseen-objects"]
+    arguments += ["--label", "category", "--touches", "1,3", "--orders", 2]
+    options = {
         "one": ["--workers", 1],
         "two": ["--workers", 2],
         "cluster": ["--cluster", cluster.scheduler_address],
     }
-    figures = {n: palpate("evaluate", *given, *place) for n, place in places.items()}
+    figures = {
+        n: palpate("evaluate", *arguments, *where) for n, where in options.items()
+    }
     for key in ("accuracy", "log_loss", "ece"):
-        one = figures["one"][key]
+        expected = figures["one"][key]
         # The same arithmetic on the same machine, one thread or several.
-        assert figures["two"][key] == pytest.approx(one, rel=0, abs=1e-10)
-        assert figures["cluster"][key] == pytest.approx(one, rel=0, abs=1e-10)
+        assert figures["two"][key] == pytest.approx(expected, rel=0, abs=1e-10)
+        assert figures["cluster"][key] == pytest.approx(expected, rel=0, abs=1e-10)

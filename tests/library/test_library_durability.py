@@ -1,6 +1,6 @@
-"""Killed writers, several writers, full disks, flipped bits.
+"""Killed writers, several writers, full disks and flipped bits lose no touch.
 
-Nothing acknowledged is lost, and nothing is silently wrong.
+Every acknowledged touch is kept, and no answer is silently wrong.
 """
 
 import os
@@ -26,7 +26,7 @@ from palpate.library import (
     repair_library,
 )
 
-from .conftest import press_of, said_elsewhere, started
+from .conftest import outcome_elsewhere, press_of, started
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes")
 
@@ -51,8 +51,8 @@ def _acknowledged(pipe):
 def _kill_writers(folder, n_times):
     """Kill two writers at random moments; return everything they acknowledged.
 
-    So many times, and on a busy machine more, until something is acknowledged. The
-    first ones may be killed while they make the library.
+    This happens `n_times`, and on a busy machine again until a touch is
+    acknowledged: the first writers may be killed while they make the library.
     """
     rng = random.Random(3)
     acknowledged = {}
@@ -83,7 +83,7 @@ def _assert_all_there(folder, acknowledged):
                 continue
             expected = press_of(seed, 1 + seed % 3).images
             assert_array_equal(np.stack([library.image(k) for k in keys]), expected)
-            # Those of one writer are in its order.
+            # Touches of one writer are in its order.
             places = [listed.index(key) for key in keys]
             assert places == sorted(places)
         assert str(library.check()).endswith("all present and as they were written.")
@@ -104,7 +104,7 @@ def _write_some(folder, first, pipe):
 
 
 def test_two_writers_at_once_lose_nothing(tmp_path):
-    """They also add some touches both: those are one. Others open it meanwhile."""
+    """Touches that both add are stored once. Readers open the library meanwhile."""
     writers = [started(_write_some, tmp_path, first) for first in (1, 11)]
     while any(process.is_alive() for process, _ in writers):
         if TouchLibrary.is_library(tmp_path):
@@ -134,8 +134,8 @@ def test_what_is_in_the_log_alone_is_there(tmp_path):
 
 
 def test_a_disk_that_fills_while_touches_are_added_is_reported(tmp_path):
-    """SQLite's own limit on pages stands for a full disk: it fails the same way."""
-    touches, seen = press_of(1, 600, 40), []
+    """SQLite's own limit on pages fails in the same way as a full disk."""
+    touches, n_stored = press_of(1, 600, 40), []
     with TouchLibrary.open(tmp_path, create=True) as library:
         before = library.add(press_of(2))
         run = library._store._connection.execute
@@ -146,13 +146,17 @@ def test_a_disk_that_fills_while_touches_are_added_is_reported(tmp_path):
             with suppress(LibraryError):
                 library.add(touches)
                 break
-            seen.append(len(library) - 1)  # whole transactions alone
-            with pytest.raises(LibraryError, match=r"full\. Free space") as full:
+            n_stored.append(len(library) - 1)  # whole transactions alone
+            with pytest.raises(LibraryError, match=r"full\. Free space") as refusal:
                 library.add(touches)
-            said = "of 600 touches are stored; add them all again, none is stored twice"
-            assert (f"{seen[-1]} {said}" in str(full.value)) == (seen[-1] > 0)
+            message = (
+                "of 600 touches are stored; add them all again, none is stored twice"
+            )
+            assert (f"{n_stored[-1]} {message}" in str(refusal.value)) == (
+                n_stored[-1] > 0
+            )
             assert library.check().ok
-        assert sorted(set(seen)) == [0, 256, 512]
+        assert sorted(set(n_stored)) == [0, 256, 512]
         assert before[0] == library.list(limit=1)[0].id
         run(f"PRAGMA max_page_count = {run('PRAGMA page_count').fetchone()[0]}")
         with pytest.raises(LibraryError, match=r"full\. Free space"):
@@ -161,7 +165,7 @@ def test_a_disk_that_fills_while_touches_are_added_is_reported(tmp_path):
 
 
 def _under_limit(n_bytes, task, *arguments):
-    """Return what `task` says in a process whose files may have `n_bytes`."""
+    """Return the outcome of `task` in a process whose files may have `n_bytes`."""
 
     def prepare():
         import resource
@@ -169,7 +173,7 @@ def _under_limit(n_bytes, task, *arguments):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, n_bytes))
 
-    return said_elsewhere(partial(task, *arguments), prepare)
+    return outcome_elsewhere(partial(task, *arguments), prepare)
 
 
 def _rows(folder):
@@ -184,7 +188,7 @@ def _add(folder, n_touches=256):
 
 
 def _files(folder):
-    """Everything but the index of the log, which SQLite makes anew when it needs it."""
+    """Return all files but the index of the log, which SQLite can make anew."""
     files = [p for p in folder.iterdir() if not p.name.endswith("-shm")]
     return {p.name: content for p in files if (content := p.read_bytes())}
 
@@ -195,7 +199,7 @@ def _backup(folder):
 
 
 def test_a_real_failing_write_is_reported_and_the_library_stays_whole(tmp_path):
-    """Half-way through the log, its index, a copy, or a new database."""
+    """The write fails within the log, its index, a copy, or a new database."""
     folder = tmp_path / "lab"
     with TouchLibrary.open(folder, create=True) as library:
         library.add(press_of(1, 100, 20))
@@ -226,8 +230,8 @@ def test_a_repair_without_room_leaves_the_old_database(tmp_path, alter):
     for limit in (4096, 50_000):
         assert "ree space" in _under_limit(limit, repair_library, folder)
         assert _files(folder) == before
-    done = repair_library(folder)
-    assert (done.rebuilt, done.n_touches, len(done.lost)) == (True, 99, 1)
+    repair = repair_library(folder)
+    assert (repair.rebuilt, repair.n_touches, len(repair.lost)) == (True, 99, 1)
     assert check_library(folder).ok
 
 
@@ -249,7 +253,7 @@ def _touches(seed, n_touches=12):
 def sound(tmp_path_factory):
     """A library with every kind of change in its past, with and without its log.
 
-    Most of the second is in a log that nobody has emptied, as after a kill.
+    Most of the library `log` is in a log that nobody has emptied, as after a kill.
     """
     place = tmp_path_factory.mktemp("sound")
     with TouchLibrary.open(place / "lab", create=True) as library:
@@ -271,13 +275,13 @@ def sound(tmp_path_factory):
 
 
 def _truth(folder):
-    """Return all that a library says, and what it warned of."""
+    """Return all that a library holds, and its warnings."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         with TouchLibrary.open(folder) as library:
             rows = library.list(limit=None, retracted=True)
             touches = library.touches()
-            known = (
+            state = (
                 {row.id: (row, library.image(row.id).tobytes()) for row in rows},
                 [row.id for row in rows],
                 {n: c.tolist() for n, c in touches.columns.items()},
@@ -288,36 +292,36 @@ def _truth(folder):
                 (library.objects(), library.sensors(), library.history()),
                 np.asarray(library.no_contact("s3")).tolist(),
             )
-    return known, [str(warning.message) for warning in warned]
+    return state, [str(warning.message) for warning in warned]
 
 
 def _outcome(folder, truth, where):
-    """Judge one flip; a bare exception, or a wrong answer without a word, fails."""
+    """Judge one flip; a bare exception or a silently wrong answer fails."""
     try:
-        known, warned = _truth(folder)
+        state, warned = _truth(folder)
     except LibraryError:
-        known, warned = None, []
+        state, warned = None, []
     report = check_library(folder)
-    told = not report.ok or bool(warned)
-    assert known in (None, truth) or told, f"silently wrong: {where}"
-    assert known == truth or not report.ok, f"check saw nothing: {where}"
+    noticed = not report.ok or bool(warned)
+    assert state in (None, truth) or noticed, f"silently wrong: {where}"
+    assert state == truth or not report.ok, f"check saw nothing: {where}"
     if report.ok:
         return "no matter"
     before = {p.name: p.read_bytes() for p in folder.glob("library.sqlite")}
     try:
-        done = repair_library(folder)
+        repair = repair_library(folder)
     except LibraryError as error:
-        # A flipped version is a newer one's; of a header nothing can be read.
+        # A flipped version looks newer; a flipped header cannot be read.
         assert before == {p.name: p.read_bytes() for p in folder.glob("library.sqlite")}
         return "newer" if "Update palpate" in str(error) else "refused"
-    left = check_library(folder)
-    assert left.ok, f"{where}: {left}"
+    after = check_library(folder)
+    assert after.ok, f"{where}: {after}"
     with TouchLibrary.open(folder) as library:
         ids = [row.id for row in library.list(limit=None, retracted=True)]
         images = {key: library.image(key).tobytes() for key in ids}
     assert ids == [key for key in truth[1] if key in images], where
     assert all(truth[0][key][1] == image for key, image in images.items()), where
-    assert len(ids) + len(done.lost) >= len(truth[1]) or not done.rebuilt, where
+    assert len(ids) + len(repair.lost) >= len(truth[1]) or not repair.rebuilt, where
     n_lost = len(truth[1]) - len(ids)
     return ("restored", "one lost")[n_lost] if n_lost < 2 else "several lost"
 
@@ -341,7 +345,7 @@ def test_flips_are_never_silently_wrong(sound, tmp_path, name, suffix, n_flips, 
         table[_outcome(folder, truth, f"{path.name} bit {bit}")] += 1
         shutil.rmtree(folder)
     print(dict(table))
-    assert table["refused"] <= n_flips / 10  # of a damaged header nothing can be read
+    assert table["refused"] <= n_flips / 10  # a damaged header cannot be read
     assert n_flips - table["no matter"] > n_flips / 6
-    if not suffix:  # a page of rows; of a log all that comes after the flipped bit
+    if not suffix:  # a flip costs a page of rows; in a log, all that follows it
         assert table["several lost"] <= n_flips / 5

@@ -1,4 +1,4 @@
-"""Archives, Parquet and datasets of a library: read back to the bit, by others too."""
+"""Archives, Parquet and datasets of a library are read back to the bit."""
 
 import json
 
@@ -34,7 +34,7 @@ def test_an_archive_holds_the_same_touches(filled, tmp_path):
 
 
 def test_a_parquet_file_holds_the_same_touches(filled, tmp_path, rng):
-    """Of many touches, 128 at a time are a row group."""
+    """A row group holds 128 touches."""
     seven = filled.touches()
     more = seven[np.arange(1200) % 7].with_columns(time_s=np.arange(200.0, 1400))
     filled.add(more)
@@ -47,15 +47,15 @@ def test_a_parquet_file_holds_the_same_touches(filled, tmp_path, rng):
     assert_array_equal(images, expected.images)
     assert table["object"].to_pylist() == expected.object.tolist()
     assert_allclose(table["position_mm"].to_pylist(), expected.columns["position_mm"])
-    about = json.loads(table.schema.metadata[b"palpate"])
-    assert about["dtypes"]["image"] == "<f4"
-    assert about["recordings"][0]["whole"]["no_contact"]["shape"] == [3, 4]
+    metadata = json.loads(table.schema.metadata[b"palpate"])
+    assert metadata["dtypes"]["image"] == "<f4"
+    assert metadata["recordings"][0]["whole"]["no_contact"]["shape"] == [3, 4]
     assert not list(tmp_path.glob(".*partial"))
 
 
 @pytest.mark.parametrize("name", ["t.npz", "t.parquet", "robot"])
 def test_exports_agree_on_touches_without_a_label(filled, tmp_path, rng, name):
-    """All or none: with none there is no column, with some it is refused."""
+    """Without any label there is no column; labels of only some are refused."""
     bare = filled.touches().without("object").with_columns(session=["c"] * 7)
     filled.add(bare)
     with pytest.raises(LibraryError, match="all touches must have an object or none"):
@@ -74,9 +74,9 @@ def test_exports_agree_on_touches_without_a_label(filled, tmp_path, rng, name):
 
 
 def test_columns_of_some_touches_are_columns_of_all(filled, tmp_path):
-    """An episode without forces stands beside those with them; nothing is NaN."""
-    some = filled.touches("object = cup")
-    filled.add(some.without("force_n", "time_s").with_columns(session=["d"] * 3))
+    """An episode without forces has NaN beside episodes with them."""
+    cups = filled.touches("object = cup")
+    filled.add(cups.without("force_n", "time_s").with_columns(session=["d"] * 3))
     assert filled.export(tmp_path / "robot") == 10
     frames = pq.read_table(tmp_path / "robot/data").to_pydict()
     assert np.isnan(frames["observation.force_n"]).sum() == 3
@@ -112,14 +112,14 @@ def test_places_that_take_no_export_are_refused(filled, tmp_path, name):
         LibraryError, match=f"that exists, got '.*nodir/{name}'. Make .*nodir' first"
     ):
         filled.export(tmp_path / "nodir" / name)
-    there = tmp_path / name
-    there.mkdir() if "." in name else there.write_bytes(b"mine")
-    (there / "mine" if "." in name else tmp_path / "x").write_bytes(b"mine")
+    target = tmp_path / name
+    target.mkdir() if "." in name else target.write_bytes(b"mine")
+    (target / "mine" if "." in name else tmp_path / "x").write_bytes(b"mine")
     match = "must be a place with room" if "." in name else "empty folder, got a file"
     with pytest.raises(LibraryError, match=match):
-        filled.export(there)
+        filled.export(target)
     assert not any(p.stat().st_size for p in tmp_path.rglob(".partial*"))
-    assert (there / "mine" if "." in name else there).read_bytes() == b"mine"
+    assert (target / "mine" if "." in name else target).read_bytes() == b"mine"
 
 
 def _presses(seed, n_touches=6, dtype=np.uint8, **more):
@@ -135,7 +135,7 @@ def _presses(seed, n_touches=6, dtype=np.uint8, **more):
 
 
 def _again(tmp_path, path):
-    """Return a library of what a path holds, and the parts that were read."""
+    """Return a new library of the touches at a path, and the parts it was read in."""
     parts = list(read_parquet(path))
     library = TouchLibrary.open(tmp_path / "again", create=True)
     for part in parts:
@@ -151,7 +151,7 @@ def _ids(library):
 @pytest.mark.parametrize("by", [None, "object", "session"])
 def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
     pad = SensorDescription("pad", "array", "kPa", 4.0, "array")
-    for day in ("monday", "007"):  # no number, whatever it looks like
+    for day in ("monday", "007"):  # sessions stay texts
         baseline = np.full((5, 6), len(day)).astype(dtype)
         touches = _presses(len(day), dtype=dtype, no_contact=baseline)
         library.add(touches, session=day, sensor=pad)
@@ -161,7 +161,7 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
     with again:
         assert _ids(again) == _ids(library)
         assert again.check().ok
-        for day in ("monday", "007"):  # each its own, though they differ
+        for day in ("monday", "007"):  # each session has its own baseline
             assert_array_equal(again.no_contact(day), np.full((5, 6), len(day)))
     assert sum(map(len, parts)) == 12
     assert all(part.geometry == "array" for part in parts)
@@ -197,7 +197,7 @@ def test_pictures_travel_as_their_own_files(library, tmp_path):
     assert forms == [("picture",)]
 
 
-def test_camera_images_are_shown_by_others_as_pictures(library, tmp_path):
+def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
     """`datasets` of Hugging Face takes the feature Image from this metadata."""
     images = np.random.default_rng(0).integers(0, 255, (2, 60, 80), dtype=np.uint8)
     library.add(Touches(images, object=["mug", "pen"], order=[1, 2]))
@@ -208,8 +208,8 @@ def test_camera_images_are_shown_by_others_as_pictures(library, tmp_path):
     assert features["object"] == {"dtype": "string", "_type": "Value"}
     assert set(features) == set(schema.names)
     (tmp_path / "rest.png").write_bytes(png_bytes(images[0]))
-    how = {"no_contact": tmp_path / "rest.png", "max_pixels": 60 * 80}
-    again = Touches.load(tmp_path / "some.parquet", **how)  # PNG loses nothing
+    options = {"no_contact": tmp_path / "rest.png", "max_pixels": 60 * 80}
+    again = Touches.load(tmp_path / "some.parquet", **options)  # PNG loses nothing
     assert_array_equal(again.images, images)
     assert_array_equal(again.no_contact, images[0])
     with pytest.raises(TouchesError, match="at most 4799 pixels, got 80 x 60"):
@@ -243,7 +243,7 @@ def test_many_touches_are_read_some_at_a_time(library, tmp_path):
 
 
 def test_what_another_program_wrote_is_read(tmp_path):
-    """Plain nested lists without a word of palpate in it, in folders by object."""
+    """The files hold nested lists in folders by object, and no metadata of palpate."""
     images = np.arange(24.0).reshape(2, 3, 4)
     table = pa.table({"image": images.tolist(), "force_n": [0.5, None]})
     for name in ("mug", "pen"):
@@ -256,21 +256,21 @@ def test_what_another_program_wrote_is_read(tmp_path):
     assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
 
 
-def test_files_of_before_are_read(tmp_path):
-    """Format 1: one flat list a touch, the sides in the metadata."""
+def test_files_of_format_1_are_read(tmp_path):
+    """Format 1 has a flat list for each touch, and its sides in the metadata."""
     images = np.arange(24, dtype=np.int16).reshape(2, 3, 4)
     flat = pa.FixedSizeListArray.from_arrays(pa.array(images.ravel()), 12)
-    about = {"format": 1, "n_rows": 3, "n_cols": 4, "dtype": "<i2", "whole": {}}
+    metadata = {"format": 1, "n_rows": 3, "n_cols": 4, "dtype": "<i2", "whole": {}}
     table = pa.table({"image": flat}).replace_schema_metadata(
-        {"palpate": json.dumps(about)}
+        {"palpate": json.dumps(metadata)}
     )
     pq.write_table(table, tmp_path / "old.parquet")
     assert_array_equal(Touches.load(tmp_path / "old.parquet").images, images)
 
 
-def _written(path, table, **about):
-    if about:
-        table = table.replace_schema_metadata({"palpate": json.dumps(about)})
+def _written(path, table, **metadata):
+    if metadata:
+        table = table.replace_schema_metadata({"palpate": json.dumps(metadata)})
     pq.write_table(table, path)
 
 
@@ -278,7 +278,7 @@ TENSOR = {"image": np.zeros((2, 3, 4)).tolist()}
 
 
 @pytest.mark.parametrize(
-    ("columns", "about", "match"),
+    ("columns", "metadata", "match"),
     [
         ({"picture": [1, 2]}, {}, "must have a column 'image'"),
         ({"image": [1.0, 2.0]}, {}, "images of rows and columns of numbers"),
@@ -302,9 +302,9 @@ TENSOR = {"image": np.zeros((2, 3, 4)).tolist()}
     ],
 )
 def test_what_is_not_touches_is_refused_in_one_sentence(
-    tmp_path, columns, about, match
+    tmp_path, columns, metadata, match
 ):
-    _written(tmp_path / "odd.parquet", pa.table(columns), **about)
+    _written(tmp_path / "odd.parquet", pa.table(columns), **metadata)
     with pytest.raises(TouchesError, match=match):
         Touches.load(tmp_path / "odd.parquet")
 

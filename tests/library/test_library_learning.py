@@ -1,4 +1,4 @@
-"""Learning from a library or Parquet: as from touches in memory, piece by piece."""
+"""Learning from a library or Parquet, in pieces, equals learning from touches."""
 
 import os
 import re
@@ -42,7 +42,7 @@ def filled(library):
 
 @pytest.fixture
 def counted(monkeypatch, filled):
-    """How many touches of a library were encoded, one entry per call."""
+    """The number of touches of a library that each call encoded."""
     calls = []
     selection = type(filled.select())
     features = selection.features
@@ -59,8 +59,8 @@ def counted(monkeypatch, filled):
 
 
 @pytest.fixture
-def shown(monkeypatch, filled):
-    """Places of the touches whose images were read, one entry per call."""
+def rows_read(monkeypatch, filled):
+    """The rows whose images each call read."""
     calls = []
     selection = type(filled.select())
     touches = selection.touches
@@ -74,14 +74,16 @@ def shown(monkeypatch, filled):
 
 
 def test_a_library_teaches_what_its_touches_teach(filled):
-    held = ObjectRecogniser().fit(filled.touches())
-    read = ObjectRecogniser().fit(filled.select())
+    from_touches = ObjectRecogniser().fit(filled.touches())
+    from_library = ObjectRecogniser().fit(filled.select())
     tested = _touches(1)
     # Every step is the same but for the size of the blocks that are encoded.
     assert_allclose(
-        read.log_likelihood(tested), held.log_likelihood(tested), atol=1e-10
+        from_library.log_likelihood(tested),
+        from_touches.log_likelihood(tested),
+        atol=1e-10,
     )
-    assert read.chosen_ == held.chosen_
+    assert from_library.chosen_ == from_touches.chosen_
 
 
 def test_features_are_computed_once(filled, counted):
@@ -108,34 +110,34 @@ def test_an_object_is_added_from_its_new_episodes_alone(filled, counted):
 
 
 @pytest.mark.slow
-def test_an_encoding_is_learnt_from_some_touches_of_each_label(tmp_path, shown):
-    """Of 2,020 touches some 2,000 are shown, of each of three labels a third."""
+def test_an_encoding_is_learnt_from_some_touches_of_each_label(tmp_path, rows_read):
+    """Of 2,020 touches about 2,000 / 3 of each of three labels are read, or all."""
     parts = [_touches(6, ("ball",), 1990), _touches(7, ("mug", "pen"), 15)]
     with TouchLibrary.open(tmp_path / "large", create=True) as library:
         library.add(Touches.concatenate(parts))
-        read = ObjectRecogniser().fit(library.select())
-    [rows] = shown
+        recogniser = ObjectRecogniser().fit(library.select())
+    [rows] = rows_read
     assert (np.diff(rows) > 0).all()
     assert (rows >= 1990).sum() == 30
     assert len(rows) == 2000 // 3 + 30
-    assert len(read.memory_.features) == 2020
-    answer = read.log_likelihood(_touches(5)).argmax(axis=1)
-    assert (read.classes_[answer] == _touches(5).object).mean() > 0.9
+    assert len(recogniser.memory_.features) == 2020
+    answer = recogniser.log_likelihood(_touches(5)).argmax(axis=1)
+    assert (recogniser.classes_[answer] == _touches(5).object).mean() > 0.9
 
 
-def test_an_encoding_is_learnt_from_all_of_a_few_touches(filled, shown):
+def test_an_encoding_is_learnt_from_all_of_a_few_touches(filled, rows_read):
     ObjectRecogniser("corradi2015").fit(filled.select())
-    assert_array_equal(shown[0], np.arange(90))
+    assert_array_equal(rows_read[0], np.arange(90))
 
 
 def test_features_are_the_same_from_one_process_and_two(filled):
-    """More touches than are encoded at once."""
+    """There are more touches than are encoded at once."""
     filled.add(_touches(8, n_each=400))
     chosen = filled.select()
-    one = chosen.features("one", sums)
-    assert_array_equal(one, sums(filled.touches()))
+    sequential = chosen.features("one", sums)
+    assert_array_equal(sequential, sums(filled.touches()))
     with parallel_config("threading", n_jobs=2):
-        assert_array_equal(chosen.features("two", sums), one)
+        assert_array_equal(chosen.features("two", sums), sequential)
 
 
 def test_a_selection_knows_the_ids_of_its_touches(filled):
@@ -148,15 +150,17 @@ def test_a_selection_knows_the_ids_of_its_touches(filled):
 @pytest.mark.realdata
 @pytest.mark.slow
 def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
-    """Five objects of the dome camera, a fifth of their touches."""
+    """The touches are a fifth of those of five objects of the dome camera."""
     touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
-    some = np.isin(touches.object, np.unique(touches.object)[:5])
-    touches = touches[np.flatnonzero(some)[::5]]
+    of_five_objects = np.isin(touches.object, np.unique(touches.object)[:5])
+    touches = touches[np.flatnonzero(of_five_objects)[::5]]
     with TouchLibrary.open(tmp_path, create=True) as library:
         library.add(touches)
-        read = ObjectRecogniser("corradi2015").fit(library.select())
-    held = ObjectRecogniser("corradi2015").fit(touches)
-    assert_allclose(read.memory_.features, held.memory_.features, atol=1e-9)
+        from_library = ObjectRecogniser("corradi2015").fit(library.select())
+    from_touches = ObjectRecogniser("corradi2015").fit(touches)
+    assert_allclose(
+        from_library.memory_.features, from_touches.memory_.features, atol=1e-9
+    )
 
 
 @pytest.fixture
@@ -188,8 +192,8 @@ def test_rows_are_those_of_reading_all_of_it(tmp_path, library, pq):
     assert_array_equal(picked.object, whole.object[rows])
     assert picked.geometry == "none"
     assert_allclose(source.features("any", sums), sums(whole))
-    some = source[np.flatnonzero(source.object == "pen")]
-    assert_allclose(some.features("any", sums), sums(whole[whole.object == "pen"]))
+    pens = source[np.flatnonzero(source.object == "pen")]
+    assert_allclose(pens.features("any", sums), sums(whole[whole.object == "pen"]))
     with pytest.raises(TouchesError, match="rows must be increasing"):
         source.touches([3, 2])
 
@@ -204,11 +208,13 @@ def test_what_is_learnt_is_what_touches_in_memory_teach(written, scheme, library
     with parallel_config("threading", n_jobs=2):
         source = ParquetTouches(url)
         from_store = ObjectRecogniser().fit(source)
-    held = ObjectRecogniser().fit(Touches.load(written))
-    asked = _touches(1, n_each=4)
-    # The same touches in the same order: rounding alone.
+    from_touches = ObjectRecogniser().fit(Touches.load(written))
+    tested = _touches(1, n_each=4)
+    # The touches and their order are the same; only rounding differs.
     assert_allclose(
-        from_store.log_likelihood(asked), held.log_likelihood(asked), atol=1e-9
+        from_store.log_likelihood(tested),
+        from_touches.log_likelihood(tested),
+        atol=1e-9,
     )
     assert len(from_store.memory_) == 120
 
@@ -252,13 +258,13 @@ def test_blocks_of_different_sizes_or_types_are_refused_before_learning(written)
     with TouchLibrary.open(written.parent / "other", create=True) as library:
         library.add(Touches(np.zeros((2, 4, 4)), object=["mug", "pen"]))
         library.export(written / "other.parquet")
-    with pytest.raises(TouchesError, match="one size and type, got") as refused:
+    with pytest.raises(TouchesError, match="one size and type, got") as refusal:
         ParquetTouches(written)
-    assert re.search(r"4 x 4.*other\.parquet", str(refused.value))
+    assert re.search(r"4 x 4.*other\.parquet", str(refusal.value))
 
 
 def test_pictures_of_different_sizes_are_refused_by_name(tmp_path, pq):
-    """What pictures measure is known when they are decoded."""
+    """The size of a picture is known only when it is decoded."""
     rng = np.random.default_rng(0)
     (tmp_path / "set").mkdir()
     for side in (60, 70):
@@ -288,19 +294,19 @@ def test_other_files_are_refused(tmp_path, pq):
 def test_a_library_that_changes_while_it_is_read_teaches_what_was_selected(library):
     library.add(_touches(0, n_each=40))
     before = library.select()
-    alone = before.features("before", sums)
+    expected = before.features("before", sums)
 
-    def encode(some):
+    def encode(touches):
         with TouchLibrary.open(library.folder) as other:
             other.add(_touches(len(other), n_each=1))
             if "ball" in {row.name for row in other.objects()}:
                 other.rename_object("ball", "renamed")
                 other.retract(object="mug", reason="test")
-        return sums(some)
+        return sums(touches)
 
     chosen = library.select()
     names = chosen.object
-    assert_array_equal(chosen.features("during", encode), alone)
+    assert_array_equal(chosen.features("during", encode), expected)
     assert_array_equal(chosen.object, names)
     assert len(chosen.touches(range(120))) == 120
     later = library.select()
@@ -310,13 +316,13 @@ def test_a_library_that_changes_while_it_is_read_teaches_what_was_selected(libra
 
 
 def test_kept_features_of_another_encoding_are_made_anew(library):
-    """A file of another width under this encoding's key is no good."""
+    """A file of features of another width under the same key is not used."""
     library.add(_touches(0))
     chosen = library.select()
-    right = chosen.features("key", sums)
+    expected = chosen.features("key", sums)
     cache = library.folder / "features" / "key"
     (kept,) = cache.glob("*.npz")
-    with np.load(kept) as held:
-        ids = held["ids"]
+    with np.load(kept) as archive:
+        ids = archive["ids"]
     np.savez(cache / "other.npz", ids=ids[:50], x=np.zeros((50, 3)))
-    assert_array_equal(chosen.features("key", sums), right)
+    assert_array_equal(chosen.features("key", sums), expected)

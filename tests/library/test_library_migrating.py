@@ -1,6 +1,6 @@
-"""A library of palpate 0.2, made by it, becomes one of today that says the same.
+"""A library that palpate 0.2 made becomes one of today with the same content.
 
-`data/format2.zip` has that library and, as JSON, what its own palpate said of it:
+`data/format2.zip` has that library and, as JSON, its content as palpate 0.2 read it:
 touches of two sensors, in colour, with frames and gaps, and changes of every kind
 between them.
 """
@@ -86,11 +86,11 @@ def test_format_1_is_format_2_without_seals(old, state, tmp_path, alter):
 @pytest.mark.parametrize("n_steps", range(1, 11))
 def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps):
     new = tmp_path / "new"
-    left = iter(range(n_steps))
+    remaining = iter(range(n_steps))
 
     class Stopping(sqlite3.Connection):
         def execute(self, sql, values=()):
-            if sql == "COMMIT" and next(left, None) is None:
+            if sql == "COMMIT" and next(remaining, None) is None:
                 raise KeyboardInterrupt
             return super().execute(sql, values)
 
@@ -98,7 +98,7 @@ def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps)
         patch.setattr(sqlite3, "connect", partial(sqlite3.connect, factory=Stopping))
         with pytest.raises(KeyboardInterrupt):
             migrate_library(old, new)
-    assert not TouchLibrary.is_library(new)  # nobody takes it for a whole one
+    assert not TouchLibrary.is_library(new)  # a part of a library is none
     migrate_library(old, new)
     _assert_same(new, state)
     assert check_library(new).ok
@@ -140,7 +140,7 @@ def test_an_altered_image_costs_its_touch_alone(old, tmp_path):
     assert report.n_touches == N_TOUCHES - 1
 
 
-def test_a_lost_baseline_is_told(old, tmp_path):
+def test_a_lost_baseline_is_reported(old, tmp_path):
     for path in (old / "arrays").rglob("*.npy"):
         if np.load(path).shape == (6, 7):
             path.write_bytes(b"x" + path.read_bytes())
@@ -190,7 +190,7 @@ def test_a_begun_migration_of_another_library_is_not_continued(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "replace", stopped)  # when all is entered
+        patch.setattr(Path, "replace", stopped)  # after all touches are written
         with pytest.raises(KeyboardInterrupt):
             migrate_library(old, new)
     with pytest.raises(LibraryError, match="touches of another library"):

@@ -1,4 +1,4 @@
-"""What is read back of some touches: columns, channels, limits, selections."""
+"""Touches that are read back: columns, channels, limits, selections."""
 
 import mmap
 
@@ -38,8 +38,8 @@ def test_limits_of_memory_are_reached_and_not_passed(library):
     assert is_mapped(mapped)
     assert_array_equal(mapped, images())
     assert len(library.touches(max_bytes=N_BYTES)) == 6
-    said = f"6 touches must take at most {N_BYTES - 1} bytes, got {N_BYTES}"
-    with pytest.raises(LibraryError, match=said):
+    message = f"6 touches must take at most {N_BYTES - 1} bytes, got {N_BYTES}"
+    with pytest.raises(LibraryError, match=message):
         library.touches(max_bytes=N_BYTES - 1)
     # By default 256 MiB are held in memory, and 64 GiB are read at all.
     assert not is_mapped(library.touches().images)
@@ -87,13 +87,13 @@ def test_touches_of_several_batches_come_in_the_order_added(library, pick, rows)
 
 
 @pytest.mark.parametrize("rows", [[1, 0], [1, 1], [[0, 1]], 0])
-def test_places_in_a_selection_rise(library, rows):
+def test_rows_of_a_selection_must_increase(library, rows):
     library.add(Touches(images(), object=["a"] * 6))
-    some = library.select()
+    selection = library.select()
     with pytest.raises(LibraryError, match="rows must be increasing indices"):
-        some.touches(rows)
-    assert len(some[[5]]) == 1
-    assert len(some[[0, 5]]) == 2
+        selection.touches(rows)
+    assert len(selection[[5]]) == 1
+    assert len(selection[[0, 5]]) == 2
 
 
 def test_what_whole_sets_share_is_read_and_the_rest_left_out(library):
@@ -107,7 +107,7 @@ def test_what_whole_sets_share_is_read_and_the_rest_left_out(library):
     assert set(library.touches().whole) == {"no_contact", "geometry"}
     assert_array_equal(library.select().whole["no_contact"], frame)
     library.add(Touches(images(2, 2), object=["c", "d"], set_unit="kPa"))
-    # Of those without a geometry nothing is known of it.
+    # Touches without a geometry leave it unknown.
     assert library.touches().whole == {}
     assert library.touches("object in (a, b)").geometry == "array"
     library.add(Touches(images(2, 3), object=["e", "f"], geometry="plane"))
@@ -116,14 +116,14 @@ def test_what_whole_sets_share_is_read_and_the_rest_left_out(library):
     assert library.touches("object in (c, d, e)").geometry is None
 
 
-def test_touches_of_several_shapes_are_told_with_a_filter_that_chooses(library):
+def test_touches_of_several_shapes_are_refused_with_a_filter_that_chooses(library):
     with pytest.raises(LibraryError, match="at least one touch, got none"):
         library.select()
     library.add(Touches(images(2), object=["a", "b"]))
     library.add(Touches(images(2, 1, (3, 5)), object=["a", "b"]))
-    said = r"got 3 x 5 <u2; 4 x 5 <u2. Choose .* or \"n_rows = 3\""
+    message = r"got 3 x 5 <u2; 4 x 5 <u2. Choose .* or \"n_rows = 3\""
     for read in (library.touches, library.select):
-        with pytest.raises(LibraryError, match=said):
+        with pytest.raises(LibraryError, match=message):
             read()
     assert library.touches("n_rows = 3").images.shape == (2, 3, 5)
 
@@ -166,12 +166,12 @@ def summed(touches):
     return touches.images.reshape(len(touches), -1)[:, :2].astype(float)
 
 
-def test_features_are_those_of_each_touch_whatever_was_known_before(library):
+def test_features_are_those_of_each_touch_whatever_was_cached_before(library):
     library.add(Touches(images(), object=["a"] * 6, press=np.arange(6)))
-    made = []
+    n_encoded = []
 
     def encode(touches):
-        made.append(len(touches))
+        n_encoded.append(len(touches))
         return summed(touches)
 
     odd = library.select("press in (1, 3, 5)")
@@ -179,21 +179,21 @@ def test_features_are_those_of_each_touch_whatever_was_known_before(library):
     assert_array_equal(odd.features("key", encode), expected[1::2])
     assert_array_equal(library.select().features("key", encode), expected)
     assert_array_equal(library.select().features("key", encode), expected)
-    assert made == [3, 3]
+    assert n_encoded == [3, 3]
     assert_array_equal(
         library.select()[[2, 3]].features("other", encode), expected[2:4]
     )
-    assert made == [3, 3, 2]
+    assert n_encoded == [3, 3, 2]
     for bad in ("", "a/b", ".."):
         with pytest.raises(ValueError, match="key must be letters and digits"):
             odd.features(bad, encode)
-    # A cache and nothing more: what is damaged is computed again, as are new touches.
+    # Features are only a cache: damaged and missing ones are computed again.
     for path in (library.folder / "features" / "key").rglob("*.npz"):
         path.write_bytes(b"altered")
     library.add(Touches(images(1, 5), object=["a"], press=[6]))
-    every = library.select().features("key", encode)
-    assert_array_equal(every[:6], expected)
-    assert made == [3, 3, 2, 7]
+    features = library.select().features("key", encode)
+    assert_array_equal(features[:6], expected)
+    assert n_encoded == [3, 3, 2, 7]
 
 
 def test_images_that_are_gone_or_altered_are_named(library, alter):
@@ -207,12 +207,12 @@ def test_images_that_are_gone_or_altered_are_named(library, alter):
     with pytest.raises(LibraryError, match=f"Touch {ids[3]}: its image .* altered"):
         library.touches()
     with pytest.warns(UserWarning, match="^1 touches are left out: their images"):
-        rest = library.touches(damaged="skip")
-    assert rest.columns["press"].tolist() == [0, 1, 2, 4, 5, 6, 7]
+        undamaged = library.touches(damaged="skip")
+    assert undamaged.columns["press"].tolist() == [0, 1, 2, 4, 5, 6, 7]
     alter(library.folder, "DELETE FROM images WHERE number > 6")
-    with pytest.warns(UserWarning, match="^3 touches are left out") as told:
+    with pytest.warns(UserWarning, match="^3 touches are left out") as warned:
         assert len(library.select(damaged="skip")) == 5
-    assert told[0].filename == __file__
+    assert warned[0].filename == __file__
     with pytest.raises(LibraryError, match=f"Touch {later[0]}: .* got none"):
         library.image(later[0])
     assert_array_equal(library.image(ids[4]), images()[4])
@@ -232,22 +232,24 @@ def test_a_touch_whose_wide_column_is_altered_is_not_whole(library, alter):
     with pytest.raises(LibraryError, match=f"Touch {ids[1]}: .* altered"):
         library.touches()
     with pytest.warns(UserWarning, match="^1 touches are left out"):
-        rest = library.touches("object = a", damaged="skip")
-    assert_array_equal(rest.columns["wave"], wide[[0, 2, 3, 4, 5]])
+        undamaged = library.touches("object = a", damaged="skip")
+    assert_array_equal(undamaged.columns["wave"], wide[[0, 2, 3, 4, 5]])
 
 
 @pytest.mark.parametrize(
-    "how", ["DELETE FROM arrays", "UPDATE arrays SET content = x'0000'"]
+    "statement", ["DELETE FROM arrays", "UPDATE arrays SET content = x'0000'"]
 )
-def test_a_lost_array_costs_no_touch_and_comes_back_with_them(library, alter, how):
-    """It is told to the caller and by a check; a repair keeps the touches."""
+def test_a_lost_array_costs_no_touch_and_comes_back_with_them(
+    library, alter, statement
+):
+    """Reading warns and a check reports the loss; a repair keeps the touches."""
     frame = images(1)[0]
     again = Touches(images(2, 1), object=["b", "c"], no_contact=frame, set_unit="kPa")
     library.add(Touches(images(1, 2), object=["a"], no_contact=frame + 1))
     ids = library.add(again)
     alter(
         library.folder,
-        f"{how} WHERE rowid = 3",  # 1 is of the first touch, 2 the unit
+        f"{statement} WHERE rowid = 3",  # 1 is of the first touch, 2 the unit
     )
     with pytest.warns(UserWarning, match="without their no_contact.*check"):
         read = library.touches("object in (b, c)")
@@ -267,24 +269,24 @@ def test_a_lost_array_costs_no_touch_and_comes_back_with_them(library, alter, ho
 
 
 def test_features_made_before_an_interruption_are_kept(library):
-    """512 touches at a time, put down after every sixteenth time."""
+    """512 touches are encoded at a time; after every 16 times all are written."""
     n = 17 * 512
     levels = np.arange(n, dtype=np.uint16).reshape(n, 1, 1)
     library.add(Touches(levels, object=np.repeat("a", n)))
-    made = []
+    encoded_levels = []
 
     def encode(touches, most=16 * 512):
-        made.extend(touches.images.ravel().tolist())
-        if len(made) > most:
+        encoded_levels.extend(touches.images.ravel().tolist())
+        if len(encoded_levels) > most:
             raise KeyboardInterrupt
         return touches.images.reshape(-1, 1).astype(float)
 
     with pytest.raises(KeyboardInterrupt):
         library.select().features("key", encode)
-    made.clear()
+    encoded_levels.clear()
     features = library.select().features("key", encode)
     assert_array_equal(features.ravel(), np.arange(n))
-    assert made == list(range(16 * 512, n))
+    assert encoded_levels == list(range(16 * 512, n))
 
 
 COLOUR = ["r", "g", "b"]
@@ -374,10 +376,10 @@ def test_features_are_made_of_touches_with_channels(library, rng):
     touches = colour(rng, pads=[[0, 0, 5, 6]])
     library.add(touches)
 
-    def encode(some):
-        assert some.channels == ("r", "g", "b")
-        assert len(some.pads) == 1
-        return some.images.mean(axis=(1, 2))
+    def encode(part):
+        assert part.channels == ("r", "g", "b")
+        assert len(part.pads) == 1
+        return part.images.mean(axis=(1, 2))
 
     means = library.select().features("means", encode)
     np.testing.assert_allclose(means, touches.images.mean(axis=(1, 2)))

@@ -1,4 +1,4 @@
-"""One database: shared transactions, copies, sizes, and places where it lies."""
+"""The database: shared transactions, pictures, types, and folders it lies in."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ from palpate.library import (
     repair_library,
 )
 
-from .conftest import press_of, rows_of, said_elsewhere
+from .conftest import outcome_elsewhere, press_of, rows_of
 
 PAGE = 8192
 
@@ -40,9 +40,9 @@ def library(tmp_path):
 
 
 def _at_once(library, *jobs, n_reading=0):
-    """Run jobs in threads that all wait while another one is writing.
+    """Run jobs in threads that all wait while another thread is writing.
 
-    Those that read before they write are held up earlier, and not counted.
+    Jobs that read before they write, `n_reading`, wait elsewhere.
     """
     store, begun, go_on = library._store, threading.Event(), threading.Event()
 
@@ -62,8 +62,8 @@ def _at_once(library, *jobs, n_reading=0):
     return futures
 
 
-def _adding(library, seeds, **how):
-    return [lambda seed=seed: library.add(press_of(seed, **how)) for seed in seeds]
+def _adding(library, seeds, **options):
+    return [lambda seed=seed: library.add(press_of(seed, **options)) for seed in seeds]
 
 
 def test_those_who_wait_share_a_transaction_and_get_their_own_ids(library, tmp_path):
@@ -72,7 +72,7 @@ def test_those_who_wait_share_a_transaction_and_get_their_own_ids(library, tmp_p
     library._store._connection.set_trace_callback(run.append)
     futures = _at_once(library, *_adding(library, seeds))
     library._store._connection.set_trace_callback(None)
-    # That of the one who held them up, 32 of them, and the others.
+    # The thread that held them up, then 32 of the jobs, then the other jobs.
     assert run.count("COMMIT") == 3
     with TouchLibrary.open(tmp_path / "alone", create=True) as alone:
         assert [f.result() for f in futures] == [alone.add(press_of(s)) for s in seeds]
@@ -86,7 +86,7 @@ def test_those_who_wait_share_a_transaction_and_get_their_own_ids(library, tmp_p
 
 
 def test_unlike_touches_do_not_mix_and_equal_ones_are_one(library):
-    """Other columns, of another type, another sensor, another image size."""
+    """The touches differ in columns, types, sensors and image sizes."""
     pad = SensorDescription("pad", "array")
     forces = Touches(np.ones((1, 5, 6), np.uint8), object=["o"], force_n=[1])
     futures = _at_once(
@@ -131,8 +131,8 @@ def test_a_job_that_fails_takes_back_what_it_did_alone(library):
     assert library.check().ok
 
 
-def test_a_full_disk_is_told_to_all_and_nothing_is_half_stored(library):
-    """SQLite's own limit on pages stands for a full disk: it fails the same way."""
+def test_all_waiting_writers_learn_of_a_full_disk_and_nothing_is_half_stored(library):
+    """SQLite's own limit on pages fails in the same way as a full disk."""
     run = library._store._connection.execute
     n_pages = run("PRAGMA page_count").fetchone()[0]
     run(f"PRAGMA max_page_count = {n_pages}")
@@ -149,11 +149,11 @@ def test_a_full_disk_is_told_to_all_and_nothing_is_half_stored(library):
 
 @pytest.mark.parametrize("when", ["in a job", "after the commit"])
 def test_an_interrupt_concerns_one_thread_alone(library, monkeypatch, when):
-    """The others' touches are stored, and their changes told as they were made."""
-    store, left = library._store, [True]
+    """Touches of other threads are stored, and their changes are in the history."""
+    store, pending = library._store, [True]
 
     def interrupt(*_):
-        if left and left.pop():
+        if pending and pending.pop():
             raise KeyboardInterrupt
 
     changes = [lambda: library.rename_object("o", "x")]
@@ -162,7 +162,7 @@ def test_an_interrupt_concerns_one_thread_alone(library, monkeypatch, when):
     jobs = [*_adding(library, range(1, 9)), *changes]
     note = store.note_count
     if when == "after the commit":
-        skip = iter([True])  # the transaction of the one who holds them up
+        skip = iter([True])  # the transaction of the thread that holds them up
 
         def noted():
             note()
@@ -195,7 +195,7 @@ def test_a_stream_from_several_threads_keeps_each_threads_order(library):
 
 @pytest.mark.parametrize("n_bytes", [0, 1])
 def test_a_library_whose_making_was_killed_is_made(tmp_path, n_bytes):
-    """SQLite leaves an empty file then, or a header without a table."""
+    """A kill leaves an empty file, or a header without a table."""
     path = tmp_path / "library.sqlite"
     path.touch()
     if n_bytes:
@@ -209,7 +209,7 @@ def test_a_library_whose_making_was_killed_is_made(tmp_path, n_bytes):
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_pictures_are_kept_as_the_bytes_they_came_in(tmp_path, rng, colour):
-    """JPEG turned by its Exif orientation, and PNG of 8 and 16 bits."""
+    """The pictures are JPEG turned by its Exif orientation, and PNG."""
     Pillow = pytest.importorskip("PIL.Image")
     shape = (6, 9, 3) if colour else (6, 9)
     for ending in ("jpg", "png"):
@@ -246,7 +246,7 @@ KINDS = [">f4", "<f8", "f2", "?", "i1", ">i2", "<u2", ">u4", "i8", "u8", "longdo
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_images_of_any_type_come_back_to_the_bit(tmp_path, kind):
-    """The least and the largest value, also where differences wrap around."""
+    """Images have the least and the largest value; differences may wrap around."""
     dtype = np.dtype(kind)
     bounds = [0, 1]
     if dtype.kind in "iu":
@@ -293,7 +293,7 @@ def test_columns_and_arrays_of_any_type_come_back_to_the_bit(tmp_path, kind):
 
 
 def _be_nobody():
-    """Make this a process that may write nothing here, and where warnings count."""
+    """Give up the right to write in this process, and make warnings errors."""
     if os.geteuid() == 0:
         os.setuid(65534)
     warnings.simplefilter("error")
@@ -325,10 +325,10 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
         before = {path: path.read_bytes() for path in place.iterdir()}
         for path in (place, *before):
             path.chmod(0o555)
-        assert said_elsewhere(read, _be_nobody) == expected
-        assert "may be written to" in said_elsewhere(add, _be_nobody)
-        assert said_elsewhere(backup, _be_nobody) == "6"
-        assert "folder that can be made" in said_elsewhere(make, _be_nobody)
+        assert outcome_elsewhere(read, _be_nobody) == expected
+        assert "may be written to" in outcome_elsewhere(add, _be_nobody)
+        assert outcome_elsewhere(backup, _be_nobody) == "6"
+        assert "folder that can be made" in outcome_elsewhere(make, _be_nobody)
         assert {path: path.read_bytes() for path in place.iterdir()} == before
         place.chmod(0o755)
 
@@ -367,32 +367,32 @@ def test_a_network_file_system_is_warned_of(folder, monkeypatch, tmp_path, kind)
     mounts = tmp_path / "my mounts"
     monkeypatch.setattr("palpate.library._store._MOUNTS", mounts)
     with TouchLibrary.open(folder):
-        pass  # a system without such a list
+        pass  # a system without a list of mounts
     place = str(folder.parent).replace(" ", "\\040")
     mounts.write_text(f"/dev/a / ext4 rw 0 0\nhost:/b {place} {kind} rw 0 0\n")
-    with pytest.warns(UserWarning, match=rf"network file system \({kind}\)") as told:
+    with pytest.warns(UserWarning, match=rf"network file system \({kind}\)") as warned:
         TouchLibrary.open(folder).close()
-    assert told[0].filename == __file__
+    assert warned[0].filename == __file__
     mounts.write_text(f"host:/b / {kind} rw 0 0\n/dev/a {place} ext4 rw 0 0\n")
     TouchLibrary.open(folder).close()
     mounts.write_text(f"/dev/a / ext4 rw 0 0\nhost:/b {place}2 {kind} rw 0 0\n")
     TouchLibrary.open(folder).close()
 
 
-def test_what_is_held_to_is_set_at_the_connection(library):
-    """At 2 (FULL) SQLite flushes its log at each commit."""
+def test_the_connection_has_the_settings_that_the_library_relies_on(library):
+    """With synchronous = 2 (FULL) SQLite flushes its log at each commit."""
     run = library._store._connection.execute
-    known = {
+    settings = {
         "synchronous": 2,
         "journal_mode": "wal",
         "foreign_keys": 1,
         "page_size": PAGE,
     }
-    for name, value in known.items():
+    for name, value in settings.items():
         assert run(f"PRAGMA {name}").fetchone() == (value,)
 
 
-def test_the_view_joins_what_people_ask_for(folder):
+def test_the_view_has_the_rows_of_a_list_in_their_order(folder):
     with closing(sqlite3.connect(folder / "library.sqlite")) as database:
         rows = database.execute(
             "SELECT id, object, force_n, n_rows, n_cols, retracted_because "

@@ -1,4 +1,4 @@
-"""Filters: what they select, and that no text of one ever reaches SQL."""
+"""Filters select rows, and no text of a filter ever reaches SQL."""
 
 import re
 import sqlite3
@@ -17,21 +17,21 @@ OBJECTS = ["cup", "red mug", "7", "o'hara", "pen", "pen"]
 FORCES = [0.1, 0.2, 0.3, 0.4, 0.5, np.nan]
 
 
-class _Noted(sqlite3.Connection):
-    """Keeps what the database is asked, and with how many values."""
+class _Recording(sqlite3.Connection):
+    """Keeps each statement of SQL, and the number of its values."""
 
-    asked: ClassVar = []
+    statements: ClassVar = []
 
     def execute(self, sql, values=()):
-        self.asked.append((sql, len(values)))
+        self.statements.append((sql, len(values)))
         return super().execute(sql, values)
 
 
-def _asked(library, where):
-    """Return the SQL that a filter leads to, and how many values go with each."""
-    _Noted.asked.clear()
+def _statements(library, where):
+    """Return each statement that a filter leads to, and the number of its values."""
+    _Recording.statements.clear()
     library.count(where)
-    return list(_Noted.asked)
+    return list(_Recording.statements)
 
 
 def _words(sql):
@@ -42,9 +42,9 @@ def _words(sql):
 @pytest.fixture(scope="module")
 def known_words(library):
     """All words of SQL to which the columns and operators of filters lead."""
-    with pytest.raises(LibraryError) as refused:
+    with pytest.raises(LibraryError) as refusal:
         library.count("nothing = 1")
-    listed = re.search(r"columns of the library \((.*)\), got", str(refused.value))[1]
+    listed = re.search(r"columns of the library \((.*)\), got", str(refusal.value))[1]
     names = listed.split(", ")
     assert {"object", "x_mm", "geometry", "wear"} < set(names)
     forms = ("{} is null", "{} is not null", "not {} = 1", "{} != 1", "{} contains 1")
@@ -52,7 +52,9 @@ def known_words(library):
     filters += [
         f"order {sign} 1 and order = 1 or order = 2" for sign in ("<", "<=", ">", ">=")
     ]
-    return {w for f in filters for sql, _ in _asked(library, f) for w in _words(sql)}
+    return {
+        w for f in filters for sql, _ in _statements(library, f) for w in _words(sql)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +70,7 @@ def library(tmp_path_factory):
     )
     folder = tmp_path_factory.mktemp("where")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sqlite3, "connect", partial(sqlite3.connect, factory=_Noted))
+        patch.setattr(sqlite3, "connect", partial(sqlite3.connect, factory=_Recording))
         opened = TouchLibrary.open(folder, create=True)
     with opened:
         opened.add(touches)
@@ -76,7 +78,7 @@ def library(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("where", "found"),
+    ("where", "orders"),
     [
         ("object = cup", [0]),
         ("object = 'red mug'", [1]),
@@ -123,9 +125,9 @@ def library(tmp_path_factory):
         (" ", [0, 1, 2, 3, 4, 5]),
     ],
 )
-def test_filters_select(library, where, found):
-    assert [int(row.order) for row in library.list(where)] == found
-    assert library.count(where) == len(found)
+def test_filters_select(library, where, orders):
+    assert [int(row.order) for row in library.list(where)] == orders
+    assert library.count(where) == len(orders)
 
 
 @pytest.mark.parametrize(
@@ -178,10 +180,10 @@ _PIECES = [*"=<(),1", "object", "order", "wear", "in", "and", "not", "'a b'", "D
 def test_any_text_is_a_filter_or_refused(library, known_words, text):
     """No literal shows up in the SQL: only question marks and known words."""
     try:
-        asked = _asked(library, text)
+        statements = _statements(library, text)
     except LibraryError:
         return
-    for sql, n_values in asked:
+    for sql, n_values in statements:
         assert _words(sql) <= known_words
         assert sql.count("?") == n_values
 

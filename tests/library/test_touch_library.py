@@ -15,7 +15,7 @@ from palpate.library import (
     TouchLibrary,
 )
 
-from .conftest import assert_alike, said_elsewhere
+from .conftest import assert_alike, outcome_elsewhere
 
 
 @pytest.fixture
@@ -70,11 +70,13 @@ def test_the_same_image_of_another_object_or_session_is_another_touch(library, c
 
 
 def test_one_touch_at_a_time_equals_all_at_once(tmp_path, cups):
-    with TouchLibrary.open(tmp_path / "one", create=True) as one:
-        ids = [key for touch in cups for key in one.add(touch)]
-        with TouchLibrary.open(tmp_path / "all", create=True) as other:
-            assert other.add(cups) == ids
-            assert_array_equal(other.touches().images, one.touches().images)
+    with TouchLibrary.open(tmp_path / "one", create=True) as one_by_one:
+        ids = [key for touch in cups for key in one_by_one.add(touch)]
+        with TouchLibrary.open(tmp_path / "all", create=True) as all_at_once:
+            assert all_at_once.add(cups) == ids
+            assert_array_equal(
+                all_at_once.touches().images, one_by_one.touches().images
+            )
 
 
 def test_objects_are_counted_with_their_episodes(library, cups):
@@ -145,13 +147,13 @@ def test_only_touches_are_added(library):
 def test_a_forked_process_opens_the_library_anew(library, cups):
     """SQLite's connections must not cross a fork: the child is refused."""
     library.add(cups)
-    assert "Open the library again" in said_elsewhere(lambda: len(library))
-    assert said_elsewhere(lambda: len(TouchLibrary.open(library.folder))) == "6"
+    assert "Open the library again" in outcome_elsewhere(lambda: len(library))
+    assert outcome_elsewhere(lambda: len(TouchLibrary.open(library.folder))) == "6"
 
 
 @pytest.mark.slow
 def test_a_hundred_thousand_touches_open_at_once(tmp_path, rng, alter):
-    """Without its images; the time is a figure of `palpate bench`."""
+    """No image is there to be read; `palpate bench` measures the time."""
     images = rng.integers(0, 255, (100_000, 4, 4), dtype=np.uint8)
     labels = np.char.add("o", (np.arange(100_000) % 50).astype(str))
     with TouchLibrary.open(tmp_path, create=True) as library:
@@ -177,10 +179,10 @@ def test_a_file_in_the_place_of_a_library_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_library_is_where_a_reference_is(seed):
+def test_the_library_agrees_with_a_reference(seed):
     play(LibraryMachine, seed, n_sequences=3)
 
 
 @pytest.mark.slow
-def test_many_histories():
+def test_many_histories_agree_with_a_reference():
     play(LibraryMachine, 100, n_sequences=300)

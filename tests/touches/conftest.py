@@ -1,4 +1,4 @@
-"""Folders of drawn pictures."""
+"""Folders of drawn pictures, and whether two sets of touches are the same."""
 
 import numpy as np
 import pytest
@@ -6,20 +6,21 @@ from PIL import Image
 
 
 def first_levels(touches):
-    """Return the first level of each touch: of those that `put` wrote, its number."""
+    """Return the first level of each touch; `put` writes its number there."""
     return touches.images[:, 0, 0].tolist()
 
 
-def assert_same(one, other):
+def assert_same(first, second):
     """Fail where two sets of touches are not the same to the bit."""
-    assert one.images.dtype == other.images.dtype
-    assert one.images.tobytes() == other.images.tobytes()
-    for here, there in ((one.columns, other.columns), (one.whole, other.whole)):
-        assert list(here) == list(there)
-        for name, array in here.items():
-            assert array.dtype == there[name].dtype
-            assert array.shape == there[name].shape
-            assert array.tobytes() == there[name].tobytes()
+    assert first.images.dtype == second.images.dtype
+    assert first.images.tobytes() == second.images.tobytes()
+    for part in ("columns", "whole"):
+        arrays, others = getattr(first, part), getattr(second, part)
+        assert list(arrays) == list(others)
+        for name, array in arrays.items():
+            assert array.dtype == others[name].dtype
+            assert array.shape == others[name].shape
+            assert array.tobytes() == others[name].tobytes()
 
 
 @pytest.fixture

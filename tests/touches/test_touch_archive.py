@@ -1,4 +1,4 @@
-"""Touch archives: round trips to the bit, writes that are whole or nothing."""
+"""Touch archives come back to the bit, and are written whole or not at all."""
 
 import signal
 import subprocess

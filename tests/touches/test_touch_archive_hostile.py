@@ -223,7 +223,7 @@ def test_every_truncation_is_refused(tmp_path):
 
 
 def test_damage_is_refused_or_changes_no_value(tmp_path):
-    """Each byte in turn: names alone carry no checksum in a zip file."""
+    """A zip file has a checksum of everything but names; each byte is flipped once."""
     path = tmp_path / "t.npz"
     data = small_archive(path)
     good = Touches.load(path)

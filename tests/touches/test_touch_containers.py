@@ -1,4 +1,4 @@
-"""Files of other programs, tables and data frames are touches, or one sentence."""
+"""Files of other programs, tables and data frames are read, or refused by name."""
 
 import struct
 import subprocess
@@ -35,8 +35,8 @@ def _zarr(path, images):
     zarr = pytest.importorskip("zarr")
     group = zarr.open_group(str(path), mode="w")
     for name, values in {"X": images, "force_n": np.array([1.0, 2, 3, 4])}.items():
-        made = group.create_array(name, shape=values.shape, dtype=values.dtype)
-        made[...] = values
+        array = group.create_array(name, shape=values.shape, dtype=values.dtype)
+        array[...] = values
 
 
 def _mat(path, images):
@@ -46,7 +46,7 @@ def _mat(path, images):
 
 
 def _mat73(path, images):
-    """As MATLAB writes it: HDF5 behind 512 bytes, axes the other way round."""
+    """Write HDF5 behind 512 bytes with its axes reversed, as MATLAB does."""
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", userblock_size=512) as file:
         file["X"] = images.T
@@ -60,7 +60,7 @@ def _mat73(path, images):
     ("name", "write"),
     [("t.h5", _h5), ("t.zarr", _zarr), ("t.mat", _mat), ("t73.mat", _mat73)],
 )
-def test_arrays_come_with_their_columns(tmp_path, images, name, write):
+def test_arrays_are_read_with_their_columns(tmp_path, images, name, write):
     write(tmp_path / name, images)
     touches = Touches.load(tmp_path / name)
     assert_array_equal(touches.images, images)
@@ -95,7 +95,7 @@ def test_every_page_of_a_tiff_is_a_touch(tmp_path, images, dtype):
 @pytest.mark.parametrize("ending", ["bmp", "webp"])
 def test_bmp_and_webp_are_pictures(tmp_path, rng, ending):
     levels = rng.integers(0, 256, (6, 7), dtype=np.uint8)
-    rgb = np.repeat(levels[..., None], 3, axis=2)  # of grey the luma is the level
+    rgb = np.repeat(levels[..., None], 3, axis=2)  # the luma of grey is its level
     Image.fromarray(rgb).save(tmp_path / f"p.{ending}", lossless=True)
     path = tmp_path / f"p.{ending}"
     assert_array_equal(Touches.load(path).images, levels[None])
@@ -130,7 +130,7 @@ def test_frames_without_a_header_need_shape_and_type(tmp_path, images):
 
 
 def test_columns_with_blanks_and_a_clock_are_read(tmp_path, rng):
-    """As ReSkin's program writes: a clock, then x, y, z of each magnetometer."""
+    """ReSkin's program writes a clock, then x, y and z of each magnetometer."""
     readings = rng.normal(size=(6, 2, 3)).round(3)
     time_s = 1e9 + 0.04 * np.arange(6)
     rows = np.column_stack([time_s, readings.reshape(6, -1)])
@@ -144,7 +144,7 @@ def test_columns_with_blanks_and_a_clock_are_read(tmp_path, rng):
         Touches.load(tmp_path / "r.txt", channels=["x", "y", "z", "t"])
 
 
-def test_a_first_taxel_that_is_no_clock_stays_one(tmp_path, rng):
+def test_a_first_column_that_is_no_clock_stays_a_taxel(tmp_path, rng):
     rows = rng.normal(size=(8, 3)).cumsum(axis=0)
     np.savetxt(tmp_path / "r.csv", rows, delimiter=",", fmt="%.17g")
     assert_array_equal(Touches.load(tmp_path / "r.csv").images[:, 0], rows)
@@ -157,16 +157,16 @@ def test_labels_beside_pictures_are_columns(put):
     touches = Touches.load(root)
     assert touches.object.tolist() == ["7", "pen", "cup"]
     assert touches.columns["force_n"].tolist() == [1, 2, 3]
-    for first, message in (
+    for path_column, message in (
         ("filename", r"none for 0.png \(2 of 3\)"),
         ("what", "one of them file, filename"),
     ):
-        table.write_text(f"{first},label\n1.png,pen\n")
+        table.write_text(f"{path_column},label\n1.png,pen\n")
         with pytest.raises(TouchesError, match=message):
             Touches.load(root)
 
 
-def test_a_set_is_an_array(images):
+def test_numpy_takes_a_set_as_an_array_of_its_images(images):
     touches = Touches(images)
     assert_array_equal(np.asarray(touches), images)
     assert np.asarray(touches, dtype=float).dtype == np.float64
@@ -217,7 +217,7 @@ def test_links_out_of_a_file_are_not_followed(tmp_path, images):
 @pytest.mark.parametrize(
     "name", ["x.h5", "x.tif", "x.mat", "x.webp", "x.bmp", "x.hdf5"]
 )
-def test_garbage_is_one_sentence(tmp_path, rng, name):
+def test_garbage_is_refused_in_one_sentence(tmp_path, rng, name):
     (tmp_path / name).write_bytes(rng.bytes(500))
     with pytest.raises(TouchesError, match="must be a whole"):
         Touches.load(tmp_path / name)
@@ -258,7 +258,7 @@ def test_each_line_is_a_touch(csv):
     assert touches.geometry is None
 
 
-def test_without_a_shape_places_mean_nothing(csv):
+def test_without_a_shape_a_table_has_no_geometry(csv):
     touches = Touches.load(csv("1;2;3\n4;5;6\n"))
     assert_array_equal(touches.images, [[[1, 2, 3]], [[4, 5, 6]]])
     assert touches.geometry == "none"
@@ -266,7 +266,7 @@ def test_without_a_shape_places_mean_nothing(csv):
 
 
 @pytest.mark.parametrize("ending", ["csv", "npy"])
-def test_of_a_folder_each_file_is_a_touch(tmp_path, ending, rng):
+def test_each_file_of_a_folder_is_a_touch(tmp_path, ending, rng):
     images = rng.normal(size=(4, 3, 2))
     for n, image in enumerate(images):
         path = tmp_path / "in" / ["cup", "pen"][n // 2] / f"{n}.{ending}"
@@ -354,7 +354,7 @@ def test_a_picture_is_one_touch(tmp_path, rng):
     assert touches.channels == ("r", "g", "b")
 
 
-def test_data_frames_go_both_ways(csv):
+def test_data_frames_become_touches_and_touches_data_frames(csv):
     pandas = pytest.importorskip("pandas")
     from_file = Touches.load(csv(HEADED), shape=(2, 2))
     frame = pandas.read_csv(csv(HEADED))

@@ -140,7 +140,7 @@ def test_a_pattern_is_text(put):
         (["1.png", "2.png", "c/d/3.png"], "c/d/3.png lies in folders of folders"),
     ],
 )
-def test_folders_that_label_some_are_refused(put, names, message):
+def test_folders_that_label_only_some_pictures_are_refused(put, names, message):
     with pytest.raises(TouchesError, match=message):
         Touches.load(put(*names))
 
@@ -151,7 +151,7 @@ def short_patience(monkeypatch):
 
 
 def test_a_pattern_that_takes_for_ever_is_given_up(rng, tmp_path, short_patience):
-    """Names of thirty letters: each letter doubles what the pattern takes."""
+    """Each of the thirty letters of a name doubles the time that the pattern takes."""
     image = png_bytes(rng.integers(0, 255, (8, 8), dtype="uint8"))
     for name in ("mug_1.png", "a" * 30 + "!.png"):
         (tmp_path / name).write_bytes(image)

@@ -34,7 +34,7 @@ def colour(rng):
 
 
 def luma(colour):
-    """ITU-R BT.601."""
+    """Return the grey level of each colour by ITU-R BT.601."""
     return colour @ np.array([0.299, 0.587, 0.114])
 
 
@@ -43,11 +43,11 @@ def test_grey_png_is_exact(grey):
     deep = grey.astype(np.uint16) * 251 + 3
     spread = np.where(grey > 120, 255, 0)
     opaque = np.dstack([grey, np.full_like(grey, 255)])
-    pairs = ((grey, grey), (deep, deep), (grey > 120, spread), (opaque, grey))
-    for stored, expected in pairs:
-        found = decode_bytes(coded(Image.fromarray(stored)))
-        assert_array_equal(found, expected)
-        assert found.dtype == (np.uint16 if stored is deep else np.uint8)
+    cases = ((grey, grey), (deep, deep), (grey > 120, spread), (opaque, grey))
+    for stored, expected in cases:
+        decoded = decode_bytes(coded(Image.fromarray(stored)))
+        assert_array_equal(decoded, expected)
+        assert decoded.dtype == (np.uint16 if stored is deep else np.uint8)
 
 
 @pytest.mark.parametrize("alpha", [False, True])
@@ -56,11 +56,11 @@ def test_colour_png_becomes_luma(colour, factor, alpha):
     """16 bits stay 16 bits; an opaque alpha channel is dropped."""
     opaque = [np.full((24, 32), 255, np.uint8)] if alpha else []
     blue_first = np.dstack([colour[..., ::-1], *opaque]) * factor
-    found = decode_bytes(cv2.imencode(".png", blue_first)[1].tobytes())
-    assert found.dtype == factor.dtype
+    decoded = decode_bytes(cv2.imencode(".png", blue_first)[1].tobytes())
+    assert decoded.dtype == factor.dtype
     # Half a level of rounding and one of libpng's 15-bit weights.
     atol = 1.1 if factor == 1 else 4
-    assert_allclose(found, float(factor) * luma(colour), atol=atol)
+    assert_allclose(decoded, float(factor) * luma(colour), atol=atol)
 
 
 def test_palette_png_becomes_the_luma_of_its_colours(colour):
@@ -84,7 +84,7 @@ def test_jpeg_equals_the_luma_that_pillow_decodes(grey, colour, mode, options):
 @pytest.mark.parametrize("orientation", range(10))
 def test_pictures_are_upright_as_pillow_turns_them(grey, kind, orientation, tmp_path):
     exif = Image.Exif()
-    exif[0x0112] = orientation  # 0 and 9 are none that Exif knows
+    exif[0x0112] = orientation  # Exif knows no 0 and no 9
     data = coded(Image.fromarray(grey), kind, exif=exif)
     stored = Image.open(io.BytesIO(data))
     upright = np.asarray(ImageOps.exif_transpose(stored))
@@ -118,9 +118,9 @@ def test_hints_on_display_change_no_level(grey, chunk):
     ],
 )
 def test_sizes_and_depths_agree_with_pillow(image, kind, options):
-    found = decode_bytes(coded(image, kind, **options))
-    assert found.shape == image.size[::-1]
-    assert found.dtype == (np.uint16 if image.mode == "I;16" else np.uint8)
+    decoded = decode_bytes(coded(image, kind, **options))
+    assert decoded.shape == image.size[::-1]
+    assert decoded.dtype == (np.uint16 if image.mode == "I;16" else np.uint8)
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG"])
@@ -236,7 +236,7 @@ def test_a_hole_in_a_png_is_refused(grey):
 
 
 def test_a_damaged_jpeg_is_refused_or_keeps_its_size(grey, tmp_path):
-    """A JPEG has no checksum: not all flips among coefficients can be told."""
+    """A JPEG has no checksum: some flips of a coefficient cannot be noticed."""
     data = coded(Image.fromarray(grey), "JPEG", quality=50)
     for name in ("1.jpg", "2.jpg"):
         (tmp_path / name).write_bytes(data)
@@ -261,7 +261,7 @@ def test_a_jpeg_that_lacks_some_coefficients_is_refused(grey, mode):
 
 
 def test_a_jpeg_of_a_rare_subsampling_is_refused_by_name():
-    """Four, two and one blocks of grey a unit: each a difference of 0, and its end."""
+    """Each unit has four, two and one grey blocks: a difference of 0, then an end."""
     data = coded(Image.new("RGB", (32, 16), (128, 128, 128)), "JPEG")
     frame, scan = data.index(b"\xff\xc0"), data.index(b"\xff\xda")
     for component, factors in enumerate((0x22, 0x21, 0x11)):
@@ -276,7 +276,7 @@ def test_a_jpeg_of_a_rare_subsampling_is_refused_by_name():
 
 @pytest.mark.filterwarnings("error")
 def test_no_warning_of_pillow_comes_through(grey):
-    """Bombs that Pillow warns of, Exif and animations that it takes for damaged."""
+    """Pillow warns of bombs, and of Exif and animations that look damaged to it."""
     exif = (
         b"Exif\0\0II*\0\x08\0\0\0\x02\0\x1a\x01\x05\0\xff\xff\xff\xff\xff\xff\xff\xff"
     )
@@ -345,17 +345,17 @@ def large_grey():
 
 
 def with_scans(image, n_scans, *, progressive=True):
-    """Return a JPEG of an image that is followed by so many scans of nothing.
+    """Return a JPEG of an image, followed by `n_scans` scans without content.
 
-    Each says in a few bytes that all coefficients of all blocks are zero.
+    Each scan says in a few bytes that all coefficients of all blocks are zero.
     """
-    how = [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive)]
-    coded = cv2.imencode(".jpg", image, how)[1].tobytes()
+    encoding = [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive)]
+    data = cv2.imencode(".jpg", image, encoding)[1].tobytes()
     n_blocks = (SIDE // 8) ** 2
     # A table of two codes of two bits: the first ends the bands of 2**14 blocks.
     table = b"\xff\xc4\x00\x15\x10" + bytes([0, 2, *[0] * 14, 0xE0, 0])
     scan = b"\xff\xda\x00\x08\x01\x01\x00\x01\x3f\x00" + bytes(2 + n_blocks // 2**13)
-    return coded[:-2] + table + scan * n_scans + b"\xff\xd9"
+    return data[:-2] + table + scan * n_scans + b"\xff\xd9"
 
 
 @pytest.mark.parametrize("n_scans", [101, 2000])
@@ -367,27 +367,27 @@ def test_very_many_scans_are_refused_before_they_are_decoded(large_grey, n_scans
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("progressive", [False, True])
 def test_usual_jpegs_pass_at_every_size(colour, progressive):
-    """Of a noisy picture many bytes are 0xFF or 0xDA, and none a scan too many."""
+    """Many bytes of a noisy picture are 0xFF or 0xDA; none counts as a scan."""
     shape = (1000, 1000, 3) if colour else (1000, 1000)
     noise = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-    how = [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive), 1, 98]
-    coded = cv2.imencode(".jpg", noise, how)[1].tobytes()
-    assert decode_bytes(coded, colour=colour).shape == shape
+    encoding = [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive), 1, 98]
+    data = cv2.imencode(".jpg", noise, encoding)[1].tobytes()
+    assert decode_bytes(data, colour=colour).shape == shape
 
 
 def test_what_lies_in_a_preview_or_behind_the_end_is_no_scan(large_grey):
-    coded = cv2.imencode(".jpg", large_grey)[1].tobytes()
-    alike = b"\xff\xda" * 300
-    preview = b"\xff\xe1" + (len(alike) + 2).to_bytes(2, "big") + alike
-    whole = coded[:2] + preview + coded[2:] + alike
-    assert len(whole) > 10_000  # enough for the scans to be counted
+    data = cv2.imencode(".jpg", large_grey)[1].tobytes()
+    markers = b"\xff\xda" * 300
+    preview = b"\xff\xe1" + (len(markers) + 2).to_bytes(2, "big") + markers
+    picture = data[:2] + preview + data[2:] + markers
+    assert len(picture) > 10_000  # enough for the scans to be counted
     assert (
-        np.abs(decode_bytes(whole).astype(int) - large_grey).max() <= 4
+        np.abs(decode_bytes(picture).astype(int) - large_grey).max() <= 4
     )  # JPEG's rounding
 
 
 def test_scans_that_follow_an_end_within_a_comment_are_counted(large_grey):
-    """An end that a decoder passes over must not end the counting."""
+    """The end marker that a decoder passes over must not end the counting."""
     comment = b"\xff\xfe\x00\x04\xff\xd9"
     bomb = with_scans(large_grey, 300).replace(
         b"\xff\xc4\x00\x15", comment + b"\xff\xc4\x00\x15"

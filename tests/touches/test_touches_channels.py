@@ -22,7 +22,7 @@ def coloured(n_touches=2, **more):
 
 
 def pressed(frames, **more):
-    """One touch of one taxel, or of two, whose frames are given."""
+    """Return one touch of one or two taxels with these frames."""
     frames = np.array(frames, dtype=float).reshape(1, len(frames), 1, -1)
     return Touches(frames.max(axis=1), press_frames=frames, **more)
 
@@ -39,7 +39,7 @@ def test_channels_and_pads_are_named():
 
 
 @pytest.mark.parametrize(
-    ("shape", "given", "message"),
+    ("shape", "columns", "message"),
     [
         ((1, 4, 6, 3), {}, r'got none. .* such as channels=\["r", "g", "b"\]'),
         ((1, 4, 6, 3), {"channels": ["r", "g"]}, "each of the 3 channels .*'g'"),
@@ -73,9 +73,9 @@ def test_channels_and_pads_are_named():
         ((1, 4, 6, 3), {"channels": COLOUR, "no_contact": np.zeros((4, 6))}, "6 x 3"),
     ],
 )
-def test_what_does_not_fit_the_images_is_refused(shape, given, message):
+def test_what_does_not_fit_the_images_is_refused(shape, columns, message):
     with pytest.raises(TouchesError, match=message):
-        Touches(np.zeros(shape), **given)
+        Touches(np.zeros(shape), **columns)
 
 
 def test_a_set_never_loses_what_its_images_need():
@@ -212,15 +212,15 @@ def test_a_grey_picture_among_colours_is_named(painted):
 
 def test_the_picture_of_no_contact_is_in_colour_too(painted, tmp_path):
     root = painted("a.png").parent
-    rest = painted("rest.png")
-    touches = Touches.load(root, colour=True, no_contact=rest)
+    empty = painted("empty.png")
+    touches = Touches.load(root, colour=True, no_contact=empty)
     assert_array_equal(touches.no_contact, touches.images[0])
     touches.save(tmp_path / "t.npz")
-    again = Touches.load(tmp_path / "t.npz", no_contact=rest)
+    again = Touches.load(tmp_path / "t.npz", no_contact=empty)
     assert_array_equal(again.no_contact, touches.no_contact)
     touches.with_columns(channels=["x", "y", "z"]).save(tmp_path / "t.npz")
     with pytest.raises(TouchesError, match=r"a picture for images of uint8 and .*x, y"):
-        Touches.load(tmp_path / "t.npz", no_contact=rest)
+        Touches.load(tmp_path / "t.npz", no_contact=empty)
     for name, value, where in (
         ("colour", True, "for an archive"),
         ("name_pattern", "(?P<object>x)", "for an archive"),

@@ -251,8 +251,8 @@ def test_differences_without_no_contact_say_how_to_give_it():
 def test_episodes_are_one_per_object_and_session_in_their_order(labels, episodes):
     n_touches = sum(len(rows) for *_, rows in episodes)
     touches = Touches(np.zeros((n_touches, 2, 2)), **labels)
-    found = [(e.object, e.session, e.rows.tolist()) for e in touches.episodes()]
-    assert found == episodes
+    result = [(e.object, e.session, e.rows.tolist()) for e in touches.episodes()]
+    assert result == episodes
 
 
 def test_with_columns_adds_replaces_and_moves(six):
@@ -367,7 +367,7 @@ def test_a_whole_set_entry_stays_one_where_it_is_as_long_as_the_set():
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "message"),
+    ("first", "second", "message"),
     [
         ({}, {"size": (3, 4)}, "3 x 3 taxels like set 0, got 3 x 4 taxels in set 1"),
         ({}, {"dtype": np.uint16}, "uint8 like set 0, got uint16 in set 1"),
@@ -398,9 +398,9 @@ def test_a_whole_set_entry_stays_one_where_it_is_as_long_as_the_set():
         ({"set_x": 1}, {"set_x": "1"}, "set_x must be the same"),
     ],
 )
-def test_sets_that_do_not_fit_are_refused(one, other, message):
+def test_sets_that_do_not_fit_are_refused(first, second, message):
     with pytest.raises(TouchesError, match=message):
-        Touches.concatenate([make(**one), make(**other)])
+        Touches.concatenate([make(**first), make(**second)])
 
 
 def test_nothing_and_no_touches_are_refused():

@@ -41,15 +41,15 @@ def test_repr_fits_a_line(many):
         "<Touches: 2000 of 4 x 5 uint8; 2000 objects, 2000 sessions; "
         "columns: 2; whole set: 1>"
     )
-    some = Touches(np.zeros((2, 3, 3)), **{f"about_{i}": [1, 2] for i in range(9)})
-    assert repr(some) == ("<Touches: 2 of 3 x 3 float64; no labels; columns: 9>")
+    bare = Touches(np.zeros((2, 3, 3)), **{f"about_{i}": [1, 2] for i in range(9)})
+    assert repr(bare) == ("<Touches: 2 of 3 x 3 float64; no labels; columns: 9>")
     assert "\n" not in repr(Touches(np.zeros((1, 2, 2)), **{"a\nb": [1]}))
     kinds = Touches(np.zeros((3, 2, 2)), object=[*"aaa"], category=[*"xyy"])
     assert repr(kinds) == (
         "<Touches: 3 of 2 x 2 float64; 1 object, 2 categories; "
         "columns: object, category>"
     )
-    for touches in (many, few, some):
+    for touches in (many, few, bare):
         assert len(repr(touches)) <= 88
 
 
@@ -61,11 +61,11 @@ def test_html_tells_what_is_in_the_set():
         position_mm=np.zeros((3, 2)),
         geometry="array",
     )
-    text = re.sub("<[^>]*>", " ", touches._repr_html_())
-    for said in ("3", "4 x 5 int16", "2 objects", "cup (2), pen (1)", "2 categories"):
-        assert said in text
-    assert "position_mm (3 x 2 float64)" in text
-    assert "geometry (one text)" in text
+    html = re.sub("<[^>]*>", " ", touches._repr_html_())
+    for text in ("3", "4 x 5 int16", "2 objects", "cup (2), pen (1)", "2 categories"):
+        assert text in html
+    assert "position_mm (3 x 2 float64)" in html
+    assert "geometry (one text)" in html
     assert "none" in re.sub("<[^>]*>", " ", Touches(np.zeros((1, 2, 2)))._repr_html_())
 
 
@@ -133,9 +133,9 @@ def test_a_repr_needs_no_opencv(monkeypatch):
 def test_colour_is_shown_in_colour_and_other_channels_as_their_mean():
     image = np.zeros((1, 4, 4, 3), np.uint8)
     image[..., :2, 0] = image[..., 2:, 2] = 200
-    (shown,) = pictures(Touches(image, channels=["r", "g", "b"]))
-    assert shown[48, 10].tolist() == [0, 0, 255]
-    assert shown[48, 85].tolist() == [255, 0, 0]
+    (picture,) = pictures(Touches(image, channels=["r", "g", "b"]))
+    assert picture[48, 10].tolist() == [0, 0, 255]
+    assert picture[48, 85].tolist() == [255, 0, 0]
     (mean,) = pictures(Touches(image, channels=["x", "y", "z"]))
     assert len(np.unique(mean)) == 1
     html = Touches(image, channels=["r", "g", "b"])._repr_html_()

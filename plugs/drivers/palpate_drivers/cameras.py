@@ -92,8 +92,8 @@ def digit(
 
     settings = {cv2.CAP_PROP_ZOOM: float(light)}
     opened = _opened((240, 320), upright, settings, open_capture)
-    how: dict[str, Any] = {"rate_hz": rate_hz, "exposure": exposure}
-    return CameraSensor(place, (320, 240), colour=True, open_capture=opened, **how)
+    options: dict[str, Any] = {"rate_hz": rate_hz, "exposure": exposure}
+    return CameraSensor(place, (320, 240), colour=True, open_capture=opened, **options)
 
 
 def gelsight_mini(
@@ -124,8 +124,8 @@ def gelsight_mini(
         return np.ascontiguousarray(small[:, ::-1] if mirror else small, np.uint8)
 
     opened = _opened(full, gel, {}, open_capture)
-    how: dict[str, Any] = {"rate_hz": rate_hz, "exposure": exposure}
-    return CameraSensor(place, image_shape, colour=True, open_capture=opened, **how)
+    options: dict[str, Any] = {"rate_hz": rate_hz, "exposure": exposure}
+    return CameraSensor(place, image_shape, colour=True, open_capture=opened, **options)
 
 
 def _opened(
@@ -137,7 +137,7 @@ def _opened(
     def usual(camera: str) -> Any:
         import cv2
 
-        found = find_camera(camera)
-        return cv2.VideoCapture(int(found) if found.isdigit() else found)
+        address = find_camera(camera)
+        return cv2.VideoCapture(int(address) if address.isdigit() else address)
 
     return lambda name: Framed((open_capture or usual)(name), full, change, settings)

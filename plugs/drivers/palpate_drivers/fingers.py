@@ -98,19 +98,19 @@ class TSF85(SerialStream):
 
 
 def _parts(data: bytes) -> list[tuple[int, np.ndarray]] | None:
-    """Return fingers and their taxels in a packet; None where it is none."""
-    found, at = [], 0
+    """Return fingers and their taxels in a packet; None for no packet."""
+    parts, at = [], 0
     while at < len(data):
         kind, finger = data[at] >> 4, data[at] >> 2 & 3
         end = at + 1 + _SIZES.get(kind, len(data))
         if end > len(data):
             return None
         if kind == _STATIC:
-            found.append(
+            parts.append(
                 (finger, np.frombuffer(data[at + 1 : end], ">u2").reshape(7, 4))
             )
         at = end
-    return found
+    return parts
 
 
 class Paxini(Skin):
@@ -183,9 +183,9 @@ class Paxini(Skin):
 
 
 def paxini_command(high: int, low: int, data: bytes) -> bytes:
-    """Return what asks a Paxini control box to do something with a module."""
-    said = bytes([0x0E, 0, 0x70, high, low, len(data), 0]) + data
-    return _HEAD + said + bytes([-sum(said) & 0xFF]) + _TAIL
+    """Return the bytes of a command to a Paxini control box."""
+    body = bytes([0x0E, 0, 0x70, high, low, len(data), 0]) + data
+    return _HEAD + body + bytes([-sum(body) & 0xFF]) + _TAIL
 
 
 class USkin(LiveSensor):
@@ -248,10 +248,10 @@ class USkin(LiveSensor):
     def _frame(self, message: str | bytes) -> list[np.ndarray] | None:
         """Return the frame in a message, no frame in a greeting, None for none."""
         try:
-            told = json.loads(message)
-            if told["message"] == "Welcome":
+            values = json.loads(message)
+            if values["message"] == "Welcome":
                 return []
-            taxels = [int(word, 16) for word in told[self._key]["data"].split(",")]
+            taxels = [int(word, 16) for word in values[self._key]["data"].split(",")]
             return [np.array(taxels, np.uint16).reshape(self.image_shape)]
         except (ValueError, TypeError, LookupError, AttributeError, OverflowError):
             return None

@@ -1,4 +1,4 @@
-"""Drivers, on recorded bytes and cameras that are played; entry points; what lies."""
+"""Drivers on recorded bytes and played cameras, entry points, and false drivers."""
 
 import importlib.metadata
 import json
@@ -21,20 +21,20 @@ serials = pytest.importorskip("palpate_drivers.serials")
 
 
 class Camera:
-    """Stands for `cv2.VideoCapture`: one picture, over and over; keeps what is set."""
+    """Stands for `cv2.VideoCapture`: one picture, over and over; keeps its settings."""
 
     def __init__(self, picture):
-        self.picture, self.known = picture, {}
+        self.picture, self.settings = picture, {}
 
     def isOpened(self):
         return True
 
     def set(self, number, value):
-        self.known[number] = value
+        self.settings[number] = value
         return True
 
     def get(self, number):
-        return self.known.get(number, 0.0)
+        return self.settings.get(number, 0.0)
 
     def read(self):
         time.sleep(0.005)
@@ -72,9 +72,9 @@ def test_a_digit_stands_upright_and_has_its_light_set(rng):
     with sensor:
         image = sensor.read_next().image
     assert_array_equal(image[..., ::-1], np.rot90(picture))  # red first, blue was
-    assert camera.known[cv2.CAP_PROP_ZOOM] == 7
-    assert camera.known[cv2.CAP_PROP_FRAME_WIDTH] == 320
-    assert camera.known[cv2.CAP_PROP_FRAME_HEIGHT] == 240
+    assert camera.settings[cv2.CAP_PROP_ZOOM] == 7
+    assert camera.settings[cv2.CAP_PROP_FRAME_WIDTH] == 320
+    assert camera.settings[cv2.CAP_PROP_FRAME_HEIGHT] == 240
     mirrored = cameras.digit("DIGIT", mirror=True, open_capture=lambda name: camera)
     with mirrored:
         assert_array_equal(mirrored.read_next().image, image[:, ::-1])
@@ -105,18 +105,20 @@ def skin_bytes(rng, n=20, n_magnets=5):
 
 
 def taxel_bytes(rng, n=20):
-    """Taxels in which the mark of a frame stands too."""
+    """Return taxels that also hold the two bytes that begin a frame."""
     frames = rng.integers(0, 256, (n, 12, 32), dtype=np.uint8)
-    for number, frame in enumerate(frames):  # never twice in one place
+    for number, frame in enumerate(
+        frames
+    ):  # the two bytes are never twice in one place
         frame[3, number : number + 2] = 0xAA, 0x55
     return frames, b"".join(b"\xaa\x55" + frame.tobytes() for frame in frames)
 
 
 def test_bytes_of_a_magnetic_skin_are_frames(rng):
     values, data = skin_bytes(rng)
-    made = lambda: serials.MagneticSkin("p", open_port=lambda *_: Port(data))  # noqa: E731
-    check_sensor(made())
-    with made() as sensor:
+    make_sensor = lambda: serials.MagneticSkin("p", open_port=lambda *_: Port(data))  # noqa: E731
+    check_sensor(make_sensor())
+    with make_sensor() as sensor:
         images = [sensor.read_next().image for _ in range(15)]
         assert sensor.channels == ("x", "y", "z")
     for image, expected in zip(images, values, strict=False):
@@ -125,9 +127,9 @@ def test_bytes_of_a_magnetic_skin_are_frames(rng):
 
 def test_bytes_of_a_flexitac_are_frames(rng):
     frames, data = taxel_bytes(rng)
-    made = lambda: serials.FlexiTac("p", open_port=lambda *_: Port(data, 401))  # noqa: E731
-    check_sensor(made())
-    with made() as sensor:
+    make_sensor = lambda: serials.FlexiTac("p", open_port=lambda *_: Port(data, 401))  # noqa: E731
+    check_sensor(make_sensor())
+    with make_sensor() as sensor:
         images = [sensor.read_next().image for _ in range(15)]
     assert_array_equal(images, frames[:15])
 
@@ -140,9 +142,9 @@ def test_after_garbage_and_cuts_the_next_whole_frame_is_read(rng, kind):
     with driver("p", open_port=lambda *_: Port(data, 211)) as sensor:
         images = [sensor.read_next().image for _ in range(10)]
         assert sensor.n_dropped > 0
-    known = expected[..., 1:][:, None] if kind == "skin" else expected
-    # Of the first frame a part is missing; all that come are true ones, in order.
-    assert_array_equal(images, known[1:11])
+    frames = expected[..., 1:][:, None] if kind == "skin" else expected
+    # The first frame lacks a part; the following ones come whole and in order.
+    assert_array_equal(images, frames[1:11])
 
 
 @pytest.mark.parametrize("framing", ["line", "binary"])
@@ -151,8 +153,8 @@ def test_arrays_come_over_a_network(rng, kind, framing):
     frame = rng.integers(0, 1000, (4, 5)).astype(np.uint16)
     stop = threading.Event()
     stream = kind == "tcp"
-    way = socket.SOCK_STREAM if stream else socket.SOCK_DGRAM
-    server = socket.socket(socket.AF_INET, way)
+    socket_kind = socket.SOCK_STREAM if stream else socket.SOCK_DGRAM
+    server = socket.socket(socket.AF_INET, socket_kind)
     server.bind(("127.0.0.1", 0))
     port = server.getsockname()[1]
     if stream:
@@ -161,7 +163,9 @@ def test_arrays_come_over_a_network(rng, kind, framing):
         server.close()
 
     def send():
-        out = server.accept()[0] if stream else socket.socket(socket.AF_INET, way)
+        out = (
+            server.accept()[0] if stream else socket.socket(socket.AF_INET, socket_kind)
+        )
         number = 0
         while not stop.is_set():
             if framing == "line":
@@ -178,9 +182,9 @@ def test_arrays_come_over_a_network(rng, kind, framing):
 
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
-    made = getattr(network, kind)
+    driver = getattr(network, kind)
     try:
-        with made(f"127.0.0.1:{port}", image_shape=(4, 5), framing=framing) as sensor:
+        with driver(f"127.0.0.1:{port}", image_shape=(4, 5), framing=framing) as sensor:
             for _ in range(5):
                 assert_array_equal(sensor.read_next(5.0).image, frame)
     finally:
@@ -189,10 +193,10 @@ def test_arrays_come_over_a_network(rng, kind, framing):
         server.close()
 
 
-def test_what_cannot_be_reached_says_so():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]  # bound, but nobody listens
+def test_addresses_that_cannot_be_reached_are_refused():
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        port = bound.getsockname()[1]  # bound, but nobody listens
         with pytest.raises(SensorError, match="cannot be reached"):
             network.tcp(f"127.0.0.1:{port}", image_shape=(2, 2)).connect()
     for odd in ("nowhere", "host:port", "host:99999"):
@@ -269,14 +273,14 @@ class Lying(sensors.LiveSensor):
         pass
 
 
-def test_a_driver_that_lies_about_its_shape_is_told():
+def test_a_driver_that_lies_about_its_shape_is_refused():
     with Lying() as sensor, pytest.raises(SensorError, match=r"\(3, 2\), it promised"):
         sensor.read_next(0.5)
     with pytest.raises(SensorError, match=r"its frames are \(3, 2\), it promised"):
         check_sensor(Lying())
 
 
-def test_a_driver_that_blocks_is_told_and_not_started_twice():
+def test_a_driver_that_blocks_is_reported_and_not_started_twice():
     sensor = Lying(wait_s=7.0)
     sensor.patience_s = 0.5  # with the read that does not end
     with sensor, pytest.raises(SensorError, match=r"gave no frame in 0\.1 s"):
@@ -286,20 +290,21 @@ def test_a_driver_that_blocks_is_told_and_not_started_twice():
 
 
 class Box(Port):
-    """Stands for a Paxini control box: answers what it is asked, keeps that."""
+    """Stands for a Paxini control box: answers requests, and keeps them."""
 
     def __init__(self, frames, spoilt=b""):
-        self.frames, self.spoilt, self.asked, self.out = iter(frames), spoilt, [], b""
+        self.frames, self.spoilt = iter(frames), spoilt
+        self.requests, self.out = [], b""
 
     @property
     def in_waiting(self):
         return min(97, len(self.out))
 
     def write(self, data):
-        self.asked.append(data)
+        self.requests.append(data)
         answer = bytes(6) + next(self.frames) if data[7:9] == b"\xc0\x06" else b""
-        said = b"\x0e\x00" + data[6:9] + b"\x00" + len(answer).to_bytes(2, "little")
-        self.out += self.spoilt + fingers._HEAD + said + answer + b"?" + fingers._TAIL
+        head = b"\x0e\x00" + data[6:9] + b"\x00" + len(answer).to_bytes(2, "little")
+        self.out += self.spoilt + fingers._HEAD + head + answer + b"?" + fingers._TAIL
         if data[7:9] == b"\xc0\x0c":  # then the sensor is ready
             self.out = self.out[len(self.spoilt) :]
 
@@ -312,7 +317,7 @@ class Box(Port):
         self.out = b""
 
 
-def test_a_paxini_box_is_asked_and_answers(rng):
+def test_a_paxini_box_answers_requests(rng):
     # Two frames as published programs send them, sums included.
     calibrate = "55 aa 7b 7b 0e 00 70 b0 02 02 00 03 01 ca 55 aa 7d 7d"
     mode_two = "55 aa 7b 7b 0e 00 70 c0 0c 01 00 02 b3 55 aa 7d 7d"
@@ -327,8 +332,8 @@ def test_a_paxini_box_is_asked_and_answers(rng):
         assert sensor.channels == ("x", "y", "z")
     assert_array_equal(image[0, :, :2], taxels[4, :, :2].view(np.int8))
     assert_array_equal(image[0, :, 2], taxels[4, :, 2])
-    assert box.asked[1][11] == 6  # the third plug
-    assert box.asked[2][11:16] == bytes([0x7B]) + bytes([0x0E, 4, 0x68, 1])
+    assert box.requests[1][11] == 6  # the third plug
+    assert box.requests[2][11:16] == bytes([0x7B]) + bytes([0x0E, 4, 0x68, 1])
     box = Box([frame.tobytes() for frame in taxels])
     check_sensor(fingers.Paxini("p", open_port=lambda *_: box))
 
@@ -349,16 +354,16 @@ def test_after_garbage_a_paxini_box_is_read_on(rng):
 
 
 def tip_bytes(rng, n=20):
-    """Packets of two fingers, with motion between, in which a mark stands too."""
+    """Return packets of two fingers, with motion between; some hold a first byte."""
     values = rng.integers(0, 65536, (n, 2, 7, 4), dtype=np.uint16)
     values[:, :, 2, 1] = 0x9A9A
     data = b""
     for frame in values:
         for finger, taxels in enumerate(frame):
-            part = bytes([0x10 | finger << 2]) + taxels.astype(">u2").tobytes()
-            moved = bytes([0x30 | finger << 2]) + bytes(6) + b"\x70\x01\x02"
-            for said in (part, moved):
-                data += bytes([0x9A, 0, 0x61, len(said)]) + said
+            static = bytes([0x10 | finger << 2]) + taxels.astype(">u2").tobytes()
+            motion = bytes([0x30 | finger << 2]) + bytes(6) + b"\x70\x01\x02"
+            for body in (static, motion):
+                data += bytes([0x9A, 0, 0x61, len(body)]) + body
     return values, data
 
 
@@ -375,19 +380,21 @@ def test_bytes_of_a_tsf85_are_two_arrays_with_a_gap(rng, spoilt):
     if spoilt:
         data = bytes(rng.integers(0, 256, 99, dtype=np.uint8)) + data[7:]
     port = Tip(data, 211)
-    made = lambda: fingers.TSF85("p", period_ms=16, open_port=lambda *_: port)  # noqa: E731
-    with made() as sensor:
+    make_sensor = lambda: fingers.TSF85("p", period_ms=16, open_port=lambda *_: port)  # noqa: E731
+    with make_sensor() as sensor:
         images = [sensor.read_next().image for _ in range(12)]
         assert (sensor.n_dropped > 0) == spoilt
     assert port.written == bytes([0x9A, 0, 0x58, 1, 16])
     assert np.isnan(np.array(images)[:, :, 4]).all()
-    known = {frame.tobytes() for frame in values.astype(np.float32)}
+    whole_frames = {frame.tobytes() for frame in values.astype(np.float32)}
     read = [np.stack([image[:, :4], image[:, 5:]]) for image in images]
     if not spoilt:
         assert_array_equal(read, values[:12])
-        check_sensor(made())
+        check_sensor(make_sensor())
     # A packet that is cut costs a frame or two of one finger; then all are whole.
-    assert all(np.ascontiguousarray(pair).tobytes() in known for pair in read[4:])
+    assert all(
+        np.ascontiguousarray(frame).tobytes() in whole_frames for frame in read[4:]
+    )
     with pytest.raises(ValueError, match="period_ms 1 to 255, got 2 and 999"):
         fingers.TSF85("p", period_ms=999)
 
@@ -400,8 +407,8 @@ def test_messages_of_a_uskin_server_are_frames(rng):
         socket.send('{"message": "Welcome", "version": "1.7.6"}')
         for number in range(5000):
             words = ",".join(f"{v:04X}" for v in values[number % 50].ravel())
-            told = {"sensor": "2", "taxels": 16, "data": words, "calibrated": None}
-            socket.send(json.dumps({"message": number, "sensors": 1, "2": told}))
+            reading = {"sensor": "2", "taxels": 16, "data": words, "calibrated": None}
+            socket.send(json.dumps({"message": number, "sensors": 1, "2": reading}))
             if number % 50 == 3:
                 for odd in ("no JSON", '{"message": 4}', '{"2": {"data": "GG,1"}}'):
                     socket.send(odd)

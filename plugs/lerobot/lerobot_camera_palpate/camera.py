@@ -16,8 +16,8 @@ _MS = 1000.0
 class PalpateCamera(Camera):  # type: ignore[misc]
     """Frames (height, width, 3) of 8 bits: grey three times, colours, or x, y, z.
 
-    Width, height and frames a second may be left out of the configuration; what is
-    given must be what the sensor has. Dead taxels (NaN) are 0.
+    Width, height and frames a second may be left out of the configuration; given
+    ones must be those of the sensor. Dead taxels (NaN) are 0.
     """
 
     def __init__(self, config: PalpateCameraConfig) -> None:
@@ -33,11 +33,11 @@ class PalpateCamera(Camera):  # type: ignore[misc]
             raise ValueError(
                 f"{config.sensor} must have at most 3 channels, got {size}."
             )
-        given = (config.height or size[0], config.width or size[1])
-        if given != size[:2]:
+        configured = (config.height or size[0], config.width or size[1])
+        if configured != size[:2]:
             raise ValueError(
                 f"height and width must be those of {config.sensor}, {size[0]} x "
-                f"{size[1]}, got {given[0]} x {given[1]}. Leave them out."
+                f"{size[1]}, got {configured[0]} x {configured[1]}. Leave them out."
             )
         self.height, self.width = size[0], size[1]
         self.fps = config.fps or round(getattr(self._sensor, "rate_hz", 30))

@@ -40,14 +40,14 @@ class LeRobotSensor(LiveSensor):
 
     def _open(self) -> None:
         try:
-            self._camera = self._made()
+            self._camera = self._make_camera()
             self._camera.connect()
         except Exception as error:  # each camera of LeRobot raises its own kinds
             raise SensorError(
                 f"The camera {self._kind!r} of LeRobot cannot be opened: {error}"
             ) from error
 
-    def _made(self) -> Any:
+    def _make_camera(self) -> Any:
         from lerobot.cameras.configs import CameraConfig
         from lerobot.cameras.utils import make_cameras_from_configs
         from lerobot.utils.import_utils import register_third_party_plugins
@@ -55,12 +55,12 @@ class LeRobotSensor(LiveSensor):
         for kind in ("opencv", "realsense", "zmq", "reachy2_camera"):
             try:
                 __import__(f"lerobot.cameras.{kind}")
-            except ImportError:  # what is not installed is not offered
+            except ImportError:  # a camera that is not installed is not offered
                 continue
         register_third_party_plugins()
-        known = CameraConfig.get_known_choices()
-        if self._kind not in known:
-            raise SensorError(f"it must be one of {', '.join(sorted(known))}")
+        kinds = CameraConfig.get_known_choices()
+        if self._kind not in kinds:
+            raise SensorError(f"it must be one of {', '.join(sorted(kinds))}")
         chosen = CameraConfig.get_choice_class(self._kind)(**self._config)
         return make_cameras_from_configs({"camera": chosen})["camera"]
 

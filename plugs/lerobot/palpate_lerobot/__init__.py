@@ -161,32 +161,34 @@ def _filmed(folder: Path, name: str, shape: tuple[int, ...], table: Any) -> Arra
     begins = f"videos/{name}/from_timestamp"
     paths = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
     columns = ["episode_index", *where, begins]
-    told = pa.concat_tables([pq.read_table(path, columns=columns) for path in paths])
-    episodes = {row["episode_index"]: row for row in told.to_pylist()}
+    table_of_episodes = pa.concat_tables(
+        [pq.read_table(path, columns=columns) for path in paths]
+    )
+    episodes = {row["episode_index"]: row for row in table_of_episodes.to_pylist()}
     wanted: dict[Path, list[tuple[float, int]]] = {}
     rows = zip(table["episode_index"], table["timestamp"], strict=True)
     for row, (episode, time_s) in enumerate(rows):
-        one = episodes[episode.as_py()]
-        chunk, file = (one[key] for key in where)
+        record = episodes[episode.as_py()]
+        chunk, file = (record[key] for key in where)
         path = folder / "videos" / name / f"chunk-{chunk:03d}" / f"file-{file:03d}.mp4"
-        wanted.setdefault(path, []).append((one[begins] + time_s.as_py(), row))
+        wanted.setdefault(path, []).append((record[begins] + time_s.as_py(), row))
     images = np.empty((len(table), *shape), np.uint8)
-    for path, asked in wanted.items():
-        asked.sort(reverse=True)
+    for path, frames in wanted.items():
+        frames.sort(reverse=True)
         try:
             with av.open(str(path)) as film:
                 for frame in film.decode(video=0):
-                    while asked and abs(frame.time - asked[-1][0]) <= _APART_S:
+                    while frames and abs(frame.time - frames[-1][0]) <= _APART_S:
                         levels = frame.to_ndarray(format="rgb24")
                         if levels.shape != shape:
                             raise ValueError(
                                 f"pictures of {levels.shape} in {path.name}"
                             )
-                        images[asked.pop()[1]] = levels
+                        images[frames.pop()[1]] = levels
         except av.FFmpegError as error:
             raise ValueError(f"{path.name}: {error}") from error
-        if asked:
-            raise ValueError(f"no picture at {asked[-1][0]:.4f} s of {path.name}")
+        if frames:
+            raise ValueError(f"no picture at {frames[-1][0]:.4f} s of {path.name}")
     return images
 
 

@@ -37,8 +37,8 @@ def test_stable_baselines_objects_to_nothing(recwarn):
     ],
 )
 def test_an_agent_learns_for_some_steps(package, agent, policy, n_steps):
-    made = getattr(pytest.importorskip(package), agent)
-    model = made(policy, flat(), n_steps=64, batch_size=32, seed=0)
+    agent_class = getattr(pytest.importorskip(package), agent)
+    model = agent_class(policy, flat(), n_steps=64, batch_size=32, seed=0)
     before = [part.detach().clone() for part in model.policy.parameters()]
     model.learn(n_steps)
     after = list(model.policy.parameters())

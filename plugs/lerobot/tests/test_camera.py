@@ -18,7 +18,7 @@ pytestmark = pytest.mark.filterwarnings("default")
 
 @pytest.fixture
 def replay(tmp_path):
-    """The address of touches that are played, each for one frame."""
+    """Return the address of touches that are played, each for one frame."""
 
     def write(images, **columns):
         Touches(images, **columns).save(tmp_path / "t.npz")
@@ -27,7 +27,7 @@ def replay(tmp_path):
     return write
 
 
-def made(**config):
+def camera_of(**config):
     kind = configs.CameraConfig.get_choice_class("palpate")
     return utils.make_cameras_from_configs({"skin": kind(**config)})["skin"]
 
@@ -38,7 +38,7 @@ def test_lerobot_finds_the_camera_by_its_package():
     plugins.register_third_party_plugins()
     assert "palpate" in configs.CameraConfig.get_known_choices()
     assert "lerobot_camera_palpate" in sys.modules
-    camera = made(sensor="sim:mug?shape=48x64&rate=100")
+    camera = camera_of(sensor="sim:mug?shape=48x64&rate=100")
     assert isinstance(camera, lerobot_camera_palpate.PalpateCamera)
     with camera:
         for image in (camera.read(), camera.async_read(2000), camera.read_latest()):
@@ -51,26 +51,26 @@ def test_lerobot_finds_the_camera_by_its_package():
 
 def test_readings_become_levels(replay):
     images = np.array([[[0.0, 5.0, np.nan], [10.0, 20.0, -1.0]]])
-    with made(sensor=replay(images), low=0, high=10) as camera:
+    with camera_of(sensor=replay(images), low=0, high=10) as camera:
         image = camera.async_read(2000)
     assert image[..., 0].tolist() == [[0, 128, 0], [255, 255, 0]]
 
 
 def test_colours_stay(replay):
     colours = np.random.default_rng(0).integers(0, 256, (1, 50, 60, 3), dtype=np.uint8)
-    with made(sensor=replay(colours, channels=["r", "g", "b"])) as camera:
+    with camera_of(sensor=replay(colours, channels=["r", "g", "b"])) as camera:
         assert_array_equal(camera.async_read(2000), colours[0])
 
 
 def test_odd_configurations_are_refused(replay):
     with pytest.raises(ValueError, match="height and width must be those of"):
-        made(sensor="sim:mug", height=3, width=4)
+        camera_of(sensor="sim:mug", height=3, width=4)
     with pytest.raises(ValueError, match="low must be below high"):
-        made(sensor="sim:mug", low=1, high=1)
+        camera_of(sensor="sim:mug", low=1, high=1)
 
 
 def test_a_camera_of_lerobot_is_a_sensor():
-    """The camera is our own, so that no device is needed: there and back again."""
+    """The camera is our own, so that no device is needed."""
     sensor_of = pytest.importorskip("lerobot_camera_palpate.sensor").LeRobotSensor
     config = json.dumps({"sensor": "sim:mug?shape=48x64&rate=100"})
     check_sensor(sensor_of("palpate", image_shape=(48, 64), config=config))

@@ -241,9 +241,9 @@ def test_a_video_that_lerobot_wrote_is_what_it_was_given(tmp_path):
         dataset.save_episode()
     dataset.finalize()
     touches = read_bag(root)
-    apart = np.abs(touches.images.astype(int) - pictures)
+    differences = np.abs(touches.images.astype(int) - pictures)
     # 1.5 levels apart at the mean; two pictures that follow each other are 8.
-    assert apart.mean(axis=(1, 2, 3)).max() < 3
+    assert differences.mean(axis=(1, 2, 3)).max() < 3
     assert touches.object.tolist() == ["cup"] * 5 + ["pen"] * 3
     expected_s = [0, 0.1, 0.2, 0.3, 0.4, 0, 0.1, 0.2]
     assert_allclose(touches.columns["time_s"], expected_s, atol=1e-6)

@@ -16,15 +16,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("touches", type=Path, help="touch archive or folder")
     parser.add_argument("-o", "--output", type=Path, required=True, help=".rrd, .mcap")
     parser.add_argument("--error", type=float, default=0.01, help="accepted error")
-    asked = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        recogniser = ObjectRecogniser.load(asked.model)
-        touches = Touches.load(asked.touches)
-        n_episodes = log_episodes(asked.output, recogniser, touches, asked.error)
+        recogniser = ObjectRecogniser.load(options.model)
+        touches = Touches.load(options.touches)
+        n_episodes = log_episodes(options.output, recogniser, touches, options.error)
     except (ValueError, OSError, ImportError) as error:
         print(f"palpate_look: {error}", file=sys.stderr)
         return 1
-    print(f"{len(touches)} touches in {n_episodes} episodes are in {asked.output}.")
+    print(f"{len(touches)} touches in {n_episodes} episodes are in {options.output}.")
     return 0
 
 

@@ -3,8 +3,8 @@
 Topics: `/tactile` and `/touch` of `sensor_msgs/msg/Image`, `/decision` of
 `rcl_interfaces/msg/Log`, `/belief` of `palpate_msgs/msg/Belief`, whose text stands
 beside it as its schema: any reader of MCAP that knows ROS 2 decodes it, rosbags too,
-and `/belief.results[:]{class_id=="mug"}.score` is what Foxglove plots. What was touched
-comes back through `palpate library add FILE --topic /touch`.
+and `/belief.results[:]{class_id=="mug"}.score` is what Foxglove plots. Touches
+come back through `palpate library add FILE --topic /touch`.
 """
 
 import re
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ._log import Belief, Log, nanoseconds
 
 Array = NDArray[Any]
-_IMAGE, _SAID = "sensor_msgs/msg/Image", "rcl_interfaces/msg/Log"
+_IMAGE, _LOG = "sensor_msgs/msg/Image", "rcl_interfaces/msg/Log"
 _BELIEF, _HYPOTHESIS = "palpate_msgs/msg/Belief", "vision_msgs/msg/ObjectHypothesis"
 # Results are in the order of probability; "unknown" is none of the learnt objects.
 _TEXTS = {
@@ -42,7 +42,7 @@ class Schema(NamedTuple):
 
 
 class RosLog(Log):
-    """What is written as messages of ROS 2; `Log` explains the rest.
+    """A log of messages of ROS 2; `Log` explains the rest.
 
     8 and 16 bits stay what they are, all else is written as float32: exact to 24 bits.
     Three channels r, g and b are one picture; others have a topic each, `/tactile/x`.
@@ -96,7 +96,7 @@ class RosLog(Log):
             touch=belief["touch"],
             results=[
                 hypothesis(str(name), float(share))
-                for name, share in sorted(shares.items(), key=lambda one: -one[1])
+                for name, share in sorted(shares.items(), key=lambda item: -item[1])
             ],
             best=str(belief["best"] or ""),
             decision=str(belief["decision"] or ""),
@@ -104,8 +104,8 @@ class RosLog(Log):
         )
         self._send("/belief", _BELIEF, message, time_s)
 
-    def _said(self, words: str, time_s: float) -> None:
-        message = self._types.types[_SAID](
+    def _decision(self, words: str, time_s: float) -> None:
+        message = self._types.types[_LOG](
             stamp=self._header(time_s).stamp,
             level=_INFO,
             name="palpate",
@@ -114,7 +114,7 @@ class RosLog(Log):
             function="",
             line=0,
         )
-        self._send("/decision", _SAID, message, time_s)
+        self._send("/decision", _LOG, message, time_s)
 
     def _header(self, time_s: float) -> Any:
         seconds, rest = divmod(nanoseconds(time_s), 10**9)
@@ -190,8 +190,8 @@ class FoxgloveLive(RosLog):
     """
 
     def __init__(self, address: str | Path) -> None:
-        found = re.fullmatch(r"ws:/+([^/:]+):(\d{1,5})/?", str(address))
-        if found is None:
+        match = re.fullmatch(r"ws:/+([^/:]+):(\d{1,5})/?", str(address))
+        if match is None:
             raise ValueError(f"It must be like ws://127.0.0.1:8765, got {address!s}.")
         try:
             import foxglove
@@ -202,7 +202,7 @@ class FoxgloveLive(RosLog):
             ) from error
         super().__init__()
         self._foxglove, self._context = foxglove, foxglove.Context()
-        host, port = found[1], int(found[2])
+        host, port = match[1], int(match[2])
         try:
             self._server = foxglove.start_server(
                 name="palpate", host=host, port=port, context=self._context

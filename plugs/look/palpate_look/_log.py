@@ -75,8 +75,8 @@ class Log(ABC):
             self._belief(belief, time_s)
             now = belief["episode"], belief["decision"]
             if belief["decision"] is not None and now != self._decided:
-                said = f"episode {belief['episode']}: {belief['decision']}"
-                self._said(f"{said}. {belief['reason']}", time_s)
+                sentence = f"episode {belief['episode']}: {belief['decision']}"
+                self._decision(f"{sentence}. {belief['reason']}", time_s)
             self._decided = now
 
     def take(self, event: Any) -> None:
@@ -93,7 +93,7 @@ class Log(ABC):
                 kept |= {key: episode[key] for key in ("best", "decision", "reason")}
                 about = {"episode": episode["number"], "touch": touch["number"]}
                 self.touch(event.image, touch["time_s"], about | kept, event.channels)
-        except OSError as error:  # said when it is closed; the session goes on
+        except OSError as error:  # reported when it is closed; the session goes on
             self._failed = str(error)
 
     def close(self) -> None:
@@ -118,7 +118,7 @@ class Log(ABC):
     def _belief(self, belief: Belief, time_s: float) -> None: ...
 
     @abstractmethod
-    def _said(self, words: str, time_s: float) -> None: ...
+    def _decision(self, words: str, time_s: float) -> None: ...
 
     @abstractmethod
     def _end(self) -> None: ...
@@ -143,8 +143,8 @@ def open_log(path: str | Path) -> Log:
     kinds: dict[str, type[Log]] = {".rrd": RerunLog, ".mcap": FoxgloveLog}
     suffix = Path(path).suffix.lower()
     if suffix not in kinds:
-        known = " or ".join(kinds)
-        raise ValueError(f"The file must end in {known}, got {Path(path).name!r}.")
+        endings = " or ".join(kinds)
+        raise ValueError(f"The file must end in {endings}, got {Path(path).name!r}.")
     return kinds[suffix](path)
 
 

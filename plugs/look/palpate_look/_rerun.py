@@ -62,7 +62,7 @@ class RerunLog(Log):
         if belief["unknown"] is not None:
             self._to.log("unknown/probability", number(belief["unknown"]))
 
-    def _said(self, words: str, time_s: float) -> None:
+    def _decision(self, words: str, time_s: float) -> None:
         self._at(time_s)
         self._to.log("decision", self._rerun.TextLog(words, level="INFO"))
 

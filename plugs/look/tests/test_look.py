@@ -1,4 +1,4 @@
-"""What is written for Rerun and Foxglove, read back by their own readers."""
+"""Logs for Rerun and Foxglove are read back by their own readers."""
 
 import json
 import struct
@@ -52,26 +52,26 @@ def model(touches, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(model, touches):
-    """Posterior and unknown score after each of the last ten touches, in order."""
-    recogniser, asked = ObjectRecogniser.load(model), touches[30:]
-    found = []
-    evidence = recogniser.evidence(asked)
-    for _, _, rows in asked.episodes():
+    """Return row, posterior and unknown score after each of the last ten touches."""
+    recogniser, tested = ObjectRecogniser.load(model), touches[30:]
+    beliefs = []
+    evidence = recogniser.evidence(tested)
+    for _, _, rows in tested.episodes():
         belief = recogniser.start()
         for row in rows:
             belief.update(evidence.of_touch(row))
-            found.append((int(row), belief.posterior, belief.unknown))
-    return found
+            beliefs.append((int(row), belief.posterior, belief.unknown))
+    return beliefs
 
 
 def read_mcap(path):
     """Return per topic the messages of a file, as mcap's own reader gives them."""
     reader = pytest.importorskip("mcap.reader")
-    found = {}
+    messages = {}
     with path.open("rb") as file:
         for _, channel, message in reader.make_reader(file).iter_messages():
-            found.setdefault(channel.topic, []).append(message)
-    return found
+            messages.setdefault(channel.topic, []).append(message)
+    return messages
 
 
 def belief_of(message):
@@ -88,18 +88,18 @@ def belief_of(message):
     for name, text in texts.items():
         types.register(typesys.get_types_from_msg(text, name))
     read = types.deserialize_cdr(message.data, kind)
-    return {one.class_id: one.score for one in read.results}
+    return {result.class_id: result.score for result in read.results}
 
 
 def read_rrd(path):
     """Return per entity the rows of a recording, as Rerun's own reader gives them."""
     chunk = pytest.importorskip("rerun.chunk")
-    found = {}
+    rows = {}
     for part in chunk.RrdReader(path).stream():
         batch = part.to_record_batch()
-        told = batch.select([name for name in batch.schema.names if ":" in name])
-        found.setdefault(part.entity_path, []).extend(told.to_pylist())
-    return found
+        timed = batch.select([name for name in batch.schema.names if ":" in name])
+        rows.setdefault(part.entity_path, []).extend(timed.to_pylist())
+    return rows
 
 
 def values_of(rows, ending):
@@ -112,15 +112,15 @@ def test_mcap_holds_touches_and_beliefs_to_the_bit(model, touches, expected, tmp
     path = tmp_path / "run.mcap"
     recogniser = ObjectRecogniser.load(model)
     assert palpate_look.log_episodes(path, recogniser, touches[30:]) == 2
-    found = read_mcap(path)
-    beliefs = list(map(belief_of, found["/belief"]))
+    messages = read_mcap(path)
+    beliefs = list(map(belief_of, messages["/belief"]))
     assert beliefs == [
         {**posterior, "unknown": unknown} for _, posterior, unknown in sorted(expected)
     ]
-    assert [m.log_time for m in found["/touch"]] == [
+    assert [m.log_time for m in messages["/touch"]] == [
         1_700_000_007_500_000_000 + 250_000_000 * k for k in range(10)
     ]
-    assert len(found["/decision"]) == 2
+    assert len(messages["/decision"]) == 2
     again = read_bag(path, "/touch", object="thing")
     assert_array_equal(again.images, touches.images[30:])
     assert_array_equal(again.columns["time_s"], touches.columns["time_s"][30:])
@@ -167,14 +167,16 @@ def test_rerun_holds_touches_and_beliefs_to_the_bit(model, touches, expected, tm
     pytest.importorskip("rerun")
     path = tmp_path / "run.rrd"
     palpate_look.log_episodes(path, ObjectRecogniser.load(model), touches[30:])
-    found = read_rrd(path)
-    buffers = values_of(found["/touch"], "Image:buffer")
+    rows = read_rrd(path)
+    buffers = values_of(rows["/touch"], "Image:buffer")
     images = [np.array(b[0], np.uint8).reshape(12, 12) for b in buffers]
     assert_array_equal(images, touches.images[30:][[row for row, *_ in expected]])
     for name in ("disc", "bar"):
-        shares = [one[0] for one in values_of(found[f"/belief/{name}"], ":scalars")]
+        shares = [
+            values[0] for values in values_of(rows[f"/belief/{name}"], ":scalars")
+        ]
         assert shares == [posterior[name] for _, posterior, _ in expected]
-    assert len(values_of(found["/decision"], ":text")) == 2
+    assert len(values_of(rows["/decision"], ":text")) == 2
 
 
 def test_rerun_keeps_what_arrays_read(tmp_path):
@@ -199,8 +201,8 @@ def test_reruns_own_command_finds_nothing_wrong(model, touches, tmp_path):
     log = tmp_path / "run.rrd"
     palpate_look.log_episodes(log, ObjectRecogniser.load(model), touches[30:])
     command = [sys.executable, "-m", "rerun", "rrd", "verify", str(log)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    completed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr
 
 
 @needs_mcap
@@ -215,34 +217,34 @@ def test_a_live_session_is_written_as_it_goes(model, touches, tmp_path):
         )
         assert enough.wait(10)
         episode = session.episode.to_dict()["touches"]
-        seen = [image.tobytes() for image in session.episode.images]
-    found = read_mcap(log.path)
-    for belief, touch in zip(found["/belief"], episode, strict=False):
+        recorded = [image.tobytes() for image in session.episode.images]
+    messages = read_mcap(log.path)
+    for belief, touch in zip(messages["/belief"], episode, strict=False):
         shares = {**touch["posterior"], "unknown": touch["unknown"]}
         assert belief_of(belief) == shares
     frames = read_bag(log.path, "/tactile").images
-    shown = {image.tobytes() for image in touches.images[30:]} | {bytes(144)}
-    assert {frame.tobytes() for frame in frames} <= shown
-    assert seen[0] == read_bag(log.path, "/touch").images[0].tobytes()
+    expected = {image.tobytes() for image in touches.images[30:]} | {bytes(144)}
+    assert {frame.tobytes() for frame in frames} <= expected
+    assert recorded[0] == read_bag(log.path, "/touch").images[0].tobytes()
 
 
 @needs_mcap
 def test_other_readers_decode_every_message_by_its_schema(
     model, touches, expected, tmp_path
 ):
-    """`iter_decoded_messages` with the factory for ROS 2, and nothing of ours."""
+    """The reader is `iter_decoded_messages` with the factory for ROS 2 alone."""
     decoder = pytest.importorskip("mcap_ros2.decoder")
     reader = pytest.importorskip("mcap.reader")
     path = tmp_path / "run.mcap"
     palpate_look.log_episodes(path, ObjectRecogniser.load(model), touches[30:])
     decoded = {}
     with path.open("rb") as file:
-        made = reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
-        for _, channel, _, message in made.iter_decoded_messages():
+        stream = reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        for _, channel, _, message in stream.iter_decoded_messages():
             decoded.setdefault(channel.topic, []).append(message)
     assert {*decoded} == {"/touch", "/belief", "/decision"}
     beliefs = [
-        {one.class_id: one.score for one in belief.results}
+        {result.class_id: result.score for result in belief.results}
         for belief in decoded["/belief"]
     ]
     assert beliefs == [
@@ -264,16 +266,16 @@ def test_a_running_foxglove_sees_what_is_taken(model, touches, expected):
     def touch():
         log.touch(touches[30:].images[row], 12.5, belief)
 
-    touch()  # a topic is told once something was written to it
+    touch()  # a topic is announced once something was written to it
     where = f"ws://127.0.0.1:{log.port}"
     with log, client.connect(where, subprotocols=["foxglove.sdk.v1"]) as socket:
         topics, messages = {}, {}
         while {*topics.values()} != {"/touch", "/belief"}:
-            told = json.loads(socket.recv(timeout=10))
-            for channel in told.get("channels", ()):
+            answer = json.loads(socket.recv(timeout=10))
+            for channel in answer.get("channels", ()):
                 topics[channel["id"]] = channel["topic"]
-        wanted = [{"id": 100 + key, "channelId": key} for key in topics]
-        socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        subscriptions = [{"id": 100 + key, "channelId": key} for key in topics]
+        socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
         while len(messages) < 2:
             touch()
             with suppress(TimeoutError):
@@ -286,7 +288,7 @@ def test_a_running_foxglove_sees_what_is_taken(model, touches, expected):
     assert read == {**posterior, "unknown": unknown}
 
 
-def test_where_foxglove_is_served_is_one_address():
+def test_an_address_of_foxglove_must_be_host_and_port():
     for address in ("ws://127.0.0.1", "http://127.0.0.1:8765", "8765"):
         with pytest.raises(ValueError, match=r"must be like ws://127\.0\.0\.1:8765"):
             palpate_look.FoxgloveLive(address)
@@ -314,19 +316,19 @@ def test_the_command_writes_or_says_why_not(model, touches, tmp_path, capsys):
     main = pytest.importorskip("palpate_look.__main__").main
     archive, log = tmp_path / "t.npz", tmp_path / "t.mcap"
     touches[30:].save(archive)
-    asked = [str(model), str(archive), "-o"]
-    assert main([*asked, str(log)]) == 0
+    arguments = [str(model), str(archive), "-o"]
+    assert main([*arguments, str(log)]) == 0
     assert "10 touches in 2 episodes" in capsys.readouterr().out
     before = log.read_bytes()
-    assert main([*asked, str(log)]) == 1
+    assert main([*arguments, str(log)]) == 1
     assert "exists already" in capsys.readouterr().err
     assert log.read_bytes() == before
-    assert main([*asked, str(tmp_path / "t.avi")]) == 1
+    assert main([*arguments, str(tmp_path / "t.avi")]) == 1
     assert "must end in .rrd or .mcap, got 't.avi'" in capsys.readouterr().err
 
 
 @needs_mcap
-def test_a_full_disk_is_said_at_the_end_and_stops_nothing(tmp_path):
+def test_a_full_disk_is_reported_at_the_end_and_stops_nothing(tmp_path):
     log = palpate_look.FoxgloveLog(tmp_path / "full.mcap")
 
     def no_room(*_):

@@ -43,19 +43,23 @@ class PalpateNode(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__("palpate")
-        given = {n: self.declare_parameter(n, v).value for n, v in PARAMETERS.items()}
+        parameters = {
+            n: self.declare_parameter(n, v).value for n, v in PARAMETERS.items()
+        }
         prefix = self.get_fully_qualified_name()
-        self.process = PalpateProcess(command_line(given, os.environ, prefix))
+        self.process = PalpateProcess(command_line(parameters, os.environ, prefix))
         together = ReentrantCallbackGroup()  # an answer comes while a service waits
         self._ask = threading.Lock()
         self._answered, self._answer = threading.Event(), ""
         self._commands = self.create_publisher(String, "~/command", _WAITING)
-        how = {"callback_group": together}
-        self.create_subscription(String, "~/answer", self._heard, _WAITING, **how)
+        options = {"callback_group": together}
+        self.create_subscription(
+            String, "~/answer", self._take_answer, _WAITING, **options
+        )
         for name in ("start", "stop", "confirm", "learn", "session"):
-            self.create_service(Trigger, f"~/{name}", self._trigger(name), **how)
-        self.create_service(SetBool, "~/teach", self._teach, **how)
-        self.create_timer(_LOOK_S, self.process.check, **how)
+            self.create_service(Trigger, f"~/{name}", self._trigger(name), **options)
+        self.create_service(SetBool, "~/teach", self._teach, **options)
+        self.create_timer(_LOOK_S, self.process.check, **options)
         self.process.start()
 
     def ask(self, command: str) -> tuple[bool, str]:
@@ -65,10 +69,10 @@ class PalpateNode(Node):  # type: ignore[misc]
             self._commands.publish(String(data=command))
             if not self._answered.wait(_ANSWER_S):
                 return False, "palpate does not answer: it may still be starting."
-            done, _, sentence = self._answer.partition(": ")
-        return done == "done", sentence
+            outcome, _, sentence = self._answer.partition(": ")
+        return outcome == "done", sentence
 
-    def _heard(self, message: Any) -> None:
+    def _take_answer(self, message: Any) -> None:
         self._answer = str(message.data)
         self._answered.set()
 

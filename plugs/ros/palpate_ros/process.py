@@ -9,7 +9,7 @@ import shutil
 import subprocess
 from collections.abc import Mapping
 
-# What the Python of ROS is told and another one must not be.
+# Variables of the Python of ROS, which another Python must not have.
 _OF_ROS = ("PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
 _FOREVER_S = "1e9"
 _PATIENCE_S = 10.0
@@ -20,7 +20,7 @@ class ProcessError(RuntimeError):
 
 
 def wire(environment: Mapping[str, str]) -> str:
-    """Return the options of an address: domain and wire, as ROS is told them."""
+    """Return the options of an address: domain and wire, by the variables of ROS."""
     domain = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
     zenoh = environment.get("RMW_IMPLEMENTATION", "").startswith("rmw_zenoh")
     return f"domain={domain}&via={'zenoh' if zenoh else 'dds'}"
@@ -29,7 +29,7 @@ def wire(environment: Mapping[str, str]) -> str:
 def command_line(
     parameters: Mapping[str, object], environment: Mapping[str, str], prefix: str
 ) -> list[str]:
-    """Return the command that recognises what the parameters of a node say.
+    """Return the command that recognises by the parameters of a node.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class PalpateProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start it, without what the Python of ROS was told."""
+        """Start it, without the variables of the Python of ROS."""
         kept: dict[str, str] = {
             name: value for name, value in os.environ.items() if name not in _OF_ROS
         }

@@ -1,4 +1,4 @@
-"""The node's own part, and the whole way: node, process and a robot over real DDS.
+"""The node by itself, and with its process and a robot over real DDS.
 
 A stand-in for rclpy has topics on the wire; the robot (`ros_robot.py`) is another
 process with bytes made by hand. Nothing here needs ROS.
@@ -22,7 +22,7 @@ from palpate_ros.process import PalpateProcess, ProcessError, command_line, wire
 HERE = Path(__file__).parent
 STRING = "std_msgs/msg/String"
 DOMAIN = 150 + NUMBER
-ASKED = {
+PARAMETERS = {
     "model": "desk.palpate",
     "topic": "/pad",
     "library": "",
@@ -93,13 +93,13 @@ class StandIn:
 
 @pytest.fixture
 def ros(monkeypatch):
-    """Put modules of ROS in place that hold what the node takes from them."""
+    """Put modules of ROS in place with the names that the node imports."""
 
-    def module(name, **held):
-        made = types.ModuleType(name)
-        made.__dict__.update(held)
-        monkeypatch.setitem(sys.modules, name, made)
-        return made
+    def module(name, **names):
+        instance = types.ModuleType(name)
+        instance.__dict__.update(names)
+        monkeypatch.setitem(sys.modules, name, instance)
+        return instance
 
     module("rclpy", node=module("rclpy.node", Node=StandIn))
     module("rclpy.callback_groups", ReentrantCallbackGroup=object)
@@ -113,11 +113,11 @@ def ros(monkeypatch):
     return palpate_ros.node
 
 
-def test_the_process_is_told_what_ros_is_told():
+def test_the_process_gets_the_domain_and_wire_of_ros():
     assert wire({}) == "domain=0&via=dds"
     zenoh = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}
     assert wire(zenoh) == "domain=7&via=zenoh"
-    line = command_line({**ASKED, "library": "lab"}, zenoh, "/desk/palpate")
+    line = command_line({**PARAMETERS, "library": "lab"}, zenoh, "/desk/palpate")
     assert line == [
         sys.executable,
         *("live", "desk.palpate", "--sensor", "ros:/pad?domain=7&via=zenoh"),
@@ -127,14 +127,16 @@ def test_the_process_is_told_what_ros_is_told():
     ]
 
 
-def test_what_is_missing_is_named():
+def test_a_missing_model_or_command_is_named():
     with pytest.raises(ProcessError, match="model must name a model file"):
-        command_line({**ASKED, "model": ""}, {}, "/palpate")
+        command_line({**PARAMETERS, "model": ""}, {}, "/palpate")
     with pytest.raises(ProcessError, match=r"got 'nowhere'.*pip install"):
-        command_line({**ASKED, "palpate": "nowhere"}, {}, "/palpate")
+        command_line({**PARAMETERS, "palpate": "nowhere"}, {}, "/palpate")
 
 
-def test_a_process_that_ends_is_told_and_ros_variables_stay_out(monkeypatch, tmp_path):
+def test_a_process_that_ends_is_reported_and_ros_variables_stay_out(
+    monkeypatch, tmp_path
+):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     code = "import os, sys; sys.exit(3 + ('PYTHONPATH' in os.environ))"
     process = PalpateProcess([sys.executable, "-c", code])
@@ -164,10 +166,10 @@ def test_the_package_is_of_python_3_10_and_takes_no_numpy():
 def test_colcon_builds_it(tmp_path):
     shutil.copytree(HERE.parent, tmp_path / "src" / "palpate_ros")
     command = ["colcon", "build", "--merge-install"]
-    done = subprocess.run(
+    completed = subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert completed.returncode == 0, completed.stderr
     for place in (
         "lib/palpate_ros/palpate_node",
         "share/ament_index/resource_index/packages/palpate_ros",
@@ -215,21 +217,21 @@ def test_a_robot_hears_the_node_and_the_services_teach(
     with robot(domain=DOMAIN, kinds=["rows"] * 3, commands=["start"]) as process:
         node = ros.PalpateNode()
         try:
-            heard = heard_by(process)
-            node.timer()  # it still runs
+            log = heard_by(process)
+            node.timer()  # the process still runs
             answers = [node.call("teach", data=True), node.call("teach", data=False)]
-            refused = node.call("confirm")
+            refusal = node.call("confirm")
         finally:
             node.process.stop()
             node.ended.set()
-    assert len(heard["belief"]) == 3
-    best = [one["results"][0][0] for one in heard["belief"]]
+    assert len(log["belief"]) == 3
+    best = [belief["results"][0][0] for belief in log["belief"]]
     assert best.count("rows") >= 2
-    assert all(one["stamp"] in heard["sent"] for one in heard["belief"])
-    assert [one.success for one in answers] == [True, True]
+    assert all(belief["stamp"] in log["sent"] for belief in log["belief"])
+    assert [answer.success for answer in answers] == [True, True]
     assert answers[0].message == "Touches teach knob."
-    assert not refused.success
-    assert refused.message == "confirm must come after touches, got none."
+    assert not refusal.success
+    assert refusal.message == "confirm must come after touches, got none."
     assert lab.is_dir()
 
 
