@@ -359,7 +359,16 @@ def test_a_database_that_another_keeps_to_itself_is_left_alone(folder, monkeypat
         with pytest.raises(LibraryError, match="wait, or end it"):
             repair_library(folder)
     assert check_library(folder).ok
-    assert (folder / "library.sqlite").read_bytes()[:100] != before
+    assert (folder / "library.sqlite").read_bytes() != before
+
+
+def test_a_library_that_another_is_making_is_waited_for(tmp_path):
+    place = tmp_path / "library.sqlite"
+    other = sqlite3.connect(place, check_same_thread=False, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    threading.Timer(0.2, other.close).start()
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        assert len(library) == 0
 
 
 @pytest.mark.parametrize("kind", ["nfs4", "cifs", "smb3", "fuse.sshfs"])

@@ -16,6 +16,7 @@ import json
 import os
 import sqlite3
 import threading
+import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -463,7 +464,7 @@ class Store:
 
     def _create(self) -> None:
         self._connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
-        self._connection.execute("PRAGMA journal_mode = WAL")
+        self._write_ahead()
         with self._transaction():
             # Where there are some, another process was faster, or it is another
             # database.
@@ -472,6 +473,18 @@ class Store:
                     self.run(statement)
                 self.run(f"PRAGMA application_id = {_APPLICATION}")
                 self.run(f"PRAGMA user_version = {VERSION}")
+
+    def _write_ahead(self) -> None:
+        """Turn to write-ahead logging; SQLite does not wait where others do so too."""
+        until_s = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                self._connection.execute("PRAGMA journal_mode = WAL")
+                return
+            except sqlite3.OperationalError:
+                if time.monotonic() > until_s:
+                    raise
+                time.sleep(0.01)
 
 
 def chained(chain: bytes, digests: Sequence[bytes]) -> bytes:
