@@ -157,6 +157,22 @@ def test_whatever_is_raised_on_the_way_out_it_is_stopped():
     assert arm.stopped
 
 
+def test_an_arm_that_met_something_on_its_way_out_and_cannot_say_where_is_stopped():
+    class Blind(FaultyArm):
+        def read_pose(self):
+            if self.inside:
+                raise OSError("cable")
+            return self.pose
+
+    arm = Blind("", 5.0)
+    arm.pose = NEAR.pose(0.3, 0.9).advanced(60)
+    arm.ball_mm, arm.radius_mm = np.asarray(NEAR.pose(0.3, 0.9).position_mm), 30.0
+    with pytest.raises(OSError, match="cable"):
+        faulty_arms.coming_out(arm)
+    assert arm.force_n > GUARD.limit_n
+    assert arm.stopped
+
+
 @pytest.mark.parametrize("stiffness_n_mm", [1.0, 5.0])
 def test_what_is_met_on_the_way_out_is_met_lightly(stiffness_n_mm):
     """Something stands behind an arm that is inside the hemisphere."""

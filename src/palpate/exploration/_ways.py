@@ -142,11 +142,11 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
             if not force_n <= most_n:  # a load may be on at first, and goes
                 break
             most_n = max(force_n, guard.limit_n)
+        left_mm = hemisphere.way_out_mm(robot.read_pose())
     except BaseException:  # an interrupt too: it may press
         with suppress(Exception):
             robot.stop()
         raise
-    left_mm = hemisphere.way_out_mm(robot.read_pose())
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
     robot.stop()
