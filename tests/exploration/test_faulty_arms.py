@@ -20,6 +20,7 @@ from palpate.exploration import (
     guarded_touch,
     put_down,
 )
+from palpate.exploration._ways import Toucher, touch_from_hemisphere
 from palpate.simulation import SensorPose, find_object
 
 # As long steps in the air as are usual: what is promised follows from them.
@@ -148,6 +149,38 @@ def test_whatever_is_raised_on_a_way_the_arm_is_clear_or_stopped():
     assert not any(record.retracted for record in history)
     assert "OSError" in history[0].message
     assert "was stopped" in history[0].message
+
+
+class HeldOnItsWay(FaultyArm):
+    """An arm that is held once it presses: it cannot go back."""
+
+    def __init__(self):
+        super().__init__("object beside the way", 5.0)
+        self.pose = NEAR.pose(3.0, 0.3)
+
+    def move_to(self, pose):
+        if self.force_n > GUARD.limit_n:
+            raise OSError("brakes")
+        self.put(pose)
+
+
+class HeldAndNotStopped(HeldOnItsWay):
+    """One that cannot be stopped either."""
+
+    def stop(self):
+        raise OSError("no power")
+
+
+@pytest.mark.parametrize("kind", [HeldOnItsWay, HeldAndNotStopped])
+def test_an_arm_that_cannot_go_back_on_its_way_is_not_said_to_be_out(kind):
+    arm = kind()
+    toucher = Toucher(arm, arm, GUARD, lag=0)
+    for why in ("did not come free (OSError: brakes)", "before the arm sets out"):
+        record = touch_from_hemisphere(toucher, NEAR, NEAR.pose(1.5, 0.3))
+        assert record.outcome == "limit exceeded"
+        assert why in record.message
+        assert record.peak_force_n > GUARD.limit_n
+        assert not record.retracted
 
 
 def test_whatever_is_raised_on_the_way_out_it_is_stopped():

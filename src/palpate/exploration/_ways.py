@@ -234,7 +234,8 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
         message = "The force sensor reads no number before the way."
         raise WayError(message, "force sensor", retracted=True)
     if force_n > guard.limit_n:
-        robot.stop()
+        with suppress(Exception):
+            robot.stop()
         raise WayError(
             f"{force_n:.3f} N before the arm sets out, beyond the limit of "
             f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
@@ -250,14 +251,19 @@ def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
     force_n = _reading(robot)
     if abs(force_n) <= guard.limit_n:
         return
-    clear = False
+    clear, why = False, ""
     try:
         robot.move_to(before)
         clear = abs(_reading(robot)) <= guard.limit_n
+    except Exception as error:
+        why = f" ({type(error).__name__}: {error})"
     finally:
         if not clear:
-            robot.stop()
-    where = "it went back one step" if clear else "it did not come free and was stopped"
+            with suppress(Exception):
+                robot.stop()
+    where = f"it did not come free{why} and was stopped"
+    if clear:
+        where = "it went back one step"
     if math.isnan(force_n):
         message = f"The force sensor reads no number on the way: {where}."
         raise WayError(message, "force sensor", retracted=clear)
