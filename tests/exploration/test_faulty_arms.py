@@ -151,6 +151,21 @@ def test_whatever_is_raised_on_a_way_the_arm_is_clear_or_stopped():
     assert "was stopped" in history[0].message
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_an_arm_whose_reading_is_interrupted_on_its_way_is_clear_or_stopped(error):
+    class Interrupted(FaultyArm):
+        def read_force(self):
+            if self.force_n > GUARD.limit_n:
+                raise error
+            return super().read_force()
+
+    arm = Interrupted("object beside the way", 5.0)
+    with pytest.raises((KeyboardInterrupt, RobotError)):
+        faulty_arms.going_round(arm)
+    assert arm.force_n > GUARD.limit_n
+    assert arm.stopped
+
+
 class HeldOnItsWay(FaultyArm):
     """An arm that is held once it presses: it cannot go back."""
 

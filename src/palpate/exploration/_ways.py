@@ -117,7 +117,8 @@ def follow(
         for pose in _steps(here, waypoint, guard.way_step_mm):
             with _stopping_pressed(robot, guard):
                 robot.move_to(pose)
-            _refuse_load(robot, here, guard)
+                force_n = _reading(robot)
+            _refuse_load(robot, force_n, here, guard)
             here = pose
 
 
@@ -178,12 +179,14 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
         yield
     except BaseException as error:
         clear, force_n = False, math.nan
-        with suppress(Exception):
-            force_n = abs(_reading(robot))
-            clear = force_n <= guard.limit_n
-        if not clear:
+        try:
             with suppress(Exception):
-                robot.stop()
+                force_n = abs(_reading(robot))
+                clear = force_n <= guard.limit_n
+        finally:  # interrupted again, too
+            if not clear:
+                with suppress(Exception):
+                    robot.stop()
         if clear or not isinstance(error, Exception):
             raise
         raise WayError(
@@ -246,9 +249,10 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
         )
 
 
-def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
-    """Read the force once; beyond the limit take the last step back, and say so."""
-    force_n = _reading(robot)
+def _refuse_load(
+    robot: Robot, force_n: float, before: SensorPose, guard: Guard
+) -> None:
+    """Where the force is beyond the limit take the last step back, and say so."""
     if abs(force_n) <= guard.limit_n:
         return
     clear, why = False, ""
