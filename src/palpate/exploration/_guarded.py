@@ -15,6 +15,7 @@ by repeating itself, by not changing over `flat_mm` of contact, or by the pictur
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -281,6 +282,10 @@ class _Approach:
         way_mm = self.farthest_mm
         for attempt in (1, 2):
             try:
+                if attempt > 1 and self._missed_mm <= self.guard.max_miss_mm:
+                    # What raised may have moved the arm all the same.
+                    with suppress(Exception):
+                        way_mm = min(way_mm, self._still_in_mm())
                 self.robot.retract(way_mm)
                 way_mm = self._still_in_mm()
                 if way_mm <= self.guard.max_miss_mm:
