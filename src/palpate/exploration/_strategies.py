@@ -113,6 +113,8 @@ class Hemisphere:
         """Yield poses from one outside the hemisphere to one on it, round the object.
 
         The last is `end`; all face the centre and are outside or on the hemisphere.
+        Where the shortest way from one below its centre would pass underneath the
+        object, it leads over the top.
         """
         centre = np.asarray(self.centre_mm)
         arm, goal = (np.asarray(p.position_mm) - centre for p in (start, end))
@@ -120,8 +122,15 @@ class Hemisphere:
         first, last = arm / distance[0], goal / distance[1]
         angle = float(np.arccos(np.clip(first @ last, -1, 1)))
         n_pieces = max(1, int(np.ceil(angle / self.arc_rad)))
-        for share in np.arange(1, n_pieces) / n_pieces:
-            out = _between(first, last, angle, share)
+        shares = np.arange(1, n_pieces) / n_pieces
+        outs = [_between(first, last, angle, share) for share in shares]
+        lowest = min((out[2] for out in outs), default=1.0)
+        if lowest < min(first[2], last[2]) - _CLEAR_MM / self.radius_mm:
+            top = self.pose_towards((0.0, 0.0, 1.0), end.roll_rad)
+            yield from self.way(start, top)
+            yield from self.way(top, end)
+            return
+        for share, out in zip(shares, outs, strict=True):
             reach = (1 - share) * distance[0] + share * distance[1]
             yield SensorPose(centre + reach * out, -out, end.roll_rad)
         yield end
