@@ -328,6 +328,16 @@ def test_a_driver_that_keeps_the_contract_passes():
     with pytest.raises(AssertionError, match="must not move"):
         check_robot(Deaf())
 
+    class Late(FaultyArm):
+        def move_to(self, pose):
+            if self.stopped:
+                self.pose = pose
+                raise RobotError("stopped")
+            super().move_to(pose)
+
+    with pytest.raises(AssertionError, match="must not move"):
+        check_robot(Late())
+
     class Quiet(FaultyArm):
         def read_force(self):
             return 0.25
