@@ -78,7 +78,7 @@ def test_the_way_from_outside_comes_down_to_the_hemisphere():
 @pytest.mark.parametrize("azimuth_rad", [2.8, np.pi, 3.4])
 def test_the_way_from_a_low_place_does_not_pass_underneath_the_object(azimuth_rad):
     # Parked 60 mm below the centre, on the other side than the touch to come.
-    start = SensorPose(CENTRE + (400, 0, -60), (-1, 0, 0))
+    start = SensorPose(CENTRE + np.array([400, 0, -60]), (-1, 0, 0))
     way = [start, *HEMISPHERE.way(start, HEMISPHERE.pose(azimuth_rad, 0.1))]
     places = np.array([pose.position_mm for pose in way]) - CENTRE
     assert places[:, 2].min() >= -60

@@ -10,6 +10,7 @@ from palpate.exploration import (
     put_down,
     read_episode,
 )
+from palpate.exploration._record import EpisodeError
 from palpate.simulation import DomeCamera, SimObject, find_object
 
 CAMERA = DomeCamera(image_shape=(24, 24), n_nodes=20)
@@ -69,6 +70,19 @@ def test_what_was_begun_goes_on(tmp_path):
     assert np.array_equal(more.images[:2], few.images)
     kept = read_episode(tmp_path / "pen" / "0")
     assert sum(record.touched for record in kept) == 4
+
+
+@pytest.mark.parametrize(
+    "otherwise",
+    [{"turned": True}, {"faces": "all"}, {"placement_sd_mm": 1.0}, {"drift": True}],
+    ids=str,
+)
+def test_what_was_begun_otherwise_is_refused(tmp_path, otherwise):
+    # At one height whatever the face: the hemisphere does not tell them apart.
+    how = {"n_sessions": 2, "known_height": False, "folder": tmp_path, "n_jobs": 1}
+    explore_to_learn([BOX], 2, CAMERA, **how)
+    with pytest.raises(EpisodeError, match="Go on with the same settings"):
+        explore_to_learn([BOX], 2, CAMERA, **how | otherwise)
 
 
 def test_two_objects_of_one_name_are_refused_before_any_touch(tmp_path):

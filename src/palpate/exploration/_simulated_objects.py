@@ -254,6 +254,16 @@ def explore_to_learn(
     return Touches.concatenate(parts).with_columns(no_contact=seen_by.no_contact())
 
 
+@dataclass(frozen=True)
+class _PutDown(RandomHemisphere):
+    """Poses round an object put down so: an episode goes on only if it is again."""
+
+    yaw_rad: float = 0.0
+    face: int = 0
+    placement_sd_mm: float = 5.0
+    drift: bool = False
+
+
 def _session(
     camera: DomeCamera,
     turns: tuple[bool, bool],
@@ -281,7 +291,8 @@ def _session(
         random_state=seed,
         **where,
     )
-    strategy = RandomHemisphere(stand.hemisphere, seed)
+    placement_sd_mm = where["placement_sd_mm"]
+    strategy = _PutDown(stand.hemisphere, seed, yaw, face, placement_sd_mm, drift)
     if guarded:
         history = gather(
             stand.robot,
