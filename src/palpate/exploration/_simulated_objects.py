@@ -291,7 +291,7 @@ def _session(
         random_state=seed,
         **where,
     )
-    placement_sd_mm = where["placement_sd_mm"]
+    placement_sd_mm = float(where["placement_sd_mm"])
     strategy = _PutDown(stand.hemisphere, seed, yaw, face, placement_sd_mm, drift)
     if guarded:
         history = gather(
