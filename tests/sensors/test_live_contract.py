@@ -1,6 +1,7 @@
 """The contract, on every sensor that needs no hardware, and on ones that break it."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import quote
 
 import numpy as np
@@ -158,6 +159,21 @@ def test_a_silent_device_says_why():
         sensor.read_next(0.5)
     with pytest.raises(SensorError, match="not connected; call connect"):
         sensor.read_latest()
+
+
+def test_a_device_whose_clock_stands_still_gives_no_fresh_frame_and_says_so():
+    class Standing(Counting):
+        def _grab(self):
+            return [Reading(image, time_s=0.0) for image in super()._grab()]
+
+    # As long as a touch waits, an arm may press.
+    with Standing() as sensor, ThreadPoolExecutor(1) as pool:
+        reading = pool.submit(sensor.read)
+        try:
+            with pytest.raises(SensorError, match=r"as they are taken.*time_s"):
+                reading.result(timeout=5.0)
+        finally:
+            sensor.disconnect()
 
 
 def test_a_replay_plays_what_was_recorded_between_frames_of_nothing():

@@ -31,6 +31,7 @@ PLACE_COLUMNS = {
     "position_mm": ("x_mm", "y_mm", "z_mm"),
     "direction": ("direction_x", "direction_y", "direction_z"),
 }
+_FRESH_S = 2.0  # until a frame comes that was taken since it was asked for
 
 
 class SensorError(RuntimeError):
@@ -265,12 +266,24 @@ class LiveSensor(ABC):
             return self._latest
 
     def read(self) -> Array:
-        """Return a frame taken after this call, shape `image_shape`."""
+        """Return a frame taken after this call, shape `image_shape`.
+
+        Raises
+        ------
+        SensorError
+            It is not connected, or no such frame arrived in 2 seconds.
+        """
         asked_s = time.monotonic()
         while True:
             frame = self.read_next()
             if frame.time_s >= asked_s:
                 return frame.image
+            now_s = time.monotonic()
+            if now_s - asked_s > _FRESH_S:
+                raise SensorError(
+                    f"{self.name} must give frames as they are taken, got one that is "
+                    f"{now_s - frame.time_s:.1f} s old. Check the time_s of its driver."
+                )
 
     def __enter__(self) -> Self:
         return self.connect()
