@@ -397,6 +397,10 @@ def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rn
     address = f"replay:{tmp_path}/touches.npz"
     given = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
     assert_array_equal(given.no_contact(), rest)
+    given = ReplaySensor(touches, no_contact=tmp_path / "rest.png")
+    assert_array_equal(given.no_contact(), rest)
+    with pytest.raises(SensorError, match=r"cannot be replayed: .*none\.png"):
+        ReplaySensor(touches, no_contact=tmp_path / "none.png")
     with pytest.raises(SensorError, match="as `no_contact`"):
         SensorOptions().open(address)
 
