@@ -219,7 +219,12 @@ class LiveSensor(ABC):
         self._latest, self.lost = None, ""
         self.n_frames = self.n_dropped = self._number = self._largest_burst = 0
         self._stop.clear()
-        self._open()
+        try:
+            self._open()
+        except BaseException:  # an interrupt too: the device may be half open
+            with suppress(Exception):
+                self._close()
+            raise
         self._thread = threading.Thread(
             target=self._run, name=f"palpate {self.name}", daemon=True
         )
