@@ -12,6 +12,7 @@ from PIL import Image
 from palpate import Touches
 from palpate.cli.sensor import SensorOptions
 from palpate.sensors import (
+    AddressError,
     CalibratedSensor,
     Frame,
     LiveSensor,
@@ -318,7 +319,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
         ("sim:", "must be camera:NAME"),
         ("sim:?rate=3", "must be camera:NAME"),
         ("sim:unicorn", "sim:OBJECT must be one of .*'mug'"),
-        ("sim:mug?place=unicorn", "name must be one of .*'mug'"),
+        ("sim:mug?place=unicorn", "^place must be one of .*'mug', .*'nothing', got"),
         ("serial:/dev/ttyUSB0", "`shape=16x16`"),
         ("camera:0?baud=9", "'baud' is no option .* are shape, rate, exposure"),
         ("camera:0?image_shape=4x4", "'image_shape' is no option"),
@@ -341,7 +342,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
     ],
 )
 def test_an_address_that_is_none_is_refused_in_one_sentence(address, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(AddressError, match=message):
         open_sensor(address)
 
 
