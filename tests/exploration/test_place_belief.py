@@ -424,6 +424,20 @@ def test_contacts_in_metres_are_told_from_the_third_on(surface_map):
     assert belief.n_contacts >= len(touches)
 
 
+@pytest.mark.parametrize(
+    ("loose", "message"),
+    [
+        ({"placement_mm": 0.0}, "placement_mm must be positive and finite, got 0.0"),
+        ({"height_mm": 0}, "height_mm must be positive"),
+        ({"sensor_mm": -1.0}, "sensor_mm must be finite and between 0.0"),
+        ({"shift_share": np.nan}, "shift_share must be finite"),
+    ],
+)
+def test_what_is_no_looseness_is_refused(loose, message):
+    with pytest.raises(ValueError, match=message):
+        Looseness(**loose)
+
+
 def test_a_miss_or_contact_far_from_the_object_is_refused(surface_map):
     belief = surface_map.start()
     before = belief.posterior
