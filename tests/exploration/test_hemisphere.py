@@ -119,6 +119,7 @@ def test_way_out_is_zero_outside():
         ({"radius_mm": 0}, "radius_mm must be positive"),
         ({"lowest_rad": 2.0}, "lowest_rad must be finite and between 0.0 and 1.5"),
         ({"centre_mm": (0, np.nan, 0)}, "centre_mm must be finite"),
+        ({"centre_mm": (0, 0)}, r"centre_mm must be x, y, z, got \(0, 0\)"),
     ],
 )
 def test_what_is_no_hemisphere_is_refused(parameters, message):

@@ -8,6 +8,7 @@ whole; what it had not named yet is swept away when the episode goes on.
 """
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -299,7 +300,10 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         upward = (folder, *folder.parents)
-        file = next(path for path in upward if path.exists() and not path.is_dir())
+        # A link to nothing is there, though what it leads to is not.
+        file = next(
+            path for path in upward if os.path.lexists(path) and not path.is_dir()
+        )
         raise EpisodeError(
             f"folder must be a folder or a new name, got the file {str(file)!r}. Use "
             "another folder."

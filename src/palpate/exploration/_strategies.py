@@ -78,8 +78,10 @@ class Hemisphere:
     arc_rad: float = 0.2
 
     def __post_init__(self) -> None:
-        x, y, z = (check_number("centre_mm", float(c)) for c in self.centre_mm)
-        object.__setattr__(self, "centre_mm", (x, y, z))
+        centre = tuple(check_number("centre_mm", float(c)) for c in self.centre_mm)
+        if len(centre) != 3:
+            raise ValueError(f"centre_mm must be x, y, z, got {self.centre_mm!r}.")
+        object.__setattr__(self, "centre_mm", centre)
         check_positive("radius_mm", self.radius_mm)
         check_number("lowest_rad", self.lowest_rad, low=0.0, high=1.5)
         check_number("arc_rad", self.arc_rad, low=0.01, high=0.5)
