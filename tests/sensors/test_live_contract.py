@@ -96,6 +96,11 @@ def test_the_check_says_what_a_driver_breaks(change, message):
     LiveSensor.disconnect(broken)
 
 
+def test_the_check_asks_for_a_frame():
+    with pytest.raises(ValueError, match="n_frames must be at least 1, got 0"):
+        check_sensor(Counting(), n_frames=0)
+
+
 def test_frames_come_in_order_and_those_never_read_are_counted():
     with Counting() as sensor:
         time.sleep(0.1)

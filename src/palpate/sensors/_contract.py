@@ -421,6 +421,7 @@ def check_sensor(sensor: LiveSensor, *, n_frames: int = 10) -> None:
     >>> from palpate.sensors import ReplaySensor, check_sensor
     >>> check_sensor(ReplaySensor(Touches([[[0, 1]], [[1, 0]]]), rate_hz=500))
     """
+    check_count("n_frames", n_frames)
     _check_promises(sensor)
     _refuses_frames(sensor, "before connect()")
     _say(sensor.connect() is sensor, "connect() must return the sensor")
