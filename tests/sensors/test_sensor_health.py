@@ -103,6 +103,9 @@ def test_rest_beside_what_a_model_remembers(rng):
     assert (
         "At rest the sensor differs from when the model learnt" in found["findings"][0]
     )
+    smaller = sensors.SensorMemory.of(presses[:, :4], rest[:4])
+    found = health(as_frames(images, times), memory=smaller)
+    assert "learnt from a sensor of 4 x 10 taxels, this one has" in found["findings"][0]
 
 
 def test_a_touch_meanwhile_is_all_that_is_said(rng):

@@ -164,7 +164,7 @@ def sensor_health(
     taxels: dict[str, list[list[int]]] = {"dead": [], "hot": [], "saturated": []}
     if is_array:
         taxels = _bad_taxels(stack, rest, noise, detector.step)
-    if memory is not None and memory.no_contact.shape == rest.shape:
+    if memory is not None:
         findings += filter(None, [baseline_warning(memory, rest)])
     if n_touched:  # whatever else there is may come of it
         findings.append(
