@@ -357,6 +357,12 @@ def test_frames_of_another_size_than_the_baseline_are_refused(shape):
         detector.touches_in(Touches(np.ones((3, *shape))))
 
 
+def test_a_touch_does_not_end_above_where_it_begins():
+    with pytest.raises(ValueError, match=r"end must be at most begin \(2\), got 5"):
+        TouchDetector(np.zeros((4, 4)), begin=2.0, end=5.0)
+    assert TouchDetector(begin=2.0, end=2.0).end == 2
+
+
 def test_a_stream_without_a_touch_says_what_did_not_change():
     images = np.stack([REST + level for level in (0, 1, 0, 1)]).astype(np.uint8)
     with pytest.raises(SensorError, match=r"got 4 frames .*changed by 2 for 2 frames"):

@@ -77,7 +77,7 @@ class TouchDetector:
     begin, end : float, optional
         Limits of the change (sensor's unit). By default a touch begins at 6 times
         the noise of the frames that the baseline was taken from (at 2 steps at
-        least), and ends at half of that.
+        least), and ends at half of that. `end` is at most `begin`.
     min_frames : int, default=2
         Contact that lasts fewer frames is no touch.
 
@@ -113,6 +113,11 @@ class TouchDetector:
         self.summary = check_option("summary", summary, SUMMARIES)
         self._begin = None if begin is None else check_positive("begin", begin)
         self._end = None if end is None else check_positive("end", end)
+        if begin is not None and end is not None and end > begin:
+            raise ValueError(
+                f"end must be at most begin ({begin:g}), got {end:g}. A touch ends "
+                "where the change falls below it."
+            )
         self._min_frames = check_count("min_frames", min_frames)
         self.noise = self.step = 0.0
         self.note = ""
