@@ -179,6 +179,23 @@ class HeldOnItsWay(FaultyArm):
         self.put(pose)
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+@pytest.mark.parametrize("path", ["way", "come out"])
+def test_an_arm_on_its_way_is_stopped_though_stopping_raises_at_first(path, error):
+    arm = HeldOnItsWay() if path == "way" else FaultyArm("retract does not move")
+    stop = arm.stop
+
+    def raises_at_first():
+        arm.stop = stop
+        raise error
+
+    arm.stop = raises_at_first
+    with pytest.raises((KeyboardInterrupt, RobotError)) as raised:
+        PATHS[path](arm)
+    assert arm.stopped
+    assert (raised.type is KeyboardInterrupt) == (error is KeyboardInterrupt)
+
+
 class HeldAndNotStopped(HeldOnItsWay):
     """One that cannot be stopped either."""
 

@@ -145,12 +145,11 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
             most_n = max(force_n, guard.limit_n)
         left_mm = hemisphere.way_out_mm(robot.read_pose())
     except BaseException:  # an interrupt too: it may press
-        with suppress(Exception):
-            robot.stop()
+        _stop(robot)
         raise
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
-    robot.stop()
+    _stop(robot)
     raise RobotError(
         f"The arm was to be pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} "
         f"mm are left, with {force_n:.3f} N: it was stopped. Free it by hand and begin "
@@ -185,8 +184,7 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
                 clear = force_n <= guard.limit_n
         finally:  # interrupted again, too
             if not clear:
-                with suppress(Exception):
-                    robot.stop()
+                _stop(robot)
         if clear or not isinstance(error, Exception):
             raise
         raise WayError(
@@ -237,8 +235,7 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
         message = "The force sensor reads no number before the way."
         raise WayError(message, "force sensor", retracted=True)
     if force_n > guard.limit_n:
-        with suppress(Exception):
-            robot.stop()
+        _stop(robot)
         raise WayError(
             f"{force_n:.3f} N before the arm sets out, beyond the limit of "
             f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
@@ -263,8 +260,7 @@ def _refuse_load(
         why = f" ({type(error).__name__}: {error})"
     finally:
         if not clear:
-            with suppress(Exception):
-                robot.stop()
+            _stop(robot)
     where = f"it did not come free{why} and was stopped"
     if clear:
         where = "it went back one step"
@@ -279,6 +275,20 @@ def _refuse_load(
         retracted=clear,
         force_n=abs(force_n),
     )
+
+
+def _stop(robot: Robot) -> None:
+    """Stop the arm, in a second attempt if need be; an interrupt goes on afterwards."""
+    interrupt: BaseException | None = None
+    for _ in range(2):
+        try:
+            robot.stop()
+            break
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                interrupt = error
+    if interrupt is not None:
+        raise interrupt
 
 
 def _reading(robot: Robot) -> float:
