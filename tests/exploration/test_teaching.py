@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.exploration import (
+    RandomHemisphere,
     RobotError,
     explore_to_learn,
     put_down,
@@ -83,6 +84,15 @@ def test_what_was_begun_otherwise_is_refused(tmp_path, otherwise):
     explore_to_learn([BOX], 2, CAMERA, **how)
     with pytest.raises(EpisodeError, match="Go on with the same settings"):
         explore_to_learn([BOX], 2, CAMERA, **how | otherwise)
+
+
+@pytest.mark.parametrize("random_state", [None, -1, 0.5])
+def test_a_seed_that_is_none_is_refused(random_state):
+    message = "random_state must be a"
+    with pytest.raises((TypeError, ValueError), match=message):
+        explore_to_learn([BOX], 2, CAMERA, random_state=random_state)
+    with pytest.raises((TypeError, ValueError), match=message):
+        RandomHemisphere(random_state=random_state)
 
 
 def test_two_objects_of_one_name_are_refused_before_any_touch(tmp_path):

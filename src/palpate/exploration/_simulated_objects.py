@@ -234,6 +234,7 @@ def explore_to_learn(
         )
     objects = list(HOUSEHOLD if things is None else things)
     refuse_same_names(objects)
+    check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
     shares = [len(part) for part in np.array_split(range(count), sessions)]

@@ -176,6 +176,9 @@ class RandomHemisphere:
     hemisphere: Hemisphere = field(default_factory=Hemisphere)
     random_state: int = 0
 
+    def __post_init__(self) -> None:
+        check_count("random_state", self.random_state, at_least=0)
+
     def next_pose(self, belief: Any, history: History) -> SensorPose:
         """Return the pose that follows `history`; the belief does not matter."""
         rng = np.random.default_rng([self.random_state, len(history)])
