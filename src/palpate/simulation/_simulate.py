@@ -18,7 +18,7 @@ from .._parallel import in_parallel, on_one_thread
 from .._types import Indices
 from ..touches import Touches
 from ._array import Press, PressureArray
-from ._dome import DomeCamera, DomePress, Frame
+from ._dome import DomeCamera, DomePress, DomeSensor, Frame
 from ._gel_and_pins import GelCamera, TacTipPins
 from ._objects import HOUSEHOLD, find_object, refuse_same_names
 from ._parts import PARTS, Part, find_parts
@@ -171,7 +171,7 @@ def simulate_touches(
     Raises
     ------
     TypeError
-        A name in `of_scene` that is no field of `Scene`.
+        `camera` is no sensor, or a name in `of_scene` no field of `Scene`.
     ValueError
         Two objects have one name, or one that should be touched cannot be met after
         50 approaches.
@@ -194,7 +194,10 @@ def simulate_touches(
     (4, 120, 120)
     """
     things = _resolved(HOUSEHOLD if objects is None else objects)
-    sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    sensor: Any = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    if not isinstance(sensor, DomeSensor):
+        what = "a DomeCamera, TacTipPins or GelCamera"
+        raise TypeError(f"camera must be {what}, got {type(camera).__name__}.")
     check_option("strategy", strategy, ("hemisphere", "above"))
     touch = partial(
         _touch_object,
