@@ -144,6 +144,32 @@ def test_a_driver_that_fails_to_open_in_its_own_way_is_tried_again():
     assert sensor.opened == 4
 
 
+@pytest.mark.parametrize("method", ["_grab", "_open"])
+def test_a_driver_that_wants_to_end_the_program_is_lost_and_tried_again(method):
+    class Ending(Counting):
+        ends = 0
+
+        def _ended(self, name):
+            if name == method and self.at >= 3 and not self.ends:
+                self.ends += 1
+                raise SystemExit("vendor")
+
+        def _open(self):
+            self._ended("_open")
+            super()._open()
+
+        def _grab(self):
+            self._ended("_grab")
+            return super()._grab()
+
+    sensor = Ending(fails=(3,), period_s=0.01)
+    sensor.retry_s = 0.05
+    with sensor:
+        numbers = [int(sensor.read_next().image[0, 0]) for _ in range(6)]
+    assert sensor.ends == 1
+    assert numbers == [0, 1, 2, 4, 5, 6]
+
+
 def test_a_frame_that_is_none_is_an_error_of_the_device():
     class Odd(Counting):
         def _grab(self):

@@ -325,21 +325,22 @@ class LiveSensor(ABC):
                 self._count_missed(max(0, len(burst) - self.burst_length))
                 for reading in burst[-self.burst_length :]:
                     self._put(reading, self.queue_length + len(burst) - 1)
-            except Exception as error:  # a driver's bug must not end the stream unseen
+            # A driver's bug must not end the stream unseen, nor must its SystemExit.
+            except BaseException as error:
                 self._recover(error)
         with suppress(Exception):
             self._close()
 
-    def _recover(self, error: Exception) -> None:
+    def _recover(self, error: BaseException) -> None:
         while True:
             self.lost = str(error) if isinstance(error, SensorError) else repr(error)
-            with suppress(Exception):  # that it cannot even be closed is no news
+            with suppress(BaseException):  # that it cannot even be closed is no news
                 self._close()
             if self._stop.wait(self.retry_s):
                 return
             try:
                 self._open()
-            except Exception as still:  # as in `_run`: whatever it is, try again
+            except BaseException as still:  # as in `_run`: whatever it is, try again
                 error = still
             else:
                 self.lost = ""
