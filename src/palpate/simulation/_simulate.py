@@ -18,7 +18,7 @@ from .._parallel import in_parallel, on_one_thread
 from .._types import Indices
 from ..touches import Touches
 from ._array import Press, PressureArray
-from ._dome import DomeCamera, DomePress, DomeSensor, Frame
+from ._dome import DomeCamera, DomePress, Frame
 from ._gel_and_pins import GelCamera, TacTipPins
 from ._objects import HOUSEHOLD, find_object, refuse_same_names
 from ._parts import PARTS, Part, find_parts
@@ -195,7 +195,7 @@ def simulate_touches(
     """
     things = _resolved(HOUSEHOLD if objects is None else objects)
     sensor: Any = DomeCamera(image_shape=(120, 120)) if camera is None else camera
-    if not isinstance(sensor, DomeSensor):
+    if not isinstance(sensor, DomeCamera | TacTipPins | GelCamera):
         what = "a DomeCamera, TacTipPins or GelCamera"
         raise TypeError(f"camera must be {what}, got {type(camera).__name__}.")
     check_option("strategy", strategy, ("hemisphere", "above"))
