@@ -140,7 +140,8 @@ def as_touches(
     """Return the records that are touches, ready to be learnt or recognised.
 
     Columns: `position_mm` and `direction`, both (n_touches, 3), `force_n`, `order`
-    (number of the attempt), and the labels given. ValueError where there is none.
+    (number of the attempt), and the labels given. ValueError where there is none, or
+    frames are missing or of several sizes.
     """
     order = [number for number, record in enumerate(history) if record.touched]
     if not order:
@@ -149,6 +150,13 @@ def as_touches(
             "Look at their outcomes and messages."
         )
     touched = [history[number] for number in order]
+    shapes = [np.shape(record.image) for record in touched]
+    if len({*shapes}) > 1 or () in shapes:
+        listed = " and ".join(map(str, sorted({*shapes})))
+        raise ValueError(
+            f"history must hold frames of one shape, got {listed}. Take the touches of "
+            "one sensor."
+        )
     labels = {"object": object, "category": category}
     images = np.stack([np.asarray(record.image) for record in touched])
     return Touches(
