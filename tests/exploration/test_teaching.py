@@ -95,6 +95,11 @@ def test_a_seed_that_is_none_is_refused(random_state):
         RandomHemisphere(random_state=random_state)
 
 
+def test_no_objects_are_refused():
+    with pytest.raises(ValueError, match="things must hold at least one object"):
+        explore_to_learn([], 2, CAMERA)
+
+
 def test_two_objects_of_one_name_are_refused_before_any_touch(tmp_path):
     with pytest.raises(ValueError, match="names of their own, got 'pen' twice"):
         explore_to_learn([PEN, BOX, PEN], 2, CAMERA, folder=tmp_path)

@@ -150,7 +150,7 @@ def as_touches(
             "Look at their outcomes and messages."
         )
     touched = [history[number] for number in order]
-    shapes = [np.shape(record.image) for record in touched]
+    shapes = [np.asarray(record.image).shape for record in touched]
     if len({*shapes}) > 1 or () in shapes:
         listed = " and ".join(map(str, sorted({*shapes})))
         raise ValueError(

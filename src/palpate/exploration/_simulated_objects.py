@@ -233,6 +233,8 @@ def explore_to_learn(
             f"{str(folder)!r}. Only guarded attempts are kept."
         )
     objects = list(HOUSEHOLD if things is None else things)
+    if not objects:
+        raise ValueError("things must hold at least one object, got none.")
     refuse_same_names(objects)
     check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)

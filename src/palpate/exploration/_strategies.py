@@ -321,6 +321,11 @@ class InformativeTouch:
         if isinstance(touch_map, SurfaceMap):
             self._gain: Gain = SurfaceGain(touch_map, grid, self.hemisphere)
             self._width = touch_map.pictures_.width_
+        elif (n_numbers := touch_map.places_.shape[1]) != 3:
+            raise ValueError(
+                f"touch_map must have places of x, y, z, got {n_numbers} numbers each. "
+                "Fit it with the directions of touches."
+            )
         else:
             self._gain, self._width = TurnGain(touch_map, grid), touch_map.width_
 
