@@ -457,6 +457,14 @@ def test_an_object_without_a_map_is_named(taught):
         SurfaceMap().fit(ObjectRecogniser().fit(part), part)
 
 
+def test_forces_that_are_all_missing_are_as_none(recogniser, taught):
+    missing = taught.with_columns(force_n=np.full(len(taught), np.nan))
+    surface_map = SurfaceMap(n_turns=4).fit(recogniser, missing)
+    assert np.isnan(surface_map.force_n_)
+    belief = surface_map.start().update(taught[[0]])
+    assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
+
+
 def test_without_places_it_is_said(recogniser, taught):
     kept = {"object": taught.object, "direction": taught.columns["direction"]}
     bare = Touches(taught.images, geometry="dome", **kept)
