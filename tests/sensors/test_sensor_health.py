@@ -58,6 +58,11 @@ def test_taxels_that_are_nan_are_dead(rng):
     found = health(as_frames(images, times))
     assert found["dead"] == [[2, 5]]
     assert np.isfinite(found["figures"]["noise"])
+    # Unplugged: one finding, no warnings of numpy's, and no figure of nothing.
+    memory = sensors.SensorMemory.of(images[:3] + 5.0, images[0])
+    images[:] = np.nan
+    found = health(as_frames(images, times), memory=memory)
+    assert [finding[:10] for finding in found["findings"]] == ["100 taxels"]
 
 
 def test_hot_and_saturated_taxels(rng):
