@@ -2,6 +2,7 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 from urllib.parse import quote
 
 import numpy as np
@@ -110,6 +111,29 @@ def test_frames_come_in_order_and_those_never_read_are_counted():
         assert_array_equal(first.image, np.full((2, 3), first.number))
         assert sensor.read_latest().number >= first.number
         assert sensor.n_frames >= first.number
+
+
+def test_a_sensor_can_be_disconnected_while_it_connects():
+    class Slow(Counting):
+        closed = 0
+
+        def _open(self):
+            opening.set()
+            self._stop.wait(5.0)  # as a topic is waited for
+            super()._open()
+
+        def _close(self):
+            self.closed += 1
+
+    opening, sensor = Event(), Slow()
+    with ThreadPoolExecutor(1) as pool:
+        connecting = pool.submit(sensor.connect)
+        assert opening.wait(5.0)
+        sensor.disconnect()
+        with pytest.raises(SensorError, match="was disconnected"):
+            connecting.result(timeout=2.0)
+    assert not sensor.connected
+    assert sensor.closed == 1
 
 
 def test_a_lost_device_is_found_again():

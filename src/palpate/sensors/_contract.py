@@ -221,6 +221,8 @@ class LiveSensor(ABC):
         self._stop.clear()
         try:
             self._open()
+            if self._stop.is_set():  # by another thread, meanwhile
+                raise SensorError(f"{self.name} was disconnected.")
         except BaseException:  # an interrupt too: the device may be half open
             with suppress(Exception):
                 self._close()
@@ -236,9 +238,9 @@ class LiveSensor(ABC):
 
         A device that does not answer is freed when its read ends, never during it.
         """
+        self._stop.set()
         if self._thread is None:
             return
-        self._stop.set()
         with self._arrived:
             self._arrived.notify_all()
         self._thread.join(timeout=self.patience_s)
