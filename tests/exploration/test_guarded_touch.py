@@ -114,6 +114,21 @@ def test_whatever_a_driver_raises_the_arm_comes_back(arm, sensor, method, error)
     assert arm.force_n == 0
 
 
+@pytest.mark.parametrize("raises", [True, False])
+def test_an_arm_that_does_not_get_to_the_start_is_not_pulled_back(arm, sensor, raises):
+    def stays(pose):
+        if raises:
+            raise RobotError("joint 3 at its limit")
+
+    # On the other side: far inward of the start, were it on the line.
+    arm.move_to, arm.pose = stays, Hemisphere().pose(np.pi, 0.3)
+    place = np.array(arm.pose.position_mm)
+    record = guarded_touch(arm, sensor, Hemisphere().pose(0.0, 0.3))
+    assert record.outcome == "robot error"
+    assert_allclose(arm.pose.position_mm, place)
+    assert not arm.stopped
+
+
 @pytest.mark.parametrize("method", ["retract", "read_pose"])
 def test_an_error_after_the_arm_came_back_takes_it_no_further(arm, sensor, method):
     plain, errors = getattr(arm, method), [OSError("lost")]
