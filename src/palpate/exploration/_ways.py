@@ -190,7 +190,7 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
         raise WayError(
             f"{ON_THE_WAY}: {type(error).__name__}: {error} The force "
             f"sensor reads {force_n:.3f} N, so the arm was stopped. Free it by hand.",
-            "limit exceeded",
+            "force sensor" if math.isnan(force_n) else "limit exceeded",
             retracted=False,
             force_n=0.0 if math.isnan(force_n) else force_n,
         ) from error
