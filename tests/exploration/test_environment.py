@@ -336,6 +336,17 @@ def test_steps_outside_an_episode_are_refused(env):
         step[0](step[1])
 
 
+@pytest.mark.parametrize("error", [0.0, 0.6])
+def test_an_error_that_no_belief_decides_at_is_refused_at_once(surface_map, error):
+    with pytest.raises(ValueError, match="error must be finite and between 1e-06 and"):
+        _places_alone(surface_map, error=error)
+
+
+def test_no_objects_are_refused():
+    with pytest.raises(ValueError, match="objects must name at least one object"):
+        gymnasium.make(NAME, objects=[])
+
+
 def test_two_objects_of_one_name_are_refused():
     with pytest.raises(ValueError, match="names of their own, got 'mug' twice"):
         gymnasium.make(NAME, objects=["mug", "mug"])

@@ -106,6 +106,17 @@ def test_a_file_is_no_folder(tmp_path, below):
     assert (tmp_path / "kept").read_text() == "mine"
 
 
+@pytest.mark.parametrize("below", [(), ("mug", "0")])
+def test_a_link_to_nothing_is_no_folder(tmp_path, below):
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    with (
+        pytest.raises(ValueError, match=r"must be a folder.*got the file '.*link'"),
+        EpisodeLog(tmp_path.joinpath("link", *below)),
+    ):
+        pass
+    assert not (tmp_path / "gone").exists()
+
+
 def test_no_episode_a_gap_and_damage_are_named(tmp_path):
     with pytest.raises(ValueError, match="must be the folder of an episode"):
         read_episode(tmp_path)
@@ -214,6 +225,13 @@ def test_records_become_touches(tmp_path):
     assert_array_equal(touches.columns["direction"][1], history[2].direction)
     touches.save(tmp_path / "cup.npz")
     assert type(touches).load(tmp_path / "cup.npz").object.tolist() == ["cup", "cup"]
+
+
+@pytest.mark.parametrize("image", [None, np.zeros((3, 3), np.uint8)])
+def test_records_of_several_sensors_or_without_a_frame_make_no_touches(image):
+    history = [_record(0), _record(1, image=image)]
+    with pytest.raises(ValueError, match=r"frames of one shape, got .*\(2, 3\)"):
+        as_touches(history)
 
 
 def test_records_without_a_touch_make_no_touches():

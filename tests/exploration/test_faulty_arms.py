@@ -20,6 +20,7 @@ from palpate.exploration import (
     guarded_touch,
     put_down,
 )
+from palpate.exploration._ways import Toucher, touch_from_hemisphere
 from palpate.simulation import SensorPose, find_object
 
 # Steps in the air are as long as usual: the promise follows from them.
@@ -150,10 +151,92 @@ def test_whatever_is_raised_on_a_way_the_arm_is_clear_or_stopped():
     assert "was stopped" in history[0].message
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_an_arm_whose_reading_is_interrupted_on_its_way_is_clear_or_stopped(error):
+    class Interrupted(FaultyArm):
+        def read_force(self):
+            if self.force_n > GUARD.limit_n:
+                raise error
+            return super().read_force()
+
+    arm = Interrupted("object beside the way", 5.0)
+    with pytest.raises((KeyboardInterrupt, RobotError)) as raised:
+        faulty_arms.going_round(arm)
+    assert arm.force_n > GUARD.limit_n
+    assert arm.stopped
+    if error is OSError:  # no force was read that could be beyond the limit
+        assert raised.value.outcome == "force sensor"
+
+
+class HeldOnItsWay(FaultyArm):
+    """An arm that is held once it presses: it cannot go back."""
+
+    def __init__(self):
+        super().__init__("object beside the way", 5.0)
+        self.pose = NEAR.pose(3.0, 0.3)
+
+    def move_to(self, pose):
+        if self.force_n > GUARD.limit_n:
+            raise OSError("brakes")
+        self.put(pose)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+@pytest.mark.parametrize("path", ["way", "come out"])
+def test_an_arm_on_its_way_is_stopped_though_stopping_raises_at_first(path, error):
+    arm = HeldOnItsWay() if path == "way" else FaultyArm("retract does not move")
+    stop = arm.stop
+
+    def raises_at_first():
+        arm.stop = stop
+        raise error
+
+    arm.stop = raises_at_first
+    with pytest.raises((KeyboardInterrupt, RobotError)) as raised:
+        PATHS[path](arm)
+    assert arm.stopped
+    assert (raised.type is KeyboardInterrupt) == (error is KeyboardInterrupt)
+
+
+class HeldAndNotStopped(HeldOnItsWay):
+    """One that cannot be stopped either."""
+
+    def stop(self):
+        raise OSError("no power")
+
+
+@pytest.mark.parametrize("kind", [HeldOnItsWay, HeldAndNotStopped])
+def test_an_arm_that_cannot_go_back_on_its_way_is_not_said_to_be_out(kind):
+    arm = kind()
+    toucher = Toucher(arm, arm, GUARD, lag=0)
+    for why in ("did not come free (OSError: brakes)", "before the arm sets out"):
+        record = touch_from_hemisphere(toucher, NEAR, NEAR.pose(1.5, 0.3))
+        assert record.outcome == "limit exceeded"
+        assert why in record.message
+        assert record.peak_force_n > GUARD.limit_n
+        assert not record.retracted
+
+
 def test_whatever_is_raised_on_the_way_out_the_arm_is_stopped():
     arm = InterruptedOnItsWay("parked in contact")
     with pytest.raises(KeyboardInterrupt):
         faulty_arms.coming_out(arm)
+    assert arm.stopped
+
+
+def test_an_arm_that_met_something_on_its_way_out_and_cannot_say_where_is_stopped():
+    class Blind(FaultyArm):
+        def read_pose(self):
+            if self.inside:
+                raise OSError("cable")
+            return self.pose
+
+    arm = Blind("", 5.0)
+    arm.pose = NEAR.pose(0.3, 0.9).advanced(60)
+    arm.ball_mm, arm.radius_mm = np.asarray(NEAR.pose(0.3, 0.9).position_mm), 30.0
+    with pytest.raises(OSError, match="cable"):
+        faulty_arms.coming_out(arm)
+    assert arm.force_n > GUARD.limit_n
     assert arm.stopped
 
 
@@ -263,6 +346,16 @@ def test_a_driver_that_keeps_the_contract_passes():
 
     with pytest.raises(AssertionError, match="must not move"):
         check_robot(Deaf())
+
+    class Late(FaultyArm):
+        def move_to(self, pose):
+            if self.stopped:
+                self.pose = pose
+                raise RobotError("stopped")
+            super().move_to(pose)
+
+    with pytest.raises(AssertionError, match="must not move"):
+        check_robot(Late())
 
     class Quiet(FaultyArm):
         def read_force(self):

@@ -114,6 +114,39 @@ def test_whatever_a_driver_raises_the_arm_comes_back(arm, sensor, method, error)
     assert arm.force_n == 0
 
 
+@pytest.mark.parametrize("raises", [True, False])
+def test_an_arm_that_does_not_get_to_the_start_is_not_pulled_back(arm, sensor, raises):
+    def stays(pose):
+        if raises:
+            raise RobotError("joint 3 at its limit")
+
+    # On the other side: far inward of the start, were it on the line.
+    arm.move_to, arm.pose = stays, Hemisphere().pose(np.pi, 0.3)
+    place = np.array(arm.pose.position_mm)
+    record = guarded_touch(arm, sensor, Hemisphere().pose(0.0, 0.3))
+    assert record.outcome == "robot error"
+    assert_allclose(arm.pose.position_mm, place)
+    assert not arm.stopped
+
+
+@pytest.mark.parametrize("method", ["retract", "read_pose"])
+def test_an_error_after_the_arm_came_back_takes_it_no_further(arm, sensor, method):
+    plain, errors = getattr(arm, method), [OSError("lost")]
+
+    def breaks(*args):
+        result = plain(*args)
+        if arm.retracts_mm and errors:
+            raise errors.pop()
+        return result
+
+    setattr(arm, method, breaks)
+    record = guarded_touch(arm, sensor, START)
+    assert record.outcome == "touched"
+    assert record.retracted
+    assert record.message == "Retracting failed (1): lost"
+    assert_allclose(arm.pose.position_mm, START.position_mm, atol=1e-9)
+
+
 def test_an_interrupt_at_every_retract_stops_the_arm_and_goes_on(arm, sensor):
     def interrupted(way_mm):
         raise KeyboardInterrupt

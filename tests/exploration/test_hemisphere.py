@@ -75,6 +75,18 @@ def test_the_way_from_outside_comes_down_to_the_hemisphere():
     _assert_clear(SensorPose((900, -20, 30), (-1, 0, 0)), HEMISPHERE.pose(2.5, 0.2))
 
 
+@pytest.mark.parametrize("azimuth_rad", [2.8, np.pi, 3.4])
+def test_the_way_from_a_low_place_does_not_pass_underneath_the_object(azimuth_rad):
+    # Parked 60 mm below the centre, on the other side than the touch to come.
+    start = SensorPose(CENTRE + np.array([400, 0, -60]), (-1, 0, 0))
+    way = [start, *HEMISPHERE.way(start, HEMISPHERE.pose(azimuth_rad, 0.1))]
+    places = np.array([pose.position_mm for pose in way]) - CENTRE
+    assert places[:, 2].min() >= -60
+    assert np.linalg.norm(places, axis=1).min() > 300 - 1e-9
+    angles = np.diff(places / np.linalg.norm(places, axis=1)[:, None], axis=0)
+    assert np.linalg.norm(angles, axis=1).max() <= HEMISPHERE.arc_rad
+
+
 def _assert_clear(start, end):
     way = [start, *HEMISPHERE.way(start, end)]
     assert way[-1] is end
@@ -107,6 +119,7 @@ def test_way_out_is_zero_outside():
         ({"radius_mm": 0}, "radius_mm must be positive"),
         ({"lowest_rad": 2.0}, "lowest_rad must be finite and between 0.0 and 1.5"),
         ({"centre_mm": (0, np.nan, 0)}, "centre_mm must be finite"),
+        ({"centre_mm": (0, 0)}, r"centre_mm must be x, y, z, got \(0, 0\)"),
     ],
 )
 def test_what_is_no_hemisphere_is_refused(parameters, message):

@@ -416,6 +416,11 @@ def test_touches_without_places_are_refused(recogniser, touches):
         TouchMap().fit(recogniser, bare, np.full((len(bare), 3), np.nan))
 
 
+def test_places_that_are_no_directions_are_refused(height_map):
+    with pytest.raises(ValueError, match="places of x, y, z, got 2 numbers each"):
+        InformativeTouch(height_map)
+
+
 def test_recorded_places_do_not_turn(touch_map):
     with pytest.raises(ValueError, match="must have n_turns=1, got 12"):
         InformativeRecorded(touch_map, np.zeros((3, 3)))

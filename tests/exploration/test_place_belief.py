@@ -435,6 +435,20 @@ def test_contacts_in_metres_are_told_from_the_third_on(surface_map):
     assert belief.n_contacts >= len(touches)
 
 
+@pytest.mark.parametrize(
+    ("loose", "message"),
+    [
+        ({"placement_mm": 0.0}, "placement_mm must be positive and finite, got 0.0"),
+        ({"height_mm": 0}, "height_mm must be positive"),
+        ({"sensor_mm": -1.0}, "sensor_mm must be finite and between 0.0"),
+        ({"shift_share": np.nan}, "shift_share must be finite"),
+    ],
+)
+def test_what_is_no_looseness_is_refused(loose, message):
+    with pytest.raises(ValueError, match=message):
+        Looseness(**loose)
+
+
 def test_a_miss_or_contact_far_from_the_object_is_refused(surface_map):
     belief = surface_map.start()
     before = belief.posterior
@@ -452,6 +466,14 @@ def test_an_object_without_a_map_is_named(taught):
     part = taught[rows]
     with pytest.raises(ValueError, match=r"got none for 'mug'.*fewer than 6 touches"):
         SurfaceMap().fit(ObjectRecogniser().fit(part), part)
+
+
+def test_forces_that_are_all_missing_are_as_none(recogniser, taught):
+    missing = taught.with_columns(force_n=np.full(len(taught), np.nan))
+    surface_map = SurfaceMap(n_turns=4).fit(recogniser, missing)
+    assert np.isnan(surface_map.force_n_)
+    belief = surface_map.start().update(taught[[0]])
+    assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
 
 
 def test_touches_without_places_and_meshes_of_other_objects_are_refused(

@@ -5,11 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.exploration import (
+    RandomHemisphere,
     RobotError,
     explore_to_learn,
     put_down,
     read_episode,
 )
+from palpate.exploration._record import EpisodeError
 from palpate.simulation import DomeCamera, SimObject, find_object
 
 CAMERA = DomeCamera(image_shape=(24, 24), n_nodes=20)
@@ -69,6 +71,33 @@ def test_an_episode_that_was_begun_goes_on(tmp_path):
     assert np.array_equal(more.images[:2], few.images)
     kept = read_episode(tmp_path / "pen" / "0")
     assert sum(record.touched for record in kept) == 4
+
+
+@pytest.mark.parametrize(
+    "otherwise",
+    [{"turned": True}, {"faces": "all"}, {"placement_sd_mm": 1.0}, {"drift": True}],
+    ids=str,
+)
+def test_what_was_begun_otherwise_is_refused(tmp_path, otherwise):
+    # At one height whatever the face: the hemisphere does not tell them apart.
+    how = {"n_sessions": 2, "known_height": False, "folder": tmp_path, "n_jobs": 1}
+    explore_to_learn([BOX], 2, CAMERA, **how)
+    with pytest.raises(EpisodeError, match="Go on with the same settings"):
+        explore_to_learn([BOX], 2, CAMERA, **how | otherwise)
+
+
+@pytest.mark.parametrize("random_state", [None, -1, 0.5])
+def test_a_seed_that_is_none_is_refused(random_state):
+    message = "random_state must be a"
+    with pytest.raises((TypeError, ValueError), match=message):
+        explore_to_learn([BOX], 2, CAMERA, random_state=random_state)
+    with pytest.raises((TypeError, ValueError), match=message):
+        RandomHemisphere(random_state=random_state)
+
+
+def test_no_objects_are_refused():
+    with pytest.raises(ValueError, match="things must hold at least one object"):
+        explore_to_learn([], 2, CAMERA)
 
 
 def test_two_objects_of_one_name_are_refused_before_any_touch(tmp_path):

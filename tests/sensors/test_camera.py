@@ -304,6 +304,18 @@ def test_a_camera_that_fails_is_one_sentence_with_the_fix(capture, message):
     assert capture.released == 1
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_camera_is_let_go_whatever_opening_it_raises(error):
+    class Broken(FakeCapture):
+        def read(self):
+            raise error
+
+    capture = Broken()
+    with pytest.raises(error):
+        camera(capture).connect()
+    assert capture.released == 1
+
+
 def test_names_choose_one_camera(monkeypatch):
     listed = [
         SimpleNamespace(name="Dome cam", path="/dev/video0", index=0),

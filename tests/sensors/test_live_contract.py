@@ -1,6 +1,8 @@
 """The contract of sensors: those without hardware keep it, and broken ones do not."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 from urllib.parse import quote
 
 import numpy as np
@@ -11,6 +13,7 @@ from PIL import Image
 from palpate import Touches
 from palpate.cli.sensor import SensorOptions
 from palpate.sensors import (
+    AddressError,
     CalibratedSensor,
     Frame,
     LiveSensor,
@@ -94,6 +97,11 @@ def test_the_check_says_what_a_driver_breaks(change, message):
     LiveSensor.disconnect(broken)
 
 
+def test_the_check_asks_for_a_frame():
+    with pytest.raises(ValueError, match="n_frames must be at least 1, got 0"):
+        check_sensor(Counting(), n_frames=0)
+
+
 def test_frames_come_in_order_and_those_never_read_are_counted():
     with Counting() as sensor:
         time.sleep(0.1)
@@ -103,6 +111,29 @@ def test_frames_come_in_order_and_those_never_read_are_counted():
         assert_array_equal(first.image, np.full((2, 3), first.number))
         assert sensor.read_latest().number >= first.number
         assert sensor.n_frames >= first.number
+
+
+def test_a_sensor_can_be_disconnected_while_it_connects():
+    class Slow(Counting):
+        closed = 0
+
+        def _open(self):
+            opening.set()
+            self._stop.wait(5.0)  # as a topic is waited for
+            super()._open()
+
+        def _close(self):
+            self.closed += 1
+
+    opening, sensor = Event(), Slow()
+    with ThreadPoolExecutor(1) as pool:
+        connecting = pool.submit(sensor.connect)
+        assert opening.wait(5.0)
+        sensor.disconnect()
+        with pytest.raises(SensorError, match="was disconnected"):
+            connecting.result(timeout=2.0)
+    assert not sensor.connected
+    assert sensor.closed == 1
 
 
 def test_a_lost_device_is_found_again():
@@ -137,6 +168,32 @@ def test_a_driver_that_fails_to_open_in_its_own_way_is_tried_again():
     assert sensor.opened == 4
 
 
+@pytest.mark.parametrize("method", ["_grab", "_open"])
+def test_a_driver_that_wants_to_end_the_program_is_lost_and_tried_again(method):
+    class Ending(Counting):
+        ends = 0
+
+        def _ended(self, name):
+            if name == method and self.at >= 3 and not self.ends:
+                self.ends += 1
+                raise SystemExit("vendor")
+
+        def _open(self):
+            self._ended("_open")
+            super()._open()
+
+        def _grab(self):
+            self._ended("_grab")
+            return super()._grab()
+
+    sensor = Ending(fails=(3,), period_s=0.01)
+    sensor.retry_s = 0.05
+    with sensor:
+        numbers = [int(sensor.read_next().image[0, 0]) for _ in range(6)]
+    assert sensor.ends == 1
+    assert numbers == [0, 1, 2, 4, 5, 6]
+
+
 def test_a_frame_that_is_none_is_an_error_of_the_device():
     class Odd(Counting):
         def _grab(self):
@@ -158,6 +215,21 @@ def test_a_silent_device_says_why():
         sensor.read_next(0.5)
     with pytest.raises(SensorError, match="not connected; call connect"):
         sensor.read_latest()
+
+
+def test_a_device_whose_clock_stands_still_gives_no_fresh_frame_and_says_so():
+    class Standing(Counting):
+        def _grab(self):
+            return [Reading(image, time_s=0.0) for image in super()._grab()]
+
+    # As long as a touch waits, an arm may press.
+    with Standing() as sensor, ThreadPoolExecutor(1) as pool:
+        reading = pool.submit(sensor.read)
+        try:
+            with pytest.raises(SensorError, match=r"as they are taken.*time_s"):
+                reading.result(timeout=5.0)
+        finally:
+            sensor.disconnect()
 
 
 def test_a_replay_plays_what_was_recorded_between_frames_of_nothing():
@@ -302,7 +374,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
         ("sim:", "must be camera:NAME"),
         ("sim:?rate=3", "must be camera:NAME"),
         ("sim:unicorn", "sim:OBJECT must be one of .*'mug'"),
-        ("sim:mug?place=unicorn", "name must be one of .*'mug'"),
+        ("sim:mug?place=unicorn", "^place must be one of .*'mug', .*'nothing', got"),
         ("serial:/dev/ttyUSB0", "`shape=16x16`"),
         ("camera:0?baud=9", "'baud' is no option .* are shape, rate, exposure"),
         ("camera:0?image_shape=4x4", "'image_shape' is no option"),
@@ -325,7 +397,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
     ],
 )
 def test_an_address_that_is_none_is_refused_in_one_sentence(address, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(AddressError, match=message):
         open_sensor(address)
 
 
@@ -381,6 +453,10 @@ def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rn
     address = f"replay:{tmp_path}/touches.npz"
     sensor = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
     assert_array_equal(sensor.no_contact(), rest)
+    sensor = ReplaySensor(touches, no_contact=tmp_path / "rest.png")
+    assert_array_equal(sensor.no_contact(), rest)
+    with pytest.raises(SensorError, match=r"cannot be replayed: .*none\.png"):
+        ReplaySensor(touches, no_contact=tmp_path / "none.png")
     with pytest.raises(SensorError, match="as `no_contact`"):
         SensorOptions().open(address)
 

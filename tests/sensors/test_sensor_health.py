@@ -58,6 +58,11 @@ def test_taxels_that_are_nan_are_dead(rng):
     report = health(as_frames(images, times))
     assert report["dead"] == [[2, 5]]
     assert np.isfinite(report["figures"]["noise"])
+    # Unplugged: one finding, no warnings of numpy's, and no figure of nothing.
+    memory = sensors.SensorMemory.of(images[:3] + 5.0, images[0])
+    images[:] = np.nan
+    report = health(as_frames(images, times), memory=memory)
+    assert [finding[:10] for finding in report["findings"]] == ["100 taxels"]
 
 
 def test_hot_and_saturated_taxels_are_told_apart(rng):
@@ -103,6 +108,9 @@ def test_rest_that_differs_from_what_a_model_remembers_is_named(rng):
     assert (
         "At rest the sensor differs from when the model learnt" in report["findings"][0]
     )
+    smaller = sensors.SensorMemory.of(presses[:, :4], rest[:4])
+    found = health(as_frames(images, times), memory=smaller)
+    assert "learnt from a sensor of 4 x 10 taxels, this one has" in found["findings"][0]
 
 
 def test_a_touch_meanwhile_is_the_only_finding(rng):

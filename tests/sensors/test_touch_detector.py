@@ -350,6 +350,19 @@ def test_a_stream_that_ends_in_contact_ends_with_a_touch():
     assert_array_equal(touches.no_contact, REST)
 
 
+@pytest.mark.parametrize("shape", [(4, 5), (4, 1)])
+def test_frames_of_another_size_than_the_baseline_are_refused(shape):
+    detector = TouchDetector(np.zeros((4, 4)))
+    with pytest.raises(SensorError, match="of 4 x 4 taxels like the frame of no conta"):
+        detector.touches_in(Touches(np.ones((3, *shape))))
+
+
+def test_a_touch_does_not_end_above_where_it_begins():
+    with pytest.raises(ValueError, match=r"end must be at most begin \(2\), got 5"):
+        TouchDetector(np.zeros((4, 4)), begin=2.0, end=5.0)
+    assert TouchDetector(begin=2.0, end=2.0).end == 2
+
+
 def test_a_stream_without_a_touch_says_what_did_not_change():
     images = np.stack([REST + level for level in (0, 1, 0, 1)]).astype(np.uint8)
     with pytest.raises(SensorError, match=r"got 4 frames .*changed by 2 for 2 frames"):

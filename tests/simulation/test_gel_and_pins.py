@@ -184,8 +184,17 @@ def test_another_mounting_looks_otherwise_and_the_same_seed_the_same():
         ({"image_shape": (4, 160)}, "image_shape must be at least 8, got 4"),
         ({"width_mm": 0}, "width_mm must be positive"),
         ({"colours": (1, 0, 1)}, "colours must be positive"),
+        ({"colours": (1.0, 1.0)}, r"colours must be 3 numbers, got \(1.0, 1.0\)"),
+        ({"image_shape": (24, 32, 24)}, "image_shape must be 2 numbers"),
+        ({"shift_mm": (np.nan, 0.0)}, "shift_mm must be finite"),
     ],
 )
 def test_what_is_no_gel_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
         GelCamera(**options)
+
+
+def test_a_gel_takes_lists_and_arrays_as_a_dome_does():
+    rest = GelCamera(image_shape=(24, 32), shift_mm=(0.5, 0.0)).no_contact()
+    lists = GelCamera([24, 32], colours=[1.0, 1.0, 1.0], shift_mm=np.array([0.5, 0.0]))
+    assert_array_equal(lists.no_contact(), rest)

@@ -172,6 +172,7 @@ def test_unknown_name_lists_the_known_ones():
     ("arguments", "message"),
     [
         ({"rotation": np.ones((3, 3))}, "rotation must be a 3 x 3 rotation"),
+        ({"rotation": np.diag([1.0, 1, -1])}, "rotation must be a 3 x 3 rotation"),
         ({"position_mm": (0, 0)}, "position_mm must be three finite numbers"),
         ({"position_mm": (0, 0, np.nan)}, "position_mm must be three finite"),
         ({"yaw_rad": np.inf}, "yaw_rad must be finite"),

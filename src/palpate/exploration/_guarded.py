@@ -15,6 +15,7 @@ by repeating itself, by not changing over `flat_mm` of contact, or by the pictur
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -231,6 +232,7 @@ class _Approach:
         self._in_contact: list[tuple[float, float]] = []
         self._fine_until_mm = self._look_at_mm = 0.0
         self._last, self._n_equal = math.nan, 0
+        self._was_at_start = False
         self._began = self.clock()
 
     def attempt(self, part: Callable[[], None]) -> None:
@@ -249,6 +251,7 @@ class _Approach:
         guard = self.guard
         self._move(0.0)
         self._refuse_miss()
+        self._was_at_start = True
         self._tare()
         if guard.frame_change is not None:
             self._air_frame = self._frame().astype(np.float64)
@@ -281,8 +284,12 @@ class _Approach:
         way_mm = self.farthest_mm
         for attempt in (1, 2):
             try:
+                if attempt > 1 and self._missed_mm <= self.guard.max_miss_mm:
+                    # What raised may have moved the arm all the same.
+                    with suppress(Exception):
+                        way_mm = min(way_mm, self._inward_mm(self._here()))
                 self.robot.retract(way_mm)
-                way_mm = self._still_in_mm()
+                way_mm = self._inward_mm(self._here())
                 if way_mm <= self.guard.max_miss_mm:
                     break
                 self._note(
@@ -298,11 +305,19 @@ class _Approach:
         if interrupt is not None:
             raise interrupt
 
-    def _still_in_mm(self) -> float:
-        """Return how far inward of its start the arm says that it is."""
-        here = np.asarray(self.robot.read_pose().position_mm)
-        way = here - np.asarray(self.start.position_mm)
-        return max(float(way @ np.asarray(self.start.direction)), 0.0)
+    def _here(self) -> Floats:
+        return np.asarray(self.robot.read_pose().position_mm)
+
+    def _inward_mm(self, here: Floats) -> float:
+        """Return how far inward of its start a place lies.
+
+        0 beside the line for an arm that never was at the start: it did not move in.
+        """
+        way, line = here - np.asarray(self.start.position_mm), self.start.direction
+        inward = max(float(way @ np.asarray(line)), 0.0)
+        aside = float(np.linalg.norm(way - inward * np.asarray(line)))
+        is_there = self._was_at_start or aside <= self.guard.max_miss_mm
+        return inward if is_there else 0.0
 
     def _stop(self) -> BaseException | None:
         """Stop an arm that does not come out; return what interrupted that, if any."""
@@ -378,11 +393,10 @@ class _Approach:
         pose = self.start.advanced(travel_mm) if travel_mm else self.start
         self.robot.move_to(pose)
         self.travel_mm = travel_mm
-        here = np.asarray(self.robot.read_pose().position_mm)
+        here = self._here()
         self._missed_mm = float(np.linalg.norm(here - np.asarray(pose.position_mm)))
         if self._missed_mm > self.guard.max_miss_mm:
-            way = here - np.asarray(self.start.position_mm)
-            reached = min(float(way @ self.start.direction), self.guard.max_travel_mm)
+            reached = min(self._inward_mm(here), self.guard.max_travel_mm)
             self.farthest_mm = max(self.farthest_mm, reached)
 
     def _advance(self, travel_mm: float) -> None:

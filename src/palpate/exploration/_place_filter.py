@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from .._checks import check_number, check_positive
 from .._numbers import exp
 from .._types import Floats, Indices, Singles
 from ..simulation import SensorPose
@@ -83,6 +84,12 @@ class Looseness:
     height_mm: float = 3.0
     sensor_mm: float = 1.5
     shift_share: float = 0.05
+
+    def __post_init__(self) -> None:
+        check_positive("placement_mm", self.placement_mm)
+        check_positive("height_mm", self.height_mm)
+        check_number("sensor_mm", self.sensor_mm, low=0.0)
+        check_number("shift_share", self.shift_share, low=0.0, high=1.0)
 
 
 @dataclass(frozen=True, eq=False)

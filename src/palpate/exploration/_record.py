@@ -8,6 +8,7 @@ whole; what it had not named yet is swept away when the episode goes on.
 """
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -139,7 +140,8 @@ def as_touches(
     """Return the records that are touches, ready to be learnt or recognised.
 
     Columns: `position_mm` and `direction`, both (n_touches, 3), `force_n`, `order`
-    (number of the attempt), and the labels given. ValueError where there is none.
+    (number of the attempt), and the labels given. ValueError where there is none, or
+    frames are missing or of several sizes.
     """
     order = [number for number, record in enumerate(history) if record.touched]
     if not order:
@@ -148,6 +150,13 @@ def as_touches(
             "Look at their outcomes and messages."
         )
     touched = [history[number] for number in order]
+    shapes = [np.asarray(record.image).shape for record in touched]
+    if len({*shapes}) > 1 or () in shapes:
+        listed = " and ".join(map(str, sorted({*shapes})))
+        raise ValueError(
+            f"history must hold frames of one shape, got {listed}. Take the touches of "
+            "one sensor."
+        )
     labels = {"object": object, "category": category}
     images = np.stack([np.asarray(record.image) for record in touched])
     return Touches(
@@ -299,7 +308,10 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         upward = (folder, *folder.parents)
-        file = next(path for path in upward if path.exists() and not path.is_dir())
+        # A link to nothing is there, though what it leads to is not.
+        file = next(
+            path for path in upward if os.path.lexists(path) and not path.is_dir()
+        )
         raise EpisodeError(
             f"folder must be a folder or a new name, got the file {str(file)!r}. Use "
             "another folder."

@@ -233,7 +233,10 @@ def explore_to_learn(
             f"{str(folder)!r}. Only guarded attempts are kept."
         )
     objects = list(HOUSEHOLD if things is None else things)
+    if not objects:
+        raise ValueError("things must hold at least one object, got none.")
     refuse_same_names(objects)
+    check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
     shares = [len(part) for part in np.array_split(range(count), sessions)]
@@ -252,6 +255,16 @@ def explore_to_learn(
         sizes=shares * len(objects),
     )
     return Touches.concatenate(parts).with_columns(no_contact=seen_by.no_contact())
+
+
+@dataclass(frozen=True)
+class _PutDown(RandomHemisphere):
+    """Poses round an object put down so: an episode goes on only if it is again."""
+
+    yaw_rad: float = 0.0
+    face: int = 0
+    placement_sd_mm: float = 5.0
+    drift: bool = False
 
 
 def _session(
@@ -281,7 +294,8 @@ def _session(
         random_state=seed,
         **where,
     )
-    strategy = RandomHemisphere(stand.hemisphere, seed)
+    placement_sd_mm = float(where["placement_sd_mm"])
+    strategy = _PutDown(stand.hemisphere, seed, yaw, face, placement_sd_mm, drift)
     if guarded:
         history = gather(
             stand.robot,

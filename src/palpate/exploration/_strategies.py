@@ -78,8 +78,10 @@ class Hemisphere:
     arc_rad: float = 0.2
 
     def __post_init__(self) -> None:
-        x, y, z = (check_number("centre_mm", float(c)) for c in self.centre_mm)
-        object.__setattr__(self, "centre_mm", (x, y, z))
+        centre = tuple(check_number("centre_mm", float(c)) for c in self.centre_mm)
+        if len(centre) != 3:
+            raise ValueError(f"centre_mm must be x, y, z, got {self.centre_mm!r}.")
+        object.__setattr__(self, "centre_mm", centre)
         check_positive("radius_mm", self.radius_mm)
         check_number("lowest_rad", self.lowest_rad, low=0.0, high=1.5)
         check_number("arc_rad", self.arc_rad, low=0.01, high=0.5)
@@ -113,6 +115,8 @@ class Hemisphere:
         """Yield poses from one outside the hemisphere to one on it, round the object.
 
         The last is `end`; all face the centre and are outside or on the hemisphere.
+        Where the shortest way from one below its centre would pass underneath the
+        object, it leads over the top.
         """
         centre = np.asarray(self.centre_mm)
         arm, goal = (np.asarray(p.position_mm) - centre for p in (start, end))
@@ -120,8 +124,15 @@ class Hemisphere:
         first, last = arm / distance[0], goal / distance[1]
         angle = float(np.arccos(np.clip(first @ last, -1, 1)))
         n_pieces = max(1, int(np.ceil(angle / self.arc_rad)))
-        for share in np.arange(1, n_pieces) / n_pieces:
-            out = _between(first, last, angle, share)
+        shares = np.arange(1, n_pieces) / n_pieces
+        outs = [_between(first, last, angle, share) for share in shares]
+        lowest = min((out[2] for out in outs), default=1.0)
+        if lowest < min(first[2], last[2]) - _CLEAR_MM / self.radius_mm:
+            top = self.pose_towards((0.0, 0.0, 1.0), end.roll_rad)
+            yield from self.way(start, top)
+            yield from self.way(top, end)
+            return
+        for share, out in zip(shares, outs, strict=True):
             reach = (1 - share) * distance[0] + share * distance[1]
             yield SensorPose(centre + reach * out, -out, end.roll_rad)
         yield end
@@ -164,6 +175,9 @@ class RandomHemisphere:
 
     hemisphere: Hemisphere = field(default_factory=Hemisphere)
     random_state: int = 0
+
+    def __post_init__(self) -> None:
+        check_count("random_state", self.random_state, at_least=0)
 
     def next_pose(self, belief: Any, history: History) -> SensorPose:
         """Return the pose that follows `history`; the belief does not matter."""
@@ -307,6 +321,11 @@ class InformativeTouch:
         if isinstance(touch_map, SurfaceMap):
             self._gain: Gain = SurfaceGain(touch_map, grid, self.hemisphere)
             self._width = touch_map.pictures_.width_
+        elif (n_numbers := touch_map.places_.shape[1]) != 3:
+            raise ValueError(
+                f"touch_map must have places of x, y, z, got {n_numbers} numbers each. "
+                "Fit it with the directions of touches."
+            )
         else:
             self._gain, self._width = TurnGain(touch_map, grid), touch_map.width_
 

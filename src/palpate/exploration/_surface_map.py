@@ -179,10 +179,9 @@ class SurfaceMap:
         number_of = {state: number for number, state in enumerate(pictures.states)}
         # Faces of a mesh that were never touched have no pictures of their own.
         self.picture_of_state_ = np.array([number_of.get(s, -1) for s in self.states_])
-        forces = touches.columns.get("force_n")
-        self.force_n_ = (
-            np.nan if forces is None else float(np.nanmedian(np.asarray(forces, float)))
-        )
+        forces = np.asarray(touches.columns.get("force_n", np.nan), dtype=np.float64)
+        measured = forces[~np.isnan(forces)]
+        self.force_n_ = float(np.median(measured)) if len(measured) else np.nan
         return self
 
     def _learnt(

@@ -117,7 +117,8 @@ def follow(
         for pose in _steps(here, waypoint, guard.way_step_mm):
             with _stopping_pressed(robot, guard):
                 robot.move_to(pose)
-            _refuse_load(robot, here, guard)
+                force_n = _reading(robot)
+            _refuse_load(robot, force_n, here, guard)
             here = pose
 
 
@@ -142,14 +143,13 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
             if not force_n <= most_n:  # a load may be on at first, and goes
                 break
             most_n = max(force_n, guard.limit_n)
+        left_mm = hemisphere.way_out_mm(robot.read_pose())
     except BaseException:  # an interrupt too: it may press
-        with suppress(Exception):
-            robot.stop()
+        _stop(robot)
         raise
-    left_mm = hemisphere.way_out_mm(robot.read_pose())
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
-    robot.stop()
+    _stop(robot)
     raise RobotError(
         f"The arm was to be pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} "
         f"mm are left, with {force_n:.3f} N: it was stopped. Free it by hand and begin "
@@ -178,18 +178,19 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
         yield
     except BaseException as error:
         clear, force_n = False, math.nan
-        with suppress(Exception):
-            force_n = abs(_reading(robot))
-            clear = force_n <= guard.limit_n
-        if not clear:
+        try:
             with suppress(Exception):
-                robot.stop()
+                force_n = abs(_reading(robot))
+                clear = force_n <= guard.limit_n
+        finally:  # interrupted again, too
+            if not clear:
+                _stop(robot)
         if clear or not isinstance(error, Exception):
             raise
         raise WayError(
             f"{ON_THE_WAY}: {type(error).__name__}: {error} The force "
             f"sensor reads {force_n:.3f} N, so the arm was stopped. Free it by hand.",
-            "limit exceeded",
+            "force sensor" if math.isnan(force_n) else "limit exceeded",
             retracted=False,
             force_n=0.0 if math.isnan(force_n) else force_n,
         ) from error
@@ -234,7 +235,7 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
         message = "The force sensor reads no number before the way."
         raise WayError(message, "force sensor", retracted=True)
     if force_n > guard.limit_n:
-        robot.stop()
+        _stop(robot)
         raise WayError(
             f"{force_n:.3f} N before the arm sets out, beyond the limit of "
             f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
@@ -245,19 +246,24 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
         )
 
 
-def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
-    """Read the force once; beyond the limit take the last step back, and say so."""
-    force_n = _reading(robot)
+def _refuse_load(
+    robot: Robot, force_n: float, before: SensorPose, guard: Guard
+) -> None:
+    """Where the force is beyond the limit take the last step back, and say so."""
     if abs(force_n) <= guard.limit_n:
         return
-    clear = False
+    clear, why = False, ""
     try:
         robot.move_to(before)
         clear = abs(_reading(robot)) <= guard.limit_n
+    except Exception as error:
+        why = f" ({type(error).__name__}: {error})"
     finally:
         if not clear:
-            robot.stop()
-    where = "it went back one step" if clear else "it did not come free and was stopped"
+            _stop(robot)
+    where = f"it did not come free{why} and was stopped"
+    if clear:
+        where = "it went back one step"
     if math.isnan(force_n):
         message = f"The force sensor reads no number on the way: {where}."
         raise WayError(message, "force sensor", retracted=clear)
@@ -269,6 +275,20 @@ def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
         retracted=clear,
         force_n=abs(force_n),
     )
+
+
+def _stop(robot: Robot) -> None:
+    """Stop the arm, in a second attempt if need be; an interrupt goes on afterwards."""
+    interrupt: BaseException | None = None
+    for _ in range(2):
+        try:
+            robot.stop()
+            break
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                interrupt = error
+    if interrupt is not None:
+        raise interrupt
 
 
 def _reading(robot: Robot) -> float:

@@ -125,6 +125,8 @@ class TouchEnv(gymnasium.Env[Any, Any]):
     ) -> None:
         names = [thing.name for thing in HOUSEHOLD] if objects is None else objects
         self._things = [find_object(name) for name in names]
+        if not self._things:
+            raise ValueError("objects must name at least one object, got none.")
         refuse_same_names(self._things)
         self.object_names = [thing.name for thing in self._things]
         self.camera = DomeCamera((64, 64), n_nodes=24) if camera is None else camera
@@ -357,7 +359,7 @@ class BeliefObservations(gymnasium.Wrapper[Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         self.surface_map = surface_map
-        self.error = check_number("error", error, low=0.0, high=1.0)
+        self.error = check_number("error", error, low=1e-6, high=0.5)
         self.attempt_nats = check_number("attempt_nats", attempt_nats, low=0.0)
         self._touch = cast(TouchEnv, env.unwrapped)
         self._names = [*surface_map.recogniser.classes_.tolist(), UNKNOWN]

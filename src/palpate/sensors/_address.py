@@ -23,6 +23,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from .._checks import check_option
 from .._types import Array, Floats
 from ._camera import CameraSensor
 from ._contract import LiveSensor, Reading, SensorError
@@ -170,7 +171,10 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
             arguments[keyword] = _agreed(address, kind, arguments, keyword, value)
     place = re.sub("%3f", "?", place, flags=re.IGNORECASE)
     if driver is None:
-        return _sensor_of(kind, place, arguments)
+        try:
+            return _sensor_of(kind, place, arguments)
+        except ValueError as error:
+            raise AddressError(str(error)) from error
     sensor = driver(place, **arguments)
     if not isinstance(sensor, LiveSensor):
         raise AddressError(
@@ -314,10 +318,7 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
     elif kind == "ros":
         sensor = RosSensor(place, **arguments)
     elif kind == "sim":
-        try:
-            sensor = SimulatedStream(place, **arguments)
-        except ValueError as error:
-            raise AddressError(str(error)) from error
+        sensor = SimulatedStream(place, **arguments)
     elif kind == "replay":
         arguments.pop("image_shape", None)
         sensor = ReplaySensor(Path(place), **arguments)
@@ -341,6 +342,7 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
             f"{asked_rows} x {asked_cols}. Leave `shape` out."
         )
     if desk is not None and isinstance(sensor, PlayedSensor):
+        check_option("place", desk, dict.fromkeys((*sensor.objects, "nothing")))
         nothing = desk == "nothing" and desk not in sensor.objects
         sensor.place(None if nothing else desk)
     return sensor

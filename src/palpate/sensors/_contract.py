@@ -31,6 +31,7 @@ PLACE_COLUMNS = {
     "position_mm": ("x_mm", "y_mm", "z_mm"),
     "direction": ("direction_x", "direction_y", "direction_z"),
 }
+_FRESH_S = 2.0  # until a frame comes that was taken since it was asked for
 
 
 class SensorError(RuntimeError):
@@ -218,7 +219,14 @@ class LiveSensor(ABC):
         self._latest, self.lost = None, ""
         self.n_frames = self.n_dropped = self._number = self._largest_burst = 0
         self._stop.clear()
-        self._open()
+        try:
+            self._open()
+            if self._stop.is_set():  # by another thread, meanwhile
+                raise SensorError(f"{self.name} was disconnected.")
+        except BaseException:  # an interrupt too: the device may be half open
+            with suppress(Exception):
+                self._close()
+            raise
         self._thread = threading.Thread(
             target=self._run, name=f"palpate {self.name}", daemon=True
         )
@@ -230,9 +238,9 @@ class LiveSensor(ABC):
 
         A device that does not answer is freed when its read ends, never during it.
         """
+        self._stop.set()
         if self._thread is None:
             return
-        self._stop.set()
         with self._arrived:
             self._arrived.notify_all()
         self._thread.join(timeout=self.patience_s)
@@ -265,12 +273,24 @@ class LiveSensor(ABC):
             return self._latest
 
     def read(self) -> Array:
-        """Return a frame taken after this call, shape `image_shape`."""
+        """Return a frame taken after this call, shape `image_shape`.
+
+        Raises
+        ------
+        SensorError
+            It is not connected, or no such frame arrived in 2 seconds.
+        """
         asked_s = time.monotonic()
         while True:
             frame = self.read_next()
             if frame.time_s >= asked_s:
                 return frame.image
+            now_s = time.monotonic()
+            if now_s - asked_s > _FRESH_S:
+                raise SensorError(
+                    f"{self.name} must give frames as they are taken, got one that is "
+                    f"{now_s - frame.time_s:.1f} s old. Check the time_s of its driver."
+                )
 
     def __enter__(self) -> Self:
         return self.connect()
@@ -307,21 +327,22 @@ class LiveSensor(ABC):
                 self._count_missed(max(0, len(burst) - self.burst_length))
                 for reading in burst[-self.burst_length :]:
                     self._put(reading, self.queue_length + len(burst) - 1)
-            except Exception as error:  # a driver's bug must not end the stream unseen
+            # A driver's bug must not end the stream unseen, nor must its SystemExit.
+            except BaseException as error:
                 self._recover(error)
         with suppress(Exception):
             self._close()
 
-    def _recover(self, error: Exception) -> None:
+    def _recover(self, error: BaseException) -> None:
         while True:
             self.lost = str(error) if isinstance(error, SensorError) else repr(error)
-            with suppress(Exception):  # that it cannot even be closed is no news
+            with suppress(BaseException):  # that it cannot even be closed is no news
                 self._close()
             if self._stop.wait(self.retry_s):
                 return
             try:
                 self._open()
-            except Exception as still:  # as in `_run`: whatever it is, try again
+            except BaseException as still:  # as in `_run`: whatever it is, try again
                 error = still
             else:
                 self.lost = ""
@@ -403,6 +424,7 @@ def check_sensor(sensor: LiveSensor, *, n_frames: int = 10) -> None:
     >>> from palpate.sensors import ReplaySensor, check_sensor
     >>> check_sensor(ReplaySensor(Touches([[[0, 1]], [[1, 0]]]), rate_hz=500))
     """
+    check_count("n_frames", n_frames)
     _check_promises(sensor)
     _refuses_frames(sensor, "before connect()")
     _say(sensor.connect() is sensor, "connect() must return the sensor")

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
+from .._checks import ARRAY_SIDE, check_count, check_option, check_positive, size_text
 from .._types import Array, Floats
 from ..touches import Touches
 from ._contract import Frame, SensorError, as_kind, channels_of
@@ -77,7 +77,7 @@ class TouchDetector:
     begin, end : float, optional
         Limits of the change (sensor's unit). By default a touch begins at 6 times
         the noise of the frames that the baseline was taken from (at 2 steps at
-        least), and ends at half of that.
+        least), and ends at half of that. `end` is at most `begin`.
     min_frames : int, default=2
         Contact that lasts fewer frames is no touch.
 
@@ -113,6 +113,11 @@ class TouchDetector:
         self.summary = check_option("summary", summary, SUMMARIES)
         self._begin = None if begin is None else check_positive("begin", begin)
         self._end = None if end is None else check_positive("end", end)
+        if begin is not None and end is not None and end > begin:
+            raise ValueError(
+                f"end must be at most begin ({begin:g}), got {end:g}. A touch ends "
+                "where the change falls below it."
+            )
         self._min_frames = check_count("min_frames", min_frames)
         self.noise = self.step = 0.0
         self.note = ""
@@ -180,9 +185,18 @@ class TouchDetector:
         self._set_baseline(baseline)
 
     def update(self, frame: Frame) -> DetectedTouch | None:
-        """Take in the next frame; return the touch that ended with it, if any."""
+        """Take in the next frame; return the touch that ended with it, if any.
+
+        `SensorError` says that the frame is of another size than the baseline.
+        """
         if self.baseline is None:
             return None
+        if frame.image.shape != self.baseline.shape:
+            at_rest, now = map(size_text, (self.baseline.shape, frame.image.shape))
+            raise SensorError(
+                f"Frames must be of {at_rest} like the frame of no contact, got {now}. "
+                "Give one of this sensor, or take the baseline again."
+            )
         self.change = _rms(_small(frame.image) - self._small_baseline)
         now_s = frame.time_s
         if not self.touching:
@@ -236,7 +250,8 @@ class TouchDetector:
         ContactError
             Something touches, or moves, in the frames of the baseline.
         SensorError
-            The film cannot be read to its end, or holds no touch.
+            The film cannot be read to its end, is of another size than the baseline,
+            or holds no touch.
         """
         recorded = source if isinstance(source, Touches) else None
         place = Path(str(source))

@@ -9,10 +9,12 @@ none. Crosstalk here is noise that rows or columns share; what a press on one ta
 to others only a press can tell.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Self
+from warnings import catch_warnings, filterwarnings
 
 import numpy as np
 
@@ -90,7 +92,8 @@ def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
         what = f"The model learnt from a sensor of {learnt}, this one has {present}."
         return f"{what} Learn again with this sensor."
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
-    if off <= _BASELINE_TOLERANCE * memory.touch_change:
+    # NaN where no taxel works.
+    if not off > _BASELINE_TOLERANCE * memory.touch_change:
         return ""
     share = f"{100 * off / memory.touch_change:.0f} %" if memory.touch_change else "all"
     return (
@@ -127,6 +130,15 @@ def taxels_listed(places: Sequence[Sequence[int]], most: int) -> str:
     return listed([f"row {row} column {col}" for row, col in places], most)
 
 
+@contextmanager
+def _where_nothing_works() -> Iterator[None]:
+    """Let means over taxels of which none works be NaN without a warning."""
+    with catch_warnings():
+        filterwarnings("ignore", "Mean of empty slice|All-NaN slice", RuntimeWarning)
+        yield
+
+
+@_where_nothing_works()
 def sensor_health(
     frames: Sequence[Frame], step: float = 0.0, memory: SensorMemory | None = None
 ) -> dict[str, Any]:
@@ -164,7 +176,7 @@ def sensor_health(
     taxels: dict[str, list[list[int]]] = {"dead": [], "hot": [], "saturated": []}
     if is_array:
         taxels = _bad_taxels(stack, rest, noise, detector.step)
-    if memory is not None and memory.no_contact.shape == rest.shape:
+    if memory is not None:
         findings += filter(None, [baseline_warning(memory, rest)])
     if n_touched:  # whatever else there is may come of it
         findings.append(

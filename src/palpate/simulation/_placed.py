@@ -145,7 +145,9 @@ class PlacedObject(_Rebuilt):
 
     def __post_init__(self) -> None:
         turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, float)
-        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6):
+        square = turn.shape == (3, 3)
+        kept = square and np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+        if not kept or np.linalg.det(turn) < 0:  # below 0 it is a mirror
             raise ValueError(
                 f"rotation must be a 3 x 3 rotation, got {self.rotation!r}."
             )

@@ -171,7 +171,7 @@ def simulate_touches(
     Raises
     ------
     TypeError
-        A name in `of_scene` that is no field of `Scene`.
+        `camera` is no sensor, or a name in `of_scene` no field of `Scene`.
     ValueError
         Two objects have one name, or one that should be touched cannot be met after
         50 approaches.
@@ -194,7 +194,10 @@ def simulate_touches(
     (4, 120, 120)
     """
     things = _resolved(HOUSEHOLD if objects is None else objects)
-    sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    sensor: Any = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    if not isinstance(sensor, DomeCamera | TacTipPins | GelCamera):
+        what = "a DomeCamera, TacTipPins or GelCamera"
+        raise TypeError(f"camera must be {what}, got {type(camera).__name__}.")
     check_option("strategy", strategy, ("hemisphere", "above"))
     touch = partial(
         _touch_object,

@@ -13,6 +13,7 @@ from ._containers import shows_frame as shows_frame
 from ._folder import PICTURES as PICTURES
 from ._folder import PictureCheck as PictureCheck
 from ._folder import check_folder as check_folder
+from ._folder import no_contact_picture as no_contact_picture
 from ._folder import shows_colour as shows_colour
 from ._html import as_shown as as_shown
 from ._layout import levels_pattern as levels_pattern
@@ -25,6 +26,7 @@ from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
 from ._sources import ParquetTouches as ParquetTouches
 from ._sources import TouchSource, read_folder, read_parquet
+from ._touches import MAX_PIXELS as MAX_PIXELS
 from ._touches import Labelled as Labelled
 from ._touches import Touches
 
