@@ -320,3 +320,31 @@ def test_kept_features_of_another_encoding_are_made_anew(library):
         ids = held["ids"]
     np.savez(cache / "other.npz", ids=ids[:50], x=np.zeros((50, 3)))
     assert_array_equal(chosen.features("key", sums), right)
+
+
+def test_features_that_are_deleted_while_others_are_made_are_not_mistaken(library):
+    """`features/` may be deleted at any time, also while it is filled."""
+    library.add(_touches(0))
+    library.select().features("key", sums)
+    library.add(_touches(1))
+
+    def encode(some):
+        for kept in (library.folder / "features" / "key").glob("*.npz"):
+            kept.unlink()
+        return sums(some)
+
+    chosen = library.select()
+    expected = sums(chosen.touches(range(len(chosen))))
+    assert_array_equal(chosen.features("key", encode), expected)
+
+
+def test_kept_features_of_another_encoding_alone_are_made_anew(library):
+    """Where touches lack that no file of the right width has."""
+    library.add(_touches(0))
+    chosen = library.select()
+    right = chosen.features("key", sums)
+    (kept,) = (library.folder / "features" / "key").glob("*.npz")
+    with np.load(kept) as held:
+        ids = held["ids"]
+    np.savez(kept, ids=ids[:50], x=np.zeros((50, 3)))
+    assert_array_equal(chosen.features("key", sums), right)

@@ -355,16 +355,22 @@ class Selection(Labelled):
         cache = self._picked.tables.store.folder / FEATURES / key
         ids = np.array(self._picked.ids(), _ID)
         cached_ids, cached = _cached(cache)
-        missing = np.flatnonzero(~np.isin(ids, cached_ids))
-        if len(missing):
-            self._encode_new(cache, encode, missing, ids[missing])
-            cached_ids, cached = _cached(cache)
-        return cached[np.searchsorted(cached_ids, ids)]
+        kept = np.isin(ids, cached_ids)
+        if kept.all():
+            return cached[np.searchsorted(cached_ids, ids)]
+        new = self._encode_new(cache, encode, np.flatnonzero(~kept), ids[~kept])
+        if len(cached) and cached.shape[1] != new.shape[1]:  # of another encoding
+            return self.features(key, encode)
+        features = np.empty((len(ids), new.shape[1]))
+        features[~kept] = new
+        if kept.any():
+            features[kept] = cached[np.searchsorted(cached_ids, ids[kept])]
+        return features
 
     def _encode_new(
         self, cache: Path, encode: Encode, rows: Indices, ids: Array
-    ) -> None:
-        """Encode touches; what is done is kept now and then, should this be stopped."""
+    ) -> Floats:
+        """Return new features; what is done is kept now and then, should this stop."""
         layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
         encode_some = partial(_encoded, encode, layout)
         new = self._picked[rows]
@@ -376,6 +382,7 @@ class Selection(Labelled):
 
         parts = results_of(encode_some, -(-len(new) // step), stored)
         waiting: list[Floats] = []
+        written: list[Floats] = []
         n_kept = n_done = 0
         for number, part in enumerate(parts, start=1):
             waiting.append(part)
@@ -385,11 +392,11 @@ class Selection(Labelled):
                     "features", cache, "Free space; touches are not affected."
                 ):
                     cache.mkdir(parents=True, exist_ok=True)
+                    written.append(np.concatenate(waiting))
                     with replacing(cache / f"{uuid4().hex}.npz") as file:
-                        np.savez(
-                            file, ids=ids[n_kept:n_done], x=np.concatenate(waiting)
-                        )
+                        np.savez(file, ids=ids[n_kept:n_done], x=written[-1])
                 waiting, n_kept = [], n_done
+        return np.concatenate(written)
 
 
 def _rising(rows: ArrayLike, n_touches: int) -> Indices:
