@@ -348,3 +348,20 @@ def test_kept_features_of_another_encoding_alone_are_made_anew(library):
         ids = held["ids"]
     np.savez(kept, ids=ids[:50], x=np.zeros((50, 3)))
     assert_array_equal(chosen.features("key", sums), right)
+
+
+def test_kept_features_with_a_flipped_bit_are_made_anew(library):
+    """Each bit of the list at its end; values have a checksum."""
+    library.add(_touches(0, n_each=1))
+    chosen = library.select()
+    right = chosen.features("key", sums)
+    (kept,) = (library.folder / "features" / "key").glob("*.npz")
+    whole = kept.read_bytes()
+    end = whole.index(b"PK\x01\x02")  # of the list of what is in it
+    for place in range(8 * end, 8 * len(whole)):
+        flipped = bytearray(whole)
+        flipped[place // 8] ^= 1 << place % 8
+        kept.write_bytes(flipped)
+        assert_array_equal(chosen.features("key", sums), right)
+        for other in kept.parent.glob("*.npz"):
+            other.unlink()

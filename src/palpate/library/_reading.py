@@ -422,7 +422,10 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
                 ids_in, values = kept["ids"], kept["x"]
             if ids_in.dtype != _ID or len(values) != len(ids_in) or values.ndim != 2:
                 raise ValueError("no features")
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        except (
+            *(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile),
+            RuntimeError,  # zipfile, of a flag or a method that a bit has changed
+        ):
             path.unlink(missing_ok=True)
             continue
         ids.append(ids_in)
