@@ -332,8 +332,8 @@ class TouchLibrary:
 
         Notes
         -----
-        Columns that only some touches have are NaN or empty for the others. Entries
-        of the whole set that differ between recordings (mostly the no-contact
+        Columns that only some touches have are NaN, NaT or empty for the others.
+        Entries of the whole set that differ between recordings (mostly the no-contact
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """

@@ -257,7 +257,7 @@ def stored_array(tables: Tables, digest: str) -> Array:
 
 
 def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
-    """Return all forms of each column; those of unlike shapes are refused."""
+    """Return all forms of each column; those of unlike shapes or kinds are refused."""
     columns: dict[str, list[Column]] = {}
     for column in (column for layout in layouts.values() for column in layout):
         alike = columns.setdefault(column.name, [])
@@ -267,6 +267,14 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
                 f"{column.shape} a row. Choose touches with a filter."
             )
         alike.append(column)
+    for name, alike in columns.items():
+        kinds = {np.dtype(column.dtype).kind for column in alike}
+        if len(kinds) > 1 and kinds & {*"Mm"} and "U" not in kinds:
+            listed = " and ".join(sorted({column.dtype for column in alike}))
+            raise LibraryError(
+                f"Column {name!r} must be of times or of other values, got {listed}. "
+                "Choose touches with a filter."
+            )
     return columns
 
 
