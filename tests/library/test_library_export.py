@@ -87,6 +87,31 @@ def test_columns_of_some_touches_are_columns_of_all(filled, tmp_path):
     assert np.isnan(forces).sum() == 3
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_columns_of_some_row_groups_are_columns_of_all(library, tmp_path, order):
+    """A category is one of none; frames and times that some lack are not known."""
+    n, rng = 140, np.random.default_rng(0)
+    images = rng.integers(0, 255, (2 * n, 4, 5), dtype=np.uint8)
+    frames = rng.integers(0, 255, (n, 2, 4, 5), dtype=np.uint8)
+    days = np.full(n, np.datetime64("2024-01-01"))
+    some = Touches(
+        images[:n],
+        object=["a"] * n,
+        category=["k"] * n,
+        press_frames=frames,
+        day=days,
+    )
+    others = Touches(images[n:], object=["b"] * n)
+    for touches in [some, others][::order]:
+        library.add(touches)
+    assert library.export(tmp_path / "t.parquet") == 2 * n
+    read = Touches.load(tmp_path / "t.parquet")
+    assert_alike(read, library.touches())
+    assert "category" not in read.columns
+    assert_array_equal(read[read.object == "a"].columns["press_frames"], frames)
+    assert np.isnan(read[read.object == "b"].columns["press_frames"]).all()
+
+
 def test_a_failed_export_leaves_nothing_and_can_be_tried_again(filled, tmp_path, alter):
     move = "UPDATE images SET number = {} WHERE number = {}"
     alter(filled.folder, *(move.format(*n) for n in ((0, 7), (7, 6), (6, 0))))

@@ -175,7 +175,10 @@ def _row_groups(
         rows = np.arange(start, min(start + step, len(picked)))
         images = np.empty((len(rows), *shape), dtype)
         part = picked[rows]
-        columns = part.columns(images) | {n: c[rows] for n, c in common.items()}
+        columns = part.columns(images, picked)
+        if "category" not in common:  # not all have one, though these may
+            columns.pop("category", None)
+        columns |= {name: column[rows] for name, column in common.items()}
         columns.pop(without or "", None)
         yield images, columns, part.files(), numbers[rows]
 

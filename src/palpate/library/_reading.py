@@ -147,9 +147,16 @@ class StoredTouches:
             images = np.empty(shape, dtype)
         return Touches(images, **self.columns(images), **self.whole())
 
-    def columns(self, images: Array | None = None) -> dict[str, Array]:
-        """Return columns and fill `images`; without these, columns of cells alone."""
-        columns = _columns_of(self._layouts)
+    def columns(
+        self, images: Array | None = None, of: StoredTouches | None = None
+    ) -> dict[str, Array]:
+        """Return columns and fill `images`; without these, columns of cells alone.
+
+        With those `of` which these are a part, the columns that all of them have, in
+        the types that they have there.
+        """
+        layouts = (self if of is None else of)._layouts
+        columns = _columns_of(layouts)
         if images is None:
             columns = {n: c for n, c in columns.items() if not any(o.wide for o in c)}
         parts: dict[str, list[Array]] = {name: [] for name in columns}
@@ -162,7 +169,11 @@ class StoredTouches:
             for name, alike in columns.items():
                 cells = [value.get(name) for value in values]
                 parts[name].append(column_array(alike, cells))
-        return _labelled({name: _joined(arrays) for name, arrays in parts.items()})
+        joined = {name: _joined(arrays) for name, arrays in parts.items()}
+        for name in _lacking(layouts) & joined.keys() if of is not None else ():
+            blank = column_array(columns[name], [None])
+            joined[name] = _joined([joined[name], blank])[:-1]
+        return _labelled(joined)
 
     def _read_images(
         self, images: Array, rows: list[StoredTouch], values: list[dict[str, Any]]
@@ -276,6 +287,12 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
                 "Choose touches with a filter."
             )
     return columns
+
+
+def _lacking(layouts: dict[int, list[Column]]) -> set[str]:
+    """Return the names of columns that only some touches have."""
+    names = [{column.name for column in layout} for layout in layouts.values()]
+    return set.union(*names) - set.intersection(*names)
 
 
 def _joined(arrays: list[Array]) -> Array:
