@@ -192,6 +192,19 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
     assert all(part.geometry == "array" for part in parts)
 
 
+@pytest.mark.parametrize("by", ["session", "episode"])
+def test_touches_without_a_number_are_a_part_of_their_own(library, tmp_path, by):
+    library.add(_presses(1, **{by: [1, 2, 1, 2, 1, 2]}))
+    library.add(_presses(2))
+    assert library.export(tmp_path / "t.parquet", by=by) == 12
+    parts = {path.name for path in (tmp_path / "t.parquet").iterdir()}
+    assert parts == {f"{by}=", f"{by}=1.0", f"{by}=2.0"}
+    before = _ids(library)
+    for part in read_parquet(tmp_path / "t.parquet"):
+        assert before.issuperset(library.add(part))
+    assert len(library) == 12
+
+
 def test_one_set_is_read_with_what_describes_all_of_it(library, tmp_path):
     frames = np.random.default_rng(1).normal(size=(6, 4, 5, 6))
     touches = _presses(1, no_contact=np.ones((5, 6), np.uint8), press_frames=frames)

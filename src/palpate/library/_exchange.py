@@ -146,10 +146,12 @@ def _write_parts(
         raise LibraryError(
             f"by must be a column of the touches, got {by!r}, which they lack."
         )
-    for value in np.unique(values):
-        name = f"{by}={quote(str(value), safe='')}"
-        with opened(f"{folder}/{name}/part-0.parquet") as file:
-            _write_parquet(file, picked[np.flatnonzero(values == value)], without=by)
+    # A number that some lack is NaN there: as of texts, their folder has an empty name.
+    names = np.array(["" if value != value else str(value) for value in values])
+    for name in np.unique(names):
+        place = f"{folder}/{by}={quote(str(name), safe='')}"
+        with opened(f"{place}/part-0.parquet") as file:
+            _write_parquet(file, picked[np.flatnonzero(names == name)], without=by)
 
 
 def _write_parquet(
