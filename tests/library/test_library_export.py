@@ -9,7 +9,7 @@ from PIL import Image
 
 from palpate import Touches
 from palpate.library import LibraryError, SensorDescription, TouchLibrary
-from palpate.touches import TouchesError, png_bytes, read_parquet
+from palpate.touches import ParquetTouches, TouchesError, png_bytes, read_parquet
 
 from .conftest import assert_alike
 
@@ -292,6 +292,25 @@ def test_what_another_program_wrote_is_read(tmp_path):
     assert touches.object.tolist() == ["mug", "mug", "pen", "pen"]
     assert_array_equal(touches.images, np.concatenate([images, images]))
     assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
+
+
+@pytest.mark.parametrize("values", [["x", "y"], [7, 8], [0.5, None]])
+def test_a_recording_of_another_program_is_a_column(tmp_path, values):
+    table = pa.table({"image": np.ones((2, 3, 4)).tolist(), "recording": values})
+    pq.write_table(table, tmp_path / "some.parquet")
+    expected = [np.nan if value is None else value for value in values]
+    for read in (Touches.load, ParquetTouches):
+        columns = read(tmp_path / "some.parquet").columns
+        assert_array_equal(columns["recording"], expected)
+
+
+@pytest.mark.parametrize("name", ["image", "recording"])
+def test_a_column_of_a_name_that_parquet_has_is_refused(library, tmp_path, name):
+    library.add(_presses(1, **{name: np.arange(6)}))
+    with pytest.raises(TouchesError, match=f"must not be called {name}"):
+        library.export(tmp_path / "some.parquet")
+    assert not (tmp_path / "some.parquet").exists()
+    assert library.export(tmp_path / "some.npz") == 6
 
 
 def test_files_of_before_are_read(tmp_path):

@@ -83,6 +83,11 @@ def write_parquet(
     with ExitStack() as stack:
         writer = None
         for images, columns, files, numbers in parts:
+            if taken := sorted({_IMAGE, _RECORDING} & {*columns}):
+                raise TouchesError(
+                    f"Columns in Parquet must not be called {taken[0]}, which is one "
+                    "of its own. Write an archive (.npz), or call it something else."
+                )
             # What a camera gives, and a viewer shows.
             large = min(images.shape[1:3]) > ARRAY_SIDE
             levels = images.dtype == np.uint8 and channels in (None, RGB)
@@ -232,7 +237,8 @@ def parquet_index(name: str) -> FileIndex:
             if not isinstance(field.type, pa.BaseExtensionType)
             and not pa.types.is_nested(field.type)
             and not pa.types.is_binary(field.type)
-            and field.name not in (_IMAGE, _RECORDING)
+            and field.name != _IMAGE
+            and not (field.name == _RECORDING and _has_recordings(about))
         ]
         table = reader.read(columns=short).combine_chunks()
         groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
@@ -291,7 +297,9 @@ def parquet_rows(
             arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
             for column, value in named.items():
                 arrays.setdefault(column, np.full(batch.num_rows, value))
-            numbers = arrays.pop(_RECORDING, np.zeros(batch.num_rows, int))
+            numbers = np.zeros(batch.num_rows, int)
+            if _has_recordings(about):
+                numbers = arrays.pop(_RECORDING, numbers)
             cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
             for start, stop in pairwise(cuts):
                 part = {n: array[start:stop] for n, array in arrays.items()}
@@ -349,6 +357,11 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
             "it anew."
         ) from error
     return about
+
+
+def _has_recordings(about: Mapping[str, Any]) -> bool:
+    """Tell whether the column `recording` is palpate's own, or another program's."""
+    return about.get("format", 1) > 1
 
 
 def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:
