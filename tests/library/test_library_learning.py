@@ -270,6 +270,24 @@ def test_pictures_of_different_sizes_are_refused_by_name(tmp_path, pq):
         ObjectRecogniser().fit(ParquetTouches(tmp_path / "set"))
 
 
+def test_labels_are_those_that_reading_all_of_it_gives(tmp_path, pq):
+    """Whole numbers are texts, in one spelling; a touch without a label is refused."""
+    pa = pytest.importorskip("pyarrow")
+    for labels in ([1, 1, 2], ["caf\u0065\u0301", "caf\u00e9", "mug"]):
+        table = pa.table({"image": np.ones((3, 2, 2)).tolist(), "object": labels})
+        pq.write_table(table, tmp_path / "a.parquet")
+        whole, source = (
+            read(tmp_path / "a.parquet") for read in (Touches.load, ParquetTouches)
+        )
+        assert source.object.tolist() == whole.object.tolist()
+        assert source.object.dtype.kind == "U"
+    table = pa.table({"image": np.ones((2, 2, 2)).tolist(), "object": ["mug", None]})
+    pq.write_table(table, tmp_path / "a.parquet")
+    for read in (Touches.load, ParquetTouches):
+        with pytest.raises(TouchesError, match="empty label at touch 1"):
+            read(tmp_path / "a.parquet")
+
+
 def test_other_files_are_refused(tmp_path, pq):
     pa = pytest.importorskip("pyarrow")
     pq.write_table(pa.table({"object": ["mug"]}), tmp_path / "a.parquet")

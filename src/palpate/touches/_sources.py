@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._parallel import results_of
 from .._types import Array, Floats, Indices
-from ._columns import Arrays, TouchesError
+from ._columns import Arrays, TouchesError, checked_column
 from ._folder import folder_arrays
 from ._parquet import (
     file_stamp,
@@ -250,7 +250,8 @@ class ParquetTouches(Labelled):
         self._blocks = list(_in_blocks(files))
         held = [index.columns for index in indices]
         common = [n for n in held[0] if all(n in others for others in held)]
-        self._columns = {n: np.concatenate([c[n] for c in held]) for n in common}
+        joined = {n: np.concatenate([c[n] for c in held]) for n in common}
+        self._columns = {n: checked_column(n, c, n_touches) for n, c in joined.items()}
         self._rows = np.arange(n_touches)
         self._whole = [whole for index in indices for whole in index.whole]
 
