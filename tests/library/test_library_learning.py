@@ -192,6 +192,9 @@ def test_rows_are_those_of_reading_all_of_it(tmp_path, library, pq):
     assert_allclose(some.features("any", sums), sums(whole[whole.object == "pen"]))
     with pytest.raises(TouchesError, match="rows must be increasing"):
         source.touches([3, 2])
+    for nothing in ([], np.zeros(900, bool)):
+        with pytest.raises(TouchesError, match="at least one of 900 touches, got none"):
+            source.touches(nothing)
 
 
 @pytest.mark.parametrize("scheme", ["file", "memory"])
@@ -268,6 +271,15 @@ def test_pictures_of_different_sizes_are_refused_by_name(tmp_path, pq):
             library.export(tmp_path / "set" / f"{side}.parquet")
     with pytest.raises(ValueError, match="60 x 60"):
         ObjectRecogniser().fit(ParquetTouches(tmp_path / "set"))
+
+
+def test_a_hidden_file_is_none_of_the_set(written, pq):
+    """One that an export is writing, or was, and what a Mac puts beside files."""
+    expected = ParquetTouches(written).object
+    (written / "object=mug" / ".partial-0123.parquet").write_bytes(b"PAR1")
+    (written / "object=mug" / "._part-0.parquet").write_bytes(b"\0\5\x16\7")
+    assert_array_equal(ParquetTouches(written).object, expected)
+    assert_array_equal(Touches.load(written).object, expected)
 
 
 def test_labels_are_those_that_reading_all_of_it_gives(tmp_path, pq):

@@ -168,7 +168,9 @@ def parquet_files(path: str | PathLike[str]) -> list[str]:
             )
         if not place.is_dir():
             return [str(place)]
-        return [str(p) for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]
+        paths = sorted(place.rglob("*"))
+        shown = [p for p in paths if not p.name.startswith(".")]
+        return [str(path) for path in shown if path.suffix.lower() in ENDINGS]
     system, place_there = _in_store(url)
     try:
         if system.isfile(place_there):

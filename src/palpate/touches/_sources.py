@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._parallel import results_of
 from .._types import Array, Floats, Indices
-from ._columns import Arrays, TouchesError, checked_column
+from ._columns import Arrays, TouchesError, checked_column, picked_rows
 from ._folder import folder_arrays
 from ._parquet import (
     file_stamp,
@@ -270,9 +270,10 @@ class ParquetTouches(Labelled):
 
     def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
         """Pick touches by their rows, which must rise; no image is read."""
-        other, places = copy(self), np.arange(len(self))[np.asarray(rows)]
+        places = np.arange(len(self))[picked_rows(rows, len(self))]
         if (np.diff(places) <= 0).any():
             raise TouchesError("rows must be increasing indices. Sort them.")
+        other = copy(self)
         other._rows = self._rows[places]
         other._columns = {name: c[places] for name, c in self._columns.items()}
         return other
