@@ -214,6 +214,18 @@ def test_one_set_is_read_with_what_describes_all_of_it(library, tmp_path):
     assert_alike(again, touches)
 
 
+def test_names_of_pads_that_differ_are_left_out_with_them(library, tmp_path):
+    (tmp_path / "set").mkdir()
+    for name, pads in (("a", [[0, 0, 5, 3]]), ("b", [[0, 3, 5, 3]])):
+        touches = _presses(1).with_columns(pads=pads, pad_names=["left"])
+        library.add(touches, session=name)
+        library.export(tmp_path / "set" / f"{name}.parquet", f"session = {name}")
+    read, source = Touches.load(tmp_path / "set"), ParquetTouches(tmp_path / "set")
+    assert len(read) == len(source.touches(range(12))) == 12
+    assert read.pads is read.pad_names is None
+    assert not {"pads", "pad_names"} & {*source.whole}
+
+
 def test_pictures_travel_as_their_own_files(library, tmp_path):
     folder = tmp_path / "in" / "cup"
     folder.mkdir(parents=True)

@@ -293,6 +293,25 @@ def test_a_lost_array_costs_no_touch_and_comes_back_with_them(library, alter, ho
     assert library.check().ok
 
 
+@pytest.mark.parametrize("entry", ["pads", "channels"])
+def test_lost_pads_or_names_of_channels_cost_no_touch(library, alter, rng, entry):
+    """Names of lost pads go with them, channels are numbered."""
+    if entry == "pads":
+        whole = {"pads": [[0, 0, 4, 2], [0, 2, 4, 3]], "pad_names": ["left", "right"]}
+        touches = Touches(images(3), object=["a"] * 3, **whole)
+    else:
+        touches = colour(rng)
+    library.add(touches)
+    alter(library.folder, "DELETE FROM arrays WHERE rowid = 1")
+    with pytest.warns(UserWarning, match=f"without their {entry}"):
+        read = library.touches()
+    assert_array_equal(read.images, touches.images)
+    assert read.channels == (None if entry == "pads" else ("0", "1", "2"))
+    assert read.pads is read.pad_names is None
+    with pytest.warns(UserWarning, match=f"without their {entry}"):
+        assert library.select().features("key", summed).shape[0] == 3
+
+
 def test_features_made_before_an_interruption_are_kept(library):
     """512 touches at a time, put down after every sixteenth time."""
     n = 17 * 512

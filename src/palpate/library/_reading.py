@@ -203,6 +203,11 @@ class StoredTouches:
         same = {n: h for n, h in first if all(e.get(n) == h for e in entries)}
         read = {n: read_array(self.tables, n, h) for n, h in same.items()}
         whole = {n: array for n, array in read.items() if array is not None}
+        if "pads" not in whole:  # names of pads that are lost name nothing
+            whole.pop("pad_names", None)
+        shape, _ = self.kind
+        if len(shape) == 3 and "channels" not in whole:  # their numbers, once lost
+            whole["channels"] = np.arange(shape[2]).astype(np.str_)
         if len(geometries) == 1 and None not in geometries:
             whole["geometry"] = np.array(geometries.pop())
         return whole

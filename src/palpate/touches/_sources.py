@@ -262,11 +262,14 @@ class ParquetTouches(Labelled):
     def whole(self) -> Arrays:
         """What describes all of the touches alike, by name; see `Touches`."""
         first, *others = self._whole or [{}]
-        return {
+        same = {
             name: array
             for name, array in first.items()
             if all(np.array_equal(other.get(name, ()), array) for other in others)
         }
+        if "pads" not in same:  # names of pads that differ name nothing
+            same.pop("pad_names", None)
+        return same
 
     def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
         """Pick touches by their rows, which must rise; no image is read."""

@@ -277,6 +277,8 @@ class Touches(Labelled):
                 )
         whole = [{n: a.tobytes() for n, a in part._whole.items()} for part in held]
         same = {n for n, a in whole[0].items() if all(w.get(n) == a for w in whole)}
+        if "pads" not in same:  # names of pads that differ name nothing
+            same.discard("pad_names")
         plain = [part.without(*(part._whole.keys() - same)) for part in held]
         joined = Touches.concatenate(plain)
         return cls._of(joined._images, joined._columns, joined._whole, joined._files)
