@@ -367,3 +367,13 @@ def test_data_frames_go_both_ways(csv):
     assert len(columns) == 3
     with pytest.raises(TouchesError, match="must have columns of taxels"):
         Touches.from_frame(frame[["object"]])
+
+
+@pytest.mark.parametrize("nothing", [None, float("nan")])
+def test_texts_that_a_data_frame_lacks_are_empty(nothing):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"session": ["a", nothing], "t": [1.0, 2.0]})
+    assert Touches.from_frame(frame).session.tolist() == ["a", ""]
+    frame["object"] = ["cup", nothing]
+    with pytest.raises(TouchesError, match="empty label at touch 1"):
+        Touches.from_frame(frame)

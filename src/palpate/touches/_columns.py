@@ -116,9 +116,17 @@ def plain_array(name: str, value: ArrayLike) -> Array:
         array = np.array(array.tolist())
     if array.dtype.kind == "U" and isinstance(value, list | tuple | str):
         texts = [value] if isinstance(value, str) else value
-        for text in texts:  # numpy would drop it without a word
-            if isinstance(text, str) and text.endswith("\0"):
+        for place, text in enumerate(texts):
+            if isinstance(text, str) and text.endswith("\0"):  # numpy would drop it
                 raise _unprintable(name, text)
+            if isinstance(text, float) and np.isnan(text):  # and write this as "nan"
+                raise TouchesError(
+                    f"{name} must name every touch, got NaN at touch {place}. Label "
+                    "that touch or leave it out."
+                    if name in LABELS
+                    else f"{name} must be text or numbers, got NaN among texts. Write "
+                    'an empty text, "", for what is not known.'
+                )
     if array.dtype.kind not in PLAIN_KINDS:
         raise TouchesError(
             f"{name} must hold plain numbers or text, got an array of {array.dtype}. "

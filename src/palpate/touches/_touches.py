@@ -297,11 +297,15 @@ class Touches(Labelled):
 
         Columns that `Touches` knows by name, or that hold text, are columns; all other
         numbers are taxels, in their order, `shape` (n_rows, n_cols) of them or else
-        `TouchesError`.
+        `TouchesError`. Text that lacks is empty.
         """
         table = {str(name): np.asarray(frame[name]) for name in frame.columns}
+        lacks = {str(name): np.asarray(frame[name].isna()) for name in frame.columns}
         for name, column in table.items():
             if column.dtype.kind == "O":  # texts; what else there is is refused by name
+                texts = column[~lacks[name]].tolist()
+                if texts and all(isinstance(text, str) for text in texts):
+                    column = np.where(lacks[name], "", column)
                 table[name] = np.asarray(column.tolist())
         return cls(**table_arrays(table, shape))
 
