@@ -129,6 +129,26 @@ def test_frames_without_a_header_need_shape_and_type(tmp_path, images):
         Touches.load(tmp_path / "a.npy", dtype="uint16")
 
 
+@pytest.mark.parametrize(
+    ("ending", "option"),
+    [
+        *(("h5", {name: value}) for name, value in (("dtype", "u2"), ("levels", "a"))),
+        *((ending, {"skip_bad": True}) for ending in ("h5", "raw")),
+        ("raw", {"levels": "object"}),
+    ],
+)
+def test_options_of_other_files_are_refused(tmp_path, images, ending, option):
+    path = tmp_path / f"f.{ending}"
+    if ending == "h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            file["images"] = images
+    else:
+        images.tofile(path)
+        option = {"shape": (5, 6), "dtype": "uint16", **option}
+    with pytest.raises(TouchesError, match="must be left out but for"):
+        Touches.load(path, **option)
+
+
 def test_columns_with_blanks_and_a_clock_are_read(tmp_path, rng):
     """As ReSkin's program writes: a clock, then x, y, z of each magnetometer."""
     readings = rng.normal(size=(6, 2, 3)).round(3)

@@ -297,7 +297,7 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
 def _lacking(layouts: dict[int, list[Column]]) -> set[str]:
     """Return the names of columns that only some touches have."""
     names = [{column.name for column in layout} for layout in layouts.values()]
-    return set.union(*names) - set.intersection(*names)
+    return {n for these in names for n in these if not all(n in each for each in names)}
 
 
 def _joined(arrays: list[Array]) -> Array:

@@ -363,7 +363,7 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
 
 def _has_recordings(about: Mapping[str, Any]) -> bool:
     """Tell whether the column `recording` is palpate's own, or another program's."""
-    return about.get("format", 1) > 1
+    return int(about.get("format", 1)) > 1
 
 
 def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:

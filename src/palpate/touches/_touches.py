@@ -229,7 +229,10 @@ class Touches(Labelled):
         has_shape = ending in RAW or (ending in (*TABLES, *TEXTS) and ending != ".npy")
         if place.exists() and not (has_shape and place.is_file()):
             _left_out(place, "but for tables and bare frames", why, shape=shape)
+        if ending in (*CONTAINERS, *RAW) and place.exists():
+            _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
         if ending in CONTAINERS and place.exists() and plain:
+            _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
             arrays = container_arrays(place, max_bytes, max_pixels)
             if channels:
                 arrays["channels"] = np.array(channels)
