@@ -129,6 +129,22 @@ def test_frames_without_a_header_need_shape_and_type(tmp_path, images):
         Touches.load(tmp_path / "a.npy", dtype="uint16")
 
 
+def test_labels_beside_objects_are_a_column_of_their_own(tmp_path, images):
+    """Numbers of objects beside their names, as an archive of plain arrays has them."""
+    h5py = pytest.importorskip("h5py")
+    arrays = {"images": images, "label": [0, 1, 1, 0], "object": [*"abba"]}
+    np.savez(tmp_path / "t.npz", **arrays)
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+    with h5py.File(tmp_path / "two.h5", "w") as file:
+        file["images"], file["labels"], file["y"] = images, [*"abba"], [0, 1, 1, 0]
+    for name, column in (("t.npz", "label"), ("t.h5", "label"), ("two.h5", "y")):
+        touches = Touches.load(tmp_path / name)
+        assert touches.object.tolist() == [*"abba"]
+        assert touches.columns[column].tolist() == [0, 1, 1, 0]
+
+
 @pytest.mark.parametrize(
     ("ending", "option"),
     [

@@ -3,7 +3,8 @@
 Every reader asks for shape and type first and reads nothing that is larger than
 `max_bytes`. Of several arrays in a file, the only one of three or four axes is the
 images; others as long as it are columns under the last part of their names, `label`,
-`labels` or `y` the object. Pickles, objects and function handles are refused.
+`labels` or `y` the object unless one is called so. Pickles, objects and function
+handles are refused.
 
 Messages of ROS, from a bag or off the wire, are any objects with the fields of their
 kind; what each kind means stands with `palpate.library.read_bag`.
@@ -144,10 +145,13 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
     images = (named or wide)[0]
     n_touches = plain[images].shape[0]
     chosen = {images: "images"}
-    for name, entry in plain.items():
+    long = {n for n, e in plain.items() if e.shape[:1] == (n_touches,)}
+    has_object = "object" in {name.rpartition("/")[2] for name in long}
+    for name in plain:
         last = name.rpartition("/")[2]
-        column = "object" if last in _LABELS else last
-        rows = entry.shape[:1] == (n_touches,) or belongs_to_whole(column)
+        is_label = last in _LABELS and not has_object
+        column = "object" if is_label and "object" not in chosen.values() else last
+        rows = name in long or belongs_to_whole(column)
         if name != images and rows and column not in chosen.values():
             chosen[name] = column
     n_bytes = sum(plain[name].n_bytes for name in chosen)
