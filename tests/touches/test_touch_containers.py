@@ -129,6 +129,17 @@ def test_frames_without_a_header_need_shape_and_type(tmp_path, images):
         Touches.load(tmp_path / "a.npy", dtype="uint16")
 
 
+@pytest.mark.filterwarnings("ignore")  # of zarr, that not all others read texts
+@pytest.mark.parametrize("dtype", ["str", "U3", "S3"])
+def test_texts_of_zarr_are_labels(tmp_path, images, dtype):
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(str(tmp_path / "t.zarr"), mode="w")
+    group.create_array("images", data=images)
+    kind = str if dtype == "str" else dtype
+    group.create_array("label", shape=(4,), dtype=kind)[:] = np.array([*"abba"], kind)
+    assert Touches.load(tmp_path / "t.zarr").object.tolist() == [*"abba"]
+
+
 def test_labels_beside_objects_are_a_column_of_their_own(tmp_path, images):
     """Numbers of objects beside their names, as an archive of plain arrays has them."""
     h5py = pytest.importorskip("h5py")

@@ -220,7 +220,7 @@ def _zarr(path: Path, max_bytes: int) -> Arrays:
         if len(members) > _MAX_ARRAYS:
             raise TouchesError(f"{path} must hold at most {_MAX_ARRAYS} arrays.")
         entries = {
-            name: _Entry(item.shape, np.dtype(item.dtype), lambda a=item: np.array(a))  # type: ignore[misc]
+            name: _zarr_entry(item)
             for name, item in members.items()
             if isinstance(item, zarr.Array)
         }
@@ -228,6 +228,13 @@ def _zarr(path: Path, max_bytes: int) -> Arrays:
             chunk = prod(getattr(item, "chunks", ())) * 8
             _refuse_large(f"A chunk of {name} in {path}", chunk, max_bytes)
         return _chosen(path, entries, max_bytes)
+
+
+def _zarr_entry(item: Any) -> _Entry:
+    dtype = np.dtype(item.dtype)
+    if dtype.kind != "T":  # texts of any length
+        return _Entry(item.shape, dtype, lambda: np.array(item))
+    return _Entry(item.shape, np.dtype("U16"), lambda: np.array(item[...].tolist()))
 
 
 def _tiff(path: Path, max_bytes: int) -> Array:
