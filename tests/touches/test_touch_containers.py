@@ -3,6 +3,7 @@
 import struct
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -310,6 +311,26 @@ def test_without_a_shape_places_mean_nothing(csv):
     assert_array_equal(touches.images, [[[1, 2, 3]], [[4, 5, 6]]])
     assert touches.geometry == "none"
     assert touches.object is None
+
+
+def test_an_array_with_a_flipped_bit_is_refused_or_read(tmp_path, images):
+    """Whatever bit of its head it is; and an archive under the name of an array."""
+    path = tmp_path / "t.npy"
+    np.save(path, images)
+    whole = path.read_bytes()
+    for place in range(8 * 128):
+        flipped = bytearray(whole)
+        flipped[place // 8] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        with suppress(TouchesError):
+            Touches.load(path)
+    path.write_bytes(b"PK\3\4 and no more")
+    with pytest.raises(TouchesError, match="got: several in an archive"):
+        Touches.load(path)
+    np.savez(tmp_path / "t.npz", images=images)
+    (tmp_path / "t.npz").rename(path)
+    with pytest.raises(TouchesError, match="got: several in an archive"):
+        Touches.load(path)
 
 
 @pytest.mark.parametrize("ending", ["csv", "npy"])

@@ -126,11 +126,14 @@ def load_levels(path: Path, max_bytes: int) -> Array:
         lines = enumerate(_lines(path, max_bytes), 1)
         return np.stack([_numbers(row, f"{path}, line {n}", 1) for n, row in lines])
     try:
+        with path.open("rb") as file:
+            if file.read(2) == b"PK":  # numpy would leave it open
+                raise ValueError("several in an archive, which ends in .npz")
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        if isinstance(mapped, np.ndarray) and mapped.nbytes <= max_bytes:
+        if mapped.nbytes <= max_bytes:
             return np.array(mapped)
         problem: object = f"more than {max_bytes} bytes"
-    except (OSError, ValueError, EOFError) as error:
+    except Exception as error:  # the header is a literal: it fails in many ways
         problem = error
     raise TouchesError(
         f"{path} must be an array that numpy.save wrote, of plain numbers, got: "
