@@ -122,6 +122,9 @@ def test_frames_without_a_header_need_shape_and_type(tmp_path, images):
         ((5, 7), "uint16", "5 x 7 uint16, 70 bytes each, got 240 bytes"),
         ((5, 6), "object", "a type of numbers such as uint16"),
         ((5, 6), "no type", "a type of numbers such as uint16"),
+        ((5, 6), "(2,", "a type of numbers such as uint16"),
+        ((-5, -6), "uint16", r"shape must be rows and columns .*, got \(-5, -6\)"),
+        ((30,), "uint16", "shape must be rows and columns"),
     ]:
         with pytest.raises(TouchesError, match=message):
             Touches.load(path, shape=shape, dtype=dtype)
@@ -175,6 +178,13 @@ def test_options_of_other_files_are_refused(tmp_path, images, ending, option):
         option = {"shape": (5, 6), "dtype": "uint16", **option}
     with pytest.raises(TouchesError, match="must be left out but for"):
         Touches.load(path, **option)
+
+
+@pytest.mark.parametrize("shape", [(-2, -2), (4,), (2.0, 2.0), (0, 4), 4])
+def test_shapes_of_tables_that_are_none_are_refused(csv, shape):
+    path = csv("1,2,3,4\n5,6,7,8\n")
+    with pytest.raises(TouchesError, match="shape must be rows and columns of taxels"):
+        Touches.load(path, shape=shape)
 
 
 def test_columns_with_blanks_and_a_clock_are_read(tmp_path, rng):

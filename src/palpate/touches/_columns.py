@@ -156,6 +156,18 @@ def checked_column(name: str, array: Array, n_touches: int) -> Array:
     return _checked_labels(name, array) if name in LABELS else array
 
 
+def checked_shape(shape: Any) -> tuple[int, int]:
+    """Return the rows and columns of taxels, or explain."""
+    sides = list(shape) if np.iterable(shape) else []
+    if len(sides) == 2 and all(
+        isinstance(s, int | np.integer) and s > 0 for s in sides
+    ):
+        return int(sides[0]), int(sides[1])
+    raise TouchesError(
+        f"shape must be rows and columns of taxels, got {shape!r}. Such as (16, 16)."
+    )
+
+
 def picked_rows(index: Any, n_touches: int) -> slice | Array:
     """Return `index` as a slice or an array that keeps at least one touch."""
     if isinstance(index, int | np.integer) and not isinstance(index, bool):

@@ -23,7 +23,7 @@ import numpy as np
 
 from .._extras import needed
 from .._types import Array
-from ._columns import Arrays, TouchesError, belongs_to_whole
+from ._columns import Arrays, TouchesError, belongs_to_whole, checked_shape
 from ._pictures import decode_bytes
 
 CONTAINERS = (".h5", ".hdf5", ".zarr", ".tif", ".tiff", ".mat", ".bmp", ".webp")
@@ -97,13 +97,13 @@ def raw_arrays(
             f"{shape} and {dtype}. Such as 16x16 and uint16."
         )
     kind = np.dtype(np.object_)
-    with suppress(TypeError):
+    with suppress(TypeError, ValueError, SyntaxError):
         kind = np.dtype(dtype)
     if kind.kind not in "biuf" or kind.names or kind.subdtype:
         raise TouchesError(
             f"dtype must be a type of numbers such as uint16 or <f4, got {dtype!r}."
         )
-    sides = (*shape, *([len(channels)] if channels else []))
+    sides = (*checked_shape(shape), *([len(channels)] if channels else []))
     n_bytes, frame = path.stat().st_size, prod(sides) * kind.itemsize
     _refuse_large(str(path), n_bytes, max_bytes)
     if not frame or not n_bytes or n_bytes % frame:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from .._types import Array
-from ._columns import COLUMNS, Arrays, TouchesError
+from ._columns import COLUMNS, Arrays, TouchesError, checked_shape
 from ._containers import CONTAINERS, container_arrays
 
 TABLES = (".csv", ".npy")
@@ -54,7 +54,7 @@ def table_arrays(
             f"channel, got {', '.join(channels or ())}. Name what is no taxel."
         )
     n_taxels = len(taxels) // n_channels
-    n_rows, n_cols = shape or (1, n_taxels)
+    n_rows, n_cols = (1, n_taxels) if shape is None else checked_shape(shape)
     if n_rows * n_cols != n_taxels:
         raise TouchesError(
             f"shape must have as many taxels as the table, {n_taxels}, got "
