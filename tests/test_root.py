@@ -131,5 +131,5 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
 @pytest.mark.parametrize("value", [10**400, -(10**400), float("inf"), float("nan")])
 @pytest.mark.parametrize("check", [check_number, check_positive])
 def test_numbers_that_no_float_holds_are_refused_by_name(check, value):
-    with pytest.raises(ValueError, match="^rate must be .*finite.*, got "):
+    with pytest.raises(ValueError, match=r"^rate must be .*finite.*, got "):
         check("rate", value)

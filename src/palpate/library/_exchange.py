@@ -372,7 +372,7 @@ def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
 
 def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
     pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
-    whole = {name: array.tolist() for name, array in dataset.whole.items()}
+    whole = {name: _json_values(array) for name, array in dataset.whole.items()}
     info = {
         "codebase_version": _LEROBOT_VERSION,
         "robot_type": None,
@@ -401,8 +401,18 @@ def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
     table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
     table = table.replace_schema_metadata({"pandas": json.dumps(_TASKS_PANDAS)})
     pq.write_table(table, meta / "tasks.parquet")
-    (meta / "info.json").write_text(json.dumps(info, indent=4, default=str))
-    (meta / "stats.json").write_text(json.dumps(dataset.spread()))
+    text = json.dumps(info, indent=4, default=str, allow_nan=False)
+    (meta / "info.json").write_text(text)
+    (meta / "stats.json").write_text(json.dumps(dataset.spread(), allow_nan=False))
+
+
+def _json_values(array: Array) -> Any:
+    """Return values as lists; NaN, and infinity, of which JSON knows nothing, None."""
+    if array.dtype.kind != "f":
+        return array.tolist()
+    values = array.astype(object)
+    values[~np.isfinite(array)] = None
+    return values.tolist()
 
 
 def _column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
