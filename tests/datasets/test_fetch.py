@@ -246,3 +246,10 @@ def test_an_archive_holds_plain_arrays(sources, pins):
     sources.put("tactip4", zipped(pins[0]))
     with zipfile.ZipFile(fetch("tactip4")) as archive:
         assert archive.namelist() == ["images.npy", "object.npy", "frame.npy"]
+
+
+def test_touches_of_a_ready_model_are_refused_before_it_is_made(tmp_path, monkeypatch):
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path))
+    with pytest.raises(ValueError, match=r"^name must be one of .*, got 'sim-array'\."):
+        load("sim-array")
+    assert not [*tmp_path.iterdir()]

@@ -190,6 +190,7 @@ def load(
     set is or goes, `mirror` stands for the source's host, `progress` is called with the
     present stage.
     """
+    check_option("name", name, names())
     return Touches.load(fetch(name, folder=folder, mirror=mirror, progress=progress))
 
 
