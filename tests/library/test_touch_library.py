@@ -184,3 +184,16 @@ def test_the_library_is_where_a_reference_is(seed):
 @pytest.mark.slow
 def test_many_histories():
     play(LibraryMachine, 100, n_sequences=300)
+
+
+def test_numbers_of_numpy_are_numbers(library):
+    """A session as its column has it, and counts of rows."""
+    frame = np.full((5, 7), 3)
+    touches = Touches(np.ones((2, 5, 7)), object=["a", "b"], session=[1, 2])
+    library.add(touches.with_columns(no_contact=frame))
+    assert_array_equal(library.no_contact(touches.session[0]), frame)
+    rows = library.list(limit=np.int64(1), offset=np.int64(1))
+    assert [row.object for row in rows] == ["b"]
+    for bad, kind in ((2**70, ValueError), ("a", TypeError), (1.5, TypeError)):
+        with pytest.raises(kind, match="^limit must be"):
+            library.list(limit=bad)
