@@ -195,5 +195,5 @@ def test_numbers_of_numpy_are_numbers(library):
     rows = library.list(limit=np.int64(1), offset=np.int64(1))
     assert [row.object for row in rows] == ["b"]
     for bad, kind in ((2**70, ValueError), ("a", TypeError), (1.5, TypeError)):
-        with pytest.raises(kind, match="^limit must be"):
+        with pytest.raises(kind, match=r"^limit must be"):
             library.list(limit=bad)

@@ -285,13 +285,12 @@ class TouchLibrary:
 
         One that is missing or altered is passed over with a warning.
         """
-        if isinstance(session, np.generic):  # as a column of touches has it
-            session = session.item()
+        number = np.asarray(session).item()  # of numpy, as a column of touches has it
         chosen = "" if session is None else "WHERE session IS ? "
         rows = self._store.rows(
             f"SELECT recording FROM touches {chosen}GROUP BY recording "
             "ORDER BY max(number) DESC",
-            [] if session is None else [session],
+            [] if session is None else [number],
         )
         for (key,) in rows:
             digest = self._tables.recording(key).whole.get("no_contact")
