@@ -215,6 +215,11 @@ def test_labels_beside_pictures_are_columns(put):
     touches = Touches.load(root)
     assert touches.object.tolist() == ["7", "pen", "cup"]
     assert touches.columns["force_n"].tolist() == [1, 2, 3]
+    for header in ("file,object,label,class", "file,label,object,class"):
+        table.write_text(f"{header}\n0.png,a,a,1\n1.png,b,b,2\n2.png,a,a,1\n")
+        touches = Touches.load(root)
+        assert touches.object.tolist() == touches.columns["label"].tolist() == [*"aba"]
+        assert touches.columns["class"].tolist() == [1, 2, 1]
     for first, message in (
         ("filename", r"none for 0.png \(2 of 3\)"),
         ("what", "one of them file, filename"),

@@ -183,7 +183,8 @@ def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
         cells = [by_name[picture][number] for picture in names]
         if number == place or not any(cells):
             continue
-        column = "object" if name in _LABELS else name
+        is_label = name in _LABELS and "object" not in {*header, *columns}
+        column = "object" if is_label else name
         number_like = column not in _TEXTS and all(map(_is_number, cells))
         what = f"{path}, {name}"
         columns[column] = _numbers(cells, what, 2) if number_like else np.array(cells)
