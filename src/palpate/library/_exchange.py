@@ -21,7 +21,7 @@ References
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -151,23 +151,27 @@ def _write_parts(
     for name in np.unique(names):
         place = f"{folder}/{by}={quote(str(name), safe='')}"
         with opened(f"{place}/part-0.parquet") as file:
-            _write_parquet(file, picked[np.flatnonzero(names == name)], without=by)
+            part = picked[np.flatnonzero(names == name)]
+            _write_parquet(file, part, {by: values.dtype.str})
 
 
 def _write_parquet(
-    file: Any, picked: StoredTouches, without: str | None = None
+    file: Any, picked: StoredTouches, named: dict[str, str] | None = None
 ) -> None:
-    """Write a row group for every `_ROW_GROUP` touches, fewer of large images."""
+    """Write a row group for every `_ROW_GROUP` touches, fewer of large images.
+
+    `named` are columns that the path carries, and their types.
+    """
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     numbers = np.array([places[key] for key in keys])
     recordings = [_described(picked.tables, key) for key in places]
-    parts = _row_groups(picked, numbers, without)
-    write_parquet(file, parts, picked.channels(), recordings)
+    parts = _row_groups(picked, numbers, named or {})
+    write_parquet(file, parts, picked.channels(), recordings, named)
 
 
 def _row_groups(
-    picked: StoredTouches, numbers: Indices, without: str | None
+    picked: StoredTouches, numbers: Indices, named: Collection[str]
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
     """Yield images, columns, files of images and numbers of recordings, in parts."""
     shape, dtype = picked.kind
@@ -181,7 +185,7 @@ def _row_groups(
         if "category" not in common:  # not all have one, though these may
             columns.pop("category", None)
         columns |= {name: column[rows] for name, column in common.items()}
-        columns.pop(without or "", None)
+        columns = {n: c for n, c in columns.items() if n not in named}
         yield images, columns, part.files(), numbers[rows]
 
 

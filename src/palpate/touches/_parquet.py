@@ -15,7 +15,7 @@ import json
 import re
 from base64 import b64decode, b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import pairwise
 from math import prod
 from os import PathLike
@@ -70,13 +70,14 @@ def write_parquet(
     parts: Iterable[tuple[Array, Arrays, list[bytes] | None, Array]],
     channels: tuple[str, ...] | None,
     recordings: Sequence[Mapping[str, Any]],
+    named: Mapping[str, str] | None = None,
 ) -> None:
     """Write touches to an open file, a row group for each part.
 
     A part is images, columns, the files of images that came as pictures, and the
     number of each touch's entry in `recordings`; each entry has the arrays of its
-    `whole`, and may have more that JSON holds. Raises TouchesError for a column that
-    Parquet does not hold.
+    `whole`, and may have more that JSON holds. `named` are the types of columns that
+    the path carries. Raises TouchesError for a column that Parquet does not hold.
     """
     pa = needed("pyarrow", "parquet", "Writing Parquet")
     pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
@@ -101,6 +102,7 @@ def write_parquet(
                 dtypes = {
                     n: a.dtype.str for n, a in {_IMAGE: images, **columns}.items()
                 }
+                dtypes |= named or {}
                 about = _metadata(pa, table.schema, dtypes, recordings)
                 schema = table.schema.with_metadata(about)
                 writer = stack.enter_context(
@@ -251,7 +253,7 @@ def parquet_index(name: str) -> FileIndex:
         array = _numpy(pa, name, column_name, values)
         columns[column_name] = _as_written(array, dtypes.get(column_name, ""))
     n_rows = [group.num_rows for group in groups]
-    for column_name, value in _named(name).items():
+    for column_name, value in _named(name, dtypes).items():
         columns.setdefault(column_name, np.full(sum(n_rows), value))
     kind = schema.field(_IMAGE).type
     is_tensor = isinstance(kind, pa.FixedShapeTensorType)
@@ -262,9 +264,20 @@ def parquet_index(name: str) -> FileIndex:
     return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)
 
 
-def _named(name: str) -> dict[str, str]:
-    """Return the columns that the folders of a file's path carry."""
-    return {key: unquote(value) for key, value in _PART.findall(name)}
+def _named(name: str, dtypes: Mapping[str, str]) -> dict[str, Any]:
+    """Return the columns that the folders of a file's path carry.
+
+    One that the writer had as numbers is numbers; what lacks is NaN.
+    """
+    named: dict[str, Any] = {}
+    for key, text in _PART.findall(name):
+        value = unquote(text)
+        named[key] = value
+        with suppress(TypeError, ValueError):
+            dtype = np.dtype(dtypes.get(key, "U"))
+            if dtype.kind in "iuf":
+                named[key] = np.array(value or "nan").astype(dtype)[()]
+    return named
 
 
 def _schema_of(name: str, reader: Any) -> tuple[Any, dict[str, Any]]:
@@ -293,7 +306,7 @@ def parquet_rows(
     with _reader(name) as (pa, reader):
         _, about = _schema_of(name, reader)
         size = _batch_size(name, reader, max_bytes)
-        named = _named(name)
+        named = _named(name, about.get("dtypes", {}))
         batches = reader.iter_batches(batch_size=size, row_groups=groups)
         for batch in _picked(pa, batches, rows):
             arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
