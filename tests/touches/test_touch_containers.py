@@ -361,6 +361,9 @@ def test_of_a_folder_each_file_is_a_touch(tmp_path, ending, rng):
     touches = Touches.load(tmp_path / "in")
     assert_array_equal(touches.images, images)
     assert touches.object.tolist() == ["cup", "cup", "pen", "pen"]
+    for option in ({"skip_bad": True}, {"colour": True}):
+        with pytest.raises(TouchesError, match="must be left out for arrays, as in"):
+            Touches.load(tmp_path / "in", **option)
     np.save(tmp_path / "in/pen/9.npy", np.zeros((3, 3)))
     with pytest.raises(TouchesError, match=r"9.npy must be \(3, 2\) float64 like"):
         Touches.load(tmp_path / "in")
@@ -430,6 +433,8 @@ def test_a_picture_is_one_touch(tmp_path, rng):
     deep = rng.integers(0, 2**16, (5, 4), dtype=np.uint16)
     Image.fromarray(deep).save(tmp_path / "deep.png")
     assert_array_equal(Touches.load(tmp_path / "deep.png").images, deep[None])
+    with pytest.raises(TouchesError, match="levels must be left out but for a folder"):
+        Touches.load(tmp_path / "deep.png", levels="object")
     rgb = rng.integers(0, 256, (5, 4, 3), dtype=np.uint8)
     Image.fromarray(rgb).save(tmp_path / "rgb.png")
     touches = Touches.load(tmp_path / "rgb.png", colour=True)

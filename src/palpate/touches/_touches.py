@@ -244,6 +244,8 @@ class Touches(Labelled):
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             named = list(channels) if channels else None
             _left_out(place, "for pictures and folders", why, channels=named)
+            if place.is_file():
+                _left_out(place, "but for a folder", "", levels=levels)
             how = (name_pattern, levels, no_contact, colour, skip_bad)
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
