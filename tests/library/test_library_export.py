@@ -88,7 +88,8 @@ def test_columns_of_some_touches_are_columns_of_all(filled, tmp_path):
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_columns_of_some_row_groups_are_columns_of_all(library, tmp_path, order):
+@pytest.mark.parametrize("by", [None, "object", "session"])
+def test_columns_of_some_row_groups_are_columns_of_all(library, tmp_path, order, by):
     """A category is one of none; frames and times that some lack are not known."""
     n, rng = 140, np.random.default_rng(0)
     images = rng.integers(0, 255, (2 * n, 4, 5), dtype=np.uint8)
@@ -100,13 +101,16 @@ def test_columns_of_some_row_groups_are_columns_of_all(library, tmp_path, order)
         category=["k"] * n,
         press_frames=frames,
         day=days,
+        turn=np.arange(n),
+        note=["x"] * n,
     )
     others = Touches(images[n:], object=["b"] * n)
-    for touches in [some, others][::order]:
-        library.add(touches)
-    assert library.export(tmp_path / "t.parquet") == 2 * n
+    for touches, session in list(zip([some, others], "ab", strict=True))[::order]:
+        library.add(touches, session=session)
+    assert library.export(tmp_path / "t.parquet", by=by) == 2 * n
     read = Touches.load(tmp_path / "t.parquet")
-    assert_alike(read, library.touches())
+    first = np.argsort(library.touches().object, kind="stable")
+    assert_alike(read, library.touches() if by is None else library.touches()[first])
     assert "category" not in read.columns
     assert_array_equal(read[read.object == "a"].columns["press_frames"], frames)
     assert np.isnan(read[read.object == "b"].columns["press_frames"]).all()

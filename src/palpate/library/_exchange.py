@@ -21,7 +21,7 @@ References
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -141,7 +141,8 @@ def _write_parts(
     picked: StoredTouches, by: str, folder: str | Path, opened: Callable[[str], Any]
 ) -> None:
     """Write one file for each value of a column, in folders named `by=value`."""
-    values = picked.columns().get(by)
+    common = picked.columns()
+    values = common.get(by)
     if values is None:
         raise LibraryError(
             f"by must be a column of the touches, got {by!r}, which they lack."
@@ -152,40 +153,45 @@ def _write_parts(
         place = f"{folder}/{by}={quote(str(name), safe='')}"
         with opened(f"{place}/part-0.parquet") as file:
             part = picked[np.flatnonzero(names == name)]
-            _write_parquet(file, part, {by: values.dtype.str})
+            _write_parquet(file, part, (picked, common), {by: values.dtype.str})
 
 
 def _write_parquet(
-    file: Any, picked: StoredTouches, named: dict[str, str] | None = None
+    file: Any,
+    picked: StoredTouches,
+    whole: tuple[StoredTouches, Mapping[str, Array]] | None = None,
+    named: dict[str, str] | None = None,
 ) -> None:
     """Write a row group for every `_ROW_GROUP` touches, fewer of large images.
 
-    `named` are columns that the path carries, and their types.
+    `whole` is all that is written, of which these may be a part, with its columns of
+    short values; `named` are columns that the path carries, and their types.
     """
+    of, common = (picked, picked.columns()) if whole is None else whole
+    left_out = {*(named or {})} | ({"category"} - common.keys())  # some may have one
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     numbers = np.array([places[key] for key in keys])
     recordings = [_described(picked.tables, key) for key in places]
-    parts = _row_groups(picked, numbers, named or {})
+    parts = _row_groups(picked, numbers, of, left_out)
     write_parquet(file, parts, picked.channels(), recordings, named)
 
 
 def _row_groups(
-    picked: StoredTouches, numbers: Indices, named: Collection[str]
+    picked: StoredTouches,
+    numbers: Indices,
+    of: StoredTouches,
+    left_out: Collection[str],
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
     """Yield images, columns, files of images and numbers of recordings, in parts."""
     shape, dtype = picked.kind
     step = min(_ROW_GROUP, n_at_once(shape, dtype))
-    common = picked.columns()
     for start in range(0, len(picked), step):
         rows = np.arange(start, min(start + step, len(picked)))
         images = np.empty((len(rows), *shape), dtype)
         part = picked[rows]
-        columns = part.columns(images, picked)
-        if "category" not in common:  # not all have one, though these may
-            columns.pop("category", None)
-        columns |= {name: column[rows] for name, column in common.items()}
-        columns = {n: c for n, c in columns.items() if n not in named}
+        columns = part.columns(images, of)
+        columns = {n: c for n, c in columns.items() if n not in left_out}
         yield images, columns, part.files(), numbers[rows]
 
 
