@@ -260,6 +260,27 @@ def test_pictures_travel_as_their_own_files(library, tmp_path):
     assert forms == [("picture",)]
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("order", [1, -1])
+def test_pictures_travel_beside_arrays_of_their_size(library, tmp_path, dtype, order):
+    """Small ones, of which 128 are a row group; one has both."""
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (300, 6, 7)).astype(dtype)
+    (tmp_path / "in" / "pen").mkdir(parents=True)
+    for number, image in enumerate(images[:140]):
+        Image.fromarray(image).save(tmp_path / "in" / "pen" / f"{number}.png")
+    pictures = Touches.load(tmp_path / "in").without("source_path")
+    sets = [pictures, Touches(images[140:], object=["cup"] * 160)]
+    for touches in sets[::order]:
+        library.add(touches)
+    assert library.export(tmp_path / "t.parquet") == 300
+    again, parts = _again(tmp_path, tmp_path / "t.parquet")
+    assert _ids(again) == _ids(library)
+    assert_alike(Touches.load(tmp_path / "t.parquet"), library.touches())
+    files = {bytes(file) for part in parts for file in part.files}
+    assert files >= {bytes(file) for file in pictures.files}
+
+
 def test_camera_images_are_shown_by_others_as_pictures(library, tmp_path):
     """`datasets` of Hugging Face takes the feature Image from this metadata."""
     images = np.random.default_rng(0).integers(0, 255, (2, 60, 80), dtype=np.uint8)

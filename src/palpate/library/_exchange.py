@@ -183,8 +183,13 @@ def _row_groups(
     of: StoredTouches,
     left_out: Collection[str],
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
-    """Yield images, columns, files of images and numbers of recordings, in parts."""
+    """Yield images, columns, files of images and numbers of recordings, in parts.
+
+    Where some images came as pictures, the others are written as such too: a column of
+    Parquet is of one type.
+    """
     shape, dtype = picked.kind
+    are_pictures = picked.has_pictures()
     step = min(_ROW_GROUP, n_at_once(shape, dtype))
     for start in range(0, len(picked), step):
         rows = np.arange(start, min(start + step, len(picked)))
@@ -192,7 +197,11 @@ def _row_groups(
         part = picked[rows]
         columns = part.columns(images, of)
         columns = {n: c for n, c in columns.items() if n not in left_out}
-        yield images, columns, part.files(), numbers[rows]
+        files = None
+        if are_pictures:
+            pairs = zip(part.files(), images, strict=True)
+            files = [file or png_bytes(image) for file, image in pairs]
+        yield images, columns, files, numbers[rows]
 
 
 def _described(tables: Tables, key: int) -> dict[str, Any]:

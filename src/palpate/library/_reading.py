@@ -113,15 +113,18 @@ class StoredTouches:
             return None
         return tuple(stored_array(self.tables, entries["channels"]).tolist())
 
-    def files(self) -> list[bytes] | None:
-        """Return the pictures that the images came as, None unless all did."""
-        files = [
-            image.data
+    def files(self) -> list[bytes | None]:
+        """Return the picture that each image came as, None where it did not."""
+        return [
+            image.data if image is not None and image.form == PICTURE else None
             for packed in self.packed()
             for image in packed.images
-            if image is not None and image.form == PICTURE
         ]
-        return files if len(files) == len(self) else None
+
+    def has_pictures(self) -> bool:
+        """Tell whether any of the images came as a picture."""
+        sql = f"SELECT 1 FROM images WHERE form = '{PICTURE}' AND number IN (?)"
+        return bool(self.tables.store.among(sql, self.numbers.tolist()))
 
     def packed(self) -> Iterator[StoredImages]:
         """Return the images as they are stored, some at a time."""
