@@ -197,3 +197,15 @@ def test_numbers_of_numpy_are_numbers(library):
     for bad, kind in ((2**70, ValueError), ("a", TypeError), (1.5, TypeError)):
         with pytest.raises(kind, match=r"^limit must be"):
             library.list(limit=bad)
+
+
+def test_sessions_are_counted_as_objects_are(library):
+    """Touches of no session have none, and those of retracted ones do not count."""
+    touches = Touches(np.arange(8).reshape(2, 2, 2), object=["a", "b"])
+    library.add(touches)
+    assert library.stats().n_sessions == 0
+    ids = library.add(touches, session="s1")
+    library.add(touches, session="s2")
+    assert library.stats().n_sessions == 2
+    library.retract(ids, reason="wet")
+    assert library.stats().n_sessions == 1
