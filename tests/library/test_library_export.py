@@ -192,6 +192,9 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
         assert again.check().ok
         for day in ("monday", "007"):  # each its own, though they differ
             assert_array_equal(again.no_contact(day), np.full((5, 6), len(day)))
+        if by is None:
+            assert again.add(Touches.load(path)) == [r.id for r in library.list()]
+            assert len(again) == 12
     assert sum(map(len, parts)) == 12
     assert all(part.geometry == "array" for part in parts)
 

@@ -209,7 +209,8 @@ def joined_images(parts: Sequence[Array]) -> Array:
                 f"images must all be {parts[0].dtype} like set 0, got {part.dtype} in "
                 f"set {number}. Convert one of them with images.astype."
             )
-    return np.concatenate(parts)
+    # By itself it would put bytes into this machine's order.
+    return np.concatenate(parts, dtype=parts[0].dtype)
 
 
 def joined_columns(parts: Sequence[Arrays]) -> Arrays:
