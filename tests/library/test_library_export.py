@@ -284,6 +284,28 @@ def test_pictures_travel_beside_arrays_of_their_size(library, tmp_path, dtype, o
     assert files >= {bytes(file) for file in pictures.files}
 
 
+def test_bytes_travel_with_the_zeros_in_them(library, tmp_path):
+    """A digest of each touch, say."""
+    digests = np.array([b"a\0b", b"\0\1\2", b"", b"xyz", b"\1", b"\0\0\3"])
+    library.add(_presses(1, digest=digests))
+    library.export(tmp_path / "t.parquet")
+    read = Touches.load(tmp_path / "t.parquet").columns["digest"]
+    assert read.dtype == digests.dtype
+    assert_array_equal(read, digests)
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 5), (2, 4, 5, 2)])
+def test_images_of_true_and_false_travel(library, tmp_path, shape):
+    images = np.arange(np.prod(shape)).reshape(shape) % 3 == 0
+    channels = {"channels": ["x", "y"]} if len(shape) == 4 else {}
+    ids = library.add(Touches(images, object=["a", "b"], **channels))
+    library.export(tmp_path / "t.parquet")
+    again, [part] = _again(tmp_path, tmp_path / "t.parquet")
+    assert part.images.dtype == np.bool_
+    assert_array_equal(part.images, images)
+    assert _ids(again) == {*ids}
+
+
 def test_camera_images_are_shown_by_others_as_pictures(library, tmp_path):
     """`datasets` of Hugging Face takes the feature Image from this metadata."""
     images = np.random.default_rng(0).integers(0, 255, (2, 60, 80), dtype=np.uint8)

@@ -413,8 +413,9 @@ def _as_written(array: Array, dtype: str) -> Array:
         wanted = np.dtype(dtype)
     except TypeError:
         return array
-    same = wanted.kind == array.dtype.kind and wanted.itemsize == array.dtype.itemsize
-    return array.astype(wanted) if same else array
+    kinds = wanted.kind, array.dtype.kind
+    same = kinds[0] == kinds[1] or kinds == ("b", "u")
+    return array.astype(wanted) if same and wanted.itemsize == array.itemsize else array
 
 
 def _images(
@@ -501,8 +502,10 @@ def _no_column(name: str, column: str, got: object) -> TouchesError:
 def _arrow(pa: Any, name: str, array: Array) -> Any:
     """Return one column; several numbers a touch are lists of a fixed length."""
     native = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("=")))
+    flat = native.reshape(-1)
     try:
-        column = pa.array(native.reshape(-1))
+        # Of numpy's bytes pyarrow takes those before the first zero alone.
+        column = pa.array(flat.tolist() if flat.dtype.kind == "S" else flat)
         for size in reversed(array.shape[1:]):
             column = pa.FixedSizeListArray.from_arrays(column, size)
     except (pa.ArrowException, ValueError, TypeError) as error:
@@ -514,7 +517,12 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
 
 
 def _tensor(pa: Any, images: Array) -> Any:
-    """Return images as a tensor; several readers refuse one with permuted axes."""
+    """Return images as a tensor; several readers refuse one with permuted axes.
+
+    There is none of true and false: these are 0 and 1.
+    """
+    if images.dtype == np.bool_:
+        images = images.astype(np.uint8)
     flat = _arrow(pa, _IMAGE, images.reshape(len(images), -1))
     shape = images.shape[1:]
     kind = pa.fixed_shape_tensor(flat.type.value_type, shape)
