@@ -385,7 +385,7 @@ def _message_picture(message: Any, where: str) -> Array:
     dtype = np.dtype(order + _GREY.get(encoding, "u1"))
     row_bytes = n_cols * n_channels * dtype.itemsize
     content = np.asarray(message.data, dtype=np.uint8).tobytes()
-    if step < row_bytes or not row_bytes or len(content) != step * n_rows:
+    if step < row_bytes or not row_bytes * n_rows or len(content) != step * n_rows:
         raise TouchesError(
             f"{where} must hold {n_rows} rows of {step} bytes, got {len(content)} "
             f"bytes for {n_cols} columns of {encoding}."
