@@ -7,6 +7,7 @@ from contextlib import nullcontext
 
 import pytest
 
+from palpate._checks import check_number, check_positive
 from palpate._durable import PARTIAL, replacing, write_text
 from palpate._extras import install, needed
 from palpate._parallel import in_parallel
@@ -125,3 +126,10 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
         write_text(target, "new")
     assert refusal.value.filename == str(target)
     assert PARTIAL not in str(refusal.value)
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400), float("inf"), float("nan")])
+@pytest.mark.parametrize("check", [check_number, check_positive])
+def test_numbers_that_no_float_holds_are_refused_by_name(check, value):
+    with pytest.raises(ValueError, match=r"^rate must be .*finite.*, got "):
+        check("rate", value)

@@ -69,7 +69,7 @@ def check_number(
     """Return `value` as a finite float within [low, high], or explain."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
-    number = float(value)
+    number = _as_float(value)
     if not (np.isfinite(number) and low <= number <= high):
         raise ValueError(
             f"{name} must be finite and between {low} and {high}, got {value}."
@@ -81,10 +81,18 @@ def check_positive(name: str, value: object) -> float:
     """Return `value` as a float, or say what `name` should have been."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
-    number = float(value)
+    number = _as_float(value)
     if not 0 < number < float("inf"):
         raise ValueError(f"{name} must be positive and finite, got {value}.")
     return number
+
+
+def _as_float(value: Any) -> float:
+    """Return a number as a float, infinite where none is as large."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float(np.inf if value > 0 else -np.inf)
 
 
 def check_option(name: str, value: object, options: Iterable[object]) -> Any:

@@ -203,6 +203,10 @@ def test_what_is_no_touch_is_refused(bag, tmp_path):
         read_bag(bag(good), "/other")
     with pytest.raises(LibraryError, match="encoded as mono8"):
         read_bag(bag(_image(np.zeros((2, 2), np.uint8), "bayer_rggb8")), "/pad")
+    empty = _image(np.zeros((1, 2), np.uint8), "mono8")
+    empty.height, empty.data = 0, np.empty(0, np.uint8)
+    with pytest.raises(LibraryError, match="message 0 of /pad must hold 0 rows of 2"):
+        read_bag(bag(empty), "/pad")
     short = _image(np.zeros((2, 2), np.uint8), "mono8")
     short.height = 1000
     with pytest.raises(LibraryError, match="1000 rows of 2 bytes, got 4"):

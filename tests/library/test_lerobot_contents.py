@@ -145,6 +145,19 @@ def test_info_says_how_much_there_is_and_where(exported, seven):
     assert whole["whole"]["no_contact"] == np.ones((3, 4)).tolist()
 
 
+def test_metadata_is_json_of_which_others_know_all(exported, seven):
+    """A dead taxel at rest is null, which JSON knows, and NaN it does not."""
+    rest = seven.images[0]
+    gains = np.array([0.5, np.inf])
+    folder = exported(seven.with_columns(no_contact=rest, set_gains=gains))
+    for name in ("info", "stats"):
+        content = (folder / f"meta/{name}.json").read_text()
+        json.loads(content, parse_constant=pytest.fail)
+    whole = metadata(folder, "info")["palpate"]["whole"]
+    assert_array_equal(np.array(whole["no_contact"], np.float32), rest)
+    assert whole["set_gains"] == [0.5, None]
+
+
 def test_statistics_are_over_all_frames_that_were_read(exported, seven):
     """NaN counts nowhere, and a taxel that is always NaN counts as 0."""
     folder = exported(seven)

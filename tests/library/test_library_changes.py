@@ -146,6 +146,16 @@ def test_touches_are_chosen_by_ids_or_by_their_object(folder, rebuilt):
     assert rebuilt(folder) == before
 
 
+def test_ids_in_capitals_are_the_same_ids(folder):
+    with TouchLibrary.open(folder) as library:
+        ids = [row.id for row in library.list()]
+        assert library.retract(ids[0].upper(), reason="wet") == 1
+        assert library.history()[0].content["ids"] == ids[:1]
+        assert library.check().ok
+        assert library.restore(ids[0].upper()) == 1
+        assert library.check().ok
+
+
 def test_merged_objects_stay_one_through_merges_renames_and_repairs(folder, rebuilt):
     with TouchLibrary.open(folder) as library:
         library.merge_objects("a", "b")

@@ -232,6 +232,14 @@ def test_a_repair_without_room_leaves_the_old_database(tmp_path, alter):
         assert _files(folder) == before
     repair = repair_library(folder)
     assert (repair.rebuilt, repair.n_touches, len(repair.lost)) == (True, 99, 1)
+    shutil.rmtree(folder / "damaged")
+    content = (folder / "library.sqlite").read_bytes()
+    (folder / "library.sqlite").write_bytes(b"\0" * 100 + content[100:])
+    before = _files(folder)
+    for limit in (4096, 50_000, 150_000):  # a new first page is tried on a copy
+        assert "ree space" in _under_limit(limit, repair_library, folder)
+        assert _files(folder) == before
+    assert repair_library(folder).n_touches == 99
     assert check_library(folder).ok
 
 

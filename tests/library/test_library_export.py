@@ -9,7 +9,7 @@ from PIL import Image
 
 from palpate import Touches
 from palpate.library import LibraryError, SensorDescription, TouchLibrary
-from palpate.touches import TouchesError, png_bytes, read_parquet
+from palpate.touches import ParquetTouches, TouchesError, png_bytes, read_parquet
 
 from .conftest import assert_alike
 
@@ -85,6 +85,35 @@ def test_columns_of_some_touches_are_columns_of_all(filled, tmp_path):
     assert filled.export(tmp_path / "t.parquet") == 10
     forces = pq.read_table(tmp_path / "t.parquet")["force_n"].to_pylist()
     assert np.isnan(forces).sum() == 3
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("by", [None, "object", "session"])
+def test_columns_of_some_row_groups_are_columns_of_all(library, tmp_path, order, by):
+    """A category is one of none; frames and times that some lack are not known."""
+    n, rng = 140, np.random.default_rng(0)
+    images = rng.integers(0, 255, (2 * n, 4, 5), dtype=np.uint8)
+    frames = rng.integers(0, 255, (n, 2, 4, 5), dtype=np.uint8)
+    days = np.full(n, np.datetime64("2024-01-01"))
+    some = Touches(
+        images[:n],
+        object=["a"] * n,
+        category=["k"] * n,
+        press_frames=frames,
+        day=days,
+        turn=np.arange(n),
+        note=["x"] * n,
+    )
+    others = Touches(images[n:], object=["b"] * n)
+    for touches, session in list(zip([some, others], "ab", strict=True))[::order]:
+        library.add(touches, session=session)
+    assert library.export(tmp_path / "t.parquet", by=by) == 2 * n
+    read = Touches.load(tmp_path / "t.parquet")
+    first = np.argsort(library.touches().object, kind="stable")
+    assert_alike(read, library.touches() if by is None else library.touches()[first])
+    assert "category" not in read.columns
+    assert_array_equal(read[read.object == "a"].columns["press_frames"], frames)
+    assert np.isnan(read[read.object == "b"].columns["press_frames"]).all()
 
 
 def test_a_failed_export_leaves_nothing_and_can_be_tried_again(filled, tmp_path, alter):
@@ -163,8 +192,33 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
         assert again.check().ok
         for day in ("monday", "007"):  # each session has its own baseline
             assert_array_equal(again.no_contact(day), np.full((5, 6), len(day)))
+        if by is None:
+            assert again.add(Touches.load(path)) == [r.id for r in library.list()]
+            assert len(again) == 12
     assert sum(map(len, parts)) == 12
     assert all(part.geometry == "array" for part in parts)
+
+
+@pytest.mark.parametrize("by", ["session", "episode"])
+def test_touches_without_a_number_are_a_part_of_their_own(library, tmp_path, by):
+    library.add(_presses(1, **{by: [1, 2, 1, 2, 1, 2]}))
+    library.add(_presses(2))
+    assert library.export(tmp_path / "t.parquet", by=by) == 12
+    parts = {path.name for path in (tmp_path / "t.parquet").iterdir()}
+    assert parts == {f"{by}=", f"{by}=1.0", f"{by}=2.0"}
+    again, parts = _again(tmp_path, tmp_path / "t.parquet")
+    assert _ids(again) == _ids(library)
+    assert all(part.columns[by].dtype.kind == "f" for part in parts)
+    source = ParquetTouches(tmp_path / "t.parquet")
+    assert_array_equal(source.columns[by], again.touches().columns[by])
+
+
+def test_numbers_that_a_path_carries_stay_numbers(library, tmp_path):
+    library.add(_presses(1, session=np.array([1, 12, 1, 12, 1, 12], np.int16)))
+    library.export(tmp_path / "t.parquet", by="session")
+    again, parts = _again(tmp_path, tmp_path / "t.parquet")
+    assert _ids(again) == _ids(library)
+    assert [part.session.dtype for part in parts] == [np.int16] * 2
 
 
 def test_one_set_is_read_with_what_describes_all_of_it(library, tmp_path):
@@ -174,6 +228,18 @@ def test_one_set_is_read_with_what_describes_all_of_it(library, tmp_path):
     library.export(tmp_path / "some.parquet")
     again = Touches.load(tmp_path / "some.parquet")
     assert_alike(again, touches)
+
+
+def test_names_of_pads_that_differ_are_left_out_with_them(library, tmp_path):
+    (tmp_path / "set").mkdir()
+    for name, pads in (("a", [[0, 0, 5, 3]]), ("b", [[0, 3, 5, 3]])):
+        touches = _presses(1).with_columns(pads=pads, pad_names=["left"])
+        library.add(touches, session=name)
+        library.export(tmp_path / "set" / f"{name}.parquet", f"session = {name}")
+    read, source = Touches.load(tmp_path / "set"), ParquetTouches(tmp_path / "set")
+    assert len(read) == len(source.touches(range(12))) == 12
+    assert read.pads is read.pad_names is None
+    assert not {"pads", "pad_names"} & {*source.whole}
 
 
 def test_pictures_travel_as_their_own_files(library, tmp_path):
@@ -195,6 +261,49 @@ def test_pictures_travel_as_their_own_files(library, tmp_path):
         assert _ids(again) == _ids(library)
         forms = again._store.rows("SELECT DISTINCT form FROM images")
     assert forms == [("picture",)]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("order", [1, -1])
+def test_pictures_travel_beside_arrays_of_their_size(library, tmp_path, dtype, order):
+    """Small ones, of which 128 are a row group; one has both."""
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (300, 6, 7)).astype(dtype)
+    (tmp_path / "in" / "pen").mkdir(parents=True)
+    for number, image in enumerate(images[:140]):
+        Image.fromarray(image).save(tmp_path / "in" / "pen" / f"{number}.png")
+    pictures = Touches.load(tmp_path / "in").without("source_path")
+    sets = [pictures, Touches(images[140:], object=["cup"] * 160)]
+    for touches in sets[::order]:
+        library.add(touches)
+    assert library.export(tmp_path / "t.parquet") == 300
+    again, parts = _again(tmp_path, tmp_path / "t.parquet")
+    assert _ids(again) == _ids(library)
+    assert_alike(Touches.load(tmp_path / "t.parquet"), library.touches())
+    files = {bytes(file) for part in parts for file in part.files}
+    assert files >= {bytes(file) for file in pictures.files}
+
+
+def test_bytes_travel_with_the_zeros_in_them(library, tmp_path):
+    """A digest of each touch, say."""
+    digests = np.array([b"a\0b", b"\0\1\2", b"", b"xyz", b"\1", b"\0\0\3"])
+    library.add(_presses(1, digest=digests))
+    library.export(tmp_path / "t.parquet")
+    read = Touches.load(tmp_path / "t.parquet").columns["digest"]
+    assert read.dtype == digests.dtype
+    assert_array_equal(read, digests)
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 5), (2, 4, 5, 2)])
+def test_images_of_true_and_false_travel(library, tmp_path, shape):
+    images = np.arange(np.prod(shape)).reshape(shape) % 3 == 0
+    channels = {"channels": ["x", "y"]} if len(shape) == 4 else {}
+    ids = library.add(Touches(images, object=["a", "b"], **channels))
+    library.export(tmp_path / "t.parquet")
+    again, [part] = _again(tmp_path, tmp_path / "t.parquet")
+    assert part.images.dtype == np.bool_
+    assert_array_equal(part.images, images)
+    assert _ids(again) == {*ids}
 
 
 def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
@@ -254,6 +363,25 @@ def test_what_another_program_wrote_is_read(tmp_path):
     assert touches.object.tolist() == ["mug", "mug", "pen", "pen"]
     assert_array_equal(touches.images, np.concatenate([images, images]))
     assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
+
+
+@pytest.mark.parametrize("values", [["x", "y"], [7, 8], [0.5, None]])
+def test_a_recording_of_another_program_is_a_column(tmp_path, values):
+    table = pa.table({"image": np.ones((2, 3, 4)).tolist(), "recording": values})
+    pq.write_table(table, tmp_path / "some.parquet")
+    expected = [np.nan if value is None else value for value in values]
+    for read in (Touches.load, ParquetTouches):
+        columns = read(tmp_path / "some.parquet").columns
+        assert_array_equal(columns["recording"], expected)
+
+
+@pytest.mark.parametrize("name", ["image", "recording"])
+def test_a_column_of_a_name_that_parquet_has_is_refused(library, tmp_path, name):
+    library.add(_presses(1, **{name: np.arange(6)}))
+    with pytest.raises(TouchesError, match=f"must not be called {name}"):
+        library.export(tmp_path / "some.parquet")
+    assert not (tmp_path / "some.parquet").exists()
+    assert library.export(tmp_path / "some.npz") == 6
 
 
 def test_files_of_format_1_are_read(tmp_path):

@@ -196,6 +196,9 @@ def test_rows_are_those_of_reading_all_of_it(tmp_path, library, pq):
     assert_allclose(pens.features("any", sums), sums(whole[whole.object == "pen"]))
     with pytest.raises(TouchesError, match="rows must be increasing"):
         source.touches([3, 2])
+    for nothing in ([], np.zeros(900, bool)):
+        with pytest.raises(TouchesError, match="at least one of 900 touches, got none"):
+            source.touches(nothing)
 
 
 @pytest.mark.parametrize("scheme", ["file", "memory"])
@@ -276,6 +279,33 @@ def test_pictures_of_different_sizes_are_refused_by_name(tmp_path, pq):
         ObjectRecogniser().fit(ParquetTouches(tmp_path / "set"))
 
 
+def test_a_hidden_file_is_none_of_the_set(written, pq):
+    """One that an export is writing, or was, and what a Mac puts beside files."""
+    expected = ParquetTouches(written).object
+    (written / "object=mug" / ".partial-0123.parquet").write_bytes(b"PAR1")
+    (written / "object=mug" / "._part-0.parquet").write_bytes(b"\0\5\x16\7")
+    assert_array_equal(ParquetTouches(written).object, expected)
+    assert_array_equal(Touches.load(written).object, expected)
+
+
+def test_labels_are_those_that_reading_all_of_it_gives(tmp_path, pq):
+    """Whole numbers are texts, in one spelling; a touch without a label is refused."""
+    pa = pytest.importorskip("pyarrow")
+    for labels in ([1, 1, 2], ["caf\u0065\u0301", "caf\u00e9", "mug"]):
+        table = pa.table({"image": np.ones((3, 2, 2)).tolist(), "object": labels})
+        pq.write_table(table, tmp_path / "a.parquet")
+        whole, source = (
+            read(tmp_path / "a.parquet") for read in (Touches.load, ParquetTouches)
+        )
+        assert source.object.tolist() == whole.object.tolist()
+        assert source.object.dtype.kind == "U"
+    table = pa.table({"image": np.ones((2, 2, 2)).tolist(), "object": ["mug", None]})
+    pq.write_table(table, tmp_path / "a.parquet")
+    for read in (Touches.load, ParquetTouches):
+        with pytest.raises(TouchesError, match="empty label at touch 1"):
+            read(tmp_path / "a.parquet")
+
+
 def test_other_files_are_refused(tmp_path, pq):
     pa = pytest.importorskip("pyarrow")
     pq.write_table(pa.table({"object": ["mug"]}), tmp_path / "a.parquet")
@@ -326,3 +356,48 @@ def test_kept_features_of_another_encoding_are_made_anew(library):
         ids = archive["ids"]
     np.savez(cache / "other.npz", ids=ids[:50], x=np.zeros((50, 3)))
     assert_array_equal(chosen.features("key", sums), expected)
+
+
+def test_features_that_are_deleted_while_others_are_made_are_not_mistaken(library):
+    """`features/` may be deleted at any time, also while it is filled."""
+    library.add(_touches(0))
+    library.select().features("key", sums)
+    library.add(_touches(1))
+
+    def encode(touches):
+        for kept in (library.folder / "features" / "key").glob("*.npz"):
+            kept.unlink()
+        return sums(touches)
+
+    chosen = library.select()
+    expected = sums(chosen.touches(range(len(chosen))))
+    assert_array_equal(chosen.features("key", encode), expected)
+
+
+def test_kept_features_of_another_encoding_alone_are_made_anew(library):
+    """Where touches lack that no file of the expected width has."""
+    library.add(_touches(0))
+    chosen = library.select()
+    expected = chosen.features("key", sums)
+    (kept,) = (library.folder / "features" / "key").glob("*.npz")
+    with np.load(kept) as archive:
+        ids = archive["ids"]
+    np.savez(kept, ids=ids[:50], x=np.zeros((50, 3)))
+    assert_array_equal(chosen.features("key", sums), expected)
+
+
+def test_kept_features_with_a_flipped_bit_are_made_anew(library):
+    """Each bit of the list at its end; values have a checksum."""
+    library.add(_touches(0, n_each=1))
+    chosen = library.select()
+    expected = chosen.features("key", sums)
+    (kept,) = (library.folder / "features" / "key").glob("*.npz")
+    whole = kept.read_bytes()
+    end = whole.index(b"PK\x01\x02")  # of the list of what is in it
+    for place in range(8 * end, 8 * len(whole)):
+        flipped = bytearray(whole)
+        flipped[place // 8] ^= 1 << place % 8
+        kept.write_bytes(flipped)
+        assert_array_equal(chosen.features("key", sums), expected)
+        for other in kept.parent.glob("*.npz"):
+            other.unlink()

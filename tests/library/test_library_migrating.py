@@ -179,6 +179,24 @@ def test_what_is_no_old_library_is_refused(old, tmp_path):
     assert not (tmp_path / "newest").exists()
 
 
+@pytest.mark.parametrize(
+    "cells",
+    [
+        "changes SET content = '{'",
+        "changes SET content = '{}'",
+        "changes SET content = '[]'",
+        "recordings SET whole = '{'",
+        "recordings SET whole = '[]'",
+        "recordings SET dtype = 'zz'",
+        "touches SET extra = '{'",
+    ],
+)
+def test_a_damaged_cell_is_told_in_one_sentence(old, tmp_path, alter, cells):
+    alter(old, f"UPDATE {cells}")
+    with pytest.raises(LibraryError, match=r"must be a sound library, got: .*Repair"):
+        migrate_library(old, tmp_path / "new")
+
+
 def test_a_begun_migration_of_another_library_is_not_continued(
     old, tmp_path, monkeypatch, alter
 ):

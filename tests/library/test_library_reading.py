@@ -141,6 +141,33 @@ def test_columns_of_several_kinds_are_joined_as_texts_or_refused(library):
         library.touches()
 
 
+@pytest.mark.parametrize(
+    ("values", "nothing"),
+    [
+        (np.array(["2024-01-01", "2024-01-02"], "M8[s]"), np.datetime64("NaT")),
+        (np.array([1, 2], "m8[ms]"), np.timedelta64("NaT")),
+        (np.array([b"y", b"nan"]), b""),
+        (np.full((2, 3), np.datetime64("2024-01-01")), np.datetime64("NaT")),
+    ],
+)
+def test_times_and_bytes_that_some_lack_are_empty(library, values, nothing):
+    library.add(Touches(images(2), object=["a", "b"], note=values))
+    library.add(Touches(images(2, 1), object=["a", "b"]))
+    read = library.touches().columns["note"]
+    assert read.dtype == values.dtype
+    assert_array_equal(read[:2], values)
+    assert_array_equal(read[2:], np.full_like(values, nothing))
+
+
+@pytest.mark.parametrize("other", [np.array([1, 2], "m8[s]"), [1.5, 2.0], [b"x", b"y"]])
+def test_times_are_not_read_with_other_values(library, other):
+    when = np.array(["2024-01-01", "2024-01-02"], "M8[s]")
+    library.add(Touches(images(2), object=["a", "b"], when=when))
+    library.add(Touches(images(2, 1), object=["a", "b"], when=other))
+    with pytest.raises(LibraryError, match="'when' must be of times or of other"):
+        library.touches()
+
+
 def test_what_some_lack_is_filled_a_category_left_out_an_object_refused(library):
     columns = {"category": ["x", "y"], "session": ["s", "t"], "order": [1, 2]}
     columns |= {"object": ["a", "b"], "position_mm": np.ones((2, 3))}
@@ -266,6 +293,25 @@ def test_a_lost_array_costs_no_touch_and_comes_back_with_them(
     assert library.add(again) == ids
     assert_array_equal(library.touches("object in (b, c)").no_contact, frame)
     assert library.check().ok
+
+
+@pytest.mark.parametrize("entry", ["pads", "channels"])
+def test_lost_pads_or_names_of_channels_cost_no_touch(library, alter, rng, entry):
+    """Names of lost pads go with them, channels are numbered."""
+    if entry == "pads":
+        whole = {"pads": [[0, 0, 4, 2], [0, 2, 4, 3]], "pad_names": ["left", "right"]}
+        touches = Touches(images(3), object=["a"] * 3, **whole)
+    else:
+        touches = colour(rng)
+    library.add(touches)
+    alter(library.folder, "DELETE FROM arrays WHERE rowid = 1")
+    with pytest.warns(UserWarning, match=f"without their {entry}"):
+        read = library.touches()
+    assert_array_equal(read.images, touches.images)
+    assert read.channels == (None if entry == "pads" else ("0", "1", "2"))
+    assert read.pads is read.pad_names is None
+    with pytest.warns(UserWarning, match=f"without their {entry}"):
+        assert library.select().features("key", summed).shape[0] == 3
 
 
 def test_features_made_before_an_interruption_are_kept(library):

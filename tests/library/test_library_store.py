@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import sqlite3
 import tempfile
 import threading
@@ -412,3 +413,30 @@ def test_the_view_has_the_rows_of_a_list_in_their_order(folder):
         for r in rows_of(folder)
     ]
     assert rows == expected
+
+
+def test_what_is_interrupted_while_it_waits_is_not_done_later(library):
+    """Another thread is writing: the job that waits for it is given up for good."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def hold():
+        begun.set()
+        go_on.wait(30)
+
+    with ThreadPoolExecutor(1) as pool:
+        holding = pool.submit(library._store.write, hold)
+        assert begun.wait(30)
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        main = threading.main_thread().ident
+        interrupt = threading.Timer(0.3, signal.pthread_kill, (main, signal.SIGINT))
+        interrupt.start()
+        try:
+            with pytest.raises(KeyboardInterrupt):
+                library.add(press_of(1))
+        finally:
+            interrupt.join()
+            signal.signal(signal.SIGINT, before)
+            go_on.set()
+        holding.result()
+    library.add(press_of(2))
+    assert len(library) == 1 + 1

@@ -198,3 +198,17 @@ def test_a_literal_is_only_ever_a_value(library, name):
     rows = library.list(f"object = '{name}'")
     assert {row.object for row in rows} <= {name}
     assert len(library) == 6
+
+
+@pytest.mark.parametrize(
+    "name", ["h\u00f6he", "\u65e5\u672c", 'a"b', "a\\b", "a\tb", "a.b", "a[0]", "$x"]
+)
+def test_columns_of_any_name_are_found(tmp_path, name):
+    """JSON escapes letters beyond ASCII, quotes and backslashes."""
+    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
+        some = Touches(np.ones((2, 2, 2)), object=["a", "b"], **{name: [1, 2]})
+        library.add(some)
+        library.add(Touches(np.zeros((1, 2, 2)), object=["c"]))
+        quoted_name = '"' + name.replace('"', '""') + '"'
+        for sign, n in (("= 2", 1), ("> 0", 2), ("is null", 1), ("!= 1", 2)):
+            assert library.count(f"{quoted_name} {sign}") == n

@@ -186,3 +186,28 @@ def test_the_library_agrees_with_a_reference(seed):
 @pytest.mark.slow
 def test_many_histories_agree_with_a_reference():
     play(LibraryMachine, 100, n_sequences=300)
+
+
+def test_numbers_of_numpy_are_numbers(library):
+    """A session as its column has it, and counts of rows."""
+    frame = np.full((5, 7), 3)
+    touches = Touches(np.ones((2, 5, 7)), object=["a", "b"], session=[1, 2])
+    library.add(touches.with_columns(no_contact=frame))
+    assert_array_equal(library.no_contact(touches.session[0]), frame)
+    rows = library.list(limit=np.int64(1), offset=np.int64(1))
+    assert [row.object for row in rows] == ["b"]
+    for bad, kind in ((2**70, ValueError), ("a", TypeError), (1.5, TypeError)):
+        with pytest.raises(kind, match=r"^limit must be"):
+            library.list(limit=bad)
+
+
+def test_sessions_are_counted_as_objects_are(library):
+    """Touches of no session have none, and those of retracted ones do not count."""
+    touches = Touches(np.arange(8).reshape(2, 2, 2), object=["a", "b"])
+    library.add(touches)
+    assert library.stats().n_sessions == 0
+    ids = library.add(touches, session="s1")
+    library.add(touches, session="s2")
+    assert library.stats().n_sessions == 2
+    library.retract(ids, reason="wet")
+    assert library.stats().n_sessions == 1

@@ -3,6 +3,7 @@
 import struct
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -121,12 +122,69 @@ def test_frames_without_a_header_need_shape_and_type(tmp_path, images):
         ((5, 7), "uint16", "5 x 7 uint16, 70 bytes each, got 240 bytes"),
         ((5, 6), "object", "a type of numbers such as uint16"),
         ((5, 6), "no type", "a type of numbers such as uint16"),
+        ((5, 6), "(2,", "a type of numbers such as uint16"),
+        ((-5, -6), "uint16", r"shape must be rows and columns .*, got \(-5, -6\)"),
+        ((30,), "uint16", "shape must be rows and columns"),
     ]:
         with pytest.raises(TouchesError, match=message):
             Touches.load(path, shape=shape, dtype=dtype)
     np.save(tmp_path / "a.npy", images)
     with pytest.raises(TouchesError, match="dtype must be left out"):
         Touches.load(tmp_path / "a.npy", dtype="uint16")
+
+
+@pytest.mark.filterwarnings("ignore")  # of zarr, that not all others read texts
+@pytest.mark.parametrize("dtype", ["str", "U3", "S3"])
+def test_texts_of_zarr_are_labels(tmp_path, images, dtype):
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(str(tmp_path / "t.zarr"), mode="w")
+    group.create_array("images", data=images)
+    kind = str if dtype == "str" else dtype
+    group.create_array("label", shape=(4,), dtype=kind)[:] = np.array([*"abba"], kind)
+    assert Touches.load(tmp_path / "t.zarr").object.tolist() == [*"abba"]
+
+
+def test_labels_beside_objects_are_a_column_of_their_own(tmp_path, images):
+    """Numbers of objects beside their names, as an archive of plain arrays has them."""
+    h5py = pytest.importorskip("h5py")
+    arrays = {"images": images, "label": [0, 1, 1, 0], "object": [*"abba"]}
+    np.savez(tmp_path / "t.npz", **arrays)
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+    with h5py.File(tmp_path / "two.h5", "w") as file:
+        file["images"], file["labels"], file["y"] = images, [*"abba"], [0, 1, 1, 0]
+    for name, column in (("t.npz", "label"), ("t.h5", "label"), ("two.h5", "y")):
+        touches = Touches.load(tmp_path / name)
+        assert touches.object.tolist() == [*"abba"]
+        assert touches.columns[column].tolist() == [0, 1, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("ending", "option"),
+    [
+        *(("h5", {name: value}) for name, value in (("dtype", "u2"), ("levels", "a"))),
+        *((ending, {"skip_bad": True}) for ending in ("h5", "raw")),
+        ("raw", {"levels": "object"}),
+    ],
+)
+def test_options_of_other_files_are_refused(tmp_path, images, ending, option):
+    path = tmp_path / f"f.{ending}"
+    if ending == "h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            file["images"] = images
+    else:
+        images.tofile(path)
+        option = {"shape": (5, 6), "dtype": "uint16", **option}
+    with pytest.raises(TouchesError, match="must be left out but for"):
+        Touches.load(path, **option)
+
+
+@pytest.mark.parametrize("shape", [(-2, -2), (4,), (2.0, 2.0), (0, 4), 4])
+def test_shapes_of_tables_that_are_none_are_refused(csv, shape):
+    path = csv("1,2,3,4\n5,6,7,8\n")
+    with pytest.raises(TouchesError, match="shape must be rows and columns of taxels"):
+        Touches.load(path, shape=shape)
 
 
 def test_columns_with_blanks_and_a_clock_are_read(tmp_path, rng):
@@ -157,6 +215,11 @@ def test_labels_beside_pictures_are_columns(put):
     touches = Touches.load(root)
     assert touches.object.tolist() == ["7", "pen", "cup"]
     assert touches.columns["force_n"].tolist() == [1, 2, 3]
+    for header in ("file,object,label,class", "file,label,object,class"):
+        table.write_text(f"{header}\n0.png,a,a,1\n1.png,b,b,2\n2.png,a,a,1\n")
+        touches = Touches.load(root)
+        assert touches.object.tolist() == touches.columns["label"].tolist() == [*"aba"]
+        assert touches.columns["class"].tolist() == [1, 2, 1]
     for path_column, message in (
         ("filename", r"none for 0.png \(2 of 3\)"),
         ("what", "one of them file, filename"),
@@ -265,6 +328,26 @@ def test_without_a_shape_a_table_has_no_geometry(csv):
     assert touches.object is None
 
 
+def test_an_array_with_a_flipped_bit_is_refused_or_read(tmp_path, images):
+    """Whatever bit of its head it is; and an archive under the name of an array."""
+    path = tmp_path / "t.npy"
+    np.save(path, images)
+    whole = path.read_bytes()
+    for place in range(8 * 128):
+        flipped = bytearray(whole)
+        flipped[place // 8] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        with suppress(TouchesError):
+            Touches.load(path)
+    path.write_bytes(b"PK\3\4 and no more")
+    with pytest.raises(TouchesError, match="got: several in an archive"):
+        Touches.load(path)
+    np.savez(tmp_path / "t.npz", images=images)
+    (tmp_path / "t.npz").rename(path)
+    with pytest.raises(TouchesError, match="got: several in an archive"):
+        Touches.load(path)
+
+
 @pytest.mark.parametrize("ending", ["csv", "npy"])
 def test_each_file_of_a_folder_is_a_touch(tmp_path, ending, rng):
     images = rng.normal(size=(4, 3, 2))
@@ -278,6 +361,9 @@ def test_each_file_of_a_folder_is_a_touch(tmp_path, ending, rng):
     touches = Touches.load(tmp_path / "in")
     assert_array_equal(touches.images, images)
     assert touches.object.tolist() == ["cup", "cup", "pen", "pen"]
+    for option in ({"skip_bad": True}, {"colour": True}):
+        with pytest.raises(TouchesError, match="must be left out for arrays, as in"):
+            Touches.load(tmp_path / "in", **option)
     np.save(tmp_path / "in/pen/9.npy", np.zeros((3, 3)))
     with pytest.raises(TouchesError, match=r"9.npy must be \(3, 2\) float64 like"):
         Touches.load(tmp_path / "in")
@@ -347,6 +433,8 @@ def test_a_picture_is_one_touch(tmp_path, rng):
     deep = rng.integers(0, 2**16, (5, 4), dtype=np.uint16)
     Image.fromarray(deep).save(tmp_path / "deep.png")
     assert_array_equal(Touches.load(tmp_path / "deep.png").images, deep[None])
+    with pytest.raises(TouchesError, match="levels must be left out but for a folder"):
+        Touches.load(tmp_path / "deep.png", levels="object")
     rgb = rng.integers(0, 256, (5, 4, 3), dtype=np.uint8)
     Image.fromarray(rgb).save(tmp_path / "rgb.png")
     touches = Touches.load(tmp_path / "rgb.png", colour=True)
@@ -367,3 +455,13 @@ def test_data_frames_become_touches_and_touches_data_frames(csv):
     assert len(columns) == 3
     with pytest.raises(TouchesError, match="must have columns of taxels"):
         Touches.from_frame(frame[["object"]])
+
+
+@pytest.mark.parametrize("nothing", [None, float("nan")])
+def test_texts_that_a_data_frame_lacks_are_empty(nothing):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"session": ["a", nothing], "t": [1.0, 2.0]})
+    assert Touches.from_frame(frame).session.tolist() == ["a", ""]
+    frame["object"] = ["cup", nothing]
+    with pytest.raises(TouchesError, match="empty label at touch 1"):
+        Touches.from_frame(frame)

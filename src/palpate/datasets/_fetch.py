@@ -190,6 +190,7 @@ def load(
     set is or goes, `mirror` stands for the source's host, `progress` is called with the
     present stage.
     """
+    check_option("name", name, names())
     return Touches.load(fetch(name, folder=folder, mirror=mirror, progress=progress))
 
 
@@ -351,12 +352,14 @@ def _write(
     for folder in folders:
         partly = folder.with_name(f".partial-{folder.name}")
         shutil.rmtree(partly, ignore_errors=True)
-        for name, data in beside.items():
-            (partly / name).parent.mkdir(parents=True, exist_ok=True)
-            (partly / name).write_bytes(data)
-        if not folder.exists():
-            partly.rename(folder)
-        shutil.rmtree(partly, ignore_errors=True)
+        try:
+            for name, data in beside.items():
+                (partly / name).parent.mkdir(parents=True, exist_ok=True)
+                (partly / name).write_bytes(data)
+            if not folder.exists():
+                partly.rename(folder)
+        finally:
+            shutil.rmtree(partly, ignore_errors=True)
     with replacing(archive) as file:
         plain: dict[str, Any] = dict(arrays)  # numpy 2.0 has no allow_pickle
         np.savez_compressed(file, **plain)

@@ -109,7 +109,10 @@ class TouchRow(NamedTuple):
 
 
 class Stats(NamedTuple):
-    """Counts and sizes of a library; bytes, images among those of the database."""
+    """Counts and sizes of a library; bytes, images among those of the database.
+
+    Objects and sessions are those of touches that are not retracted.
+    """
 
     n_touches: int
     n_retracted: int
@@ -164,7 +167,8 @@ def list_objects(store: Store) -> list[ObjectRow]:
 def stats_of(store: Store) -> Stats:
     [row] = store.rows(
         "SELECT count(*), count(retraction), (SELECT count(*) FROM changes), "
-        "(SELECT count(*) FROM (SELECT DISTINCT session FROM touches)) FROM touches"
+        "count(DISTINCT iif(retraction IS NULL, nullif(session, ''), NULL)) "
+        "FROM touches"
     )
     n_touches, n_retracted, n_changes, n_sessions = row
     files = store.folder.glob(f"{FILE_NAME}*")

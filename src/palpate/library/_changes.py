@@ -140,7 +140,7 @@ def chosen_ids(
                 f"ids must be of touches in the library, got {key!r}. "
                 "See `TouchLibrary.list`."
             )
-    return chosen
+    return [id_bytes(key).hex() for key in chosen]
 
 
 def _carry_out(store: Store, key: int, change: Change) -> int:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from .._parallel import Progress
 from ._changes import Names, change_rows
-from ._content import identity, wide_identity
+from ._content import id_bytes, identity, wide_identity
 from ._reading import is_whole, stored_array
 from ._rows import (
     LOST,
@@ -208,7 +208,8 @@ def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]
             yield Problem("change", f"Change {key} must be as it was made.", [])
             continue
         chain = chained(chain, [digest])
-        for touch in change.content.get("ids", ()):
+        ids = [id_bytes(touch).hex() for touch in change.content.get("ids", ())]
+        for touch in ids:
             # One that a repair lost may have been added again since.
             if not 0 < numbers.get(touch, 0) <= change.after:
                 continue

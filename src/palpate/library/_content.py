@@ -37,6 +37,8 @@ _ID_BYTES = 16  # of SHA-256: two touches of 10^12 share one in 10^14
 MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
 _MAX_ARRAY = 2**30  # bytes of an array in the database
 _PLAIN_KINDS = "biufcSUMm"
+# What stands for values that lack, of a kind; else NaN.
+_NOTHING = {"U": "", "S": b"", "M": np.datetime64("NaT"), "m": np.timedelta64("NaT")}
 PICTURE = "picture"  # a form of images: the file it came in
 _PLAIN, _PACKED = "plain", "packed"
 WIDE = 16  # values; longer columns stand beside the row
@@ -303,12 +305,16 @@ def _unpacked(data: bytes, n_bytes: int | None) -> bytes:
 
 
 def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> Array:
-    """Return cells as one array; None is NaN or "", numbers among text become text."""
+    """Return cells as one array; None is NaN, NaT or empty.
+
+    Numbers among text become text.
+    """
     dtypes = {np.dtype(column.dtype) for column in columns}
     is_text = any(dtype.kind == "U" for dtype in dtypes)
     if any(cell is None for cell in cells):
-        nothing = "" if is_text else np.nan
-        blank = np.full(columns[0].shape, nothing).tolist()
+        kind = "U" if is_text else np.dtype(columns[0].dtype).kind
+        blank: Any = np.full(columns[0].shape, _NOTHING.get(kind, np.nan))
+        blank = blank if kind in "Mm" else blank.tolist()
         cells = [blank if cell is None else cell for cell in cells]
     if is_text:
         return np.array(cells, dtype=np.str_)

@@ -21,7 +21,7 @@ References
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -141,43 +141,67 @@ def _write_parts(
     picked: StoredTouches, by: str, folder: str | Path, opened: Callable[[str], Any]
 ) -> None:
     """Write one file for each value of a column, in folders named `by=value`."""
-    values = picked.columns().get(by)
+    common = picked.columns()
+    values = common.get(by)
     if values is None:
         raise LibraryError(
             f"by must be a column of the touches, got {by!r}, which they lack."
         )
-    for value in np.unique(values):
-        name = f"{by}={quote(str(value), safe='')}"
-        with opened(f"{folder}/{name}/part-0.parquet") as file:
-            _write_parquet(file, picked[np.flatnonzero(values == value)], without=by)
+    # A number that some lack is NaN there: as of texts, their folder has an empty name.
+    names = np.array(["" if value != value else str(value) for value in values])
+    for name in np.unique(names):
+        place = f"{folder}/{by}={quote(str(name), safe='')}"
+        with opened(f"{place}/part-0.parquet") as file:
+            part = picked[np.flatnonzero(names == name)]
+            _write_parquet(file, part, (picked, common), {by: values.dtype.str})
 
 
 def _write_parquet(
-    file: Any, picked: StoredTouches, without: str | None = None
+    file: Any,
+    picked: StoredTouches,
+    whole: tuple[StoredTouches, Mapping[str, Array]] | None = None,
+    named: dict[str, str] | None = None,
 ) -> None:
-    """Write a row group for every `_ROW_GROUP` touches, fewer of large images."""
+    """Write a row group for every `_ROW_GROUP` touches, fewer of large images.
+
+    `whole` is all that is written, of which these may be a part, with its columns of
+    short values; `named` are columns that the path carries, and their types.
+    """
+    of, common = (picked, picked.columns()) if whole is None else whole
+    left_out = {*(named or {})} | ({"category"} - common.keys())  # some may have one
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     numbers = np.array([places[key] for key in keys])
     recordings = [_described(picked.tables, key) for key in places]
-    parts = _row_groups(picked, numbers, without)
-    write_parquet(file, parts, picked.channels(), recordings)
+    parts = _row_groups(picked, numbers, of, left_out)
+    write_parquet(file, parts, picked.channels(), recordings, named)
 
 
 def _row_groups(
-    picked: StoredTouches, numbers: Indices, without: str | None
+    picked: StoredTouches,
+    numbers: Indices,
+    of: StoredTouches,
+    left_out: Collection[str],
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
-    """Yield images, columns, files of images and numbers of recordings, in parts."""
+    """Yield images, columns, files of images and numbers of recordings, in parts.
+
+    Where some images came as pictures, the others are written as such too: a column of
+    Parquet is of one type.
+    """
     shape, dtype = picked.kind
+    are_pictures = picked.has_pictures()
     step = min(_ROW_GROUP, n_at_once(shape, dtype))
-    common = picked.columns()
     for start in range(0, len(picked), step):
         rows = np.arange(start, min(start + step, len(picked)))
         images = np.empty((len(rows), *shape), dtype)
         part = picked[rows]
-        columns = part.columns(images) | {n: c[rows] for n, c in common.items()}
-        columns.pop(without or "", None)
-        yield images, columns, part.files(), numbers[rows]
+        columns = part.columns(images, of)
+        columns = {n: c for n, c in columns.items() if n not in left_out}
+        files = None
+        if are_pictures:
+            pairs = zip(part.files(), images, strict=True)
+            files = [file or png_bytes(image) for file, image in pairs]
+        yield images, columns, files, numbers[rows]
 
 
 def _described(tables: Tables, key: int) -> dict[str, Any]:
@@ -367,7 +391,7 @@ def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
 
 def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
     pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
-    whole = {name: array.tolist() for name, array in dataset.whole.items()}
+    whole = {name: _json_values(array) for name, array in dataset.whole.items()}
     info = {
         "codebase_version": _LEROBOT_VERSION,
         "robot_type": None,
@@ -396,8 +420,18 @@ def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
     table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
     table = table.replace_schema_metadata({"pandas": json.dumps(_TASKS_PANDAS)})
     pq.write_table(table, meta / "tasks.parquet")
-    (meta / "info.json").write_text(json.dumps(info, indent=4, default=str))
-    (meta / "stats.json").write_text(json.dumps(dataset.spread()))
+    text = json.dumps(info, indent=4, default=str, allow_nan=False)
+    (meta / "info.json").write_text(text)
+    (meta / "stats.json").write_text(json.dumps(dataset.spread(), allow_nan=False))
+
+
+def _json_values(array: Array) -> Any:
+    """Return values as lists; NaN, and infinity, of which JSON knows nothing, None."""
+    if array.dtype.kind != "f":
+        return array.tolist()
+    values = array.astype(object)
+    values[~np.isfinite(array)] = None
+    return values.tolist()
 
 
 def _column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from .._checks import check_option
+from .._checks import check_count, check_option
 from .._durable import flush_folder
 from .._types import Array
 from ..touches import Touches
@@ -23,7 +23,14 @@ from ._changes import (
 )
 from ._checking import CheckReport, check_store
 from ._exchange import export_touches
-from ._reading import IN_MEMORY, Selection, StoredTouches, read_array, sound_numbers
+from ._reading import (
+    IN_MEMORY,
+    NO_LIMIT,
+    Selection,
+    StoredTouches,
+    read_array,
+    sound_numbers,
+)
 from ._repairing import RepairReport, backup_library, repair_library
 from ._rows import (
     FROM,
@@ -217,7 +224,9 @@ class TouchLibrary:
             As for `touches`.
         """
         sql, values = condition(self._store, where, retracted=retracted)
-        page = [-1 if limit is None else limit, offset]
+        named = {"limit": -1 if limit is None else limit, "offset": offset}
+        bounds: dict[str, int] = {"at_least": -NO_LIMIT, "at_most": NO_LIMIT}
+        page = [check_count(name, n, **bounds) for name, n in named.items()]
         chosen = self._store.rows(
             f"SELECT t.number {FROM} WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?",
             [*values, *page],
@@ -276,11 +285,12 @@ class TouchLibrary:
 
         One that is missing or altered is passed over with a warning.
         """
+        number = np.asarray(session).item()  # of numpy, as a column of touches has it
         chosen = "" if session is None else "WHERE session IS ? "
         rows = self._store.rows(
             f"SELECT recording FROM touches {chosen}GROUP BY recording "
             "ORDER BY max(number) DESC",
-            [] if session is None else [session],
+            [] if session is None else [number],
         )
         for (key,) in rows:
             digest = self._tables.recording(key).whole.get("no_contact")
@@ -332,8 +342,8 @@ class TouchLibrary:
 
         Notes
         -----
-        Columns that only some touches have are NaN or empty for the others. Entries
-        of the whole set that differ between recordings (mostly the no-contact
+        Columns that only some touches have are NaN, NaT or empty for the others.
+        Entries of the whole set that differ between recordings (mostly the no-contact
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """

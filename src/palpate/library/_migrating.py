@@ -12,7 +12,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from itertools import groupby
 from math import prod
 from operator import itemgetter
@@ -108,6 +108,7 @@ def migrate_library(
     if not begun.is_file():
         refuse_used(new)
     with (
+        _explained(old),
         tempfile.TemporaryDirectory() as scratch,
         closing(_OldLibrary(old, scratch)) as source,
     ):
@@ -126,6 +127,24 @@ def migrate_library(
         counts = tally.n_touches, tally.n_changes
         n_unknown, arrays = source.n_unknown_files(), sorted(source.lost_arrays)
         return MigrationReport(*counts, source.lost, n_unknown, arrays)
+
+
+@contextmanager
+def _explained(folder: Path) -> Iterator[None]:
+    """Turn what cells hold that nobody wrote into one sentence."""
+    try:
+        yield
+    except LibraryError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise _unsound(folder, repr(error)) from error
+
+
+def _unsound(folder: Path, got: object) -> LibraryError:
+    return LibraryError(
+        f"{folder} must be a sound library, got: {got}. Repair it with the palpate "
+        "that made it: `repair_library`."
+    )
 
 
 class _OldLibrary:
@@ -217,10 +236,7 @@ class _OldLibrary:
         try:
             return self._database.execute(sql, values).fetchall()
         except sqlite3.Error as error:
-            raise LibraryError(
-                f"{self.folder} must be a sound library, got: {error}. Repair it with "
-                "the palpate that made it: `repair_library`."
-            ) from error
+            raise _unsound(self.folder, error) from error
 
     def _read_changes(self) -> Iterator[Change]:
         """Yield the changes; lists of touches stand in files, or follow from rows."""

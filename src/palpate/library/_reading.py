@@ -113,15 +113,18 @@ class StoredTouches:
             return None
         return tuple(stored_array(self.tables, entries["channels"]).tolist())
 
-    def files(self) -> list[bytes] | None:
-        """Return the pictures that the images came as, None unless all did."""
-        files = [
-            image.data
+    def files(self) -> list[bytes | None]:
+        """Return the picture that each image came as, None where it did not."""
+        return [
+            image.data if image is not None and image.form == PICTURE else None
             for packed in self.packed()
             for image in packed.images
-            if image is not None and image.form == PICTURE
         ]
-        return files if len(files) == len(self) else None
+
+    def has_pictures(self) -> bool:
+        """Tell whether any of the images came as a picture."""
+        sql = f"SELECT 1 FROM images WHERE form = '{PICTURE}' AND number IN (?)"
+        return bool(self.tables.store.among(sql, self.numbers.tolist()))
 
     def packed(self) -> Iterator[StoredImages]:
         """Return the images as they are stored, some at a time."""
@@ -147,9 +150,16 @@ class StoredTouches:
             images = np.empty(shape, dtype)
         return Touches(images, **self.columns(images), **self.whole())
 
-    def columns(self, images: Array | None = None) -> dict[str, Array]:
-        """Return columns and fill `images`; without these, columns of cells alone."""
-        columns = _columns_of(self._layouts)
+    def columns(
+        self, images: Array | None = None, of: StoredTouches | None = None
+    ) -> dict[str, Array]:
+        """Return columns and fill `images`; without these, columns of cells alone.
+
+        With those `of` which these are a part, the columns that all of them have, in
+        the types that they have there.
+        """
+        layouts = (self if of is None else of)._layouts
+        columns = _columns_of(layouts)
         if images is None:
             columns = {n: c for n, c in columns.items() if not any(o.wide for o in c)}
         parts: dict[str, list[Array]] = {name: [] for name in columns}
@@ -162,7 +172,11 @@ class StoredTouches:
             for name, alike in columns.items():
                 cells = [value.get(name) for value in values]
                 parts[name].append(column_array(alike, cells))
-        return _labelled({name: _joined(arrays) for name, arrays in parts.items()})
+        joined = {name: _joined(arrays) for name, arrays in parts.items()}
+        for name in _lacking(layouts) & joined.keys() if of is not None else ():
+            blank = column_array(columns[name], [None])
+            joined[name] = _joined([joined[name], blank])[:-1]
+        return _labelled(joined)
 
     def _read_images(
         self, images: Array, rows: list[StoredTouch], values: list[dict[str, Any]]
@@ -192,6 +206,11 @@ class StoredTouches:
         same = {n: h for n, h in first if all(e.get(n) == h for e in entries)}
         read = {n: read_array(self.tables, n, h) for n, h in same.items()}
         whole = {n: array for n, array in read.items() if array is not None}
+        if "pads" not in whole:  # names of pads that are lost name nothing
+            whole.pop("pad_names", None)
+        shape, _ = self.kind
+        if len(shape) == 3 and "channels" not in whole:  # their numbers, once lost
+            whole["channels"] = np.arange(shape[2]).astype(np.str_)
         if len(geometries) == 1 and None not in geometries:
             whole["geometry"] = np.array(geometries.pop())
         return whole
@@ -257,7 +276,7 @@ def stored_array(tables: Tables, digest: str) -> Array:
 
 
 def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
-    """Return all forms of each column; those of unlike shapes are refused."""
+    """Return all forms of each column; those of unlike shapes or kinds are refused."""
     columns: dict[str, list[Column]] = {}
     for column in (column for layout in layouts.values() for column in layout):
         alike = columns.setdefault(column.name, [])
@@ -267,7 +286,21 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
                 f"{column.shape} a row. Choose touches with a filter."
             )
         alike.append(column)
+    for name, alike in columns.items():
+        kinds = {np.dtype(column.dtype).kind for column in alike}
+        if len(kinds) > 1 and kinds & {*"Mm"} and "U" not in kinds:
+            listed = " and ".join(sorted({column.dtype for column in alike}))
+            raise LibraryError(
+                f"Column {name!r} must be of times or of other values, got {listed}. "
+                "Choose touches with a filter."
+            )
     return columns
+
+
+def _lacking(layouts: dict[int, list[Column]]) -> set[str]:
+    """Return the names of columns that only some touches have."""
+    names = [{column.name for column in layout} for layout in layouts.values()]
+    return {n for these in names for n in these if not all(n in each for each in names)}
 
 
 def _joined(arrays: list[Array]) -> Array:
@@ -355,16 +388,22 @@ class Selection(Labelled):
         cache = self._picked.tables.store.folder / FEATURES / key
         ids = np.array(self._picked.ids(), _ID)
         cached_ids, cached = _cached(cache)
-        missing = np.flatnonzero(~np.isin(ids, cached_ids))
-        if len(missing):
-            self._encode_new(cache, encode, missing, ids[missing])
-            cached_ids, cached = _cached(cache)
-        return cached[np.searchsorted(cached_ids, ids)]
+        kept = np.isin(ids, cached_ids)
+        if kept.all():
+            return cached[np.searchsorted(cached_ids, ids)]
+        new = self._encode_new(cache, encode, np.flatnonzero(~kept), ids[~kept])
+        if len(cached) and cached.shape[1] != new.shape[1]:  # of another encoding
+            return self.features(key, encode)
+        features = np.empty((len(ids), new.shape[1]))
+        features[~kept] = new
+        if kept.any():
+            features[kept] = cached[np.searchsorted(cached_ids, ids[kept])]
+        return features
 
     def _encode_new(
         self, cache: Path, encode: Encode, rows: Indices, ids: Array
-    ) -> None:
-        """Encode touches; what is done is kept now and then, should this be stopped."""
+    ) -> Floats:
+        """Return new features; what is done is kept now and then, should this stop."""
         layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
         encode_some = partial(_encoded, encode, layout)
         new = self._picked[rows]
@@ -376,6 +415,7 @@ class Selection(Labelled):
 
         parts = results_of(encode_some, -(-len(new) // step), stored)
         waiting: list[Floats] = []
+        written: list[Floats] = []
         n_kept = n_done = 0
         for number, part in enumerate(parts, start=1):
             waiting.append(part)
@@ -385,11 +425,11 @@ class Selection(Labelled):
                     "features", cache, "Free space; touches are not affected."
                 ):
                     cache.mkdir(parents=True, exist_ok=True)
+                    written.append(np.concatenate(waiting))
                     with replacing(cache / f"{uuid4().hex}.npz") as file:
-                        np.savez(
-                            file, ids=ids[n_kept:n_done], x=np.concatenate(waiting)
-                        )
+                        np.savez(file, ids=ids[n_kept:n_done], x=written[-1])
                 waiting, n_kept = [], n_done
+        return np.concatenate(written)
 
 
 def _rising(rows: ArrayLike, n_touches: int) -> Indices:
@@ -415,7 +455,10 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
                 ids_in, values = kept["ids"], kept["x"]
             if ids_in.dtype != _ID or len(values) != len(ids_in) or values.ndim != 2:
                 raise ValueError("no features")
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        except (
+            *(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile),
+            RuntimeError,  # zipfile, of a flag or a method that a bit has changed
+        ):
             path.unlink(missing_ok=True)
             continue
         ids.append(ids_in)

@@ -132,7 +132,12 @@ def _with_new_first_page(folder: Path) -> Path | None:
         page = bytearray((Path(scratch) / FILE_NAME).read_bytes()[:PAGE_BYTES])
     page[_N_PAGES] = (len(content) // PAGE_BYTES).to_bytes(4, "big")
     copy = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
-    copy.write_bytes(page + content[PAGE_BYTES:])
+    try:
+        with room_for("a copy", folder, "Free space and repair again."):
+            copy.write_bytes(page + content[PAGE_BYTES:])
+    except BaseException:
+        _unlink(copy)
+        raise
     return copy
 
 

@@ -229,7 +229,12 @@ class Store:
         ticket = job, outcome
         with self._turn:
             self._waiting.append(ticket)
-            self._turn.wait_for(lambda: outcome.done() or not self._busy)
+            try:
+                self._turn.wait_for(lambda: outcome.done() or not self._busy)
+            except BaseException:  # an interrupt: nobody is to do it later
+                with suppress(ValueError):
+                    self._waiting.remove(ticket)
+                raise
             if outcome.done():  # another thread has committed it
                 return outcome.result()
             self._busy = True

@@ -38,6 +38,7 @@ _TOKENS = re.compile(
 )
 _INTEGER = re.compile("[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf", re.I)
+_PLAIN_NAME = re.compile(r"[ !#-\[\]-~]+")  # ASCII but for a quote and a backslash
 _EQUAL, _UNEQUAL, _ORDERED = ("=", "=="), ("!=", "<>"), ("<", "<=", ">", ">=")
 _NAMED = [("object", sign) for sign in _EQUAL]
 _LONGEST = 10_000  # letters; a filter is written by hand
@@ -161,8 +162,10 @@ class _Parser:
         token = self._literal("the name of a column")
         if token.text in COLUMNS:
             return COLUMNS[token.text], []
-        if token.text in self._extra:
+        if token.text in self._extra and _PLAIN_NAME.fullmatch(token.text):
             return "json_extract(t.extra, ?)", [f'$."{token.text}"']
+        if token.text in self._extra:  # JSON escapes it, which paths do not
+            return "(SELECT value FROM json_each(t.extra) WHERE key = ?)", [token.text]
         names = ", ".join([*COLUMNS, *sorted(self._extra)])
         raise LibraryError(
             f"where must name columns of the library ({names}), got {token.text!r}."

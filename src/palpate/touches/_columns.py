@@ -116,9 +116,17 @@ def plain_array(name: str, value: ArrayLike) -> Array:
         array = np.array(array.tolist())
     if array.dtype.kind == "U" and isinstance(value, list | tuple | str):
         texts = [value] if isinstance(value, str) else value
-        for text in texts:  # numpy would drop it without a word
-            if isinstance(text, str) and text.endswith("\0"):
+        for place, text in enumerate(texts):
+            if isinstance(text, str) and text.endswith("\0"):  # numpy would drop it
                 raise _unprintable(name, text)
+            if isinstance(text, float) and np.isnan(text):  # and write this as "nan"
+                raise TouchesError(
+                    f"{name} must name every touch, got NaN at touch {place}. Label "
+                    "that touch or leave it out."
+                    if name in LABELS
+                    else f"{name} must be text or numbers, got NaN among texts. Write "
+                    'an empty text, "", for what is not known.'
+                )
     if array.dtype.kind not in PLAIN_KINDS:
         raise TouchesError(
             f"{name} must hold plain numbers or text, got an array of {array.dtype}. "
@@ -146,6 +154,18 @@ def checked_column(name: str, array: Array, n_touches: int) -> Array:
             "Convert it first, for example with .astype(float)."
         )
     return _checked_labels(name, array) if name in LABELS else array
+
+
+def checked_shape(shape: Any) -> tuple[int, int]:
+    """Return the rows and columns of taxels, or explain."""
+    sides = list(shape) if np.iterable(shape) else []
+    if len(sides) == 2 and all(
+        isinstance(s, int | np.integer) and s > 0 for s in sides
+    ):
+        return int(sides[0]), int(sides[1])
+    raise TouchesError(
+        f"shape must be rows and columns of taxels, got {shape!r}. Such as (16, 16)."
+    )
 
 
 def picked_rows(index: Any, n_touches: int) -> slice | Array:
@@ -189,7 +209,8 @@ def joined_images(parts: Sequence[Array]) -> Array:
                 f"images must all be {parts[0].dtype} like set 0, got {part.dtype} in "
                 f"set {number}. Convert one of them with images.astype."
             )
-    return np.concatenate(parts)
+    # By itself it would put bytes into this machine's order.
+    return np.concatenate(parts, dtype=parts[0].dtype)
 
 
 def joined_columns(parts: Sequence[Arrays]) -> Arrays:

@@ -3,7 +3,8 @@
 Every reader asks for shape and type first and reads nothing that is larger than
 `max_bytes`. Of several arrays in a file, the only one of three or four axes is the
 images; others as long as it are columns under the last part of their names, `label`,
-`labels` or `y` the object. Pickles, objects and function handles are refused.
+`labels` or `y` the object unless one is called so. Pickles, objects and function
+handles are refused.
 
 Messages of ROS, from a bag or off the wire, are any objects with the fields of their
 kind; what each kind means stands with `palpate.library.read_bag`.
@@ -22,7 +23,7 @@ import numpy as np
 
 from .._extras import needed
 from .._types import Array
-from ._columns import Arrays, TouchesError, belongs_to_whole
+from ._columns import Arrays, TouchesError, belongs_to_whole, checked_shape
 from ._pictures import decode_bytes
 
 CONTAINERS = (".h5", ".hdf5", ".zarr", ".tif", ".tiff", ".mat", ".bmp", ".webp")
@@ -96,13 +97,13 @@ def raw_arrays(
             f"{shape} and {dtype}. Such as 16x16 and uint16."
         )
     kind = np.dtype(np.object_)
-    with suppress(TypeError):
+    with suppress(TypeError, ValueError, SyntaxError):
         kind = np.dtype(dtype)
     if kind.kind not in "biuf" or kind.names or kind.subdtype:
         raise TouchesError(
             f"dtype must be a type of numbers such as uint16 or <f4, got {dtype!r}."
         )
-    sides = (*shape, *([len(channels)] if channels else []))
+    sides = (*checked_shape(shape), *([len(channels)] if channels else []))
     n_bytes, frame = path.stat().st_size, prod(sides) * kind.itemsize
     _refuse_large(str(path), n_bytes, max_bytes)
     if not frame or not n_bytes or n_bytes % frame:
@@ -144,10 +145,13 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
     images = (named or wide)[0]
     n_touches = plain[images].shape[0]
     chosen = {images: "images"}
-    for name, entry in plain.items():
+    long = {n for n, e in plain.items() if e.shape[:1] == (n_touches,)}
+    has_object = "object" in {name.rpartition("/")[2] for name in long}
+    for name in plain:
         last = name.rpartition("/")[2]
-        column = "object" if last in _LABELS else last
-        rows = entry.shape[:1] == (n_touches,) or belongs_to_whole(column)
+        is_label = last in _LABELS and not has_object
+        column = "object" if is_label and "object" not in chosen.values() else last
+        rows = name in long or belongs_to_whole(column)
         if name != images and rows and column not in chosen.values():
             chosen[name] = column
     n_bytes = sum(plain[name].n_bytes for name in chosen)
@@ -216,7 +220,7 @@ def _zarr(path: Path, max_bytes: int) -> Arrays:
         if len(members) > _MAX_ARRAYS:
             raise TouchesError(f"{path} must hold at most {_MAX_ARRAYS} arrays.")
         entries = {
-            name: _Entry(item.shape, np.dtype(item.dtype), lambda a=item: np.array(a))  # type: ignore[misc]
+            name: _zarr_entry(item)
             for name, item in members.items()
             if isinstance(item, zarr.Array)
         }
@@ -224,6 +228,13 @@ def _zarr(path: Path, max_bytes: int) -> Arrays:
             chunk = prod(getattr(item, "chunks", ())) * 8
             _refuse_large(f"A chunk of {name} in {path}", chunk, max_bytes)
         return _chosen(path, entries, max_bytes)
+
+
+def _zarr_entry(item: Any) -> _Entry:
+    dtype = np.dtype(item.dtype)
+    if dtype.kind != "T":  # texts of any length
+        return _Entry(item.shape, dtype, lambda: np.array(item))
+    return _Entry(item.shape, np.dtype("U16"), lambda: np.array(item[...].tolist()))
 
 
 def _tiff(path: Path, max_bytes: int) -> Array:
@@ -374,7 +385,7 @@ def _message_picture(message: Any, where: str) -> Array:
     dtype = np.dtype(order + _GREY.get(encoding, "u1"))
     row_bytes = n_cols * n_channels * dtype.itemsize
     content = np.asarray(message.data, dtype=np.uint8).tobytes()
-    if step < row_bytes or not row_bytes or len(content) != step * n_rows:
+    if step < row_bytes or not row_bytes * n_rows or len(content) != step * n_rows:
         raise TouchesError(
             f"{where} must hold {n_rows} rows of {step} bytes, got {len(content)} "
             f"bytes for {n_cols} columns of {encoding}."

@@ -113,6 +113,12 @@ def folder_arrays(
 ) -> tuple[Arrays, list[bytes] | None]:
     """Return what `Touches` is made of, and files of pictures; see `read_folder`."""
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
+    are_arrays = Path(names[0]).suffix.lower() in (*TABLES, *_OTHERS)
+    if are_arrays and (colour or skip_bad or no_contact is not None):
+        raise TouchesError(
+            "colour, skip_bad and no_contact must be left out for arrays, as in "
+            f"{root}."
+        )
     if skip_bad:
         check = _checked(root, names, pattern, max_pixels, colour)
         names = _without_bad(root, names, check)
@@ -121,11 +127,7 @@ def folder_arrays(
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
-    if paths[0].suffix.lower() in (*TABLES, *_OTHERS):
-        if colour or no_contact is not None:
-            raise TouchesError(
-                f"colour and no_contact must be left out for arrays, as in {root}."
-            )
+    if are_arrays:
         images = folder_levels(paths, max_bytes)
         return {"images": images, **columns, "source_path": np.array(names)}, None
     header = common_header(paths, max_pixels=max_pixels, colour=colour)

@@ -15,7 +15,7 @@ import json
 import re
 from base64 import b64decode, b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import pairwise
 from math import prod
 from os import PathLike
@@ -70,19 +70,25 @@ def write_parquet(
     parts: Iterable[tuple[Array, Arrays, list[bytes] | None, Array]],
     channels: tuple[str, ...] | None,
     recordings: Sequence[Mapping[str, Any]],
+    named: Mapping[str, str] | None = None,
 ) -> None:
     """Write touches to an open file, a row group for each part.
 
     A part is images, columns, the files of images that came as pictures, and the
     number of each touch's entry in `recordings`; each entry has the arrays of its
-    `whole`, and may have more that JSON holds. Raises TouchesError for a column that
-    Parquet does not hold.
+    `whole`, and may have more that JSON holds. `named` are the types of columns that
+    the path carries. Raises TouchesError for a column that Parquet does not hold.
     """
     pa = needed("pyarrow", "parquet", "Writing Parquet")
     pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
     with ExitStack() as stack:
         writer = None
         for images, columns, files, numbers in parts:
+            if taken := sorted({_IMAGE, _RECORDING} & {*columns}):
+                raise TouchesError(
+                    f"Columns in Parquet must not be called {taken[0]}, which is one "
+                    "of its own. Write an archive (.npz), or call it something else."
+                )
             # What a camera gives, and a viewer shows.
             large = min(images.shape[1:3]) > ARRAY_SIDE
             levels = images.dtype == np.uint8 and channels in (None, RGB)
@@ -96,6 +102,7 @@ def write_parquet(
                 dtypes = {
                     n: a.dtype.str for n, a in {_IMAGE: images, **columns}.items()
                 }
+                dtypes |= named or {}
                 about = _metadata(pa, table.schema, dtypes, recordings)
                 schema = table.schema.with_metadata(about)
                 writer = stack.enter_context(
@@ -163,7 +170,9 @@ def parquet_files(path: str | PathLike[str]) -> list[str]:
             )
         if not place.is_dir():
             return [str(place)]
-        return [str(p) for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]
+        paths = sorted(place.rglob("*"))
+        shown = [p for p in paths if not p.name.startswith(".")]
+        return [str(path) for path in shown if path.suffix.lower() in ENDINGS]
     system, place_there = _in_store(url)
     try:
         if system.isfile(place_there):
@@ -232,7 +241,8 @@ def parquet_index(name: str) -> FileIndex:
             if not isinstance(field.type, pa.BaseExtensionType)
             and not pa.types.is_nested(field.type)
             and not pa.types.is_binary(field.type)
-            and field.name not in (_IMAGE, _RECORDING)
+            and field.name != _IMAGE
+            and not (field.name == _RECORDING and _has_recordings(about))
         ]
         table = reader.read(columns=short).combine_chunks()
         groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
@@ -243,7 +253,7 @@ def parquet_index(name: str) -> FileIndex:
         array = _numpy(pa, name, column_name, values)
         columns[column_name] = _as_written(array, dtypes.get(column_name, ""))
     n_rows = [group.num_rows for group in groups]
-    for column_name, value in _named(name).items():
+    for column_name, value in _named(name, dtypes).items():
         columns.setdefault(column_name, np.full(sum(n_rows), value))
     kind = schema.field(_IMAGE).type
     is_tensor = isinstance(kind, pa.FixedShapeTensorType)
@@ -254,9 +264,20 @@ def parquet_index(name: str) -> FileIndex:
     return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)
 
 
-def _named(name: str) -> dict[str, str]:
-    """Return the columns that the folders of a file's path carry."""
-    return {key: unquote(value) for key, value in _PART.findall(name)}
+def _named(name: str, dtypes: Mapping[str, str]) -> dict[str, Any]:
+    """Return the columns that the folders of a file's path carry.
+
+    One that the writer had as numbers is numbers; what lacks is NaN.
+    """
+    named: dict[str, Any] = {}
+    for key, text in _PART.findall(name):
+        value = unquote(text)
+        named[key] = value
+        with suppress(TypeError, ValueError):
+            dtype = np.dtype(dtypes.get(key, "U"))
+            if dtype.kind in "iuf":
+                named[key] = np.array(value or "nan").astype(dtype)[()]
+    return named
 
 
 def _schema_of(name: str, reader: Any) -> tuple[Any, dict[str, Any]]:
@@ -285,13 +306,15 @@ def parquet_rows(
     with _reader(name) as (pa, reader):
         _, about = _schema_of(name, reader)
         size = _batch_size(name, reader, max_bytes)
-        named = _named(name)
+        named = _named(name, about.get("dtypes", {}))
         batches = reader.iter_batches(batch_size=size, row_groups=groups)
         for batch in _picked(pa, batches, rows):
             arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
             for column, value in named.items():
                 arrays.setdefault(column, np.full(batch.num_rows, value))
-            numbers = arrays.pop(_RECORDING, np.zeros(batch.num_rows, int))
+            numbers = np.zeros(batch.num_rows, int)
+            if _has_recordings(about):
+                numbers = arrays.pop(_RECORDING, numbers)
             cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
             for start, stop in pairwise(cuts):
                 part = {n: array[start:stop] for n, array in arrays.items()}
@@ -351,6 +374,11 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
     return about
 
 
+def _has_recordings(about: Mapping[str, Any]) -> bool:
+    """Tell whether the column `recording` is palpate's own, or another program's."""
+    return int(about.get("format", 1)) > 1
+
+
 def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:
     """Return what describes all touches of a recording."""
     recordings = about.get("recordings", [])
@@ -385,8 +413,9 @@ def _as_written(array: Array, dtype: str) -> Array:
         wanted = np.dtype(dtype)
     except TypeError:
         return array
-    same = wanted.kind == array.dtype.kind and wanted.itemsize == array.dtype.itemsize
-    return array.astype(wanted) if same else array
+    kinds = wanted.kind, array.dtype.kind
+    same = kinds[0] == kinds[1] or kinds == ("b", "u")
+    return array.astype(wanted) if same and wanted.itemsize == array.itemsize else array
 
 
 def _images(
@@ -473,8 +502,10 @@ def _no_column(name: str, column: str, got: object) -> TouchesError:
 def _arrow(pa: Any, name: str, array: Array) -> Any:
     """Return one column; several numbers a touch are lists of a fixed length."""
     native = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("=")))
+    flat = native.reshape(-1)
     try:
-        column = pa.array(native.reshape(-1))
+        # Of numpy's bytes pyarrow takes those before the first zero alone.
+        column = pa.array(flat.tolist() if flat.dtype.kind == "S" else flat)
         for size in reversed(array.shape[1:]):
             column = pa.FixedSizeListArray.from_arrays(column, size)
     except (pa.ArrowException, ValueError, TypeError) as error:
@@ -486,7 +517,12 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
 
 
 def _tensor(pa: Any, images: Array) -> Any:
-    """Return images as a tensor; several readers refuse one with permuted axes."""
+    """Return images as a tensor; several readers refuse one with permuted axes.
+
+    There is none of true and false: these are 0 and 1.
+    """
+    if images.dtype == np.bool_:
+        images = images.astype(np.uint8)
     flat = _arrow(pa, _IMAGE, images.reshape(len(images), -1))
     shape = images.shape[1:]
     kind = pa.fixed_shape_tensor(flat.type.value_type, shape)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._parallel import results_of
 from .._types import Array, Floats, Indices
-from ._columns import Arrays, TouchesError
+from ._columns import Arrays, TouchesError, checked_column, picked_rows
 from ._folder import folder_arrays
 from ._parquet import (
     file_stamp,
@@ -250,7 +250,8 @@ class ParquetTouches(Labelled):
         self._blocks = list(_in_blocks(files))
         held = [index.columns for index in indices]
         common = [n for n in held[0] if all(n in others for others in held)]
-        self._columns = {n: np.concatenate([c[n] for c in held]) for n in common}
+        joined = {n: np.concatenate([c[n] for c in held]) for n in common}
+        self._columns = {n: checked_column(n, c, n_touches) for n, c in joined.items()}
         self._rows = np.arange(n_touches)
         self._whole = [whole for index in indices for whole in index.whole]
 
@@ -261,17 +262,21 @@ class ParquetTouches(Labelled):
     def whole(self) -> Arrays:
         """What describes all of the touches alike, by name; see `Touches`."""
         first, *others = self._whole or [{}]
-        return {
+        same = {
             name: array
             for name, array in first.items()
             if all(np.array_equal(other.get(name, ()), array) for other in others)
         }
+        if "pads" not in same:  # names of pads that differ name nothing
+            same.pop("pad_names", None)
+        return same
 
     def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
         """Pick touches by their rows, which must rise; no image is read."""
-        other, places = copy(self), np.arange(len(self))[np.asarray(rows)]
+        places = np.arange(len(self))[picked_rows(rows, len(self))]
         if (np.diff(places) <= 0).any():
             raise TouchesError("rows must be increasing indices. Sort them.")
+        other = copy(self)
         other._rows = self._rows[places]
         other._columns = {name: c[places] for name, c in self._columns.items()}
         return other

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from .._types import Array
-from ._columns import COLUMNS, Arrays, TouchesError
+from ._columns import COLUMNS, Arrays, TouchesError, checked_shape
 from ._containers import CONTAINERS, container_arrays
 
 TABLES = (".csv", ".npy")
@@ -54,7 +54,7 @@ def table_arrays(
             f"channel, got {', '.join(channels or ())}. Name what is no taxel."
         )
     n_taxels = len(taxels) // n_channels
-    n_rows, n_cols = shape or (1, n_taxels)
+    n_rows, n_cols = (1, n_taxels) if shape is None else checked_shape(shape)
     if n_rows * n_cols != n_taxels:
         raise TouchesError(
             f"shape must have as many taxels as the table, {n_taxels}, got "
@@ -126,11 +126,14 @@ def load_levels(path: Path, max_bytes: int) -> Array:
         lines = enumerate(_lines(path, max_bytes), 1)
         return np.stack([_numbers(row, f"{path}, line {n}", 1) for n, row in lines])
     try:
+        with path.open("rb") as file:
+            if file.read(2) == b"PK":  # numpy would leave it open
+                raise ValueError("several in an archive, which ends in .npz")
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        if isinstance(mapped, np.ndarray) and mapped.nbytes <= max_bytes:
+        if mapped.nbytes <= max_bytes:
             return np.array(mapped)
         problem: object = f"more than {max_bytes} bytes"
-    except (OSError, ValueError, EOFError) as error:
+    except Exception as error:  # the header is a literal: it fails in many ways
         problem = error
     raise TouchesError(
         f"{path} must be an array that numpy.save wrote, of plain numbers, got: "
@@ -180,7 +183,8 @@ def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
         cells = [by_name[picture][number] for picture in names]
         if number == place or not any(cells):
             continue
-        column = "object" if name in _LABELS else name
+        is_label = name in _LABELS and "object" not in {*header, *columns}
+        column = "object" if is_label else name
         number_like = column not in _TEXTS and all(map(_is_number, cells))
         what = f"{path}, {name}"
         columns[column] = _numbers(cells, what, 2) if number_like else np.array(cells)

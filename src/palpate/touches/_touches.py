@@ -229,7 +229,10 @@ class Touches(Labelled):
         has_shape = ending in RAW or (ending in (*TABLES, *TEXTS) and ending != ".npy")
         if place.exists() and not (has_shape and place.is_file()):
             _left_out(place, "but for tables and bare frames", why, shape=shape)
+        if ending in (*CONTAINERS, *RAW) and place.exists():
+            _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
         if ending in CONTAINERS and place.exists() and plain:
+            _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
             arrays = container_arrays(place, max_bytes, max_pixels)
             if channels:
                 arrays["channels"] = np.array(channels)
@@ -241,6 +244,8 @@ class Touches(Labelled):
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             named = list(channels) if channels else None
             _left_out(place, "for pictures and folders", why, channels=named)
+            if place.is_file():
+                _left_out(place, "but for a folder", "", levels=levels)
             how = (name_pattern, levels, no_contact, colour, skip_bad)
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
@@ -277,6 +282,8 @@ class Touches(Labelled):
                 )
         whole = [{n: a.tobytes() for n, a in part._whole.items()} for part in held]
         same = {n for n, a in whole[0].items() if all(w.get(n) == a for w in whole)}
+        if "pads" not in same:  # names of pads that differ name nothing
+            same.discard("pad_names")
         plain = [part.without(*(part._whole.keys() - same)) for part in held]
         joined = Touches.concatenate(plain)
         return cls._of(joined._images, joined._columns, joined._whole, joined._files)
@@ -295,11 +302,15 @@ class Touches(Labelled):
 
         Columns that `Touches` knows by name, or that hold text, are columns; all other
         numbers are taxels, in their order, `shape` (n_rows, n_cols) of them or else
-        `TouchesError`.
+        `TouchesError`. Text that lacks is empty.
         """
         table = {str(name): np.asarray(frame[name]) for name in frame.columns}
+        lacks = {str(name): np.asarray(frame[name].isna()) for name in frame.columns}
         for name, column in table.items():
             if column.dtype.kind == "O":  # texts; what else there is is refused by name
+                texts = column[~lacks[name]].tolist()
+                if texts and all(isinstance(text, str) for text in texts):
+                    column = np.where(lacks[name], "", column)
                 table[name] = np.asarray(column.tolist())
         return cls(**table_arrays(table, shape))
 
