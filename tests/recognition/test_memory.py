@@ -353,6 +353,18 @@ def test_of_touches_that_are_all_alike_the_unit_is_one(learnt):
     assert [n["distance"] for n in belief.explain()[0]["nearest"]] == [3.0] * 3
 
 
+def test_where_most_pairs_are_alike_the_unit_is_told_by_the_others(tmp_path):
+    """As of an array without noise, one object of which was touched oftener."""
+    images = np.repeat([np.zeros((3, 24)), np.ones((3, 24))], [30, 10], axis=0)
+    touches = Touches(images, object=["a"] * 30 + ["b"] * 10, geometry="none")
+    learnt = ObjectRecogniser().fit(touches)
+    (step,) = learnt.start().update(images[0]).explain(n_nearest=40)
+    near = [touch["distance"] for touch in step["nearest"]]
+    assert_allclose(near, [0.0] * 30 + [1.0] * 10, atol=1e-9)
+    learnt.save(tmp_path / "alike.palpate")
+    ObjectRecogniser.load(tmp_path / "alike.palpate")
+
+
 def test_exact_copies_are_left_out_together_even_where_most_are_copies():
     features = np.array([[0.0]] * 6 + [[1.0], [2.0]])
     objects, blocks = np.repeat(["cup"], 8), np.repeat(np.arange(4), 2)

@@ -310,10 +310,13 @@ def nearest_touches(
 ) -> list[list[dict[str, Any]]]:
     """Return the training touches nearest to each; none where features hold NaN.
 
-    Distances are told in units of the median among up to `N_PAIRED` training touches.
+    Distances are told in units of the median among up to `N_PAIRED` training touches;
+    where most pairs of these are alike, among pairs that differ.
     """
     sampled = memory.features[:: -(-len(memory) // N_PAIRED)]
     squared = pdist(sampled, "sqeuclidean")
+    if squared.any() and not np.median(squared):
+        squared = squared[squared > 0]
     unit = float(np.sqrt(np.median(squared))) if squared.any() else 1.0
     nearest: list[list[dict[str, Any]]] = []
     for vector in features:
