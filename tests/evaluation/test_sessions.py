@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate, split_touches, summary
+from palpate.evaluation import Plan, evaluate, split_touches, summary, write_report
 from palpate.recognition import sessions_message
 
 CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
@@ -91,7 +91,7 @@ def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch):
     assert evaluate(train, test, plan=plan)[0]["accuracy"]["1"] > 0.9
 
 
-def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked():
+def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked(tmp_path):
     train, test = visited("mon", 12, 0), visited("tue", 5, 1)
     plan = Plan(touches=(1, 3), orders=4, remount="confirm:2")
     figures, (trial,) = evaluate(train, test, plan=plan)
@@ -99,6 +99,12 @@ def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked():
     assert set(trial.fold.test.order) == {2, 3, 4}
     assert len(trial.recogniser.memory_) == 60 + 10
     assert trial.recogniser.chosen_["remount"]["labelled"]
+    # The last rows of the memory are theirs, and may be the nearest ones in a report.
+    write_report(tmp_path / "confirmed.html", figures, [trial])
+    assert trial.taught(59).order == 11
+    theirs = [trial.taught(row) for row in range(60, 70)]
+    assert [str(touch.object[0]) for touch in theirs] == list("aabbccddee")
+    assert [int(touch.order[0]) for touch in theirs] == [0, 1] * 5
     with pytest.raises(ValueError, match="'confirm:5', which takes all"):
         evaluate(train, test, plan=Plan(touches=(1,), remount="confirm:5"))
 

@@ -171,7 +171,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     _test_labels(test, plan.label, recogniser)
     progress(f"{fold.name}: recognising {len(test)} touches")
     timing = _timed(recogniser, test)
-    recogniser, test, evidence = _remounted(recogniser, test, plan)
+    recogniser, test, evidence, confirmed = _remounted(recogniser, test, plan)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
     longest = int(np.unique(objects, return_counts=True)[1].max())
@@ -191,6 +191,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
         rows,
         run_episodes(recogniser, *args),
         seconds={**seconds, **timing},
+        confirmed=confirmed,
         uncalibrated=run_episodes(plain, *args[:-1]),
         flags={flag: n / len(rows) for flag, n in sorted(flagged.items())},
     )
@@ -205,11 +206,14 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
 
 def _remounted(
     recogniser: ObjectRecogniser, test: Touches, plan: Plan
-) -> tuple[ObjectRecogniser, Touches, Evidence]:
-    """Return what got used to the test sessions, what is asked, and what that tells."""
+) -> tuple[ObjectRecogniser, Touches, Evidence, Touches | None]:
+    """Return what got used to the test sessions, what is asked, and what that tells.
+
+    And the touches that were confirmed, None where none were.
+    """
     way, number = plan.remounting
     if way == "none":
-        return recogniser, test, recogniser.evidence(test)
+        return recogniser, test, recogniser.evidence(test), None
     order = np.arange(len(test)) if test.order is None else test.order
     in_order = np.argsort(order, kind="stable")
     if way == "confirm":
@@ -223,7 +227,8 @@ def _remounted(
                 "takes all. Confirm fewer."
             )
         recogniser.remount(test[confirmed])
-        return recogniser, test[~confirmed], recogniser.evidence(test[~confirmed])
+        asked = test[~confirmed]
+        return recogniser, asked, recogniser.evidence(asked), test[confirmed]
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
     of_sessions = [in_order[session[in_order] == s] for s in np.unique(session)]
@@ -232,7 +237,8 @@ def _remounted(
         used = copy(recogniser)
         used.remount(test[rows[:number]].without(*labels))
         evidence.append(used.evidence(test[rows]))
-    return used, test[np.concatenate(of_sessions)], Evidence.together(evidence)
+    asked = test[np.concatenate(of_sessions)]
+    return used, asked, Evidence.together(evidence), None
 
 
 def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:

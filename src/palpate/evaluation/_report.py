@@ -428,7 +428,8 @@ def _confused_touches(trials: Sequence[Trial], true: str, taken_for: str) -> str
 def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     """Return evenly spaced training touches of a label, cleaned up, as images."""
     trial = next(t for t in trials if name in t.recogniser.classes_)
-    rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
+    of_train = trial.recogniser.memory_.labels[: len(trial.fold.train)]
+    rows = np.flatnonzero(of_train == name)
     rows_shown = rows[evenly_spaced(len(rows), count)]
     return "".join(_images(trial, trial.fold.train[rows_shown], name))
 
@@ -509,17 +510,14 @@ def _episode(explained: Explained, decision: dict[str, Any]) -> str:
 
 def _touch(explained: Explained, step: dict[str, Any]) -> Iterator[str]:
     """Yield a touch that moved the belief, then its nearest training touches."""
-    fold = explained.trial.fold
     pair = step["best"], step["rival"]
     more, less = pair if step["nats"] > 0 else pair[::-1]
     lines = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
     lines += [f"over {less}", *filter(None, [step["flag"]])]
     yield _cell(explained.trial, explained.touches[[step["touch"] - 1]], lines)
     for near in step["nearest"]:
-        train = fold.train[np.array([near["row"]])]
-        yield _cell(
-            explained.trial, train, [near["object"], f"{near['distance']:.2f} away"]
-        )
+        lines = [near["object"], f"{near['distance']:.2f} away"]
+        yield _cell(explained.trial, explained.trial.taught(near["row"]), lines)
 
 
 def _cell(trial: Trial, touch: Touches, lines: Iterable[str]) -> str:

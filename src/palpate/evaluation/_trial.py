@@ -119,6 +119,8 @@ class Trial:
         Of the test touches: many orders of each object's, and each alone.
     seconds : dict
         To learn; per touch to encode and to recognise.
+    confirmed : Touches or None
+        Touches of the test session that were confirmed, where some were.
     uncalibrated : Episodes or None
         `episodes` as they would be if touches of one episode added up in full.
     unknown : Touches or None
@@ -136,11 +138,19 @@ class Trial:
     log_likelihood: Floats
     episodes: Episodes
     seconds: dict[str, float]
+    confirmed: Touches | None = None
     uncalibrated: Episodes | None = None
     unknown: Touches | None = None
     unknown_episodes: Episodes | None = None
     flags: dict[str, float] = field(default_factory=dict)
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
+
+    def taught(self, row: int) -> Touches:
+        """Return the touch of a row of the memory; confirmed ones come last."""
+        later = row - len(self.fold.train)
+        if later < 0 or self.confirmed is None:
+            return self.fold.train[[row]]
+        return self.confirmed[[later]]
 
 
 def scored(trials: Sequence[Trial], k: int) -> list[Scores]:
