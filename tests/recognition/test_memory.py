@@ -3,6 +3,7 @@
 import json
 from copy import deepcopy
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from palpate.recognition import (
     EmptyTouchError,
     Memory,
     ObjectRecogniser,
+    _learner,
     left_out_groups,
     without_copies,
 )
@@ -123,6 +125,20 @@ def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
         learnt.add_object("cup", test[0])
     assert learnt.memory_ is before
     assert_array_equal(learnt.log_likelihood(test), likelihood)
+
+
+def test_a_change_that_runs_out_of_memory_leaves_the_recogniser_as_it_was(
+    learnt, monkeypatch
+):
+    test, before = drawn(2), dict(vars(learnt))
+    posterior = learnt.start().update(test[0]).posterior
+    with monkeypatch.context() as patch:
+        patch.setattr(_learner, "fit_strangers", Mock(side_effect=MemoryError))
+        with pytest.raises(MemoryError):
+            learnt.add_object("cup", drawn(3, ("ball",), 7))
+    assert vars(learnt).keys() == before.keys()
+    assert all(value is before[name] for name, value in vars(learnt).items())
+    assert learnt.start().update(test[0]).posterior == posterior
 
 
 def test_sessions_are_remembered():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self
 
@@ -463,15 +464,15 @@ class Learner(BaseEstimator):
         return self.serve(self.learnt().relearnt(memory))
 
     def serve(self, learnt: Learnt) -> Self:
-        """Recognise by what was learnt from now on."""
+        """Recognise by what was learnt from now on; all or nothing."""
         refuse_too_large(learnt.memory.labels, self.max_memory_gb)
-        same = learnt.memory is self.memory_
-        before = self.memory_.nearest
-        self.encoder_, self.contact_ = learnt.encoder, learnt.contact
-        self.classifier_ = learnt.classifier
-        if not same:
+        later = copy(self)
+        later.encoder_, later.contact_ = learnt.encoder, learnt.contact
+        later.classifier_ = learnt.classifier
+        if learnt.memory is not self.memory_:
             with on_one_thread():
-                self._calibrate(learnt.memory, before)
+                later._calibrate(learnt.memory, self.memory_.nearest)
+        vars(self).update(vars(later))
         return self
 
     def _calibrate(self, memory: Memory, before: Nearest | None = None) -> None:
