@@ -112,6 +112,17 @@ def test_blocks_of_later_touches_are_their_own(learnt):
     assert len(set(learnt.memory_.blocks)) == len(before) + 10
 
 
+def test_later_touches_are_of_the_object_that_is_named_whatever_their_own_labels(
+    learnt,
+):
+    """As those of a working name, or of another object that is known."""
+    cups = drawn(3, ("ball",), 7)
+    learnt.add_object("cup", cups).extend_object("pen", drawn(4, ("mug",), 2))
+    assert_array_equal(learnt.memory_.objects, learnt.memory_.labels)
+    (step,) = learnt.start().update(cups[:1]).explain(n_nearest=1)
+    assert step["nearest"][0]["object"] == "cup"
+
+
 def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
     test, before = drawn(2), learnt.memory_
     likelihood = learnt.log_likelihood(test)

@@ -413,8 +413,8 @@ class Learner(BaseEstimator):
                 f"{name!r} must have at least {least} touches, got {len(checked)}."
             )
         labels = np.full(len(checked), self._as_label(name))
-        objects_of_touches = checked.object if labels.dtype.kind == "U" else None
-        objects = labels if objects_of_touches is None else objects_of_touches
+        by_object = self.label == "object" or checked.object is None
+        objects = labels if by_object else checked.object
         encoding = encoded(self.encoder_, self.contact_, checked)
         blocks = _memory.blocks_in_order(labels, checked.order)
         blocks = _memory.without_copies(encoding.features, labels, blocks)
