@@ -530,6 +530,18 @@ def test_only_a_touch_that_rules_all_out_or_is_no_number_is_refused(start):
             belief.update_from_log_likelihood(rows)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_an_encoding_that_says_no_number_is_refused_and_changes_nothing(model, bad):
+    touches, belief = drawn(1)[:2], model.start()
+    evidence = model.evidence(touches)
+    by_encoding = evidence.by_encoding.copy()
+    by_encoding[1, 0] = bad
+    with pytest.raises(ValueError, match=r"by_encoding must hold .* for touch 1\. "):
+        belief.update(evidence._replace(by_encoding=by_encoding))
+    assert belief.touches_used == 0
+    assert belief.flags == []
+
+
 def touch_evidence(model, *odds):
     """Evidence of one touch by which things are so many times as probable."""
     n_parts = len(stranger_model(model).weights)

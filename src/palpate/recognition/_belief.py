@@ -83,7 +83,7 @@ class Belief:
     Attributes
     ----------
     flags : list of str
-        What was wrong with each touch, "" for most; see `ObjectRecogniser.flags`.
+        What was wrong with each touch, "" for most; see `Evidence`.
 
     Notes
     -----
@@ -184,6 +184,8 @@ class Belief:
         )
         if by_encoding is None:
             each = np.broadcast_to(rows[:, np.newaxis], shape)
+        else:
+            _evidence.check_every_touch("by_encoding", each)
         together = np.concatenate([rows[:, np.newaxis], each], axis=1)
         together = _evidence.with_floor(together, model.floor)
         floored, each = together[:, 0], together[:, 1:]
