@@ -123,6 +123,16 @@ def test_later_touches_are_of_the_object_that_is_named_whatever_their_own_labels
     assert step["nearest"][0]["object"] == "cup"
 
 
+def test_a_belief_goes_on_by_what_was_learnt_when_it_began(learnt):
+    """Columns of another object would be taken for those of the one forgotten."""
+    ball, belief = drawn(2)[:2], learnt.start()
+    expected = learnt.start().update(ball).posterior
+    learnt.forget_object("mug").add_object("cup", drawn(3, ("mug",)))
+    assert learnt.classes_.tolist() == ["ball", "cup", "pen"]
+    assert belief.update(ball[0]).update(ball[1]).posterior == expected
+    assert [*learnt.start().update(ball).posterior] == ["ball", "cup", "pen"]
+
+
 def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
     test, before = drawn(2), learnt.memory_
     likelihood = learnt.log_likelihood(test)

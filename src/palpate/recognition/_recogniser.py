@@ -250,7 +250,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         log_prior = (
             None if prior is None else _evidence.given_prior(prior, model.classes)
         )
-        return Belief(model, self.evidence, log_prior, strangers)
+        # It goes on by what was learnt when it began, whatever is learnt meanwhile.
+        return Belief(model, copy(self).evidence, log_prior, strangers)
 
     def episode(
         self,
