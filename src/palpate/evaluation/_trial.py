@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -82,6 +82,11 @@ class Plan:
         check_strangers(self.strangers)
         check_count("orders", self.orders)
         check_count("seed", self.seed, at_least=0)
+        if not isinstance(self.touches, Iterable) or not len([*self.touches]):
+            raise ValueError(
+                "touches must hold numbers of touches, such as (1, 5), got "
+                f"{self.touches!r}."
+            )
         for k in self.touches:
             check_count("touches", k)
         self.remounting  # noqa: B018  It says what is wrong with `remount`.
@@ -95,7 +100,7 @@ class Plan:
     def remounting(self) -> tuple[str, int | None]:
         """What `remount` says, and its number."""
         ways = r"(none|recentre)|(recentre|confirm):([1-9][0-9]*)"
-        if (match := re.fullmatch(ways, self.remount)) is None:
+        if (match := re.fullmatch(ways, str(self.remount))) is None:
             raise ValueError(
                 "remount must be none, recentre, recentre:K or confirm:N with a number "
                 f"of touches, got {self.remount!r}."
@@ -195,7 +200,7 @@ def figures_of(
     }
     names = ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece", "ece_before")
     figures.update({name: {} for name in names})
-    for k in plan.touches:
+    for k in sorted(plan.touches):
         _figures_after(k, trials, figures)
     figures["notes"] = _too_long_message(trials, plan)
     if right := _categories_right(trials, plan):
