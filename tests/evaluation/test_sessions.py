@@ -46,6 +46,14 @@ def test_each_session_or_person_is_asked_and_the_others_teach(week, split):
     assert figures["left_out"] == ["e"]
 
 
+def test_a_session_of_few_touches_leaves_the_figures_of_the_others(week):
+    """As long as one session has as many touches as are asked for."""
+    figures, _ = evaluate(week, split="session", plan=Plan(touches=(7,), orders=2))
+    assert figures["n_objects"] == {"7": 4}
+    with pytest.raises(ValueError, match="a number up to 8"):
+        evaluate(week, split="session", plan=Plan(touches=(9,), orders=2))
+
+
 def test_using_the_touches_of_a_session_without_labels_helps():
     train, test = visited("mon", 12, 0), visited("tue", 12, 1)
     as_it_is, _ = evaluate(train, test, plan=PLAN)

@@ -145,6 +145,12 @@ def evaluate(
         progress(f"{len(folds)} folds")
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
+    longest = max(len(rows[0]) for trial in trials for rows in trial.episodes.rows)
+    if min(plan.touches) > longest:
+        raise ValueError(
+            f"touches must hold a number up to {longest}, the most test touches of an "
+            f"object, got {plan.touches}."
+        )
     figures = figures_of(trials, plan, split)
     if split in ("between", "last") and recorded_order(train) is None:
         figures["notes"].append(_UNORDERED)
@@ -174,12 +180,6 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     recogniser, test, evidence, confirmed = _remounted(recogniser, test, plan)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
-    longest = int(np.unique(objects, return_counts=True)[1].max())
-    if min(plan.touches) > longest:
-        raise ValueError(
-            f"touches must hold a number up to {longest}, the most test touches of an "
-            f"object, got {plan.touches}."
-        )
     rows = evidence.log_likelihood
     args = (rows, objects, labels, plan.orders, plan.seed, evidence)
     plain = copy(recogniser)
