@@ -117,6 +117,15 @@ def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked(tmp_pa
         evaluate(train, test, plan=Plan(touches=(1,), remount="confirm:5"))
 
 
+def test_the_first_touches_are_those_that_were_made_first():
+    """By `time_s` where there is no `order`, as they are split."""
+    train, test = visited("mon", 12, 0), visited("tue", 5, 1)
+    backwards = test.without("order").with_columns(time_s=-test.order.astype(float))
+    plan = Plan(touches=(1,), orders=2, remount="confirm:2")
+    _, (trial,) = evaluate(train, backwards, plan=plan)
+    assert set(trial.fold.test.columns["time_s"]) == {0, -1, -2}
+
+
 @pytest.mark.parametrize(
     "words", ["twice", "confirm", "recentre:0", "confirm:-1", "none:3", "recentre:x"]
 )

@@ -214,7 +214,8 @@ def _remounted(
     way, number = plan.remounting
     if way == "none":
         return recogniser, test, recogniser.evidence(test), None
-    order = np.arange(len(test)) if test.order is None else test.order
+    order = recorded_order(test)
+    order = np.arange(len(test)) if order is None else order
     in_order = np.argsort(order, kind="stable")
     if way == "confirm":
         labels_in_order = _test_labels(test, plan.label, recogniser)
