@@ -110,6 +110,8 @@ class Learner(BaseEstimator):
         labels, objects = _memory.training_labels(touches, self.label)
         if y is not None and self.label == "object":
             labels = objects = np.asarray(y)
+        elif y is not None and np.asarray(y).dtype.kind not in "OU":
+            labels = np.asarray(y)
         refuse_too_large(labels, self.max_memory_gb)
         if groups is None:
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
@@ -278,6 +280,9 @@ class Learner(BaseEstimator):
         self._check_fitted()
         new = self._as_touches(touches)
         labels = new.object if self.label == "object" else new.category
+        by_name = dict(zip(self._names(), self.classes_, strict=True))
+        if labels is not None and by_name.keys() >= set(labels.tolist()):
+            labels = np.array([by_name[name] for name in labels.tolist()])
         rehearsal = self.chosen_.get("rehearsal", {})
         trust = rehearsal.get("trust", 1.0)
         learnt, remount_report = remounted(self.learnt(), new, labels, trust)
