@@ -23,7 +23,7 @@ from .._checks import (
 )
 from .._numbers import log_softmax
 from .._parallel import on_one_thread
-from .._types import Bools, Floats, Indices, Label, Presentation, PresetName
+from .._types import Array, Bools, Floats, Indices, Label, Presentation, PresetName
 from ..classifiers import EncodingPool, TouchClassifier
 from ..images import PressPose
 from ..touches import Touches, TouchSource
@@ -418,8 +418,9 @@ class Learner(BaseEstimator):
                 f"{name!r} must have at least {least} touches, got {len(checked)}."
             )
         labels = np.full(len(checked), self._as_label(name))
-        by_object = self.label == "object" or checked.object is None
-        objects = labels if by_object else checked.object
+        objects: Array = labels
+        if self.label == "category" and checked.object is not None:
+            objects = checked.object
         encoding = encoded(self.encoder_, self.contact_, checked)
         blocks = _memory.blocks_in_order(labels, checked.order)
         blocks = _memory.without_copies(encoding.features, labels, blocks)
@@ -477,7 +478,7 @@ class Learner(BaseEstimator):
         if learnt.memory is not self.memory_:
             with on_one_thread():
                 later._calibrate(learnt.memory, self.memory_.nearest)
-        vars(self).update(vars(later))
+        self.__dict__.update(vars(later))
         return self
 
     def _calibrate(self, memory: Memory, before: Nearest | None = None) -> None:
