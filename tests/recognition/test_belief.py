@@ -256,6 +256,13 @@ def test_a_category_has_a_probability_of_its_own(start):
     assert posed(start(), *TORN).decide(0.02, level="category") is None
 
 
+def test_an_object_that_is_called_as_a_category_counts_with_it(start):
+    kinds = {"categories": np.array(["", "ball", "ball", "tool", "tool"])}
+    belief = posed(start(judged=kinds), 0.2, 0.6, 0.15, 0.04, 0.01)
+    assert belief.categories == pytest.approx({"ball": 0.95, "tool": 0.05})
+    assert belief.decide(0.1, level="category") == "ball"
+
+
 @pytest.mark.parametrize("strangers", [-0.1, 1.0, 1.5, np.nan])
 def test_a_share_of_strangers_is_at_least_0_and_below_1(model, strangers):
     with pytest.raises(ValueError, match="strangers must be"):

@@ -326,8 +326,8 @@ class Belief:
     def categories(self) -> dict[str, float]:
         """Probability of each category; empty where the objects have none.
 
-        Objects without a category count as one each. What is missing to 1 is the
-        probability of none of these categories.
+        Objects without a category count as one each, or with the category that is
+        called as they are. What is missing to 1 is the probability of none of these.
         """
         codes = _strangers.category_codes(self._model.categories)
         if codes is None:
@@ -345,7 +345,10 @@ class Belief:
             evidence = model.category_evidence(score, _evidence.doubts(logs))
         log_known, _ = _strangers.stranger_log_shares(evidence, self.strangers)
         shares = self._shares(logs + log_known)
-        return dict(zip(names[first].tolist(), shares, strict=True))
+        together = dict.fromkeys(names[first].tolist(), 0.0)
+        for name, share in zip(names[first].tolist(), shares, strict=True):
+            together[name] += share
+        return together
 
     def promise(self, error: float = 0.01) -> Promise:
         """Return what so many objects can show about an accepted error."""
