@@ -258,6 +258,13 @@ def test_what_is_kept_is_counted_and_named():
     assert kept(["a"] * 8, looks=looks).looks is looks
 
 
+def test_a_category_is_told_by_all_touches_and_never_called_unknown():
+    names = ["ball", "ball", "cup", "cup", "pen", "pen", "rod"]
+    kinds = ["toy", "toy", "vessel", "", "unknown", "unknown", "tool"]
+    memory = kept(names, categories=np.array(kinds))
+    assert memory.category_of.tolist() == ["toy", "", "", "tool"]
+
+
 def test_units_are_objects_or_objects_in_a_session():
     labels = ["a"] * 4 + ["b"] * 4 + ["c"] * 4
     alone = kept(labels, np.arange(12) // 2)

@@ -111,10 +111,13 @@ class Memory:
 
     @cached_property
     def category_of(self) -> NDArray[np.str_]:
-        """The category of each of `classes`, "" where not all its touches tell one."""
+        """The category of each of `classes`, "" where not all its touches tell one.
+
+        "unknown" tells none: it is what decisions say of what was never learnt.
+        """
         codes = np.searchsorted(self.classes, self.labels)
         names = self.categories[np.unique(codes, return_index=True)[1]]
-        differs = self.categories != names[codes]
+        differs = (self.categories != names[codes]) | (self.categories == UNKNOWN)
         return np.where(np.bincount(codes[differs], minlength=len(names)), "", names)
 
     @cached_property
