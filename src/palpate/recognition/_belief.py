@@ -15,6 +15,7 @@ from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches
 from . import _evidence, _strangers
+from ._contact import NO_CONTACT
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
 from ._plugs import Modality
@@ -59,8 +60,9 @@ class BeliefModel:
     touch (nats), the `floor` that one touch leaves to all of them together, how the
     evidence of an episode adds up, what tells `strangers`, other senses, the category
     of each object, "" where none is known (`categories`, (n_objects,)), the training
-    touches (`memory`), for `Belief.explain`, and whether it serves in another session
-    without a confirmed touch of each object (`other_session`).
+    touches (`memory`), for `Belief.explain`, whether it serves in another session
+    without a confirmed touch of each object (`other_session`), and whether touches
+    without contact count (`uses_no_contact`).
     """
 
     classes: NDArray[np.str_]
@@ -72,6 +74,7 @@ class BeliefModel:
     categories: NDArray[np.str_]
     memory: Memory
     other_session: bool = False
+    uses_no_contact: bool = False
 
 
 class Belief:
@@ -83,7 +86,8 @@ class Belief:
     Attributes
     ----------
     flags : list of str
-        What was wrong with each touch, "" for most; see `Evidence`.
+        What was wrong with each touch, "" for most; see `Evidence`. Without contact
+        nothing is wrong where such touches count.
 
     Notes
     -----
@@ -189,6 +193,8 @@ class Belief:
         together = np.concatenate([rows[:, np.newaxis], each], axis=1)
         together = _evidence.with_floor(together, model.floor)
         floored, each = together[:, 0], together[:, 1:]
+        if model.uses_no_contact:
+            flags = ["" if flag == NO_CONTACT else flag for flag in flags]
         self.flags += flags
         self._features += list(kept)
         self._floored += list(floored)

@@ -291,6 +291,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
             categories=self._category_of(self.memory_),
             memory=self.memory_,
             other_session=unconfirmed or (check is not None and check.changed),
+            uses_no_contact=self.uses_no_contact_,
         )
 
     def pose(self, touches: Touches, labels: ArrayLike) -> Poses:
