@@ -336,8 +336,13 @@ def calibration_bins(
     `confidence` holds the largest posterior of each episode, `hit` whether the most
     probable label was right; there are fewer bins for fewer episodes.
     """
-    belief = np.asarray(confidence, dtype=np.float64)
-    right = np.asarray(hit, dtype=np.float64)
+    belief, right = _numbers("confidence", confidence), _numbers("hit", hit)
+    if len(belief) != len(right):
+        raise ValueError(
+            f"hit must have one value for each of {len(belief)} episodes, got "
+            f"{len(right)}."
+        )
+    check_count("n_bins", n_bins)
     order = np.argsort(belief, kind="stable")
     parts = np.array_split(order, min(n_bins, len(order)))
     means = np.array([belief[part].mean() for part in parts])
@@ -375,9 +380,26 @@ def roc_area(known_scores: ArrayLike, unknown_scores: ArrayLike) -> float:
     >>> roc_area([0.1, 0.2], [0.2, 0.9])
     0.875
     """
-    below, above = np.asarray(known_scores, float), np.asarray(unknown_scores, float)
+    below = _numbers("known_scores", known_scores)
+    above = _numbers("unknown_scores", unknown_scores)
     n_won = mannwhitneyu(above, below, method="asymptotic").statistic
     return float(n_won / (len(below) * len(above)))
+
+
+def _numbers(name: str, values: ArrayLike) -> Floats:
+    """Return values of one episode at least, (n_episodes,), or explain."""
+    numbers = np.asarray(values, dtype=np.float64)
+    if numbers.ndim != 1 or not len(numbers):
+        raise ValueError(
+            f"{name} must hold a number for each of one episode or more, got an array "
+            f"of shape {numbers.shape}."
+        )
+    if np.isnan(numbers).any():
+        episode = np.flatnonzero(np.isnan(numbers))[0]
+        raise ValueError(
+            f"{name} must hold no NaN, got one for episode {episode}. Leave it out."
+        )
+    return numbers
 
 
 def spread(values: ArrayLike) -> Floats:
