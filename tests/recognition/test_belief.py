@@ -480,6 +480,15 @@ def test_explanations_weigh_each_touch_between_the_two_best(start, model):
     assert [one["nearest"] for one in bare] == [[]]
 
 
+@pytest.mark.parametrize("number", ["n_touches", "n_nearest"])
+def test_numbers_that_are_explained_are_at_least_0(model, number):
+    belief = model.start().update(drawn(1)[:4])
+    with pytest.raises(ValueError, match=f"{number} must be at least 0, got -1"):
+        belief.explain(**{number: -1})
+    assert belief.explain(0) == []
+    assert not any(step["nearest"] for step in belief.explain(n_nearest=0))
+
+
 def test_a_belief_shows_the_three_most_probable(start):
     belief = posed(start(), 0.05, 0.6, 0.21, 0.04, 0.1)
     expected = "<Belief after 1 touch: cup 0.60, mug 0.21, rod 0.10, unknown 0.00>"

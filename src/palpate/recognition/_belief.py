@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_number, check_option
+from .._checks import check_count, check_number, check_option
 from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches
@@ -596,6 +596,8 @@ class Belief:
             `object`, `row` (among the training touches) and `distance` (1 is that of
             a middling pair of training touches).
         """
+        check_count("n_touches", n_touches, at_least=0)
+        check_count("n_nearest", n_nearest, at_least=0)
         if not self._floored:
             return []
         order = np.argsort(-self._touch_log_posterior, kind="stable")
