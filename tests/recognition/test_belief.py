@@ -434,6 +434,11 @@ def test_another_sense_adds_its_examples_by_its_own_calibration(start, model):
     assert together.unknown_evidence == pytest.approx(nats)
 
 
+def test_an_example_of_another_length_is_refused_by_its_name(start):
+    with pytest.raises(ValueError, match=r"X must have 5 features, .* got 3"):
+        start().update_sense("sight", [1.0, 2.0, 3.0])
+
+
 def test_a_copy_goes_on_by_itself_with_every_sense(start):
     belief = start().update_sense("sight", np.ones(5))
     before = belief.posterior
