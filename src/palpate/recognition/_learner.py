@@ -557,6 +557,8 @@ class Learner(BaseEstimator):
         check_option("presentation", self.presentation, PRESENTATIONS)
         if self.floor is not None:
             check_number("floor", self.floor, low=0, high=0.5)
+        if self.random_state is not None:
+            check_count("random_state", self.random_state, at_least=0)
         return resolved_preset(self.preset, self.encodings, self.classifier)
 
     def _check_fitted(self) -> None:
