@@ -98,6 +98,10 @@ def test_idle_frames_that_name_the_object_are_a_control():
     entry = entry_of(drawn(set_idle=frames, idle_of=of))
     assert entry["controls"]["idle frame"] == 1
     assert entry_of(drawn())["controls"]["idle frame"] is None
+    # Of frames that are not there, or texts, nothing can be told.
+    for odd in (of + 1, of - 1, of.astype(str)):
+        entry = entry_of(drawn(set_idle=frames, idle_of=odd))
+        assert entry["controls"]["idle frame"] is None
 
 
 def test_touches_without_contact_are_scored_apart():

@@ -405,7 +405,12 @@ def _nuisances(touches: Touches) -> dict[str, Floats | None]:
         grey = images.ndim == 3 or name != "disc centre"
         values[name] = measure(touches) if grey else None
     frames, frame_of = touches.whole.get("set_idle"), touches.columns.get("idle_of")
-    there = frames is not None and frame_of is not None
+    there = (
+        frames is not None
+        and frame_of is not None
+        and frame_of.dtype.kind in "iu"
+        and 0 <= frame_of.min() <= frame_of.max() < len(frames)
+    )
     values["idle frame"] = taxels(np.asarray(frames))[frame_of] if there else None
     return values
 
