@@ -93,6 +93,13 @@ def test_replacing_forgets_what_is_named_and_learns_the_rest(learnt):
     assert learnt.classes_.tolist() == ["ball", "pen"]
 
 
+def test_the_sensor_is_kept_where_all_touches_are_replaced(learnt):
+    learnt.replace_objects(drawn(1), forget=NAMES)
+    assert learnt.memory_.sensor == SENSOR
+    none_left = learnt.memory_.without(NAMES)
+    assert learnt.learn_beside(none_left, drawn(2)).memory_.sensor == SENSOR
+
+
 def test_all_ways_to_the_same_touches_learn_the_same():
     first, later = drawn(0), drawn(1, ("pen",), 7)
     extended = ObjectRecogniser().fit(first).extend_object("pen", later)

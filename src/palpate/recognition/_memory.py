@@ -157,6 +157,8 @@ class Memory:
 
         Touches of the other that are copies of these join their blocks.
         """
+        if not len(self):
+            return replace(other, sensor=self.sensor or other.sensor)
         later = replace(other, blocks=other.blocks + self.blocks.max() + 1)
         rows = {
             name: np.concatenate([getattr(self, name), getattr(later, name)])
@@ -180,8 +182,7 @@ class Memory:
         near = cdist(self.features[rows], other.features).min(axis=1) <= limit
         gone = np.zeros(len(self), dtype=bool)
         gone[rows[near]] = True
-        rest = self.of_rows(~gone)
-        return rest.plus(other) if len(rest) else other
+        return self.of_rows(~gone).plus(other)
 
     def without(self, labels: Iterable[object]) -> Self:
         """Return what is left when some labels are forgotten."""
@@ -217,8 +218,7 @@ class Memory:
 
     def replaced(self, other: Self) -> Self:
         """Return this with the other's touches in place of those of its labels."""
-        rest = self.without(other.classes.tolist())
-        return rest.plus(other) if len(rest) else other
+        return self.without(other.classes.tolist()).plus(other)
 
 
 class Nearest:
