@@ -169,6 +169,23 @@ def test_a_change_that_runs_out_of_memory_leaves_the_recogniser_as_it_was(
     assert learnt.start().update(test[0]).posterior == posterior
 
 
+def test_learning_anew_that_fails_leaves_what_was_learnt(learnt, monkeypatch):
+    """Interrupted, it had named the old objects by a classifier of the new ones."""
+    test, before = drawn(2), dict(vars(learnt))
+    with monkeypatch.context() as patch:
+        patch.setattr(_learner, "rehearse", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            learnt.fit(drawn(3, NAMES[::-1]))
+    with pytest.raises(ValueError, match="at least 2 touches, got 1 of 'cup'"):
+        learnt.fit(np.ones((5, 4)), ["ball", "ball", "mug", "mug", "cup"])
+    assert vars(learnt).keys() == before.keys()
+    assert all(value is before[name] for name, value in vars(learnt).items())
+    assert learnt.score(test) > 0.9
+    # What is learnt anew is nothing but that.
+    learnt.learn_modality("sight", np.arange(8.0)[:, None], ["ball", "mug"] * 4)
+    assert learnt.fit(drawn(3)).modalities_ == {}
+
+
 def test_sessions_are_remembered():
     touches = drawn(0).with_columns(session=np.tile(["mon", "tue"], 18))
     memory = ObjectRecogniser().fit(touches).memory_

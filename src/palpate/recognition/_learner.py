@@ -37,7 +37,7 @@ from ._calibration import (
     left_out_log_likelihood,
     without_gaps,
 )
-from ._contact import consists_of_nothing
+from ._contact import ContactCheck, consists_of_nothing
 from ._encoder import TouchEncoder
 from ._evidence import as_touches
 from ._learning import (
@@ -70,8 +70,12 @@ class Learner(BaseEstimator):
     rehearse: bool
     random_state: int
     encoder_: TouchEncoder | RemountedEncoder
+    contact_: ContactCheck
     classifier_: TouchClassifier
     memory_: Memory
+    chosen_: dict[str, Any]
+    pose_: PressPose | None
+    modalities_: dict[str, Modality]
 
     # The last check of the mounting: of today, so that no file holds it.
     _mounting: MountingCheck | None = None
@@ -102,10 +106,11 @@ class Learner(BaseEstimator):
         ------
         ValueError
             If labels are missing, there are fewer than two of them, or one has
-            fewer than two touches; or it would take too much memory.
+            fewer than two touches; or it would take too much memory. What was learnt
+            before is then as it was.
         """
-        preset = self._check_parameters()
-        X, y = self._validated_input(X, y)
+        preset, later = self._check_parameters(), copy(self)
+        X, y = later._validated_input(X, y)
         touches = _memory.labelled(X, y, self.label)
         labels, objects = _memory.training_labels(touches, self.label)
         if y is not None and self.label == "object":
@@ -124,13 +129,13 @@ class Learner(BaseEstimator):
             if groups is None:
                 blocks = _memory.without_copies(encoding.features, objects, blocks)
             memory = memory_of(touches, encoding, labels, objects, blocks)
-            self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
-            self.classifier_ = preset.classifier(encoder).fit(
+            later.encoder_, later.contact_, later.chosen_ = encoder, contact, chosen
+            later.classifier_ = preset.classifier(encoder).fit(
                 memory.features, memory.labels, groups=memory.blocks
             )
-            if self.rehearse and isinstance(self.classifier_, EncodingPool):
-                self.classifier_, weighed = rehearse(
-                    self.classifier_,
+            if self.rehearse and isinstance(later.classifier_, EncodingPool):
+                later.classifier_, weighed = rehearse(
+                    later.classifier_,
                     encoder,
                     memory,
                     touches,
@@ -139,12 +144,11 @@ class Learner(BaseEstimator):
                 )
                 chosen["rehearsal"] = weighed
                 chosen["found"] = [*chosen.get("found", ()), rehearsal_message(weighed)]
-            if len(self.classifier_.part_weights) > 1:
-                chosen["weights"] = dict(self.classifier_.part_weights)
-            self._calibrate(memory)
-        self.pose_: PressPose | None = None
-        self.modalities_: dict[str, Modality] = {}
-        self._mounting = None
+            if len(later.classifier_.part_weights) > 1:
+                chosen["weights"] = dict(later.classifier_.part_weights)
+            later._calibrate(memory)
+        later.pose_, later.modalities_, later._mounting = None, {}, None
+        self.__dict__ = later.__dict__
         return self
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
