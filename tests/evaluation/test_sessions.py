@@ -1,5 +1,7 @@
 """Sessions and persons left out, and what a recogniser does with one it is asked in."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -91,12 +93,18 @@ def test_labels_of_the_test_touches_tell_recentring_nothing():
     assert np.array_equal(*told)
 
 
-def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch):
+def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch, tmp_path):
     monkeypatch.setitem(MOVES, "wed", -MOVES["tue"][::-1])
     train = visited("mon", 12, 0)
     test = Touches.concatenate([visited("tue", 10, 1), visited("wed", 10, 2)])
     plan = Plan(touches=(1,), orders=2, remount="recentre")
-    assert evaluate(train, test, plan=plan)[0]["accuracy"]["1"] > 0.9
+    figures, trials = evaluate(train, test, plan=plan)
+    assert figures["accuracy"]["1"] > 0.9
+    # A report explains touches by what they told in their own session.
+    page = write_report(tmp_path / "recentred.html", figures, trials).read_text()
+    whys = re.findall(r"<p><b>(.)</b> recognised.<br><span class=note>(.*?),", page)
+    assert whys
+    assert all(why == name for name, why in whys)
 
 
 def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked(tmp_path):

@@ -191,6 +191,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
         rows,
         run_episodes(recogniser, *args),
         seconds={**seconds, **timing},
+        evidence=evidence,
         confirmed=confirmed,
         uncalibrated=run_episodes(plain, *args[:-1]),
         flags={flag: n / len(rows) for flag, n in sorted(flagged.items())},

@@ -16,7 +16,7 @@ from .._durable import write_text
 from .._numbers import evenly_spaced
 from .._page import check_report_path, html_table, png_address, report_page, worded
 from .._types import Bools, Indices
-from ..recognition import about, sessions_message
+from ..recognition import Evidence, about, sessions_message
 from ..touches import Touches, as_shown
 from . import plots
 from ._comparisons import as_good_alone
@@ -53,6 +53,14 @@ class Explained(NamedTuple):
         if self.is_stranger and unknown is not None:
             return unknown[self.rows]
         return self.trial.fold.test[self.rows]
+
+    @property
+    def evidence(self) -> Evidence:
+        """What they told, in the session in which they were asked."""
+        of_test = self.trial.evidence
+        if self.is_stranger or of_test is None:
+            return self.trial.recogniser.evidence(self.touches)
+        return Evidence.together([*map(of_test.of_touch, self.rows.tolist())])
 
 
 def write_report(
@@ -489,7 +497,7 @@ def _explained(
 
 def _episode(explained: Explained, decision: dict[str, Any]) -> str:
     belief = explained.trial.recogniser.start(strangers=decision["strangers"])
-    belief.update(explained.touches)
+    belief.update(explained.evidence)
     reason = belief.reason(decision["error"], refusal=decision["refusal"])
     of_label = ", never learnt," if explained.is_stranger else ""
     if explained.name != explained.truth:

@@ -18,6 +18,7 @@ from .._types import Floats, Indices, Label, Presentation, PresetName
 from ..recognition import (
     PRESETS,
     STRANGERS,
+    Evidence,
     ObjectRecogniser,
     across_sessions,
     check_strangers,
@@ -124,6 +125,8 @@ class Trial:
         Of the test touches: many orders of each object's, and each alone.
     seconds : dict
         To learn; per touch to encode and to recognise.
+    evidence : Evidence or None
+        All that the test touches told, each in its session.
     confirmed : Touches or None
         Touches of the test session that were confirmed, where some were.
     uncalibrated : Episodes or None
@@ -143,6 +146,7 @@ class Trial:
     log_likelihood: Floats
     episodes: Episodes
     seconds: dict[str, float]
+    evidence: Evidence | None = None
     confirmed: Touches | None = None
     uncalibrated: Episodes | None = None
     unknown: Touches | None = None
