@@ -308,6 +308,24 @@ def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
             belief.decide(refusal=share)
 
 
+@pytest.mark.parametrize("ask", ["decide", "reason", "is_stuck"])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"error": 0.6}, "error must be"),
+        ({"refusal": 0.6}, "refusal must be"),
+        ({"level": "kind"}, "level must be"),
+        ({"costs": {"cup": {"mug": -1}}}, "costs must be"),
+        ({"costs": {"key": {}}}, "costs must be"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_before_the_first_touch(
+    start, ask, options, message
+):
+    with pytest.raises(ValueError, match=message):
+        getattr(start(), ask)(**options)
+
+
 @pytest.mark.parametrize(
     ("shares", "strangers", "asked", "sentence"),
     [

@@ -430,14 +430,7 @@ class Belief:
         level: Level = "object",
     ) -> Named | None:
         """Return what `decide` does, always with its level; parameters as there."""
-        error = _check_share("error", error)
-        refusal = error if refusal is None else _check_share("refusal", refusal)
-        check_option("level", level, LEVELS)
-        if level == "category" and not self.categories:
-            raise ValueError(
-                "level must be 'object' or 'any', got 'category' and the objects have "
-                "none. Learn from touches with a column 'category'."
-            )
+        error, refusal = self._checked(error, costs, refusal, level)
         if self.touches_used == 0 and not self._senses:
             return None
         if level != "category" and (name := self._object(error, costs)):
@@ -446,6 +439,22 @@ class Belief:
             return Named("category", name)
         is_unknown = 1 - self.unknown <= refusal
         return Named(UNKNOWN, UNKNOWN) if is_unknown else None
+
+    def _checked(
+        self, error: float, costs: Costs | None, refusal: float | None, level: Level
+    ) -> tuple[float, float]:
+        """Return the accepted shares of what may be named, and of "unknown"."""
+        error = _check_share("error", error)
+        refusal = error if refusal is None else _check_share("refusal", refusal)
+        check_option("level", level, LEVELS)
+        if level == "category" and not self.categories:
+            raise ValueError(
+                "level must be 'object' or 'any', got 'category' and the objects have "
+                "none. Learn from touches with a column 'category'."
+            )
+        if costs is not None:
+            self._cost_table(costs)
+        return error, refusal
 
     def _object(self, error: float, costs: Costs | None) -> str | None:
         """Return the object that may be named at an error, or None."""
@@ -530,6 +539,7 @@ class Belief:
         was learnt from, it is also False where more of them may double what they told
         and tell the learnt objects apart: what is in doubt is then only a stranger.
         """
+        self._checked(error, costs, refusal, level)
         per_object = len(self._model.memory) / len(self._model.classes)
         n_touches = self._n_informative
         if n_touches < min(_ENOUGH, per_object):
