@@ -650,6 +650,14 @@ def test_several_images_are_as_many_touches_of_an_episode(model):
         assert one.posterior == pytest.approx(other.posterior, abs=1e-9)
 
 
+def test_lists_of_unequal_lengths_are_no_touch(model):
+    belief = model.start()
+    for take in (belief.update, Episode(belief).add):
+        with pytest.raises(ValueError, match="touch must be one array, got lists"):
+            take([[1.0, 2.0], [3.0]])
+    assert belief.touches_used == 0
+
+
 def test_an_episode_shows_its_sentence(start, model):
     episode = Episode(start(), error=0.05)
     assert repr(episode) == "<Episode: no touch yet: touch it>"

@@ -102,7 +102,15 @@ def as_touches(touch: Any, channels: Sequence[str] | None = None) -> Touches:
         return touch
     if isinstance(touch, list) and touch and isinstance(touch[0], Touches):
         return Touches.concatenate(touch)
-    images = np.asarray(unmasked("touch", touch))
+    try:
+        images = np.asarray(unmasked("touch", touch))
+    except ValueError as error:
+        if isinstance(touch, np.ma.MaskedArray):
+            raise
+        raise ValueError(
+            "touch must be one array, got lists of unequal lengths. Bring all touches "
+            "to the same rows and columns."
+        ) from error
     if channels and images.ndim in (3, 4) and images.shape[-1] == len(channels):
         if images.ndim == 3:
             images = images[np.newaxis]
