@@ -317,6 +317,7 @@ def test_the_same_seed_draws_the_same_folds():
         ({"recognisers": ["CNN"]}, "recognisers must be one of 'default'"),
         ({"protocols": ["thirds"]}, "protocols must be one of 'subjects'"),
         ({"label": "size"}, "label must be one of 'object', 'category'"),
+        ({"touches": 5}, r"touches must hold numbers of touches, .* got 5"),
         ({"repeats": 0}, "repeats must be at least 1, got 0"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
     ],

@@ -102,6 +102,10 @@ def benchmark(
     for name in protocols:
         check_option("protocols", name, PROTOCOLS)
     check_option("label", label, ("object", "category"))
+    if not isinstance(touches, Iterable):
+        raise ValueError(
+            f"touches must hold numbers of touches, such as (1, 5), got {touches!r}."
+        )
     for k in (repeats, *touches):
         check_count("touches and repeats", k)
     check_count("seed", seed, at_least=0)
