@@ -253,8 +253,9 @@ class Learner(BaseEstimator):
             The first touches of the session. With labels they are confirmed: they tell
             what the session does to touches, and join the training touches. Without
             the column of labels they are only taken for what they may be: enough where
-            there are some ten of several objects. Images may have another shape, and
-            a frame of no contact tells where the rim is, and what rest looks like.
+            there are some ten of several objects. Images of a dome may have another
+            shape, and a frame of no contact tells where the rim is, and what rest
+            looks like.
 
         Returns
         -------
@@ -266,7 +267,8 @@ class Learner(BaseEstimator):
         Raises
         ------
         ValueError
-            A label was not learnt, or no touch shows contact.
+            A label was not learnt, no touch shows contact, or images that are looked at
+            as they are have another shape.
 
         Notes
         -----

@@ -66,6 +66,8 @@ class RemountedEncoder(Encoder):
         earlier = wrapped(before)
         taught = earlier.encoder
         taught.check_channels(touches.images, touches.channels)
+        if taught.clean_up_ is None:  # nothing finds the sensor in other images
+            taught.check_size(touches.images)
         broken, drift = taught.stuck(touches), None
         if taught.baseline_ is not None and touches.no_contact is not None:
             now = taught.living(touches.no_contact[np.newaxis], broken)[0]
