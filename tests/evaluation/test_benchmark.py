@@ -98,6 +98,10 @@ def test_idle_frames_that_name_the_object_are_a_control():
     entry = entry_of(drawn(set_idle=frames, idle_of=frame_rows))
     assert entry["controls"]["idle frame"] == 1
     assert entry_of(drawn())["controls"]["idle frame"] is None
+    # Of frames that are not there, or texts, nothing can be told.
+    for odd in (frame_rows + 1, frame_rows - 1, frame_rows.astype(str)):
+        entry = entry_of(drawn(set_idle=frames, idle_of=odd))
+        assert entry["controls"]["idle frame"] is None
 
 
 def test_touches_without_contact_are_scored_apart():
@@ -318,6 +322,7 @@ def test_the_same_seed_draws_the_same_folds():
         ({"recognisers": ["CNN"]}, "recognisers must be one of 'default'"),
         ({"protocols": ["thirds"]}, "protocols must be one of 'subjects'"),
         ({"label": "size"}, "label must be one of 'object', 'category'"),
+        ({"touches": 5}, r"touches must hold numbers of touches, .* got 5"),
         ({"repeats": 0}, "repeats must be at least 1, got 0"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
     ],

@@ -3,6 +3,7 @@
 import json
 import re
 from collections import Counter
+from dataclasses import replace
 from html import escape
 
 import numpy as np
@@ -141,6 +142,13 @@ def test_numbers_of_touches_that_no_object_has_are_named():
         f"Left out: figures after 500 touches; no object has more than {n_test} test "
         "touches."
     )
+
+
+def test_numbers_of_touches_in_any_order_give_the_same_figures(result):
+    plan = replace(PLAN, touches=(6, 1, 3))
+    figures, _ = evaluate(drawn(0, NAMES), drawn(1, NAMES), plan=plan)
+    assert [*figures["accuracy"].items()] == [*result[0]["accuracy"].items()]
+    assert "right after 6 touches" in figures["verdict"]
 
 
 def test_shares_above_the_learnt_limit_are_of_both_kinds(result):
@@ -298,6 +306,9 @@ def test_arguments_that_cannot_be_are_refused(arguments, message):
     ("values", "message"),
     [
         ({"touches": (0,)}, "touches must be at least 1"),
+        ({"touches": ()}, r"touches must hold numbers .* got \(\)"),
+        ({"touches": 5}, "touches must hold numbers .* got 5"),
+        ({"remount": None}, "remount must be none, .* got None"),
         ({"label": "size"}, "'object', 'category'"),
         ({"preset": "best"}, "'default'"),
         ({"error": 5.0}, "error must be finite and between"),

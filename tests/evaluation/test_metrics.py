@@ -110,6 +110,18 @@ def test_wrong_arguments_are_refused():
         davies_bouldin([[0.0], [1.0]], ["a", "a"])
     with pytest.raises(ValueError, match="q must be finite and between 1"):
         davies_bouldin([[0.0], [1.0]], ["a", "b"], q=0)
+    with pytest.raises(ValueError, match=r"confidence must hold a number .* \(0,\)"):
+        calibration_error([], [])
+    with pytest.raises(ValueError, match="confidence must hold no NaN, got one"):
+        calibration_error([0.5, np.nan], [1, 0])
+    with pytest.raises(ValueError, match="each of 2 episodes, got 1"):
+        calibration_error([0.5, 0.6], [1])
+    with pytest.raises(ValueError, match="n_bins must be at least 1"):
+        calibration_error([0.5], [1], n_bins=0)
+    with pytest.raises(ValueError, match="unknown_scores must hold a number"):
+        roc_area([1.0], [])
+    with pytest.raises(ValueError, match="known_scores must hold no NaN"):
+        roc_area([np.nan], [1.0])
 
 
 @pytest.mark.parametrize("q", [1, 2, 300])

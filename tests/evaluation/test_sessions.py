@@ -1,10 +1,12 @@
 """Sessions and persons left out, and remounting to the session that is tested."""
 
+import re
+
 import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate, split_touches, summary
+from palpate.evaluation import Plan, evaluate, split_touches, summary, write_report
 from palpate.recognition import sessions_message
 
 CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
@@ -50,6 +52,14 @@ def test_each_session_or_person_is_tested_and_the_others_teach(week, split):
     assert figures["left_out"] == ["e"]
 
 
+def test_a_session_of_few_touches_leaves_the_figures_of_the_others(week):
+    """As long as one session has as many touches as are asked for."""
+    figures, _ = evaluate(week, split="session", plan=Plan(touches=(7,), orders=2))
+    assert figures["n_objects"] == {"7": 4}
+    with pytest.raises(ValueError, match="a number up to 8"):
+        evaluate(week, split="session", plan=Plan(touches=(9,), orders=2))
+
+
 def test_using_the_touches_of_a_session_without_labels_helps():
     train, test = visited("mon", 12, 0), visited("tue", 12, 1)
     as_it_is, _ = evaluate(train, test, plan=PLAN)
@@ -87,15 +97,21 @@ def test_labels_of_the_test_touches_tell_recentring_nothing():
     assert np.array_equal(*offsets)
 
 
-def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch):
+def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch, tmp_path):
     monkeypatch.setitem(MOVES, "wed", -MOVES["tue"][::-1])
     train = visited("mon", 12, 0)
     test = Touches.concatenate([visited("tue", 10, 1), visited("wed", 10, 2)])
     plan = Plan(touches=(1,), orders=2, remount="recentre")
-    assert evaluate(train, test, plan=plan)[0]["accuracy"]["1"] > 0.9
+    figures, trials = evaluate(train, test, plan=plan)
+    assert figures["accuracy"]["1"] > 0.9
+    # A report explains touches by what they told in their own session.
+    page = write_report(tmp_path / "recentred.html", figures, trials).read_text()
+    whys = re.findall(r"<p><b>(.)</b> recognised.<br><span class=note>(.*?),", page)
+    assert whys
+    assert all(why == name for name, why in whys)
 
 
-def test_confirmed_touches_are_the_first_of_each_object_and_not_tested():
+def test_confirmed_touches_are_the_first_of_each_object_and_not_tested(tmp_path):
     train, test = visited("mon", 12, 0), visited("tue", 5, 1)
     plan = Plan(touches=(1, 3), orders=4, remount="confirm:2")
     figures, (trial,) = evaluate(train, test, plan=plan)
@@ -103,8 +119,23 @@ def test_confirmed_touches_are_the_first_of_each_object_and_not_tested():
     assert set(trial.fold.test.order) == {2, 3, 4}
     assert len(trial.recogniser.memory_) == 60 + 10
     assert trial.recogniser.chosen_["remount"]["labelled"]
+    # The last rows of the memory are theirs, and may be the nearest ones in a report.
+    write_report(tmp_path / "confirmed.html", figures, [trial])
+    assert trial.taught(59).order == 11
+    theirs = [trial.taught(row) for row in range(60, 70)]
+    assert [str(touch.object[0]) for touch in theirs] == list("aabbccddee")
+    assert [int(touch.order[0]) for touch in theirs] == [0, 1] * 5
     with pytest.raises(ValueError, match="'confirm:5', which takes all"):
         evaluate(train, test, plan=Plan(touches=(1,), remount="confirm:5"))
+
+
+def test_the_first_touches_are_those_that_were_made_first():
+    """By `time_s` where there is no `order`, as they are split."""
+    train, test = visited("mon", 12, 0), visited("tue", 5, 1)
+    backwards = test.without("order").with_columns(time_s=-test.order.astype(float))
+    plan = Plan(touches=(1,), orders=2, remount="confirm:2")
+    _, (trial,) = evaluate(train, backwards, plan=plan)
+    assert set(trial.fold.test.columns["time_s"]) == {0, -1, -2}
 
 
 @pytest.mark.parametrize(

@@ -262,6 +262,13 @@ def test_a_category_has_a_probability_of_its_own(start):
     assert posed(start(), *TORN).decide(0.02, level="category") is None
 
 
+def test_an_object_that_is_called_as_a_category_counts_with_it(start):
+    kinds = {"categories": np.array(["", "ball", "ball", "tool", "tool"])}
+    belief = posed(start(model_parts=kinds), 0.2, 0.6, 0.15, 0.04, 0.01)
+    assert belief.categories == pytest.approx({"ball": 0.95, "tool": 0.05})
+    assert belief.decide(0.1, level="category") == "ball"
+
+
 @pytest.mark.parametrize("strangers", [-0.1, 1.0, 1.5, np.nan])
 def test_a_share_of_strangers_is_at_least_0_and_below_1(model, strangers):
     with pytest.raises(ValueError, match="strangers must be"):
@@ -305,6 +312,24 @@ def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
             belief.decide(share)
         with pytest.raises(ValueError, match="refusal must be"):
             belief.decide(refusal=share)
+
+
+@pytest.mark.parametrize("ask", ["decide", "reason", "is_stuck"])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"error": 0.6}, "error must be"),
+        ({"refusal": 0.6}, "refusal must be"),
+        ({"level": "kind"}, "level must be"),
+        ({"costs": {"cup": {"mug": -1}}}, "costs must be"),
+        ({"costs": {"key": {}}}, "costs must be"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_before_the_first_touch(
+    start, ask, options, message
+):
+    with pytest.raises(ValueError, match=message):
+        getattr(start(), ask)(**options)
 
 
 @pytest.mark.parametrize(
@@ -437,6 +462,11 @@ def test_another_sense_adds_its_examples_by_its_own_calibration(start, model):
     assert together.unknown_evidence == pytest.approx(nats)
 
 
+def test_an_example_of_another_length_is_refused_by_its_name(start):
+    with pytest.raises(ValueError, match=r"X must have 5 features, .* got 3"):
+        start().update_sense("sight", [1.0, 2.0, 3.0])
+
+
 def test_a_copy_goes_on_by_itself_with_every_sense(start):
     belief = start().update_sense("sight", np.ones(5))
     before = belief.posterior
@@ -497,6 +527,15 @@ def test_explanations_weigh_each_touch_between_the_two_best(start, model):
     assert [explanation["nearest"] for explanation in bare] == [[]]
 
 
+@pytest.mark.parametrize("number", ["n_touches", "n_nearest"])
+def test_numbers_that_are_explained_are_at_least_0(model, number):
+    belief = model.start().update(drawn(1)[:4])
+    with pytest.raises(ValueError, match=f"{number} must be at least 0, got -1"):
+        belief.explain(**{number: -1})
+    assert belief.explain(0) == []
+    assert not any(step["nearest"] for step in belief.explain(n_nearest=0))
+
+
 def test_a_belief_shows_the_three_most_probable(start):
     belief = posed(start(), 0.05, 0.6, 0.21, 0.04, 0.1)
     expected = "<Belief after 1 touch: cup 0.60, mug 0.21, rod 0.10, unknown 0.00>"
@@ -552,6 +591,18 @@ def test_only_a_touch_that_rules_all_out_or_is_no_number_is_refused(start):
         rows[1, 2] = bad
         with pytest.raises(ValueError, match=f"{bad}.* for touch 1. Leave that touch"):
             belief.update_from_log_likelihood(rows)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_an_encoding_that_says_no_number_is_refused_and_changes_nothing(model, bad):
+    touches, belief = drawn(1)[:2], model.start()
+    evidence = model.evidence(touches)
+    by_encoding = evidence.by_encoding.copy()
+    by_encoding[1, 0] = bad
+    with pytest.raises(ValueError, match=r"by_encoding must hold .* for touch 1\. "):
+        belief.update(evidence._replace(by_encoding=by_encoding))
+    assert belief.touches_used == 0
+    assert belief.flags == []
 
 
 def touch_evidence(model, *odds):
@@ -621,6 +672,14 @@ def test_several_images_are_as_many_touches_of_an_episode(model):
     for joint, single in zip(together.touches, alone.touches, strict=True):
         # Products of one row and of several round differently.
         assert joint.posterior == pytest.approx(single.posterior, abs=1e-9)
+
+
+def test_lists_of_unequal_lengths_are_no_touch(model):
+    belief = model.start()
+    for take in (belief.update, Episode(belief).add):
+        with pytest.raises(ValueError, match="touch must be one array, got lists"):
+            take([[1.0, 2.0], [3.0]])
+    assert belief.touches_used == 0
 
 
 def test_an_episode_shows_its_sentence(start, model):

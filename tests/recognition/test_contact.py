@@ -406,6 +406,13 @@ def test_a_label_of_touches_without_contact_is_learnt(camera):
     )
     recogniser = ObjectRecogniser().fit(more)
     assert recogniser.start().update(idle(touches, seed=99)).best == "nothing"
+    # It counts, and so do the words about it.
+    episode = recogniser.episode(error=0.05, strangers=0)
+    frames = np.stack([idle(touches, seed) for seed in (99, 98)])
+    assert recogniser.evidence(frames).flags == ["no contact"] * 2
+    assert episode.add(frames) == "nothing, over 99.9 % after 2 touches"
+    assert episode.belief.reason(0.05) == episode.sentence
+    assert [touch.note for touch in episode.touches] == ["", ""]
 
 
 def test_the_preset_of_the_paper_takes_the_idle_frame_as_evidence(camera):

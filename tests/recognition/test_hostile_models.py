@@ -155,6 +155,9 @@ def test_a_larger_file_than_asked_for_is_refused_unread(tmp_path, monkeypatch):
     path = models()[0].save(tmp_path / "a.palpate")
     monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "0.001")
     assert "PALPATE_MAX_MODEL_MB" in refusal_of(path)
+    for odd in ("2 GB", "nan", ""):
+        monkeypatch.setenv("PALPATE_MAX_MODEL_MB", odd)
+        assert f"must be a number of MB, got {odd!r}. Set" in refusal_of(path)
 
 
 def test_what_could_not_be_read_is_not_written(tmp_path):

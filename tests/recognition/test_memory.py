@@ -3,6 +3,7 @@
 import json
 from copy import deepcopy
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from palpate.recognition import (
     EmptyTouchError,
     Memory,
     ObjectRecogniser,
+    _learner,
     left_out_groups,
     without_copies,
 )
@@ -91,6 +93,13 @@ def test_replacing_forgets_the_objects_named_and_learns_the_others(learnt):
     assert learnt.classes_.tolist() == ["ball", "pen"]
 
 
+def test_the_sensor_is_kept_where_all_touches_are_replaced(learnt):
+    learnt.replace_objects(drawn(1), forget=NAMES)
+    assert learnt.memory_.sensor == SENSOR
+    none_left = learnt.memory_.without(NAMES)
+    assert learnt.learn_beside(none_left, drawn(2)).memory_.sensor == SENSOR
+
+
 def test_extending_and_replacing_learn_the_same_of_the_same_touches():
     first, later = drawn(0), drawn(1, ("pen",), 7)
     extended = ObjectRecogniser().fit(first).extend_object("pen", later)
@@ -110,6 +119,27 @@ def test_blocks_of_later_touches_are_their_own(learnt):
     assert len(set(learnt.memory_.blocks)) == len(before) + 10
 
 
+def test_later_touches_are_of_the_object_that_is_named_whatever_their_own_labels(
+    learnt,
+):
+    """As those of a working name, or of another object that is known."""
+    cups = drawn(3, ("ball",), 7)
+    learnt.add_object("cup", cups).extend_object("pen", drawn(4, ("mug",), 2))
+    assert_array_equal(learnt.memory_.objects, learnt.memory_.labels)
+    (step,) = learnt.start().update(cups[:1]).explain(n_nearest=1)
+    assert step["nearest"][0]["object"] == "cup"
+
+
+def test_a_belief_goes_on_by_what_was_learnt_when_it_began(learnt):
+    """Columns of another object would be taken for those of the one forgotten."""
+    ball, belief = drawn(2)[:2], learnt.start()
+    expected = learnt.start().update(ball).posterior
+    learnt.forget_object("mug").add_object("cup", drawn(3, ("mug",)))
+    assert learnt.classes_.tolist() == ["ball", "cup", "pen"]
+    assert belief.update(ball[0]).update(ball[1]).posterior == expected
+    assert [*learnt.start().update(ball).posterior] == ["ball", "cup", "pen"]
+
+
 def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
     test, before = drawn(2), learnt.memory_
     likelihood = learnt.log_likelihood(test)
@@ -123,6 +153,37 @@ def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
         learnt.add_object("cup", test[0])
     assert learnt.memory_ is before
     assert_array_equal(learnt.log_likelihood(test), likelihood)
+
+
+def test_a_change_that_runs_out_of_memory_leaves_the_recogniser_as_it_was(
+    learnt, monkeypatch
+):
+    test, before = drawn(2), dict(vars(learnt))
+    posterior = learnt.start().update(test[0]).posterior
+    with monkeypatch.context() as patch:
+        patch.setattr(_learner, "fit_strangers", Mock(side_effect=MemoryError))
+        with pytest.raises(MemoryError):
+            learnt.add_object("cup", drawn(3, ("ball",), 7))
+    assert vars(learnt).keys() == before.keys()
+    assert all(value is before[name] for name, value in vars(learnt).items())
+    assert learnt.start().update(test[0]).posterior == posterior
+
+
+def test_learning_anew_that_fails_leaves_what_was_learnt(learnt, monkeypatch):
+    """Interrupted, it had named the old objects by a classifier of the new ones."""
+    test, before = drawn(2), dict(vars(learnt))
+    with monkeypatch.context() as patch:
+        patch.setattr(_learner, "rehearse", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            learnt.fit(drawn(3, NAMES[::-1]))
+    with pytest.raises(ValueError, match="at least 2 touches, got 1 of 'cup'"):
+        learnt.fit(np.ones((5, 4)), ["ball", "ball", "mug", "mug", "cup"])
+    assert vars(learnt).keys() == before.keys()
+    assert all(value is before[name] for name, value in vars(learnt).items())
+    assert learnt.score(test) > 0.9
+    # What is learnt anew is nothing but that.
+    learnt.learn_modality("sight", np.arange(8.0)[:, None], ["ball", "mug"] * 4)
+    assert learnt.fit(drawn(3)).modalities_ == {}
 
 
 def test_sessions_are_remembered():
@@ -219,6 +280,13 @@ def test_a_memory_gives_its_length_classes_categories_and_looks():
     assert np.isnan(memory.looks).all()
     looks = np.ones((8, 7))
     assert memory_of(["a"] * 8, looks=looks).looks is looks
+
+
+def test_a_category_is_told_by_all_touches_and_never_called_unknown():
+    names = ["ball", "ball", "cup", "cup", "pen", "pen", "rod"]
+    kinds = ["toy", "toy", "vessel", "", "unknown", "unknown", "tool"]
+    memory = memory_of(names, categories=np.array(kinds))
+    assert memory.category_of.tolist() == ["toy", "", "", "tool"]
 
 
 def test_units_are_objects_or_objects_in_a_session():
@@ -355,6 +423,18 @@ def test_of_touches_that_are_all_alike_the_unit_is_one(learnt):
         [0.0, -1.0, -2.0], features=features[:1] + 3.0 / np.sqrt(features.shape[1])
     )
     assert [n["distance"] for n in belief.explain()[0]["nearest"]] == [3.0] * 3
+
+
+def test_where_most_pairs_are_alike_the_unit_is_told_by_the_others(tmp_path):
+    """As of an array without noise, one object of which was touched oftener."""
+    images = np.repeat([np.zeros((3, 24)), np.ones((3, 24))], [30, 10], axis=0)
+    touches = Touches(images, object=["a"] * 30 + ["b"] * 10, geometry="none")
+    learnt = ObjectRecogniser().fit(touches)
+    (step,) = learnt.start().update(images[0]).explain(n_nearest=40)
+    near = [touch["distance"] for touch in step["nearest"]]
+    assert_allclose(near, [0.0] * 30 + [1.0] * 10, atol=1e-9)
+    learnt.save(tmp_path / "alike.palpate")
+    ObjectRecogniser.load(tmp_path / "alike.palpate")
 
 
 def test_exact_copies_are_left_out_together_even_where_most_are_copies():

@@ -303,6 +303,19 @@ def test_confusions_are_drawn(alone):
     assert [t.get_text() for t in axes.get_yticklabels()] == NAMES
 
 
+def test_names_with_dollars_are_drawn_as_they_are():
+    """Two of them would be a formula, and one that cannot be read an error."""
+    pytest.importorskip("matplotlib").use("Agg")
+    touches = drawn()
+    costly = np.where(touches.object == "mug", "$^$", touches.object)
+    learnt = ObjectRecogniser(None, encodings={"means": Means()})
+    learnt.fit(touches.with_columns(object=costly))
+    episode = learnt.episode()
+    episode.add(touches[touches.object == "mug"][:2])
+    for axes in (learnt.plot_confusion(), episode.plot(), episode.belief.plot()):
+        axes.figure.draw_without_rendering()
+
+
 def test_touches_are_drawn(touches):
     pytest.importorskip("matplotlib").use("Agg")
     axes = touches[:5].plot()

@@ -141,6 +141,20 @@ def test_changes_to_which_no_encoding_is_blind_are_reported(presentation, rng):
     assert learnt.chosen_["found"][0] == expected
 
 
+def test_channels_in_another_order_are_refused(rng):
+    images = rng.normal(size=(20, 10, 10, 3)) + np.arange(3)
+    images[10:, :5] += 2
+    names = np.repeat(["cup", "pen"], 10)
+    touches = Touches(images, object=names, channels=["x", "y", "z"], geometry="array")
+    learnt = ObjectRecogniser().fit(touches)
+    turned = Touches(images, object=names, channels=["z", "y", "x"], geometry="array")
+    for take in (learnt.evidence, learnt.remount):
+        with pytest.raises(ValueError, match=r"channels must be x, y, z .* z, y, x"):
+            take(turned)
+    assert learnt.start().update(touches[:2]).touches_used == 2
+    assert learnt.start().update(images[:2]).touches_used == 2
+
+
 def dome(rng, n=6, side=120):
     row, col = np.mgrid[:side, :side]
     images = []

@@ -102,6 +102,17 @@ def test_a_belief_that_was_begun_moves_with_the_recentring(learnt):
     assert belief.posterior == pytest.approx(afresh.posterior)
 
 
+@pytest.mark.parametrize("options", [{"strangers": 2}, {"prior": {"a": 1.0}}])
+def test_a_wrong_share_is_refused_when_an_episode_begins(learnt, options):
+    there, today = _day(3.0, 1), Recentring(learnt)
+    today.start().update(there[0])
+    with pytest.raises(ValueError, match=f"{next(iter(options))} must"):
+        today.start(**options)
+    # The episode under way goes on.
+    assert today.update(there[0]).touches_used == 2
+    assert today.n_touches == 2
+
+
 def test_the_recogniser_that_was_learnt_stays_as_it_is(learnt):
     there = _day(3.0, 1, n_each=2)
     before = learnt.log_likelihood(there)

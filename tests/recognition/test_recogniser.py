@@ -182,6 +182,10 @@ def test_refusals_say_what_to_do(rng):
         ObjectRecogniser("nothing").fit(touches)
     with pytest.raises(ValueError, match="floor must be finite and between 0"):
         ObjectRecogniser(floor=2.0).fit(touches)
+    with pytest.raises(ValueError, match="random_state must be at least 0, got -1"):
+        ObjectRecogniser(random_state=-1).fit(touches)
+    with pytest.raises(TypeError, match="random_state must be an integer, got float"):
+        ObjectRecogniser(random_state=1.5).fit(touches)
 
 
 @pytest.mark.parametrize("where", [0.02, 0.3, 0.6, 0.9, 0.999, 0, 1, 7, 100, 5000])

@@ -1,5 +1,6 @@
 """Rehearsed sessions: what is drawn, what is not, how far it counts."""
 
+import json
 from copy import copy
 from types import SimpleNamespace
 
@@ -96,6 +97,15 @@ def test_the_same_seed_gives_the_same_to_the_bit(both):
     there = _presses(3, 9)
     assert_array_equal(again.log_likelihood(there), both[1].log_likelihood(there))
     assert again.chosen_ == both[1].chosen_
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # a mean of nothing
+def test_labels_of_one_group_each_leave_nothing_to_be_asked():
+    touches = _presses(6, 0)
+    learnt = ObjectRecogniser().fit(touches, groups=touches.object)
+    json.dumps(learnt.summary(), allow_nan=False)
+    assert learnt.chosen_["rehearsal"].keys() == {"share", "told_by", "drawn", "trust"}
+    assert "expect less than today" in sessions_message(across_sessions(learnt))
 
 
 def test_vectors_are_not_rehearsed():

@@ -288,6 +288,12 @@ def test_a_remounting_that_fails_leaves_the_recogniser_as_it_was(taught):
     assert np.array_equal(state, again)
 
 
+def test_images_that_no_clean_up_finds_keep_their_size(pressed):
+    larger = np.kron(_presses(4, 1).images, np.ones((1, 2, 2)))
+    with pytest.raises(ValueError, match="12 x 12 taxels like the training touches"):
+        pressed.remount(Touches(larger, geometry="array"))
+
+
 def test_touches_that_show_nothing_do_not_remount():
     learnt = simulate_touches(NAMES, 8, CAMERA, drift=False, random_state=0)
     recogniser = ObjectRecogniser().fit(learnt)

@@ -55,6 +55,22 @@ def test_labels_keep_their_kind(images_and_labels):
         learnt.add_object("cup", images[:4])
 
 
+@pytest.mark.parametrize("label", ["object", "category"])
+def test_touches_name_numbers_that_were_learnt_in_texts(images_and_labels, label):
+    images, labels = images_and_labels
+    numbers = np.unique(labels, return_inverse=True)[1] + 9  # "9" is after "10"
+    learnt = ObjectRecogniser(label=label).fit(images, numbers)
+    assert learnt.classes_.tolist() == [9, 10, 11]
+    touches = Touches(images, **{label: numbers})
+    assert learnt.score(touches) == learnt.score(images, numbers)
+    learnt.remount(touches[::8])
+    assert learnt.classes_.tolist() == [9, 10, 11]
+    assert learnt.chosen_["remount"]["labelled"]
+    assert learnt.memory_.labels[-6:].tolist() == numbers[::8].tolist()
+    with pytest.raises(ValueError, match="known objects, got '7', which was not"):
+        learnt.remount(Touches(images[:1], **{label: [7]}))
+
+
 def test_cross_validation_scores_images_and_touches_alike(images_and_labels):
     images, labels = images_and_labels
     groups = np.arange(48) // 6

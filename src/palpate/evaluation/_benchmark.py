@@ -102,6 +102,10 @@ def benchmark(
     for name in protocols:
         check_option("protocols", name, PROTOCOLS)
     check_option("label", label, ("object", "category"))
+    if not isinstance(touches, Iterable):
+        raise ValueError(
+            f"touches must hold numbers of touches, such as (1, 5), got {touches!r}."
+        )
     for k in (repeats, *touches):
         check_count("touches and repeats", k)
     check_count("seed", seed, at_least=0)
@@ -405,7 +409,12 @@ def _nuisances(touches: Touches) -> dict[str, Floats | None]:
         grey = images.ndim == 3 or name != "disc centre"
         values[name] = measure(touches) if grey else None
     frames, frame_of = touches.whole.get("set_idle"), touches.columns.get("idle_of")
-    there = frames is not None and frame_of is not None
+    there = (
+        frames is not None
+        and frame_of is not None
+        and frame_of.dtype.kind in "iu"
+        and 0 <= frame_of.min() <= frame_of.max() < len(frames)
+    )
     values["idle frame"] = taxels(np.asarray(frames))[frame_of] if there else None
     return values
 

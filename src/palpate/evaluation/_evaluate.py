@@ -145,6 +145,12 @@ def evaluate(
         progress(f"{len(folds)} folds")
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
+    longest = max(len(rows[0]) for trial in trials for rows in trial.episodes.rows)
+    if min(plan.touches) > longest:
+        raise ValueError(
+            f"touches must hold a number up to {longest}, the most test touches of an "
+            f"object, got {plan.touches}."
+        )
     figures = figures_of(trials, plan, split)
     if split in ("between", "last") and recorded_order(train) is None:
         figures["notes"].append(_UNORDERED)
@@ -171,15 +177,9 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     _test_labels(test, plan.label, recogniser)
     progress(f"{fold.name}: recognising {len(test)} touches")
     timing = _timed(recogniser, test)
-    recogniser, test, evidence = _remounted(recogniser, test, plan)
+    recogniser, test, evidence, confirmed = _remounted(recogniser, test, plan)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
-    longest = int(np.unique(objects, return_counts=True)[1].max())
-    if min(plan.touches) > longest:
-        raise ValueError(
-            f"touches must hold a number up to {longest}, the most test touches of an "
-            f"object, got {plan.touches}."
-        )
     rows = evidence.log_likelihood
     args = (rows, objects, labels, plan.orders, plan.seed, evidence)
     plain = copy(recogniser)
@@ -191,6 +191,8 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
         rows,
         run_episodes(recogniser, *args),
         seconds={**seconds, **timing},
+        evidence=evidence,
+        confirmed=confirmed,
         uncalibrated=run_episodes(plain, *args[:-1]),
         flags={flag: n / len(rows) for flag, n in sorted(flagged.items())},
     )
@@ -205,12 +207,16 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
 
 def _remounted(
     recogniser: ObjectRecogniser, test: Touches, plan: Plan
-) -> tuple[ObjectRecogniser, Touches, Evidence]:
-    """Return what got used to the test sessions, what is asked, and what that tells."""
+) -> tuple[ObjectRecogniser, Touches, Evidence, Touches | None]:
+    """Return what got used to the test sessions, what is asked, and what that tells.
+
+    And the touches that were confirmed, None where none were.
+    """
     way, number = plan.remounting
     if way == "none":
-        return recogniser, test, recogniser.evidence(test)
-    order = np.arange(len(test)) if test.order is None else test.order
+        return recogniser, test, recogniser.evidence(test), None
+    order = recorded_order(test)
+    order = np.arange(len(test)) if order is None else order
     in_order = np.argsort(order, kind="stable")
     if way == "confirm":
         labels_in_order = _test_labels(test, plan.label, recogniser)
@@ -223,7 +229,8 @@ def _remounted(
                 "takes all. Confirm fewer."
             )
         recogniser.remount(test[confirmed])
-        return recogniser, test[~confirmed], recogniser.evidence(test[~confirmed])
+        asked = test[~confirmed]
+        return recogniser, asked, recogniser.evidence(asked), test[confirmed]
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
     of_sessions = [in_order[session[in_order] == s] for s in np.unique(session)]
@@ -232,7 +239,8 @@ def _remounted(
         used = copy(recogniser)
         used.remount(test[rows[:number]].without(*labels))
         evidence.append(used.evidence(test[rows]))
-    return used, test[np.concatenate(of_sessions)], Evidence.together(evidence)
+    asked = test[np.concatenate(of_sessions)]
+    return used, asked, Evidence.together(evidence), None
 
 
 def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:

@@ -16,7 +16,7 @@ from .._durable import write_text
 from .._numbers import evenly_spaced
 from .._page import check_report_path, html_table, png_address, report_page, worded
 from .._types import Bools, Indices
-from ..recognition import about, sessions_message
+from ..recognition import Evidence, about, sessions_message
 from ..touches import Touches, as_shown
 from . import plots
 from ._comparisons import as_good_alone
@@ -53,6 +53,14 @@ class Explained(NamedTuple):
         if self.is_stranger and unknown is not None:
             return unknown[self.rows]
         return self.trial.fold.test[self.rows]
+
+    @property
+    def evidence(self) -> Evidence:
+        """What they told, in the session in which they were asked."""
+        of_test = self.trial.evidence
+        if self.is_stranger or of_test is None:
+            return self.trial.recogniser.evidence(self.touches)
+        return Evidence.together([*map(of_test.of_touch, self.rows.tolist())])
 
 
 def write_report(
@@ -428,7 +436,8 @@ def _confused_touches(trials: Sequence[Trial], true: str, taken_for: str) -> str
 def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     """Return evenly spaced training touches of a label, cleaned up, as images."""
     trial = next(t for t in trials if name in t.recogniser.classes_)
-    rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
+    of_train = trial.recogniser.memory_.labels[: len(trial.fold.train)]
+    rows = np.flatnonzero(of_train == name)
     rows_shown = rows[evenly_spaced(len(rows), count)]
     return "".join(_images(trial, trial.fold.train[rows_shown], name))
 
@@ -488,7 +497,7 @@ def _explained(
 
 def _episode(explained: Explained, decision: dict[str, Any]) -> str:
     belief = explained.trial.recogniser.start(strangers=decision["strangers"])
-    belief.update(explained.touches)
+    belief.update(explained.evidence)
     reason = belief.reason(decision["error"], refusal=decision["refusal"])
     of_label = ", never learnt," if explained.is_stranger else ""
     if explained.name != explained.truth:
@@ -509,17 +518,14 @@ def _episode(explained: Explained, decision: dict[str, Any]) -> str:
 
 def _touch(explained: Explained, step: dict[str, Any]) -> Iterator[str]:
     """Yield a touch that moved the belief, then its nearest training touches."""
-    fold = explained.trial.fold
     pair = step["best"], step["rival"]
     more, less = pair if step["nats"] > 0 else pair[::-1]
     lines = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
     lines += [f"over {less}", *filter(None, [step["flag"]])]
     yield _cell(explained.trial, explained.touches[[step["touch"] - 1]], lines)
     for near in step["nearest"]:
-        train = fold.train[np.array([near["row"]])]
-        yield _cell(
-            explained.trial, train, [near["object"], f"{near['distance']:.2f} away"]
-        )
+        lines = [near["object"], f"{near['distance']:.2f} away"]
+        yield _cell(explained.trial, explained.trial.taught(near["row"]), lines)
 
 
 def _cell(trial: Trial, touch: Touches, lines: Iterable[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +18,7 @@ from .._types import Floats, Indices, Label, Presentation, PresetName
 from ..recognition import (
     PRESETS,
     STRANGERS,
+    Evidence,
     ObjectRecogniser,
     across_sessions,
     check_strangers,
@@ -82,6 +83,11 @@ class Plan:
         check_strangers(self.strangers)
         check_count("orders", self.orders)
         check_count("seed", self.seed, at_least=0)
+        if not isinstance(self.touches, Iterable) or not len([*self.touches]):
+            raise ValueError(
+                "touches must hold numbers of touches, such as (1, 5), got "
+                f"{self.touches!r}."
+            )
         for k in self.touches:
             check_count("touches", k)
         self.remounting  # noqa: B018  It says what is wrong with `remount`.
@@ -95,7 +101,7 @@ class Plan:
     def remounting(self) -> tuple[str, int | None]:
         """What `remount` says, and its number."""
         ways = r"(none|recentre)|(recentre|confirm):([1-9][0-9]*)"
-        if (match := re.fullmatch(ways, self.remount)) is None:
+        if (match := re.fullmatch(ways, str(self.remount))) is None:
             raise ValueError(
                 "remount must be none, recentre, recentre:K or confirm:N with a number "
                 f"of touches, got {self.remount!r}."
@@ -119,6 +125,10 @@ class Trial:
         Of the test touches: many orders of each object's, and each alone.
     seconds : dict
         To learn; per touch to encode and to recognise.
+    evidence : Evidence or None
+        All that the test touches told, each in its session.
+    confirmed : Touches or None
+        Touches of the test session that were confirmed, where some were.
     uncalibrated : Episodes or None
         `episodes` as they would be if touches of one episode added up in full.
     unknown : Touches or None
@@ -136,11 +146,20 @@ class Trial:
     log_likelihood: Floats
     episodes: Episodes
     seconds: dict[str, float]
+    evidence: Evidence | None = None
+    confirmed: Touches | None = None
     uncalibrated: Episodes | None = None
     unknown: Touches | None = None
     unknown_episodes: Episodes | None = None
     flags: dict[str, float] = field(default_factory=dict)
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
+
+    def taught(self, row: int) -> Touches:
+        """Return the touch of a row of the memory; confirmed ones come last."""
+        later = row - len(self.fold.train)
+        if later < 0 or self.confirmed is None:
+            return self.fold.train[[row]]
+        return self.confirmed[[later]]
 
 
 def scored(trials: Sequence[Trial], k: int) -> list[Scores]:
@@ -185,7 +204,7 @@ def figures_of(
     }
     names = ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece", "ece_before")
     figures.update({name: {} for name in names})
-    for k in plan.touches:
+    for k in sorted(plan.touches):
         _figures_after(k, trials, figures)
     figures["notes"] = _too_long_message(trials, plan)
     if right := _categories_right(trials, plan):
@@ -321,8 +340,13 @@ def calibration_bins(
     `confidence` holds the largest posterior of each episode, `hit` whether the most
     probable label was right; there are fewer bins for fewer episodes.
     """
-    belief = np.asarray(confidence, dtype=np.float64)
-    right = np.asarray(hit, dtype=np.float64)
+    belief, right = _numbers("confidence", confidence), _numbers("hit", hit)
+    if len(belief) != len(right):
+        raise ValueError(
+            f"hit must have one value for each of {len(belief)} episodes, got "
+            f"{len(right)}."
+        )
+    check_count("n_bins", n_bins)
     order = np.argsort(belief, kind="stable")
     parts = np.array_split(order, min(n_bins, len(order)))
     means = np.array([belief[part].mean() for part in parts])
@@ -360,9 +384,26 @@ def roc_area(known_scores: ArrayLike, unknown_scores: ArrayLike) -> float:
     >>> roc_area([0.1, 0.2], [0.2, 0.9])
     0.875
     """
-    below, above = np.asarray(known_scores, float), np.asarray(unknown_scores, float)
+    below = _numbers("known_scores", known_scores)
+    above = _numbers("unknown_scores", unknown_scores)
     n_won = mannwhitneyu(above, below, method="asymptotic").statistic
     return float(n_won / (len(below) * len(above)))
+
+
+def _numbers(name: str, values: ArrayLike) -> Floats:
+    """Return values of one episode at least, (n_episodes,), or explain."""
+    numbers = np.asarray(values, dtype=np.float64)
+    if numbers.ndim != 1 or not len(numbers):
+        raise ValueError(
+            f"{name} must hold a number for each of one episode or more, got an array "
+            f"of shape {numbers.shape}."
+        )
+    if np.isnan(numbers).any():
+        episode = np.flatnonzero(np.isnan(numbers))[0]
+        raise ValueError(
+            f"{name} must hold no NaN, got one for episode {episode}. Leave it out."
+        )
+    return numbers
 
 
 def spread(values: ArrayLike) -> Floats:

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_number, check_option
+from .._checks import check_count, check_number, check_option
 from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches
 from . import _evidence, _strangers
+from ._contact import NO_CONTACT
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
 from ._plugs import Modality
@@ -59,8 +60,9 @@ class BeliefModel:
     touch (nats), the `floor` that one touch leaves to all of them together, how the
     evidence of an episode adds up, what tells `strangers`, other senses, the category
     of each object, "" where none is known (`categories`, (n_objects,)), the training
-    touches (`memory`), for `Belief.explain`, and whether it serves in another session
-    without a confirmed touch of each object (`other_session`).
+    touches (`memory`), for `Belief.explain`, whether it serves in another session
+    without a confirmed touch of each object (`other_session`), and whether touches
+    without contact count (`uses_no_contact`).
     """
 
     classes: NDArray[np.str_]
@@ -72,6 +74,7 @@ class BeliefModel:
     categories: NDArray[np.str_]
     memory: Memory
     other_session: bool = False
+    uses_no_contact: bool = False
 
 
 class Belief:
@@ -83,7 +86,8 @@ class Belief:
     Attributes
     ----------
     flags : list of str
-        What was wrong with each touch, "" for most; see `ObjectRecogniser.flags`.
+        What was wrong with each touch, "" for most; see `Evidence`. Without contact
+        nothing is wrong where such touches count.
 
     Notes
     -----
@@ -184,9 +188,13 @@ class Belief:
         )
         if by_encoding is None:
             each = np.broadcast_to(rows[:, np.newaxis], shape)
+        else:
+            _evidence.check_every_touch("by_encoding", each)
         together = np.concatenate([rows[:, np.newaxis], each], axis=1)
         together = _evidence.with_floor(together, model.floor)
         floored, each = together[:, 0], together[:, 1:]
+        if model.uses_no_contact:
+            flags = ["" if flag == NO_CONTACT else flag for flag in flags]
         self.flags += flags
         self._features += list(kept)
         self._floored += list(floored)
@@ -324,8 +332,8 @@ class Belief:
     def categories(self) -> dict[str, float]:
         """Probability of each category; empty where the objects have none.
 
-        Objects without a category count as one each. What is missing to 1 is the
-        probability of none of these categories.
+        Objects without a category count as one each, or with the category that is
+        called as they are. What is missing to 1 is the probability of none of these.
         """
         codes = _strangers.category_codes(self._model.categories)
         if codes is None:
@@ -343,7 +351,10 @@ class Belief:
             evidence = model.category_evidence(score, _evidence.doubts(logs))
         log_known, _ = _strangers.stranger_log_shares(evidence, self.strangers)
         shares = self._shares(logs + log_known)
-        return dict(zip(names[first].tolist(), shares, strict=True))
+        together = dict.fromkeys(names[first].tolist(), 0.0)
+        for name, share in zip(names[first].tolist(), shares, strict=True):
+            together[name] += share
+        return together
 
     def promise(self, error: float = 0.01) -> Promise:
         """Return what so many objects can show about an accepted error."""
@@ -419,14 +430,7 @@ class Belief:
         level: Level = "object",
     ) -> Named | None:
         """Return what `decide` does, always with its level; parameters as there."""
-        error = _check_share("error", error)
-        refusal = error if refusal is None else _check_share("refusal", refusal)
-        check_option("level", level, LEVELS)
-        if level == "category" and not self.categories:
-            raise ValueError(
-                "level must be 'object' or 'any', got 'category' and the objects have "
-                "none. Learn from touches with a column 'category'."
-            )
+        error, refusal = self._checked(error, costs, refusal, level)
         if self.touches_used == 0 and not self._senses:
             return None
         if level != "category" and (name := self._object(error, costs)):
@@ -435,6 +439,22 @@ class Belief:
             return Named("category", name)
         is_unknown = 1 - self.unknown <= refusal
         return Named(UNKNOWN, UNKNOWN) if is_unknown else None
+
+    def _checked(
+        self, error: float, costs: Costs | None, refusal: float | None, level: Level
+    ) -> tuple[float, float]:
+        """Return the accepted shares of what may be named, and of "unknown"."""
+        error = _check_share("error", error)
+        refusal = error if refusal is None else _check_share("refusal", refusal)
+        check_option("level", level, LEVELS)
+        if level == "category" and not self.categories:
+            raise ValueError(
+                "level must be 'object' or 'any', got 'category' and the objects have "
+                "none. Learn from touches with a column 'category'."
+            )
+        if costs is not None:
+            self._cost_table(costs)
+        return error, refusal
 
     def _object(self, error: float, costs: Costs | None) -> str | None:
         """Return the object that may be named at an error, or None."""
@@ -519,6 +539,7 @@ class Belief:
         was learnt from, it is also False where more of them may double what they told
         and tell the learnt objects apart: what is in doubt is then only a stranger.
         """
+        self._checked(error, costs, refusal, level)
         per_object = len(self._model.memory) / len(self._model.classes)
         n_touches = self._n_informative
         if n_touches < min(_ENOUGH, per_object):
@@ -585,6 +606,8 @@ class Belief:
             `object`, `row` (among the training touches) and `distance` (1 is that of
             a middling pair of training touches).
         """
+        check_count("n_touches", n_touches, at_least=0)
+        check_count("n_nearest", n_nearest, at_least=0)
         if not self._floored:
             return []
         order = np.argsort(-self._touch_log_posterior, kind="stable")

@@ -187,12 +187,14 @@ class TouchEncoder(Encoder, BaseEstimator):
     def clean(self, touches: Touches) -> Array:
         """Return the images after the clean-up alone; other sizes are refused."""
         images = touches.images
-        self.check_size(images)
+        self.check_size(images, touches.channels)
         return self.cleaned(self.living(images))
 
-    def check_size(self, images: Array) -> None:
+    def check_size(
+        self, images: Array, channels: tuple[str, ...] | None = None
+    ) -> None:
         """Refuse images of another size than those that were learnt."""
-        self.check_channels(images)
+        self.check_channels(images, channels)
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
             raise ValueError(
@@ -200,10 +202,21 @@ class TouchEncoder(Encoder, BaseEstimator):
                 f"{size_text(got)}. Use the same sensor and resolution, or learn again."
             )
 
-    def check_channels(self, images: Array) -> None:
-        """Refuse images in colour where grey ones were learnt, and the reverse."""
+    def check_channels(
+        self, images: Array, channels: tuple[str, ...] | None = None
+    ) -> None:
+        """Refuse images in colour where grey ones were learnt, and the reverse.
+
+        And the same `channels` in another order.
+        """
         taught, got = tuple(self.image_shape_)[2:], images.shape[3:]
         if got == taught:
+            names, seen_names = tuple(self.channels_ or ()), tuple(channels or ())
+            if seen_names != names and sorted(seen_names) == sorted(names):
+                raise ValueError(
+                    f"channels must be {', '.join(names)} like those of the training "
+                    f"touches, got {', '.join(seen_names)}. Bring them to this order."
+                )
             return
         learnt = "one level" if self.channels_ is None else ", ".join(self.channels_)
         seen = f"{got[0]} numbers" if got else "one level"

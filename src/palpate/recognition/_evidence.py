@@ -102,7 +102,15 @@ def as_touches(touch: Any, channels: Sequence[str] | None = None) -> Touches:
         return touch
     if isinstance(touch, list) and touch and isinstance(touch[0], Touches):
         return Touches.concatenate(touch)
-    images = np.asarray(unmasked("touch", touch))
+    try:
+        images = np.asarray(unmasked("touch", touch))
+    except ValueError as error:
+        if isinstance(touch, np.ma.MaskedArray):
+            raise
+        raise ValueError(
+            "touch must be one array, got lists of unequal lengths. Bring all touches "
+            "to the same rows and columns."
+        ) from error
     if channels and images.ndim in (3, 4) and images.shape[-1] == len(channels):
         if images.ndim == 3:
             images = images[np.newaxis]
@@ -229,15 +237,22 @@ def checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
             f"log_likelihood must have shape (n_touches, {n_objects}), got "
             f"{rows.shape}. Its columns are the recogniser's classes_."
         )
-    if np.isnan(rows).any() or not np.isfinite(rows.max(axis=1)).all():
-        bad = np.isnan(rows).any(axis=1) | ~np.isfinite(rows.max(axis=1))
-        raise ValueError(
-            "log_likelihood must hold a finite number and no NaN for every touch, got "
-            f"{rows[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch out."
-        )
+    check_every_touch("log_likelihood", rows)
     with np.errstate(over="ignore"):  # what is less by more than 1e308 is ruled out
         less: Floats = rows - rows.max(axis=1, keepdims=True)
     return less
+
+
+def check_every_touch(name: str, values: Floats) -> None:
+    """Refuse log-likelihoods (n_touches, ..., n_objects) that are no numbers."""
+    if np.isnan(values).any() or not np.isfinite(values.max(axis=-1)).all():
+        bad = np.isnan(values).any(axis=-1) | ~np.isfinite(values.max(axis=-1))
+        bad = bad.reshape(len(values), -1).any(axis=1)
+        raise ValueError(
+            f"{name} must hold a finite number and no NaN for every touch, got "
+            f"{values[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch "
+            "out."
+        )
 
 
 def checked_parts(**tables: tuple[ArrayLike | None, tuple[int, ...]]) -> list[Floats]:

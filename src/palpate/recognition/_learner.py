@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self
 
@@ -22,7 +23,7 @@ from .._checks import (
 )
 from .._numbers import log_softmax
 from .._parallel import on_one_thread
-from .._types import Bools, Floats, Indices, Label, Presentation, PresetName
+from .._types import Array, Bools, Floats, Indices, Label, Presentation, PresetName
 from ..classifiers import EncodingPool, TouchClassifier
 from ..images import PressPose
 from ..touches import Touches, TouchSource
@@ -36,7 +37,7 @@ from ._calibration import (
     left_out_log_likelihood,
     without_gaps,
 )
-from ._contact import consists_of_nothing
+from ._contact import ContactCheck, consists_of_nothing
 from ._encoder import TouchEncoder
 from ._evidence import as_touches
 from ._learning import (
@@ -69,8 +70,12 @@ class Learner(BaseEstimator):
     rehearse: bool
     random_state: int
     encoder_: TouchEncoder | RemountedEncoder
+    contact_: ContactCheck
     classifier_: TouchClassifier
     memory_: Memory
+    chosen_: dict[str, Any]
+    pose_: PressPose | None
+    modalities_: dict[str, Modality]
 
     # The last check of the mounting: of today, so that no file holds it.
     _mounting: MountingCheck | None = None
@@ -101,14 +106,17 @@ class Learner(BaseEstimator):
         ------
         ValueError
             If labels are missing, there are fewer than two of them, or one has
-            fewer than two touches; or it would take too much memory.
+            fewer than two touches; or it would take too much memory. What was learnt
+            before is then as it was.
         """
-        preset = self._check_parameters()
-        X, y = self._validated_input(X, y)
+        preset, later = self._check_parameters(), copy(self)
+        X, y = later._validated_input(X, y)
         touches = _memory.labelled(X, y, self.label)
         labels, objects = _memory.training_labels(touches, self.label)
         if y is not None and self.label == "object":
             labels = objects = np.asarray(y)
+        elif y is not None and np.asarray(y).dtype.kind not in "OU":
+            labels = np.asarray(y)
         refuse_too_large(labels, self.max_memory_gb)
         if groups is None:
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
@@ -121,13 +129,13 @@ class Learner(BaseEstimator):
             if groups is None:
                 blocks = _memory.without_copies(encoding.features, objects, blocks)
             memory = memory_of(touches, encoding, labels, objects, blocks)
-            self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
-            self.classifier_ = preset.classifier(encoder).fit(
+            later.encoder_, later.contact_, later.chosen_ = encoder, contact, chosen
+            later.classifier_ = preset.classifier(encoder).fit(
                 memory.features, memory.labels, groups=memory.blocks
             )
-            if self.rehearse and isinstance(self.classifier_, EncodingPool):
-                self.classifier_, weighed = rehearse(
-                    self.classifier_,
+            if self.rehearse and isinstance(later.classifier_, EncodingPool):
+                later.classifier_, weighed = rehearse(
+                    later.classifier_,
                     encoder,
                     memory,
                     touches,
@@ -136,12 +144,11 @@ class Learner(BaseEstimator):
                 )
                 chosen["rehearsal"] = weighed
                 chosen["found"] = [*chosen.get("found", ()), rehearsal_message(weighed)]
-            if len(self.classifier_.part_weights) > 1:
-                chosen["weights"] = dict(self.classifier_.part_weights)
-            self._calibrate(memory)
-        self.pose_: PressPose | None = None
-        self.modalities_: dict[str, Modality] = {}
-        self._mounting = None
+            if len(later.classifier_.part_weights) > 1:
+                chosen["weights"] = dict(later.classifier_.part_weights)
+            later._calibrate(memory)
+        later.pose_, later.modalities_, later._mounting = None, {}, None
+        self.__dict__ = later.__dict__
         return self
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
@@ -246,8 +253,9 @@ class Learner(BaseEstimator):
             The first touches of the session. With labels they are confirmed: they tell
             what the session does to touches, and join the training touches. Without
             the column of labels they are only taken for what they may be: enough where
-            there are some ten of several objects. Images may have another shape, and
-            a frame of no contact tells where the rim is, and what rest looks like.
+            there are some ten of several objects. Images of a dome may have another
+            shape, and a frame of no contact tells where the rim is, and what rest
+            looks like.
 
         Returns
         -------
@@ -259,7 +267,8 @@ class Learner(BaseEstimator):
         Raises
         ------
         ValueError
-            A label was not learnt, or no touch shows contact.
+            A label was not learnt, no touch shows contact, or images that are looked at
+            as they are have another shape.
 
         Notes
         -----
@@ -277,6 +286,9 @@ class Learner(BaseEstimator):
         self._check_fitted()
         new = self._as_touches(touches)
         labels = new.object if self.label == "object" else new.category
+        by_name = dict(zip(self._names(), self.classes_, strict=True))
+        if labels is not None and by_name.keys() >= set(labels.tolist()):
+            labels = np.array([by_name[name] for name in labels.tolist()])
         rehearsal = self.chosen_.get("rehearsal", {})
         trust = rehearsal.get("trust", 1.0)
         learnt, remount_report = remounted(self.learnt(), new, labels, trust)
@@ -412,8 +424,9 @@ class Learner(BaseEstimator):
                 f"{name!r} must have at least {least} touches, got {len(checked)}."
             )
         labels = np.full(len(checked), self._as_label(name))
-        objects_of_touches = checked.object if labels.dtype.kind == "U" else None
-        objects = labels if objects_of_touches is None else objects_of_touches
+        objects: Array = labels
+        if self.label == "category" and checked.object is not None:
+            objects = checked.object
         encoding = encoded(self.encoder_, self.contact_, checked)
         blocks = _memory.blocks_in_order(labels, checked.order)
         blocks = _memory.without_copies(encoding.features, labels, blocks)
@@ -463,15 +476,15 @@ class Learner(BaseEstimator):
         return self.serve(self.learnt().relearnt(memory))
 
     def serve(self, learnt: Learnt) -> Self:
-        """Recognise by what was learnt from now on."""
+        """Recognise by what was learnt from now on; all or nothing."""
         refuse_too_large(learnt.memory.labels, self.max_memory_gb)
-        same = learnt.memory is self.memory_
-        before = self.memory_.nearest
-        self.encoder_, self.contact_ = learnt.encoder, learnt.contact
-        self.classifier_ = learnt.classifier
-        if not same:
+        later = copy(self)
+        later.encoder_, later.contact_ = learnt.encoder, learnt.contact
+        later.classifier_ = learnt.classifier
+        if learnt.memory is not self.memory_:
             with on_one_thread():
-                self._calibrate(learnt.memory, before)
+                later._calibrate(learnt.memory, self.memory_.nearest)
+        self.__dict__.update(vars(later))
         return self
 
     def _calibrate(self, memory: Memory, before: Nearest | None = None) -> None:
@@ -550,6 +563,8 @@ class Learner(BaseEstimator):
         check_option("presentation", self.presentation, PRESENTATIONS)
         if self.floor is not None:
             check_number("floor", self.floor, low=0, high=0.5)
+        if self.random_state is not None:
+            check_count("random_state", self.random_state, at_least=0)
         return resolved_preset(self.preset, self.encodings, self.classifier)
 
     def _check_fitted(self) -> None:

@@ -65,7 +65,9 @@ class RemountedEncoder(Encoder):
         """
         earlier = wrapped(before)
         taught = earlier.encoder
-        taught.check_channels(touches.images)
+        taught.check_channels(touches.images, touches.channels)
+        if taught.clean_up_ is None:  # nothing finds the sensor in other images
+            taught.check_size(touches.images)
         broken, drift = taught.stuck(touches), None
         if taught.baseline_ is not None and touches.no_contact is not None:
             now = taught.living(touches.no_contact[np.newaxis], broken)[0]
@@ -96,7 +98,7 @@ class RemountedEncoder(Encoder):
     def clean(self, touches: Touches) -> Array:
         """Return the images as in the session of learning, after the clean-up."""
         images = touches.images
-        self.encoder.check_size(images)
+        self.encoder.check_size(images, touches.channels)
         images = self.encoder.living(images, self.broken)
         if self.gain != 1:
             images = self.gain * images

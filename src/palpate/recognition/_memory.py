@@ -111,10 +111,13 @@ class Memory:
 
     @cached_property
     def category_of(self) -> NDArray[np.str_]:
-        """The category of each of `classes`, "" where not all its touches tell one."""
+        """The category of each of `classes`, "" where not all its touches tell one.
+
+        "unknown" tells none: it is what decisions say of what was never learnt.
+        """
         codes = np.searchsorted(self.classes, self.labels)
         names = self.categories[np.unique(codes, return_index=True)[1]]
-        differs = self.categories != names[codes]
+        differs = (self.categories != names[codes]) | (self.categories == UNKNOWN)
         return np.where(np.bincount(codes[differs], minlength=len(names)), "", names)
 
     @cached_property
@@ -154,6 +157,8 @@ class Memory:
 
         Touches of the other that are copies of these join their blocks.
         """
+        if not len(self):
+            return replace(other, sensor=self.sensor or other.sensor)
         later = replace(other, blocks=other.blocks + self.blocks.max() + 1)
         rows = {
             name: np.concatenate([getattr(self, name), getattr(later, name)])
@@ -177,8 +182,7 @@ class Memory:
         near = cdist(self.features[rows], other.features).min(axis=1) <= limit
         gone = np.zeros(len(self), dtype=bool)
         gone[rows[near]] = True
-        rest = self.of_rows(~gone)
-        return rest.plus(other) if len(rest) else other
+        return self.of_rows(~gone).plus(other)
 
     def without(self, labels: Iterable[object]) -> Self:
         """Return what is left when some labels are forgotten."""
@@ -214,8 +218,7 @@ class Memory:
 
     def replaced(self, other: Self) -> Self:
         """Return this with the other's touches in place of those of its labels."""
-        rest = self.without(other.classes.tolist())
-        return rest.plus(other) if len(rest) else other
+        return self.without(other.classes.tolist()).plus(other)
 
 
 class Nearest:
@@ -310,10 +313,13 @@ def nearest_touches(
 ) -> list[list[dict[str, Any]]]:
     """Return the training touches nearest to each; none where features hold NaN.
 
-    Distances are told in units of the median among up to `N_PAIRED` training touches.
+    Distances are told in units of the median among up to `N_PAIRED` training touches;
+    where most pairs of these are alike, among pairs that differ.
     """
     sampled = memory.features[:: -(-len(memory) // N_PAIRED)]
     squared = pdist(sampled, "sqeuclidean")
+    if squared.any() and not np.median(squared):
+        squared = squared[squared > 0]
     unit = float(np.sqrt(np.median(squared))) if squared.any() else 1.0
     nearest: list[list[dict[str, Any]]] = []
     for vector in features:

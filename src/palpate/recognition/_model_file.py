@@ -165,7 +165,16 @@ def read_model(
             f"{nearest_path(source) or '`ObjectRecogniser.save` writes one.'}"
         )
     n_bytes = source.stat().st_size
-    most = float(os.environ.get("PALPATE_MAX_MODEL_MB", 2000))
+    text = os.environ.get("PALPATE_MAX_MODEL_MB", "2000")
+    try:
+        most = float(text)
+    except ValueError:
+        most = np.nan
+    if np.isnan(most):
+        raise ModelFileError(
+            f"`PALPATE_MAX_MODEL_MB` must be a number of MB, got {text!r}. Set it to "
+            "2000, or leave it out."
+        )
     if n_bytes > most * MB:
         raise ModelFileError(
             f"A model file must be at most {most:g} MB large, got {source} with "

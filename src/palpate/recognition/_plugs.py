@@ -253,6 +253,12 @@ class Modality(BaseEstimator):
         `classes` that it knows, so that it is neither favoured nor ruled out.
         """
         examples = check_array(X, dtype=np.float64)
+        n_features = self.scaler_.n_features_in_
+        if examples.shape[1] != n_features:
+            raise ValueError(
+                f"X must have {n_features} features, as the examples that were learnt, "
+                f"got {examples.shape[1]}."
+            )
         of_examples = self.classifier_.log_likelihood(self.scaler_.transform(examples))
         floored = with_floor(of_examples, self.floor)
         is_asked = np.isin(self.classes_, classes)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import ClassifierMixin
-from sklearn.metrics import confusion_matrix
+from sklearn.metrics import accuracy_score, confusion_matrix
 from sklearn.utils import Tags
 
 from .._parallel import opencv_on_one_thread, results_of
@@ -193,10 +193,11 @@ class ObjectRecogniser(ClassifierMixin, Learner):
 
         `y` (n_touches,) are the labels, by default the touches' own.
         """
-        truth = y
-        if y is None:
-            truth = _memory.named_labels(self._as_touches(X), self.label)
-        return float(super().score(X, truth, sample_weight))
+        if y is not None:
+            return float(super().score(X, y, sample_weight))
+        truth = _memory.named_labels(self._as_touches(X), self.label)
+        names = self.predict(X).astype(str)
+        return float(accuracy_score(truth, names, sample_weight=sample_weight))
 
     def log_likelihood(self, touches: Touches) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
@@ -250,7 +251,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         log_prior = (
             None if prior is None else _evidence.given_prior(prior, model.classes)
         )
-        return Belief(model, self.evidence, log_prior, strangers)
+        # It goes on by what was learnt when it began, whatever is learnt meanwhile.
+        return Belief(model, copy(self).evidence, log_prior, strangers)
 
     def episode(
         self,
@@ -289,6 +291,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
             categories=self._category_of(self.memory_),
             memory=self.memory_,
             other_session=unconfirmed or (check is not None and check.changed),
+            uses_no_contact=self.uses_no_contact_,
         )
 
     def pose(self, touches: Touches, labels: ArrayLike) -> Poses:

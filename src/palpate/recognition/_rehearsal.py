@@ -98,13 +98,16 @@ def rehearse(
     moved = _and_confirmed(drawn, memory, parts)
     rehearsal = rehearsed(pool, *taught, weighing, moved, sessions_known)
     right, confirmed = np.split(rehearsal.right, [N_SESSIONS + 1])
-    report = {
+    report: dict[str, Any] = {
         "share": rehearsal.share,
         "told_by": _left_out_by(memory) if sessions_known else "rehearsed sessions",
-        "right": [float(share) for share in right],
-        "drawn": [name for name, size in vars(ranges).items() if size],
     }
-    if geometry != "dome":  # of which less is drawn than another mounting does
+    # Where each label is of one group alone, nothing is left to be asked.
+    if is_asked := bool(np.isfinite(rehearsal.right).all()):
+        report["right"] = [float(share) for share in right]
+    report["drawn"] = [name for name, size in vars(ranges).items() if size]
+    # Of a dome less is drawn than another mounting does.
+    if is_asked and geometry != "dome":
         report["expected"] = _expected(rehearsal.pool, memory, right[0], right[1:])
         if len(confirmed):
             report["confirmed"] = _expected(rehearsal.pool, memory, right[0], confirmed)

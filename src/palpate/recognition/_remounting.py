@@ -452,6 +452,7 @@ class Recentring:
         self, prior: Mapping[str, float] | None = None, strangers: float = STRANGERS
     ) -> Self:
         """Begin an episode, with another object; see `ObjectRecogniser.start`."""
+        self._as_learnt.start(prior, strangers)  # refuses wrong shares now
         self._begun = prior, strangers
         self._episode: list[Evidence] = []
         return self

@@ -232,8 +232,9 @@ def draw_belief(
     bars = {**shares, _NOTHING: unknown}
     names = [*bars][::-1]
     colours = [_GREY, *["#4c78a8"] * len(shares)]
-    axes.barh(names, [bars[name] for name in names], color=colours)
-    axes.set(xlim=(0, 1), xlabel="probability", title=title)
+    widths = [bars[name] for name in names]
+    axes.barh([*map(_plain, names)], widths, color=colours)
+    axes.set(xlim=(0, 1), xlabel="probability", title=_plain(title))
     return axes
 
 
@@ -266,10 +267,10 @@ def draw_episode(
     axes = _axes("A picture of an episode", ax, (6, 3))
     numbers = range(1, len(unknown) + 1)
     for name, of_object in shares.items():
-        axes.plot(numbers, of_object, marker="o", label=name)
+        axes.plot(numbers, of_object, marker="o", label=_plain(name))
     axes.plot(numbers, unknown, "--", color=_GREY, label=_NOTHING)
     axes.axhline(limit, color="#cccccc", linewidth=1)
-    axes.set(ylim=(0, 1.02), xlabel="touch", ylabel="probability", title=title)
+    axes.set(ylim=(0, 1.02), xlabel="touch", ylabel="probability", title=_plain(title))
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
     return axes
 
@@ -286,7 +287,7 @@ def draw_confusion(counts: Indices, names: Sequence[str], ax: Axes | None) -> Ax
     right = np.trace(counts) / max(counts.sum(), 1)
     title = f"Touches left out, one at a time: {right:.0%} right"
     axes.set(xlabel="taken for", ylabel="object", title=title)
-    labels = names if len(names) <= MOST_LABELLED else []
+    labels = [*map(_plain, names)] if len(names) <= MOST_LABELLED else []
     axes.set_xticks(range(len(labels)), labels, rotation=90)
     axes.set_yticks(range(len(labels)), labels)
     for row, col in np.argwhere(shares >= 1) if labels else ():
@@ -294,6 +295,11 @@ def draw_confusion(counts: Indices, names: Sequence[str], ax: Axes | None) -> Ax
         label = f"{shares[row, col]:.0f}"
         axes.text(col, row, label, ha="center", va="center", color=colour, size=7)
     return axes
+
+
+def _plain(text: str) -> str:
+    """Return a text in which matplotlib sees no formula."""
+    return text.replace("$", r"\$")
 
 
 def _axes(what: str, ax: Axes | None, size: tuple[float, float]) -> Axes:
