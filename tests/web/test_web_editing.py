@@ -269,6 +269,18 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
         assert session.to_dict()["library"]["interrupted"] is None
 
 
+def test_a_touch_posted_meanwhile_is_none_of_the_lesson(make_session, folder, drawn):
+    with make_session(library=folder) as session:
+        session.teach("shoe", 8)
+        session._on_touch(_detected(drawn.images[0]), 0.0)
+        for name in ("pen", "shoe"):
+            session.post_lesson(name, drawn.images[40])
+        assert session.to_dict()["lesson"]["done"] == 1
+    with make_session(library=folder) as session:
+        interrupted = session.to_dict()["library"]["interrupted"]
+        assert interrupted == {"name": "shoe", "wanted": 8, "done": 1}
+
+
 def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(
     make_session, tmp_path, drawn
 ):

@@ -238,9 +238,9 @@ class Journal:
         """The newest action that can be undone."""
         return self.actions[-1] if self.actions else None
 
-    def add(self, action: Action) -> None:
-        """Keep an action."""
-        self._write({"action": dict(vars(action))})
+    def add(self, action: Action, *, posted: bool = False) -> None:
+        """Keep an action; what was `posted` is none of the lesson under way."""
+        self._write({"action": dict(vars(action)), "posted": posted})
 
     def pop(self) -> None:
         """Forget the newest action: it is undone."""
@@ -281,7 +281,8 @@ class Journal:
             action = Action(**line["action"])
             self.actions = [*self.actions[1 - MOST_ACTIONS :], action]
             self._change(action)
-            if self._lesson is not None and action.kind == "taught":
+            in_lesson = action.kind == "taught" and not line.get("posted")
+            if self._lesson is not None and in_lesson:
                 self._lesson.ids += action.ids
             else:
                 self._drop(action)

@@ -182,8 +182,13 @@ class Teacher:
         channels: Names,
         baseline: Array | None,
         columns: Mapping[str, Any] | None = None,
+        *,
+        posted: bool = True,
     ) -> str:
-        """Store one touch of an object; return its id once it is on the disk."""
+        """Store one touch of an object; return its id once it is on the disk.
+
+        What is not `posted` is of the lesson under way.
+        """
         tidy = checked_name(name)
         touch = Touches(
             image[np.newaxis],
@@ -202,7 +207,7 @@ class Teacher:
             progress=False,
         )
         self.journal.store_in(self._session, self._described.name)
-        self.journal.add(Action("taught", tidy, [key]))
+        self.journal.add(Action("taught", tidy, [key]), posted=posted)
         return key
 
     def take(
@@ -222,7 +227,8 @@ class Teacher:
         if self._desk is not None and _digest(image) in self._pictures.values():
             return self._repeat(lesson, self._desk)
         channels = None if self._sensor is None else self._sensor.channels
-        key = self.store(lesson.name, image, channels, baseline, columns)
+        touch = image, channels, baseline, columns
+        key = self.store(lesson.name, *touch, posted=False)
         self._n_repeated = 0
         if self._desk is not None:
             self._pictures[key] = _digest(image)
