@@ -281,6 +281,25 @@ def test_a_touch_posted_meanwhile_is_none_of_the_lesson(make_session, folder, dr
         assert interrupted == {"name": "shoe", "wanted": 8, "done": 1}
 
 
+@pytest.mark.parametrize(("name", "merge"), [("boot", False), ("disc", True)])
+def test_a_lesson_goes_on_under_the_new_name_of_its_object(
+    name, merge, make_session, folder, drawn
+):
+    with make_session(library=folder) as session:
+        n_before = counts(session).get(name, 0)
+        session.teach("shoe", 8)
+        session._on_touch(_detected(drawn.images[10]), 0.0)
+        session.rename("shoe", name, merge=merge)
+        session._on_touch(_detected(drawn.images[11]), 0.0)
+        lesson = session.to_dict()["lesson"]
+        assert (lesson["name"], lesson["done"]) == (name, 2)
+        assert "shoe" not in counts(session)
+        assert counts(session)[name] == n_before + 2
+    with make_session(library=folder) as session:
+        interrupted = session.to_dict()["library"]["interrupted"]
+        assert interrupted == {"name": name, "wanted": 8, "done": 2}
+
+
 def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(
     make_session, tmp_path, drawn
 ):

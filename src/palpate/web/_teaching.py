@@ -389,6 +389,9 @@ class Teacher:
             self.library.merge_objects(old, tidy)
         else:
             self.library.rename_object(old, tidy)
+        if (lesson := self.lesson) is not None and lesson.name == old:
+            lesson.name = tidy
+            self.journal.begin_lesson(tidy, lesson.wanted, lesson.ids)
         return tidy
 
     def forget(self, name: str, *, learnt: bool) -> None:
