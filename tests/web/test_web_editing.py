@@ -56,6 +56,23 @@ def test_a_touch_moved_keeps_all_but_its_object_and_can_go_there_and_back(folder
             session.move_touches([row.id], "disc")
 
 
+def test_touches_of_several_objects_are_counted_by_their_own_names(folder):
+    with LiveSession(library=folder) as session:
+        journal, newest = session.teacher.journal, session.teacher.newest
+        disc, bar = (newest(name, 1)[0].id for name in ("disc", "bar"))
+        moved = session.move_touches([bar, disc], "bar")
+        assert moved == "1 touch of disc moved to bar."
+        assert session.undo() == "disc"
+        journal.changed.clear()
+        assert session.remove_touches([bar, disc]) == "2 touches of bar, disc removed."
+        assert journal.changed == {"bar", "disc"}
+    with LiveSession(library=folder) as session:
+        assert session.teacher.journal.changed == {"bar", "disc"}
+        assert session.undo() == "bar, disc"
+        assert session.message == "What was removed of bar, disc is back."
+        assert counts(session) == {"bar": 8, "disc": 8}
+
+
 def test_a_touch_moved_to_a_new_object_makes_it(folder):
     with LiveSession(library=folder) as session:
         keys = [row.id for row in session.teacher.newest("disc", 3)]

@@ -190,13 +190,17 @@ class Lesson:
 
 @dataclass(frozen=True)
 class Action:
-    """Touches "taught", "removed" or "moved" from `object`, as `copies`, `to` one."""
+    """Touches "taught", "removed" or "moved" from `object`, as `copies`, `to` one.
+
+    Some may have been of `others`.
+    """
 
     kind: str
     object: str
     ids: list[str]
     copies: list[str] = field(default_factory=list)
     to: str = ""
+    others: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the page shows of it."""
@@ -301,7 +305,7 @@ class Journal:
             self._lesson = None if lesson is None else Interrupted(**lesson)
 
     def _change(self, action: Action) -> None:
-        self.changed |= {action.object, action.to} - {""}
+        self.changed |= {action.object, action.to, *action.others} - {""}
 
     def _drop(self, action: Action) -> None:
         if self._lesson is not None:

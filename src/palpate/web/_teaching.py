@@ -302,29 +302,30 @@ class Teacher:
             self.library.restore(gone)
         if copies:
             self.library.retract(copies, reason="the move was undone on the page")
-        return str(rows[0].object) if gone else None
+        return ", ".join(_objects(rows)) if gone else None
 
     def remove(self, ids: Sequence[str]) -> str:
         """Leave touches out, which can be undone; return what to say."""
         rows = self._present(ids)
         keys = [row.id for row in rows]
         self.library.retract(keys, reason="removed on the page")
-        self.journal.add(Action("removed", str(rows[0].object), keys))
+        names = _objects(rows)
+        self.journal.add(Action("removed", names[0], keys, others=names[1:]))
         self._drop_from_lesson(keys)
-        return f"{_counted(rows)} of {rows[0].object} removed."
+        return f"{_counted(rows)} of {', '.join(names)} removed."
 
     def move(self, ids: Sequence[str], name: str) -> str:
         """Let touches be of another object, which can be undone; return what to say."""
-        tidy, rows = checked_name(name), self._present(ids)
-        keys = [row.id for row in rows if row.object != tidy]
-        if not keys:
+        tidy = checked_name(name)
+        rows = [row for row in self._present(ids) if row.object != tidy]
+        if not rows:
             raise ValueError(f"The touch is of {tidy} already. Choose another object.")
-        copies = [self._copy(row, tidy) for row in rows if row.object != tidy]
+        keys, names = [row.id for row in rows], _objects(rows)
+        copies = [self._copy(row, tidy) for row in rows]
         self.library.retract(keys, reason=f"moved to {tidy} on the page")
-        action = Action("moved", str(rows[0].object), keys, copies, tidy)
-        self.journal.add(action)
+        self.journal.add(Action("moved", names[0], keys, copies, tidy, names[1:]))
         self._drop_from_lesson(keys)
-        return f"{_counted(rows)} of {rows[0].object} moved to {tidy}."
+        return f"{_counted(rows)} of {', '.join(names)} moved to {tidy}."
 
     def _copy(self, row: TouchRow, name: str) -> str:
         """Add a touch once more under another name; return its id."""
@@ -501,6 +502,11 @@ class Teacher:
 def _digest(image: Array) -> bytes:
     """Return what is the same for pictures that are the same to the last number."""
     return sha256(image.tobytes()).digest()
+
+
+def _objects(rows: Sequence[TouchRow]) -> list[str]:
+    """Return what objects touches are of, each once."""
+    return [*dict.fromkeys(str(row.object) for row in rows)]
 
 
 def _counted(rows: Sequence[TouchRow]) -> str:
