@@ -260,6 +260,17 @@ def test_a_recording_that_begins_anew_is_not_stored_twice(tmp_path, drawn):
     assert session.message == said
 
 
+def test_an_episode_of_a_recording_that_is_stored_is_not_kept(tmp_path, drawn):
+    few = drawn[np.flatnonzero(drawn.object == "disc")[:2]]
+    replay = ReplaySensor(few, rate_hz=250, hold=3, gap=3)
+    with LiveSession(replay, library=tmp_path / "few") as session:
+        session.teach("disc", 2)
+        assert waited(lambda: len(session.episode.touches) > 2)
+        session.teach("disc", 5, keep_episode=True)
+        said = "All 2 touches that were recorded here are stored: 0 of 5 of disc."
+        assert (session.message, session.teacher.lesson) == (said, None)
+
+
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
     with make_session(library=folder) as session:
         session.teach("shoe", 8)

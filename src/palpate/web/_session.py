@@ -283,6 +283,8 @@ class LiveSession:
             episode = self.episode
             touched = list(episode.pictured())[-wanted:]
             for touch, image in touched if keep_episode else ():
+                if teacher.lesson is None:  # the whole recording is stored already
+                    break
                 self.message = self._take(image, touch.columns)
             self._new_episode()
 
