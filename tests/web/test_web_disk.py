@@ -2,6 +2,7 @@
 
 import errno
 import io
+import shutil
 import sqlite3
 
 import pytest
@@ -45,6 +46,25 @@ def test_a_touch_that_cannot_be_stored_is_not_acknowledged(client, drawn, monkey
     assert answer.status_code == 507
     assert answer.json()["detail"] == "The library has no room. Free space."
     assert client.get("/api/state").json()["library"]["undoable"] == 0
+
+
+def test_a_given_model_is_kept_whole_or_not_at_all(make_session, folder, drawn_model):
+    resource = pytest.importorskip("resource", reason="limits are of POSIX")
+    given = folder.parent / "given.palpate"
+    before = shutil.copyfile(drawn_model, given).read_bytes()
+    _, most = limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with make_session(sensor=False, library=folder, model=given) as session:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, most))
+        try:
+            session.learn(wait=True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert "File too large" in session.learn_error
+        assert not session.given_model.exists()
+        assert given.read_bytes() == before
+        session.learn(wait=True)
+        assert session.learn_error == ""
+        assert session.given_model.read_bytes() == before
 
 
 @pytest.fixture

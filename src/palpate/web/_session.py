@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from .._checks import check_number
+from .._durable import replacing
 from .._types import Array
 from ..exploration import SurfaceMap
 from ..recognition import (
@@ -726,7 +727,8 @@ class LiveSession:
         path, shape = self.model_path, self.teacher.image_shape()
         base, original = path if path.is_file() else None, self.given_model
         if original is not None and not original.exists():
-            shutil.copyfile(path, original)
+            with path.open("rb") as given, replacing(original) as whole:
+                shutil.copyfileobj(given, whole)
         answer = learn_in_process(self.teacher.folder, path, base, changes, shape)
         if names := answer["objects"]:
             self._use(ObjectRecogniser.load(path))
