@@ -681,10 +681,10 @@ class LiveSession:
 
     def _learn_again(self, changes: Sequence[tuple[str, str]] = ()) -> None:
         """Learn after a change, where there was a model; after learning under way."""
-        if self.recogniser is None:
-            self._notify_state()
-            return
         with self._lock:
+            if self.recogniser is None and not self.learning:
+                self._notify_state()
+                return
             self._changes += changes
             try:
                 self._begin_learning()
