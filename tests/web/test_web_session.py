@@ -3,8 +3,10 @@
 import os
 import queue
 import signal
+import threading
 import time
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -300,6 +302,15 @@ def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):
         assert session.recogniser is not None
         # The sensor keeps 256 frames: a stall of over 10 s would have dropped some.
         assert session.health.to_dict()["n_dropped"] == 0
+
+
+def test_a_lesson_begins_while_another_is_learnt(make_session, drawn, learning_apart):
+    learning = import_module("palpate.web._learning")._LEARNER
+    with make_session() as session, learning._lock:  # as while it is asked
+        begins = threading.Thread(target=session.teach, args=("cup", 3), daemon=True)
+        begins.start()
+        assert waited(lambda: session.teacher.lesson is not None, 5.0)
+        begins.join()
 
 
 def learning_processes():
