@@ -233,6 +233,18 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
         )
 
 
+def test_a_place_that_is_refused_costs_no_touch(make_session, drawn):
+    session = make_session()  # not started: it touches nothing by itself
+    session.place("disc")
+    began_s = time.monotonic()
+    with pytest.raises(ValueError, match="must be one of 'disc', 'bar', 'both'"):
+        session.place("nonsense")
+    session.teach("cup", 8)
+    session._on_touch(DetectedTouch(drawn.images[0], began_s, began_s, 9.0, 3), 0.0)
+    assert counts(session) == {"cup": 1}
+    session.stop()
+
+
 def test_a_simulated_lesson_goes_on_with_other_touches_after_a_restart(tmp_path):
     pictures = []
     for _ in range(2):

@@ -169,7 +169,7 @@ class SensorWatch:
         self._resting: list[Array] | None = None
         self._asking, self._n_presses = False, 0
         self.press: Array | None = None
-        self._lock = threading.Lock()
+        self._lock, self._taking = threading.Lock(), threading.Lock()
         self._stop = threading.Event()
         self._detected: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
         self._threads: list[threading.Thread] = []
@@ -202,11 +202,12 @@ class SensorWatch:
         """
         frames: list[Array] = []
         if not self.detector.touching or force:
-            self._resting = frames
-            deadline = time.monotonic() + timeout_s
-            while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
-                time.sleep(0.01)
-            self._resting = None
+            with self._taking:  # one after the other
+                self._resting = frames
+                deadline = time.monotonic() + timeout_s
+                while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
+                    time.sleep(0.01)
+                self._resting = None
         else:  # is refused with the reason
             frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
         if len(frames) < _BASELINE_FRAMES:

@@ -460,9 +460,10 @@ class LiveSession:
 
     def _put(self, desk: PlayedSensor, name: str | None) -> None:
         """Put something on the desk; the touch under way is of what was there."""
-        if name != desk.placed:
-            self._placed_s = time.monotonic()
+        is_other = name != desk.placed
         desk.place(name)
+        if is_other:
+            self._placed_s = time.monotonic()
 
     def tell_state(self, listener: Callable[[Event], None]) -> None:
         """Tell one listener the state, before whatever changes it next."""
