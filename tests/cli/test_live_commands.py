@@ -450,6 +450,20 @@ def test_a_simulated_array_is_well(palpate, tmp_path):
     assert "http" not in page.read_text().replace("http-equiv", "")
 
 
+def test_channels_that_are_no_colours_and_a_dead_taxel_are_reported(palpate, tmp_path):
+    rng, page = np.random.default_rng(0), tmp_path / "health.html"
+    images = rng.normal(size=(40, 6, 6, 2))
+    images[:, 0, 0] = np.nan
+    about = {"channels": ["shear", "force"], "geometry": "array"}
+    Touches(images, no_contact=images[0], **about).save(tmp_path / "pad.npz")
+    address = f"replay:{tmp_path / 'pad.npz'}?rate=100&hold=1"
+    watch = "sensor", "check", "--sensor", address, "--seconds", "0.6"
+    done = palpate(*watch, "--report", page, "--json")
+    assert json.loads(done.stdout)["figures"]["frames"] > 24
+    assert "rest" in page.read_text()
+    assert "nan" not in page.read_text()
+
+
 def test_a_touched_sensor_is_not_well(palpate):
     done = palpate(
         "sensor", "check", "--sensor", "sim:bar10?rate=100", "--seconds", "1"

@@ -3,7 +3,7 @@
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from html import escape
@@ -236,9 +236,10 @@ def check(
             memory = replace(memory, no_contact=memory.no_contact[::step, ::step])
         health = sensor_health(_frames(live, seconds, step), live.step, memory)
         health |= {"sensor": live.name, "unit": live.unit, "seconds": seconds}
+        channels = live.channels
     maps = {name: health.pop(name) for name in ("rest", "noise")}
     if report is not None:
-        write_text(report, _page(health, maps))
+        write_text(report, _page(health, maps, channels))
     findings = health["findings"] or ["Nothing is wrong."]
     figures = (f"{name:20s} {value}" for name, value in _figures(health))
     answer(as_json, health, *findings, "", *figures)
@@ -286,7 +287,11 @@ def _frames(sensor: "LiveSensor", seconds: float, step: int) -> list["Frame"]:
     return frames
 
 
-def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
+def _page(
+    health: dict[str, Any], maps: dict[str, Any], channels: Sequence[str] | None
+) -> str:
+    import numpy as np
+
     from .._page import html_table, png_address, report_page, worded
     from ..touches import as_shown
 
@@ -296,12 +301,12 @@ def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
     )
     pictures = ""
     for name, image in maps.items():
-        shown = as_shown(image[None], ("r", "g", "b") if image.ndim == 3 else None)[0]
+        shown = as_shown(image[None], channels)[0]
         pictures += (
             f"<figure style='margin:0'><img alt='{name} of each taxel' width=240 "
             f"style='image-rendering:pixelated' src='{png_address(shown, 240)}'>"
-            f"<figcaption class=note>{name}, {image.min():.3g} (dark) to "
-            f"{image.max():.3g}</figcaption></figure>"
+            f"<figcaption class=note>{name}, {np.nanmin(image):.3g} (dark) to "
+            f"{np.nanmax(image):.3g}</figcaption></figure>"
         )
     title = f"{health['sensor']}: {'well' if health['ok'] else 'look at it'}"
     colour = "#1d7a46" if health["ok"] else "#b3261e"
