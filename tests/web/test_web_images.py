@@ -97,9 +97,20 @@ def test_numbers_come_in_as_they_were_saved():
         npy(np.zeros((2, 2))).replace(b"'descr': '<f8'", b"'descr': 3    "),
         npy(np.zeros((2, 2))).replace(b"(2, 2), }", b"(True,2)}"),
     ],
-    ids=(
-        "empty cut flat complex channels version short long none open kind side"
-    ).split(),
+    ids=[
+        "empty",
+        "cut",
+        "flat",
+        "complex",
+        "channels",
+        "version",
+        "short",
+        "long",
+        "none",
+        "open",
+        "kind",
+        "side",
+    ],
 )
 def test_other_arrays_are_refused(body):
     with pytest.raises(TouchesError, match=f"got {len(body)} other bytes"):
