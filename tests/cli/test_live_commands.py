@@ -135,6 +135,54 @@ def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
     assert "touch 3" not in messages
 
 
+def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path):
+    few = Touches.load(recording)[[0, 1, 2]]
+    few.save(tmp_path / "few.npz")
+    address = f"replay:{tmp_path / 'few.npz'}?rate=200&hold=3&gap=3"
+    words = ["record", "disc", "--sensor", address, "-n", "5"]
+    done = palpate(*words, "--library", tmp_path / "lab", "--timeout", "5")
+    assert done.returncode == 1
+    last = "All 3 touches that were recorded here are stored: 3 of 5 of disc."
+    assert done.stderr.splitlines()[-1] == last
+    assert done.stdout == f"3 touches of disc in {tmp_path / 'lab'}.\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["-n", "0"], "--touches must be at least 1, got 0"),
+        (["-n", "1001"], "--touches must be at most 1000, got 1001"),
+        (["-n", "1", "--sessions", "2"], "--touches must be at least one for each of"),
+        (["--timeout", "inf"], "--timeout must be finite and between 0"),
+        (["--timeout", "nan"], "--timeout must be finite and between 0"),
+    ],
+)
+def test_what_record_cannot_do_is_said_first(options, told, palpate, replay, tmp_path):
+    library = tmp_path / "lab"
+    done = palpate("record", "bar", *replay, "--library", library, *options)
+    assert done.returncode == 1
+    assert told in done.stderr
+    assert not library.exists()
+    if len(options) == 2 and "-n" in options:
+        done = palpate("library", "add", library, replay[1], "--object", "x", *options)
+        assert told in done.stderr
+        assert not library.exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ("--episodes=-1", "--episodes must be at least 0, got -1"),
+        ("--touches=0", "--touches must be at least 1, got 0"),
+        ("--timeout=inf", "--timeout must be finite and between 0"),
+    ],
+)
+def test_numbers_that_live_cannot_keep_are_refused(option, told, palpate, model):
+    done = palpate("live", model, "--sensor", "sim:bar10", option)
+    assert done.returncode == 1
+    assert told in done.stderr
+
+
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
     said = palpate(
         "live", str(model), *replay, "--gap", "3", "--place", "bar", "-n", "6"

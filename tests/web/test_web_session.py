@@ -355,7 +355,7 @@ def test_what_cannot_be_opened_is_refused(tmp_path, drawn):
     with pytest.raises(ValueError, match="summary must be one of"):
         LiveSession(ReplaySensor(Touches(drawn.images)), summary="loudest")
     session = LiveSession(library=tmp_path / "library")
-    with pytest.raises(ValueError, match="count must be at most 1000"):
+    with pytest.raises(ValueError, match="wanted must be at most 1000"):
         session.teach("cup", 5000)
     session.stop()
 

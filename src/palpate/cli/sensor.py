@@ -50,8 +50,22 @@ Summary = Annotated[
         '"mean" over the hold.',
     ),
 ]
+_LONGEST_S = 366 * 24 * 3600.0  # threads cannot wait for ever
+
+
+def _checked_patience(seconds: float) -> float:
+    from .._checks import check_number
+
+    return check_number("timeout", seconds, low=0.0, high=_LONGEST_S)
+
+
 Patience = Annotated[
-    float, option("--timeout", "Give up after so long without a touch.")
+    float,
+    option(
+        "--timeout",
+        "Give up after so long without a touch.",
+        callback=_checked_patience,
+    ),
 ]
 LogFile = Annotated[
     str | None,

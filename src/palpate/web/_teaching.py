@@ -133,7 +133,7 @@ class Teacher:
         self._session = f"{started} {why}".strip() if name is None else name.strip()
 
     def begin(self, name: str, wanted: int) -> None:
-        check_count("count", wanted, at_most=MOST_PER_LESSON)
+        check_count("wanted", wanted, at_most=MOST_PER_LESSON)
         if self._sensor is None:
             raise SensorError(
                 "There is no sensor here whose touches could be stored. Post them "
