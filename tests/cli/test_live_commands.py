@@ -526,6 +526,22 @@ def test_reports_and_seconds_are_checked(palpate, tmp_path):
     assert "seconds must be" in palpate(*sensor, "--seconds", "0").stderr
 
 
+def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tmp_path):
+    page, lab = tmp_path / "none" / "page.html", tmp_path / "lab"
+    archive = page.with_name("a.npz")
+    for words in (
+        ["sensor", "check", *replay, "--seconds", "300", "--report", page],
+        ["check", recording, "--report", page],
+        ["record", "bar", *replay, "--library", lab, "-o", archive],
+        ["library", "show", lab, "abc", "-o", page.with_name("a.npy")],
+    ):
+        done = palpate(*words)
+        assert done.returncode == 1
+        told = f"palpate: There is no folder {page.parent} to write to; make it."
+        assert told in done.stderr
+    assert not lab.exists()
+
+
 def test_a_library_that_is_served_already_is_named_with_its_address(
     palpate, monkeypatch, tmp_path
 ):

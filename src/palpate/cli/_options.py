@@ -94,6 +94,12 @@ def checked_workers(workers: int | None) -> int | None:
     return workers
 
 
+def check_folder_of(path: Path | None) -> None:
+    """Refuse a file to write in a folder that is not there, before the work."""
+    if path is not None and not path.parent.is_dir():
+        raise ValueError(f"There is no folder {path.parent} to write to; make it.")
+
+
 def numbers_of_touches(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.split(","))

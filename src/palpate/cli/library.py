@@ -13,6 +13,7 @@ from ._options import (
     TouchesPath,
     Where,
     argument,
+    check_folder_of,
     flag,
     grouped,
     option,
@@ -178,6 +179,7 @@ def show(
 
     if output is not None and output.suffix != ".npy":
         raise ValueError(f"--output must end in .npy, got {output.name!r}.")
+    check_folder_of(output)
     if not touch.isalnum():
         raise ValueError(f"The id of a touch must be hexadecimal, got {touch!r}.")
     with _opened(folder) as opened:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, argument, grouped, option
+from ._options import AsJson, argument, check_folder_of, grouped, option
 from ._output import answer, counted, say
 from .sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
@@ -58,6 +58,7 @@ def record(
         )
     if output is not None and output.suffix != ".npz":
         raise typer.BadParameter(f"--output must end in .npz, got {output.name!r}.")
+    check_folder_of(output)
     chosen = options.open(sensor)
     name = " ".join(name.split())  # as it is kept
     with LiveSession(chosen, library=library, summary=summary) as session:

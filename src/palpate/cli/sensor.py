@@ -23,6 +23,7 @@ from ._options import (
     Reading,
     Report,
     TouchesPath,
+    check_folder_of,
     flag,
     grouped,
     in_order,
@@ -235,6 +236,7 @@ def check(
     check_positive("seconds", seconds)
     if report is not None and report.suffix != ".html":
         raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
+    check_folder_of(report)
     memory = None
     if model is not None:
         stored = ObjectRecogniser.load(model).memory_.sensor
