@@ -53,6 +53,28 @@ def test_touches_of_the_sensor_move_the_belief(make_session, model):
     assert session.health.to_dict()["n_dropped"] == 0
 
 
+def test_touches_go_on_after_whatever_fails_with_some(make_session, model, monkeypatch):
+    class OwnError(Exception):
+        """Of a package that a model needs."""
+
+    def fail(*given):
+        raise OwnError("no room on the card")
+
+    session = make_session(model=model)
+    with session:
+        with monkeypatch.context() as patched:
+            patched.setattr(session.recogniser, "evidence", fail)
+            session.place("disc")
+            assert waited(lambda: "no room on the card" in session.trouble)
+            # Nor can the state be told, as where the library is damaged.
+            patched.setattr(session.teacher, "to_dict", fail)
+            patched.setattr(session.listeners, "_takes_frames", {fail: False})
+            n_taken = len(session.watch._recent)
+            assert waited(lambda: len(session.watch._recent) > n_taken + 1)
+        assert waited(lambda: len(session.episode.touches) > 1)
+        session.place(None)
+
+
 def test_a_lesson_takes_so_many_touches_and_no_more(make_session):
     session = make_session()
     with session:

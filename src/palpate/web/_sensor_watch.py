@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -348,8 +349,9 @@ class SensorWatch:
             touch, ended_s = detected
             with self._lock:
                 self._recent = [*self._recent[1 - _RECENT :], touch.image]
-            self._take(touch, ended_s)
-            self._compare()
+            with suppress(Exception):  # what cannot be told must not end the touches
+                self._take(touch, ended_s)
+                self._compare()
 
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:

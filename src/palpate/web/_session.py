@@ -623,6 +623,8 @@ class LiveSession:
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
+        except Exception as error:  # of a model's own parts: others do not end with it
+            self.message = self.trouble = repr(error)
         if teaching or self.trouble:
             self._notify_state()
 
