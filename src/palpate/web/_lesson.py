@@ -209,11 +209,20 @@ class Action:
 
 @dataclass
 class Interrupted:
-    """A lesson under way: what is taught, how often, the touches stored so far."""
+    """A lesson under way: what is taught, how often, the touches stored so far.
+
+    Those in `no_contact_ids` do not count.
+    """
 
     name: str
     wanted: int
     ids: list[str] = field(default_factory=list)
+    no_contact_ids: set[str] = field(default_factory=set)
+
+    @property
+    def done(self) -> int:
+        """How many touches count."""
+        return sum(key not in self.no_contact_ids for key in self.ids)
 
 
 class Journal:
@@ -249,6 +258,10 @@ class Journal:
     def pop(self) -> None:
         """Forget the newest action: it is undone."""
         self._write({"undone": True})
+
+    def add_no_contact(self, key: str) -> None:
+        """Note that a touch of the lesson shows no contact."""
+        self._write({"no_contact": key})
 
     def store_in(self, session: str, sensor: str) -> None:
         """Note which session touches are stored in from now on."""
@@ -296,6 +309,8 @@ class Journal:
             self._drop(undone)
         elif "changed" in line:
             self.changed = {str(name) for name in line["changed"]}
+        elif "no_contact" in line and self._lesson is not None:
+            self._lesson.no_contact_ids.add(str(line["no_contact"]))
         elif "session" in line:
             session, sensor = line["session"]
             self.session = str(session), str(sensor)

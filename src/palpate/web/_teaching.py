@@ -157,7 +157,7 @@ class Teacher:
         if interrupted is None:
             raise ValueError("There is no interrupted lesson. Start one with a name.")
         name, keys = self._name_now(interrupted.name, interrupted.ids), interrupted.ids
-        wanted = max(interrupted.wanted, len(keys) + 1)
+        wanted = max(interrupted.wanted, interrupted.done + 1)
         self.begin(name, wanted)
         assert self.lesson is not None
         self.journal.begin_lesson(name, wanted, keys)
@@ -266,6 +266,7 @@ class Teacher:
         if not counts:  # known before it is there, so that it is never counted
             self.lesson.no_contact_ids.add(key)
             self.no_contact_ids.add(key)
+            self.journal.add_no_contact(key)
         self.lesson.add(key, image, baseline, noise)
         return counts
 
@@ -393,6 +394,8 @@ class Teacher:
         if (lesson := self.lesson) is not None and lesson.name == old:
             lesson.name = tidy
             self.journal.begin_lesson(tidy, lesson.wanted, lesson.ids)
+            for key in lesson.no_contact_ids:
+                self.journal.add_no_contact(key)
         return tidy
 
     def forget(self, name: str, *, learnt: bool) -> None:
@@ -426,8 +429,8 @@ class Teacher:
         if interrupted is None or self._sensor is None or self.lesson is not None:
             return None
         name = self._name_now(interrupted.name, interrupted.ids)
-        done = len(interrupted.ids)
-        return {"name": name, "wanted": interrupted.wanted, "done": done}
+        about = {"wanted": interrupted.wanted, "done": interrupted.done}
+        return {"name": name, **about}
 
     def newest(self, name: str, limit: int, offset: int = 0) -> list[TouchRow]:
         """Return the newest touches of an object but the first `offset`."""
