@@ -322,8 +322,15 @@ class Teacher:
         if not rows:
             raise ValueError(f"The touch is of {tidy} already. Choose another object.")
         keys, names = [row.id for row in rows], _objects(rows)
-        copies = [self._copy(row, tidy) for row in rows]
-        self.library.retract(keys, reason=f"moved to {tidy} on the page")
+        copies: list[str] = []
+        try:
+            for row in rows:
+                copies.append(self._copy(row, tidy))
+            self.library.retract(keys, reason=f"moved to {tidy} on the page")
+        except ValueError:  # a touch is of one object, not of both
+            if copies:
+                self.library.retract(copies, reason="the move failed on the page")
+            raise
         self.journal.add(Action("moved", names[0], keys, copies, tidy, names[1:]))
         self._drop_from_lesson(keys)
         return f"{_counted(rows)} of {', '.join(names)} moved to {tidy}."
