@@ -368,3 +368,12 @@ def test_what_a_running_sensor_does_not_heed_is_refused(options, palpate, tmp_pa
     assert done.returncode == 1
     assert f"{options[0]} must be left out with a running sensor" in done.stderr
     assert not (tmp_path / "lab").exists()
+
+
+@pytest.mark.parametrize("name", ["test", "unknown"])
+def test_a_filter_of_touches_that_are_not_there_is_refused(name, palpate, folder):
+    option = f"--{name}-where"
+    words = ("--train", folder, "--split", "last", option, "order > 3")
+    done = palpate("evaluate", *words)
+    assert done.returncode == 1
+    assert f"{option} must come with --{name}, got 'order > 3' alone" in done.stderr

@@ -387,6 +387,11 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
     memory = SensorMemory.from_dict(learnt.memory_.sensor)
     assert (memory.no_contact == zero).all()
     assert memory.n_touches == 20
+    watch = "sensor", "check", "--sensor", "sim:bar10", "--seconds", "300"
+    other = palpate(*watch, "--model", model)
+    assert other.returncode == 1
+    assert "must be of images of 10 x 10 taxels" in other.stderr
+    assert "got one of 12 x 12 taxels" in other.stderr
     moved = ReplaySensor(recorded.with_columns(no_contact=zero + np.uint8(60)))
     session = LiveSession(moved, model=model)
     (warning,) = session.to_dict()["sensor"]["warnings"]

@@ -228,7 +228,7 @@ def check(
 
     Exit code 1 where something is found.
     """
-    from .._checks import check_positive
+    from .._checks import check_positive, size_text
     from .._durable import write_text
     from ..recognition import ObjectRecogniser
     from ..sensors import SensorMemory, sensor_health
@@ -248,6 +248,12 @@ def check(
         memory = SensorMemory.from_dict(stored)
     with options.open(sensor) as live:
         step = -(-max(live.image_shape[:2]) // _MOST_SIDE)
+        if memory is not None and memory.no_contact.shape != live.image_shape:
+            raise ValueError(
+                f"{model} must be of images of {size_text(live.image_shape)}, which "
+                f"{live.name} gives, got one of {size_text(memory.no_contact.shape)}. "
+                "Give the model of this sensor."
+            )
         if memory is not None:
             memory = replace(memory, no_contact=memory.no_contact[::step, ::step])
         health = sensor_health(_frames(live, seconds, step), live.step, memory)
