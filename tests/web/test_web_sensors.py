@@ -75,7 +75,7 @@ def test_one_that_fails_is_said_and_the_other_goes_on(fingers, missing, connecte
         LiveSession.start_all([LiveSession(missing), LiveSession(missing)])
 
 
-def test_the_command_refuses_what_cannot_be(tmp_path):
+def test_the_command_refuses_what_cannot_be(tmp_path, monkeypatch):
     def said(*arguments):
         result = CliRunner().invoke(app, ["serve", "--port", "0", *arguments])
         assert result.exit_code
@@ -86,6 +86,13 @@ def test_the_command_refuses_what_cannot_be(tmp_path):
     (tmp_path / "library.sqlite").touch()
     several = "--sensor", "sim:mug", "--sensor", "sim:box", "--library", str(tmp_path)
     assert "name a --library that is none of one sensor" in said(*several)
+    (tmp_path / "library.sqlite").unlink()
+    copied = []
+    monkeypatch.setattr(
+        "palpate.cli.serve.model_file", lambda *of: copied.append(of) or of[0]
+    )
+    assert "leave --model out" in said(*several, "--model", "sim-dome")
+    assert copied == []
 
 
 def test_two_of_one_place_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
