@@ -65,7 +65,7 @@ def test_a_move_that_fails_moves_nothing(failing, make_session, folder, monkeypa
         with pytest.raises(LibraryError, match="no room"):
             session.move_touches(keys, "bar")
         objects = session.to_dict()["library"]["objects"]
-        assert [one["n_touches"] for one in objects] == [8, 8]
+        assert [counted["n_touches"] for counted in objects] == [8, 8]
         assert session.move_touches(keys, "bar") == "2 touches of disc moved to bar."
 
 

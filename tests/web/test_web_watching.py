@@ -170,11 +170,11 @@ def test_two_who_ask_at_once_both_get_a_baseline(hand):
             taken.append(session.baseline)
 
         both = [threading.Thread(target=take, daemon=True) for _ in range(2)]
-        for one in both:
-            one.start()
+        for thread in both:
+            thread.start()
             time.sleep(0.02)  # of the ten frames a few have come
-        for one in both:
-            one.join()
+        for thread in both:
+            thread.join()
     assert [baseline.max() for baseline in taken] == [20, 20]
 
 
