@@ -454,6 +454,8 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
 
 def test_bench_lists_its_names(palpate):
     assert "zernike" in palpate("bench", "--list").stdout
+    listed = json.loads(palpate("bench", "--list", "--json").stdout)
+    assert "zernike" in listed["benches"]
 
 
 def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):

@@ -222,6 +222,8 @@ def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
         (["recognise", "m.palpate", "household"], "got the set 'household'"),
         (["recognise", "m.palpate", "ball", "--strategy", "best"], "'informative'"),
         (["recognise", "m.palpate", "ball", "--fault", "x"], "NUMBER=NAME"),
+        (["recognise", "m.palpate", "ball", "--fault", "²=slow"], "NUMBER=NAME"),
+        (["recognise", "m.palpate", "ball", "--picture", "no/a.png"], "no folder no"),
         (["recognise", "m.palpate", "ball", "--fault", "0=x"], "'stuck force'"),
         (["recognise", "m.palpate", "ball", "--face", "9"], "face must be below"),
         (["recognise", "m.palpate", "ball", "--taught", "gone.npz"], "gone.npz"),

@@ -306,10 +306,78 @@ def test_films_and_tables_become_touches(palpate, tmp_path):
     lab = tmp_path / "lab"
     result = palpate("library", "add", lab, film, "--object", "knob", "--begin", "5")
     assert "1 new of 1 touch;" in result.stdout, result.stderr
+    result = palpate("library", "add", lab, film, "--detect", "--begin", "5")
+    assert "1 new of 1 touch;" in result.stdout, result.stderr
     (tmp_path / "t.csv").write_text("object,a,b,c,d\npen,1,2,3,4\ncup,5,6,7,8\n")
     result = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "2x2")
-    assert "2 new of 2 touches; 3 in" in result.stdout, result.stderr
+    assert "2 new of 2 touches; 4 in" in result.stdout, result.stderr
     refused = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "two")
     assert "--shape must be rows x columns such as 16x16, got 'two'" in refused.stderr
     refused = palpate("library", "add", lab, film, "--where", "object = mug")
     assert "--where must be left out for a film" in refused.stderr
+
+
+def test_frames_become_touches_where_begin_says(palpate, tmp_path):
+    levels = np.repeat([0, 9, 0, 90, 0], [12, 5, 5, 5, 5])
+    frames = np.broadcast_to(levels[:, None, None], (32, 4, 4)).astype(np.uint8)
+    Touches(frames).save(tmp_path / "frames.npz")
+    for begin, many in ((), "2 new of 2"), (("--begin", "20"), "1 new of 1"):
+        lab = tmp_path / f"lab{len(begin)}"
+        words = (tmp_path / "frames.npz", "--detect", "--object", "cup", *begin)
+        done = palpate("library", "add", lab, *words)
+        assert many in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("option", ["--shape=2x2", "--dtype=<u2", "--channels=x,y"])
+def test_what_a_library_says_itself_is_refused(option, palpate, folder):
+    done = palpate("check", folder, option)
+    assert done.returncode == 1
+    assert f"{option.partition('=')[0]} must be left out for a library" in done.stderr
+
+
+def test_begin_is_of_films(palpate, folder, archive):
+    for path in (folder, archive):
+        done = palpate("check", path, "--begin", "3")
+        assert done.returncode == 1
+        assert "--begin must be left out for" in done.stderr
+
+
+@pytest.mark.parametrize("size", ["inf", "nan", "-1"])
+def test_a_largest_picture_is_a_positive_number(size, palpate, archive):
+    done = palpate("check", archive, "--max-megapixels", size)
+    assert done.returncode == 1
+    assert "--max-megapixels must be positive and finite" in done.stderr
+
+
+def test_objects_are_listed_all_or_not_at_all(palpate, folder):
+    for options in (("--where", "object = mug"), ("--offset", "1"), ("--retracted",)):
+        done = palpate("library", "list", folder, "--objects", *options)
+        assert done.returncode == 1
+        assert "--objects must stand without --where" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--colour",),
+        ("--shape", "4x4"),
+        ("--detect",),
+        ("--episode", "e"),
+        ("--skip-bad",),
+    ],
+)
+def test_what_a_running_sensor_does_not_heed_is_refused(options, palpate, tmp_path):
+    words = (tmp_path / "lab", "sim:mug", "--object", "mug", "-n", "1")
+    done = palpate("library", "add", *words, *options)
+    assert done.returncode == 1
+    assert f"{options[0]} must be left out with a running sensor" in done.stderr
+    assert not (tmp_path / "lab").exists()
+
+
+@pytest.mark.parametrize("name", ["test", "unknown"])
+def test_a_filter_of_touches_that_are_not_there_is_refused(name, palpate, folder):
+    option = f"--{name}-where"
+    words = ("--train", folder, "--split", "last", option, "order > 3")
+    done = palpate("evaluate", *words)
+    assert done.returncode == 1
+    assert f"{option} must come with --{name}, got 'order > 3' alone" in done.stderr

@@ -135,6 +135,54 @@ def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
     assert "touch 3" not in messages
 
 
+def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path):
+    few = Touches.load(recording)[[0, 1, 2]]
+    few.save(tmp_path / "few.npz")
+    address = f"replay:{tmp_path / 'few.npz'}?rate=200&hold=3&gap=3"
+    words = ["record", "disc", "--sensor", address, "-n", "5"]
+    done = palpate(*words, "--library", tmp_path / "lab", "--timeout", "5")
+    assert done.returncode == 1
+    last = "All 3 touches that were recorded here are stored: 3 of 5 of disc."
+    assert done.stderr.splitlines()[-1] == last
+    assert done.stdout == f"3 touches of disc in {tmp_path / 'lab'}.\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["-n", "0"], "--touches must be at least 1, got 0"),
+        (["-n", "1001"], "--touches must be at most 1000, got 1001"),
+        (["-n", "1", "--sessions", "2"], "--touches must be at least one for each of"),
+        (["--timeout", "inf"], "--timeout must be finite and between 0"),
+        (["--timeout", "nan"], "--timeout must be finite and between 0"),
+    ],
+)
+def test_what_record_cannot_do_is_said_first(options, told, palpate, replay, tmp_path):
+    library = tmp_path / "lab"
+    done = palpate("record", "bar", *replay, "--library", library, *options)
+    assert done.returncode == 1
+    assert told in done.stderr
+    assert not library.exists()
+    if len(options) == 2 and "-n" in options:
+        done = palpate("library", "add", library, replay[1], "--object", "x", *options)
+        assert told in done.stderr
+        assert not library.exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ("--episodes=-1", "--episodes must be at least 0, got -1"),
+        ("--touches=0", "--touches must be at least 1, got 0"),
+        ("--timeout=inf", "--timeout must be finite and between 0"),
+    ],
+)
+def test_numbers_that_live_cannot_keep_are_refused(option, told, palpate, model):
+    done = palpate("live", model, "--sensor", "sim:bar10", option)
+    assert done.returncode == 1
+    assert told in done.stderr
+
+
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
     result = palpate(
         "live", str(model), *replay, "--gap", "3", "--place", "bar", "-n", "6"
@@ -343,6 +391,11 @@ def test_a_model_learnt_of_a_library_knows_its_touches_and_sensor(
     memory = SensorMemory.from_dict(learnt.memory_.sensor)
     assert (memory.no_contact == zero).all()
     assert memory.n_touches == 20
+    watch = "sensor", "check", "--sensor", "sim:bar10", "--seconds", "300"
+    other = palpate(*watch, "--model", model)
+    assert other.returncode == 1
+    assert "must be of images of 10 x 10 taxels" in other.stderr
+    assert "got one of 12 x 12 taxels" in other.stderr
     moved = ReplaySensor(recorded.with_columns(no_contact=zero + np.uint8(60)))
     session = LiveSession(moved, model=model)
     (warning,) = session.to_dict()["sensor"]["warnings"]
@@ -454,6 +507,20 @@ def test_a_simulated_array_is_reported_as_healthy(palpate, tmp_path):
     assert "http" not in page.read_text().replace("http-equiv", "")
 
 
+def test_channels_that_are_no_colours_and_a_dead_taxel_are_reported(palpate, tmp_path):
+    rng, page = np.random.default_rng(0), tmp_path / "health.html"
+    images = rng.normal(size=(40, 6, 6, 2))
+    images[:, 0, 0] = np.nan
+    about = {"channels": ["shear", "force"], "geometry": "array"}
+    Touches(images, no_contact=images[0], **about).save(tmp_path / "pad.npz")
+    address = f"replay:{tmp_path / 'pad.npz'}?rate=100&hold=1"
+    watch = "sensor", "check", "--sensor", address, "--seconds", "0.6"
+    result = palpate(*watch, "--report", page, "--json")
+    assert json.loads(result.stdout)["figures"]["frames"] > 24
+    assert "rest" in page.read_text()
+    assert "nan" not in page.read_text()
+
+
 def test_a_touched_sensor_is_not_reported_as_healthy(palpate):
     result = palpate(
         "sensor", "check", "--sensor", "sim:bar10?rate=100", "--seconds", "1"
@@ -466,6 +533,22 @@ def test_reports_and_seconds_are_checked(palpate, tmp_path):
     sensor = ("sensor", "check", "--sensor", "sim:bar10")
     assert "must end in .html" in palpate(*sensor, "--report", "x.pdf").stderr
     assert "seconds must be" in palpate(*sensor, "--seconds", "0").stderr
+
+
+def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tmp_path):
+    page, lab = tmp_path / "none" / "page.html", tmp_path / "lab"
+    archive = page.with_name("a.npz")
+    for words in (
+        ["sensor", "check", *replay, "--seconds", "300", "--report", page],
+        ["check", recording, "--report", page],
+        ["record", "bar", *replay, "--library", lab, "-o", archive],
+        ["library", "show", lab, "abc", "-o", page.with_name("a.npy")],
+    ):
+        done = palpate(*words)
+        assert done.returncode == 1
+        told = f"palpate: There is no folder {page.parent} to write to; make it."
+        assert told in done.stderr
+    assert not lab.exists()
 
 
 def test_a_library_that_is_served_already_is_named_with_its_address(

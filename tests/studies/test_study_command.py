@@ -80,6 +80,11 @@ def test_studies_are_listed():
         assert all(name in completed.stdout for name in STUDIES)
 
 
+def test_studies_are_listed_as_json_where_asked():
+    done = CliRunner().invoke(app, ["study", "--list", "--json"])
+    assert json.loads(done.stdout)["studies"].keys() == STUDIES.keys()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -135,6 +135,22 @@ def test_each_command_is_answered_as_done_or_refused(via, learnt, tmp_path):
         assert library.touches().object.tolist() == ["knob"] * 3
 
 
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_a_touch_without_contact_keeps_no_lesson_open_that_confirm_began(
+    make_session, drawn
+):
+    empty = drawn.no_contact.copy()
+    empty[0, 0] = 1
+    with make_session() as session:
+        for image in (*drawn.images[:3], empty):
+            session.post_touch(image)
+        publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+        answer = publisher.ask("confirm knob")
+        publisher.close()
+        assert session.teacher.lesson is None
+    assert answer == (True, "3 touches are kept as knob; learn to use them.")
+
+
 def test_runs_of_the_tests_at_the_same_time_have_different_numbers():
     """Without it two runs on one machine received each other's messages."""
     others = [own_number() for _ in range(3)]

@@ -195,6 +195,13 @@ def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
     assert "nothing met" in placed_client.get("/api/episode/report").text
 
 
+def test_a_miss_does_not_count_without_a_model(make_session, drawn):
+    miss = {"position_mm": (0, 0, 40), "direction": (0, 0, -1)}
+    with make_session(sensor=False) as session:
+        session.post_touch(drawn.images[0])
+        assert session.post_touch(None, miss)["n_counted"] == 1
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [

@@ -4,11 +4,14 @@ import json
 import socket
 import threading
 import time
+from contextlib import suppress
 
 import httpx
 import pytest
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from palpate.library import LibraryError
 from palpate.web import Event
 
 from .conftest import waited
@@ -105,6 +108,29 @@ def test_a_page_that_leaves_is_forgotten(make_session, serving):
     with serving(session) as (address, token):
         assert frame_headers(address, token, 0.5)
         assert waited(lambda: not len(session.listeners))
+
+
+def test_a_page_that_cannot_be_told_the_state_is_forgotten(
+    make_session, serving, monkeypatch
+):
+    monkeypatch.setattr("palpate.web._app._MOST_CLIENTS", 1)
+    session, library = make_session(sensor=False), []
+
+    def damaged():
+        library.append("read")
+        raise LibraryError("The library is damaged.")
+
+    with serving(session) as (address, token):
+        url = address.replace("http", "ws") + f"/ws?token={token}"
+        with monkeypatch.context() as patched:
+            patched.setattr(session.teacher.library, "objects", damaged)
+            for _ in range(2):
+                with suppress(ConnectionClosed), connect(url) as page:
+                    page.recv(timeout=5)
+                assert waited(lambda: not len(session.listeners))
+        assert len(library) == 2
+        with connect(url) as page:
+            assert json.loads(page.recv(timeout=5))["kind"] == "state"
 
 
 @pytest.mark.parametrize("message", ["ping", "{}", "x" * 1000])

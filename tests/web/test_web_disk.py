@@ -2,6 +2,7 @@
 
 import errno
 import io
+import shutil
 import sqlite3
 
 import pytest
@@ -45,6 +46,46 @@ def test_a_touch_that_cannot_be_stored_is_not_acknowledged(client, drawn, monkey
     assert answer.status_code == 507
     assert answer.json()["detail"] == "The library has no room. Free space."
     assert client.get("/api/state").json()["library"]["undoable"] == 0
+
+
+@pytest.mark.parametrize("failing", ["add", "retract"])
+def test_a_move_that_fails_moves_nothing(failing, make_session, folder, monkeypatch):
+    with make_session(sensor=False, library=folder) as session:
+        library, n_calls = session.teacher.library, []
+        plain = getattr(library, failing)
+
+        def fail(*given, **named):
+            n_calls.append(failing)
+            if len(n_calls) == (2 if failing == "add" else 1):
+                raise LibraryError("The library has no room. Free space.")
+            return plain(*given, **named)
+
+        monkeypatch.setattr(library, failing, fail)
+        keys = [row.id for row in session.teacher.newest("disc", 2)]
+        with pytest.raises(LibraryError, match="no room"):
+            session.move_touches(keys, "bar")
+        objects = session.to_dict()["library"]["objects"]
+        assert [counted["n_touches"] for counted in objects] == [8, 8]
+        assert session.move_touches(keys, "bar") == "2 touches of disc moved to bar."
+
+
+def test_a_given_model_is_kept_whole_or_not_at_all(make_session, folder, drawn_model):
+    resource = pytest.importorskip("resource", reason="limits are of POSIX")
+    given = folder.parent / "given.palpate"
+    before = shutil.copyfile(drawn_model, given).read_bytes()
+    _, most = limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with make_session(sensor=False, library=folder, model=given) as session:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, most))
+        try:
+            session.learn(wait=True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert "File too large" in session.learn_error
+        assert not session.given_model.exists()
+        assert given.read_bytes() == before
+        session.learn(wait=True)
+        assert session.learn_error == ""
+        assert session.given_model.read_bytes() == before
 
 
 @pytest.fixture

@@ -56,6 +56,23 @@ def test_a_touch_moved_keeps_all_but_its_object_and_can_go_there_and_back(folder
             session.move_touches([row.id], "disc")
 
 
+def test_touches_of_several_objects_are_counted_by_their_own_names(folder):
+    with LiveSession(library=folder) as session:
+        journal, newest = session.teacher.journal, session.teacher.newest
+        disc, bar = (newest(name, 1)[0].id for name in ("disc", "bar"))
+        moved = session.move_touches([bar, disc], "bar")
+        assert moved == "1 touch of disc moved to bar."
+        assert session.undo() == "disc"
+        journal.changed.clear()
+        assert session.remove_touches([bar, disc]) == "2 touches of bar, disc removed."
+        assert journal.changed == {"bar", "disc"}
+    with LiveSession(library=folder) as session:
+        assert session.teacher.journal.changed == {"bar", "disc"}
+        assert session.undo() == "bar, disc"
+        assert session.message == "What was removed of bar, disc is back."
+        assert counts(session) == {"bar": 8, "disc": 8}
+
+
 def test_a_touch_moved_to_a_new_object_makes_it(folder):
     with LiveSession(library=folder) as session:
         keys = [row.id for row in session.teacher.newest("disc", 3)]
@@ -216,6 +233,18 @@ def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
         )
 
 
+def test_a_place_that_is_refused_costs_no_touch(make_session, drawn):
+    session = make_session()  # not started: it touches nothing by itself
+    session.place("disc")
+    began_s = time.monotonic()
+    with pytest.raises(ValueError, match="must be one of 'disc', 'bar', 'both'"):
+        session.place("nonsense")
+    session.teach("cup", 8)
+    session._on_touch(DetectedTouch(drawn.images[0], began_s, began_s, 9.0, 3), 0.0)
+    assert counts(session) == {"cup": 1}
+    session.stop()
+
+
 def test_a_simulated_lesson_goes_on_with_other_touches_after_a_restart(tmp_path):
     pictures = []
     for _ in range(2):
@@ -243,6 +272,17 @@ def test_a_recording_that_begins_anew_is_not_stored_twice(tmp_path, drawn):
     assert session.message == message
 
 
+def test_an_episode_of_a_recording_that_is_stored_is_not_kept(tmp_path, drawn):
+    few = drawn[np.flatnonzero(drawn.object == "disc")[:2]]
+    replay = ReplaySensor(few, rate_hz=250, hold=3, gap=3)
+    with LiveSession(replay, library=tmp_path / "few") as session:
+        session.teach("disc", 2)
+        assert waited(lambda: len(session.episode.touches) > 2)
+        session.teach("disc", 5, keep_episode=True)
+        said = "All 2 touches that were recorded here are stored: 0 of 5 of disc."
+        assert (session.message, session.teacher.lesson) == (said, None)
+
+
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):
     with make_session(library=folder) as session:
         session.teach("shoe", 8)
@@ -267,6 +307,37 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
             session.resume_teaching()
     with make_session(library=folder) as session:
         assert session.to_dict()["library"]["interrupted"] is None
+
+
+def test_a_touch_posted_meanwhile_is_none_of_the_lesson(make_session, folder, drawn):
+    with make_session(library=folder) as session:
+        session.teach("shoe", 8)
+        session._on_touch(_detected(drawn.images[0]), 0.0)
+        for name in ("pen", "shoe"):
+            session.post_lesson(name, drawn.images[40])
+        assert session.to_dict()["lesson"]["done"] == 1
+    with make_session(library=folder) as session:
+        interrupted = session.to_dict()["library"]["interrupted"]
+        assert interrupted == {"name": "shoe", "wanted": 8, "done": 1}
+
+
+@pytest.mark.parametrize(("name", "merge"), [("boot", False), ("disc", True)])
+def test_a_lesson_goes_on_under_the_new_name_of_its_object(
+    name, merge, make_session, folder, drawn
+):
+    with make_session(library=folder) as session:
+        n_before = counts(session).get(name, 0)
+        session.teach("shoe", 8)
+        session._on_touch(_detected(drawn.images[10]), 0.0)
+        session.rename("shoe", name, merge=merge)
+        session._on_touch(_detected(drawn.images[11]), 0.0)
+        lesson = session.to_dict()["lesson"]
+        assert (lesson["name"], lesson["done"]) == (name, 2)
+        assert "shoe" not in counts(session)
+        assert counts(session)[name] == n_before + 2
+    with make_session(library=folder) as session:
+        interrupted = session.to_dict()["library"]["interrupted"]
+        assert interrupted == {"name": name, "wanted": 8, "done": 2}
 
 
 def test_a_restart_in_one_sitting_begins_no_session_and_a_baseline_does(

@@ -92,8 +92,25 @@ def test_arrays_come_in_as_they_were_saved():
         npy(np.zeros((2, 2)), version=(2, 0)),
         npy(np.zeros((2, 2)))[:-1],
         npy(np.zeros((2, 2))) + b"x" * 8,
+        npy(np.zeros((0, 2))),
+        npy(np.zeros((2, 2))).replace(b"}", b" "),
+        npy(np.zeros((2, 2))).replace(b"'descr': '<f8'", b"'descr': 3    "),
+        npy(np.zeros((2, 2))).replace(b"(2, 2), }", b"(True,2)}"),
     ],
-    ids=["empty", "cut", "flat", "complex", "channels", "version", "short", "long"],
+    ids=[
+        "empty",
+        "cut",
+        "flat",
+        "complex",
+        "channels",
+        "version",
+        "short",
+        "long",
+        "none",
+        "open",
+        "kind",
+        "side",
+    ],
 )
 def test_arrays_that_are_no_image_are_refused(body):
     with pytest.raises(TouchesError, match=f"got {len(body)} other bytes"):
@@ -122,6 +139,8 @@ def test_infinity_is_refused_and_nan_is_a_dead_taxel():
         b'{"image": [[1]]',
         b'{"image": [[1]], "image": 2}',
         b'{"image": [[1e999]]}',
+        b'[{"image": [[1]]}]',
+        b'{"a": {"image": [[1]]}}',
     ],
 )
 def test_json_that_holds_no_image_is_refused(body):

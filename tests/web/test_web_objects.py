@@ -2,6 +2,7 @@
 
 import io
 import shutil
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -253,6 +254,36 @@ def test_a_model_from_elsewhere_is_extended_and_never_replaced(
         session.forget("coin")
         assert waited(lambda: not session.learning)
     assert kept.read_bytes() == before
+
+
+@pytest.mark.parametrize("change", ["rename", "forget"])
+def test_a_name_changed_while_the_first_model_is_learnt_is_learnt_next(
+    folder, drawn, learn_by, change
+):
+    """It has read the touches by then."""
+    has_read, go_on = threading.Event(), threading.Event()
+
+    def learn(*job):
+        answer = learn_job(*job)
+        has_read.set()
+        go_on.wait(10)
+        return answer
+
+    learn_by(learn)
+    with LiveSession(library=folder) as session:
+        for image in drawn.images[60:62]:
+            session.post_lesson("shoe", image)
+        session.learn()
+        assert has_read.wait(10)
+        if change == "rename":
+            session.rename("disc", "coin")
+        else:
+            session.forget("disc")
+        go_on.set()
+        names = ["bar", "coin", "shoe"] if change == "rename" else ["bar", "shoe"]
+        assert waited(lambda: session.recogniser is not None)
+        assert waited(lambda: session.recogniser.classes_.tolist() == names)
+        assert waited(lambda: not session.learning)
 
 
 def test_touches_that_a_model_has_without_ids_count_once(

@@ -405,6 +405,9 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
         expect(page.locator("#unknown .value")).to_contain_text("99")
         expect(page.locator("#step-3")).to_contain_text("unknown")
         expect(page.locator("#strip li")).to_have_count(3)
+        miss = {"position_mm": (0, 0, 40), "direction": (0, 0, -1)}
+        taught.post_touch(None, miss)  # of which there is no picture to teach
+        expect(page.locator("#strip li")).to_have_count(4)
         page.click("#teach-this")
         expect(page.locator("#first-touches")).to_contain_text("the 3 you just made")
         expect(page.locator("#name")).to_be_focused()

@@ -240,6 +240,29 @@ def test_a_lesson_asks_for_another_touch_where_one_shows_no_contact(
         ]
 
 
+def test_touches_without_contact_do_not_count_after_a_restart(
+    make_session, drawn, tmp_path
+):
+    empty = drawn.no_contact.copy()
+    empty[0, 0] = 1
+    images = *drawn.images[:2], empty, empty.T[::-1]
+    with make_session(library=tmp_path / "library") as session:
+        session.teach("disc", 3)
+        for image in images:
+            session._take(image)
+        session.rename("disc", "coin")
+        assert session.teacher.lesson.done == 2
+    for _ in range(2):
+        with make_session(library=tmp_path / "library") as session:
+            interrupted = session.to_dict()["library"]["interrupted"]
+            assert interrupted == {"name": "coin", "wanted": 3, "done": 2}
+            session.resume_teaching()
+            assert (session.teacher.lesson.done, session.teacher.lesson.wanted) == (
+                2,
+                3,
+            )
+
+
 @pytest.mark.parametrize("geometry", ["dome", "array", "plane"])
 def test_a_touch_without_contact_is_reported_before_there_is_a_model(
     geometry, rng, tmp_path

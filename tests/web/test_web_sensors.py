@@ -77,7 +77,9 @@ def test_a_sensor_that_fails_is_reported_and_the_other_goes_on(
         LiveSession.start_all([LiveSession(missing), LiveSession(missing)])
 
 
-def test_serve_refuses_a_sensor_named_twice_and_a_library_of_one_sensor(tmp_path):
+def test_serve_refuses_a_sensor_named_twice_and_a_library_of_one_sensor(
+    tmp_path, monkeypatch
+):
     def refusal(*arguments):
         result = CliRunner().invoke(app, ["serve", "--port", "0", *arguments])
         assert result.exit_code
@@ -88,6 +90,13 @@ def test_serve_refuses_a_sensor_named_twice_and_a_library_of_one_sensor(tmp_path
     (tmp_path / "library.sqlite").touch()
     several = "--sensor", "sim:mug", "--sensor", "sim:box", "--library", str(tmp_path)
     assert "name a --library that is none of one sensor" in refusal(*several)
+    (tmp_path / "library.sqlite").unlink()
+    copied = []
+    monkeypatch.setattr(
+        "palpate.cli.serve.model_file", lambda *of: copied.append(of) or of[0]
+    )
+    assert "leave --model out" in refusal(*several, "--model", "sim-dome")
+    assert copied == []
 
 
 def test_two_sensors_of_one_kind_have_a_folder_and_a_name_each(tmp_path, monkeypatch):

@@ -3,8 +3,10 @@
 import os
 import queue
 import signal
+import threading
 import time
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -49,6 +51,28 @@ def test_touches_of_the_sensor_move_the_belief(make_session, model):
     numbers = [touch.number for touch in session.episode.touches]
     assert numbers == list(range(1, len(numbers) + 1))
     assert session.health.to_dict()["n_dropped"] == 0
+
+
+def test_touches_go_on_after_whatever_fails_with_some(make_session, model, monkeypatch):
+    class OwnError(Exception):
+        """Of a package that a model needs."""
+
+    def fail(*given):
+        raise OwnError("no room on the card")
+
+    session = make_session(model=model)
+    with session:
+        with monkeypatch.context() as patched:
+            patched.setattr(session.recogniser, "evidence", fail)
+            session.place("disc")
+            assert waited(lambda: "no room on the card" in session.trouble)
+            # Nor can the state be told, as where the library is damaged.
+            patched.setattr(session.teacher, "to_dict", fail)
+            patched.setattr(session.listeners, "_takes_frames", {fail: False})
+            n_taken = len(session.watch._recent)
+            assert waited(lambda: len(session.watch._recent) > n_taken + 1)
+        assert waited(lambda: len(session.episode.touches) > 1)
+        session.place(None)
 
 
 def test_a_lesson_takes_so_many_touches_and_no_more(make_session):
@@ -302,6 +326,15 @@ def test_frames_go_on_while_a_session_learns(make_session, drawn, learning_apart
         assert session.health.to_dict()["n_dropped"] == 0
 
 
+def test_a_lesson_begins_while_another_is_learnt(make_session, drawn, learning_apart):
+    learning = import_module("palpate.web._learning")._LEARNER
+    with make_session() as session, learning._lock:  # as while it is asked
+        begins = threading.Thread(target=session.teach, args=("cup", 3), daemon=True)
+        begins.start()
+        assert waited(lambda: session.teacher.lesson is not None, 5.0)
+        begins.join()
+
+
 def learning_processes():
     """The processes that this one has started to learn in."""
     learning = []
@@ -344,7 +377,7 @@ def test_a_missing_model_and_wrong_arguments_are_refused(tmp_path, drawn):
     with pytest.raises(ValueError, match="summary must be one of"):
         LiveSession(ReplaySensor(Touches(drawn.images)), summary="loudest")
     session = LiveSession(library=tmp_path / "library")
-    with pytest.raises(ValueError, match="count must be at most 1000"):
+    with pytest.raises(ValueError, match="wanted must be at most 1000"):
         session.teach("cup", 5000)
     session.stop()
 

@@ -2,6 +2,7 @@
 
 import json
 import queue
+import threading
 import time
 from types import SimpleNamespace
 
@@ -161,6 +162,23 @@ def test_a_baseline_is_of_ten_frames_that_come(watch):
     assert len(frames) == 3
     assert watch._health.to_dict()["n_frames"] == 3
     assert watch._detected.empty()
+
+
+def test_two_who_ask_at_once_both_get_a_baseline(hand):
+    taken = []
+    with LiveSession(hand) as session:
+
+        def take():
+            session.watch.take_baseline()
+            taken.append(session.baseline)
+
+        both = [threading.Thread(target=take, daemon=True) for _ in range(2)]
+        for thread in both:
+            thread.start()
+            time.sleep(0.02)  # of the ten frames a few have come
+        for thread in both:
+            thread.join()
+    assert [baseline.max() for baseline in taken] == [20, 20]
 
 
 def test_touches_are_tried_while_a_press_is_asked_for(watch, monkeypatch):

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     # Touches to learn from, held or read as they are needed.
     Labelled = Touches | TouchSource
 
-_NOT_OF_STREAMS = ("where", "name_pattern", "levels", "shape")
+_OF_NUMBERS = ("shape", "dtype", "channels")
+_NOT_OF_STREAMS = ("where", "name_pattern", "levels", *_OF_NUMBERS)
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
 MEGAPIXELS = 50  # of the largest picture that is read unless told
@@ -91,6 +92,12 @@ def checked_workers(workers: int | None) -> int | None:
             f"--workers must be at least 1, or -1 for all cores, got {workers}."
         )
     return workers
+
+
+def check_folder_of(path: Path | None) -> None:
+    """Refuse a file to write in a folder that is not there, before the work."""
+    if path is not None and not path.parent.is_dir():
+        raise ValueError(f"There is no folder {path.parent} to write to; make it.")
 
 
 def numbers_of_touches(text: str) -> tuple[int, ...]:
@@ -423,12 +430,15 @@ class Reading:
     @property
     def max_pixels(self) -> int:
         """Largest picture that is read."""
+        from .._checks import check_positive
+
         most = MEGAPIXELS if self.max_megapixels is None else self.max_megapixels
-        return int(most * 1e6)
+        return int(check_positive("max_megapixels", most) * 1e6)
 
     def _refuse_for_parquet(self) -> None:
-        names = ("name_pattern", "levels", "no_contact", "colour", "where")
-        self.refuse("for Parquet", "It says itself what it holds.", *names)
+        names = ("name_pattern", "levels", "no_contact", "colour", "where", "begin")
+        fix = "It says itself what it holds."
+        self.refuse("for Parquet", fix, *names, *_OF_NUMBERS)
 
     def _library(self, path: Path) -> "TouchLibrary | None":
         """Return the library at `path`, if one is there; refuse what is for others."""
@@ -438,7 +448,8 @@ class Reading:
             return None
         fix = "Give it to `palpate library add`, which keeps what it finds."
         where = f"for a library such as {path}"
-        self.refuse(where, fix, "name_pattern", "levels", "no_contact", "colour")
+        names = ("name_pattern", "levels", "no_contact", "colour", "begin")
+        self.refuse(where, fix, *names, *_OF_NUMBERS)
         return TouchLibrary.open(path)
 
     def refuse(self, where: str, fix: str, *names: str) -> None:
@@ -459,7 +470,7 @@ class Reading:
         fix = "All of it is read; choose in a library with --where."
         if topic is not None or is_recording(path):
             where = "for a bag" if topic is None else "with --topic"
-            self.refuse(where, fix, *_NOT_OF_STREAMS, "no_contact", "colour")
+            self.refuse(where, fix, *_NOT_OF_STREAMS, "no_contact", "colour", "begin")
             return read_bag(path, topic)
         if path.suffix.lower() in FILMS:
             from ..sensors import TouchDetector
@@ -479,6 +490,7 @@ class Reading:
             )
         if self.levels is not None:
             self.refuse("with --levels", "Give either.", "name_pattern")
+        self.refuse(f"for {path}", "It is for films.", "begin")
         with catch_warnings(record=True) as left_out:
             simplefilter("always")
             try:

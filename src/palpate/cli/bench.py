@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ._options import AsJson, ListNames, argument
-from ._output import print_json, say, stages, table
+from ._output import answer, print_json, stages, table
 
 
 def bench(
@@ -17,8 +17,9 @@ def bench(
     """Measure speed beside peers, in a checkout: CPU time, ratios within one run."""
     speed = _speed()
     if list_names or not name:
-        for bench, (_, what) in speed.BENCHES.items():
-            say(f"{bench:12s} {what}")
+        benches = {each: what for each, (_, what) in speed.BENCHES.items()}
+        lines = (f"{each:12s} {what}" for each, what in benches.items())
+        answer(as_json, {"benches": benches}, *lines)
         return
     with stages() as stage:
         stage(f"measuring {name}")

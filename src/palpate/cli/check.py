@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import AsJson, Reading, Report, TouchesPath, grouped
+from ._options import (
+    AsJson,
+    Reading,
+    Report,
+    TouchesPath,
+    check_folder_of,
+    grouped,
+)
 from ._output import answer, as_typed, counted, say, stages, table
 
 if TYPE_CHECKING:
@@ -51,6 +58,7 @@ def check(
 
     if report is not None and report.suffix != ".html":
         raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
+    check_folder_of(report)
     with stages() as stage:
         stage(f"looking at {touches}")
         pictures, others = _pictures(reading, touches)

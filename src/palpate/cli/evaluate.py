@@ -77,6 +77,15 @@ def evaluate(
     )
     if report is not None:
         check_report_path(report)
+    for name, path, where in (
+        ("test", test, test_where),
+        ("unknown", unknown, unknown_where),
+    ):
+        if path is None and where is not None:
+            raise ValueError(
+                f"--{name}-where must come with --{name}, got {where!r} alone. --where "
+                "is of --train."
+            )
 
     def read(path: Path | None, where: str | None) -> Any:
         if path is None:

@@ -141,6 +141,7 @@ def recognise(
     from .._checks import check_number
     from ..recognition import ObjectRecogniser
 
+    _options.check_folder_of(picture)
     target = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
@@ -339,7 +340,7 @@ def _faults(texts: Sequence[str] | None) -> dict[int, str]:
     faults = {}
     for text in texts or ():
         number, _, name = text.partition("=")
-        if not number.strip().isdigit():
+        if not number.strip().isdecimal():
             raise ValueError(
                 f"--fault must be NUMBER=NAME, got {text!r}. Write '2=no force'."
             )

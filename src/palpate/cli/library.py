@@ -1,5 +1,6 @@
 """`palpate library`: touches on disk, durable and searchable."""
 
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,7 @@ from ._options import (
     TouchesPath,
     Where,
     argument,
+    check_folder_of,
     flag,
     grouped,
     option,
@@ -67,6 +69,7 @@ def add(
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
     from ..library import SensorDescription
     from ..sensors import is_address
+    from ..touches import FILMS
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
@@ -78,6 +81,10 @@ def add(
                 f"--object NAME must be given with a running sensor, got {touches} "
                 "without. Say what is touched."
             )
+        _refuse_beside_a_sensor(
+            {**vars(reading), "episode": episode, "sensor": sensor, "topic": topic},
+            detect=detect,
+        )
         n_taken = record_touches(str(touches), folder, object_name, n_touches, session)
         answer(
             as_json,
@@ -89,6 +96,10 @@ def add(
         return
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
     n_given = 0
+    begin = reading.begin
+    detect = detect and touches.suffix.lower() not in FILMS
+    if detect:  # where touches begin is told here
+        reading = replace(reading, read=None, begin=None)
     parts = reading.parts(touches, topic)  # before a library is made
     with _opened(folder, create=True) as opened:
         before = opened.stats()
@@ -96,7 +107,7 @@ def add(
             if detect:
                 from ..sensors import TouchDetector
 
-                part = TouchDetector().touches_in(part)
+                part = TouchDetector(begin=begin).touches_in(part)
             if object_name is not None:
                 part = part.with_columns(object=[object_name] * len(part))
             opened.add(part, session=session, episode=episode, sensor=described)
@@ -110,6 +121,17 @@ def add(
     )
 
 
+def _refuse_beside_a_sensor(values: dict[str, Any], *, detect: bool) -> None:
+    """Refuse options that say how files are read, which say nothing of a sensor."""
+    for name, value in {**values, "detect": detect}.items():
+        if value not in (None, False):
+            raise ValueError(
+                f"--{name.replace('_', '-')} must be left out with a running sensor, "
+                f"got {str(value)!r}. What the sensor takes stands in its address, as "
+                "in 'camera:0?colour=1'."
+            )
+
+
 @library.command("list")
 def list_touches(
     folder: LibraryPath,
@@ -121,6 +143,11 @@ def list_touches(
     as_json: AsJson = False,
 ) -> None:
     """List touches (or objects) in the order in which they were added."""
+    if objects and (where is not None or offset or retracted):
+        raise ValueError(
+            "--objects must stand without --where, --offset and --retracted, which "
+            "choose touches. Leave these out: all objects are listed."
+        )
     rows: list[Any]
     with _opened(folder) as opened:
         opened.refuse_unknown(where)
@@ -152,6 +179,7 @@ def show(
 
     if output is not None and output.suffix != ".npy":
         raise ValueError(f"--output must end in .npy, got {output.name!r}.")
+    check_folder_of(output)
     if not touch.isalnum():
         raise ValueError(f"The id of a touch must be hexadecimal, got {touch!r}.")
     with _opened(folder) as opened:

@@ -59,8 +59,11 @@ def live(
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch, live: an episode ends when the object is decided."""
+    from .._checks import check_count
     from ..web import LiveSession
 
+    check_count("touches", touches)
+    check_count("episodes", episodes, at_least=0)
     done: list[Episode] = []
     check_publish(publish)
     chosen = options.open(sensor)

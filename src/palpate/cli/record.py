@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, argument, grouped, option
+from ._options import AsJson, argument, check_folder_of, grouped, option
 from ._output import answer, counted, say
 from .sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
@@ -51,12 +51,14 @@ def record(
     from ..web import LiveSession
 
     check_count("sessions", sessions)
+    _check_touches(touches, sessions)
     if session_name is not None and (sessions > 1 or changed):
         raise typer.BadParameter(
             "--session names one session: leave --sessions and --changed out."
         )
     if output is not None and output.suffix != ".npz":
         raise typer.BadParameter(f"--output must end in .npz, got {output.name!r}.")
+    check_folder_of(output)
     chosen = options.open(sensor)
     name = " ".join(name.split())  # as it is kept
     with LiveSession(chosen, library=library, summary=summary) as session:
@@ -95,11 +97,25 @@ def record_touches(
     """Record touches of one object from a sensor; return how many there were."""
     from ..web import LiveSession
 
+    _check_touches(touches)
     with LiveSession(SensorOptions().open(address), library=library) as session:
         need_baseline(session)
         assert session.teacher is not None
         session.teacher.begin_session("", session_name)
         return _lesson(session, " ".join(name.split()), touches, 120.0)
+
+
+def _check_touches(touches: int, sessions: int = 1) -> None:
+    """Refuse too few touches, or too many, before a library is made."""
+    from .._checks import check_count
+    from ..web import MOST_PER_LESSON
+
+    check_count("touches", touches, at_most=MOST_PER_LESSON)
+    if touches < sessions:
+        raise ValueError(
+            f"--touches must be at least one for each of {sessions} --sessions, got "
+            f"{touches}. Ask for more."
+        )
 
 
 def _place_again(session: "LiveSession") -> None:
@@ -148,6 +164,9 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
             elif len(lesson.ids) > n_stored:
                 say("  a touch without contact: it does not count", file=sys.stderr)
             n_stored = len(lesson.ids)
+            if session.teacher.lesson is not lesson and lesson.done < wanted:
+                say(session.to_dict()["message"], file=sys.stderr)  # why it is over
+                break
     except KeyboardInterrupt:
         say("Ended; what was counted is kept.", file=sys.stderr)
     return 0 if lesson is None else lesson.done

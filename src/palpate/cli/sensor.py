@@ -3,7 +3,7 @@
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from html import escape
@@ -23,6 +23,7 @@ from ._options import (
     Reading,
     Report,
     TouchesPath,
+    check_folder_of,
     flag,
     grouped,
     in_order,
@@ -50,8 +51,22 @@ Summary = Annotated[
         '"mean" over the hold.',
     ),
 ]
+_LONGEST_S = 366 * 24 * 3600.0  # threads cannot wait for ever
+
+
+def _checked_patience(seconds: float) -> float:
+    from .._checks import check_number
+
+    return check_number("timeout", seconds, low=0.0, high=_LONGEST_S)
+
+
 Patience = Annotated[
-    float, option("--timeout", "Give up after so long without a touch.")
+    float,
+    option(
+        "--timeout",
+        "Give up after so long without a touch.",
+        callback=_checked_patience,
+    ),
 ]
 LogFile = Annotated[
     str | None,
@@ -213,7 +228,7 @@ def check(
 
     Exit code 1 where something is found.
     """
-    from .._checks import check_positive
+    from .._checks import check_positive, size_text
     from .._durable import write_text
     from ..recognition import ObjectRecogniser
     from ..sensors import SensorMemory, sensor_health
@@ -221,6 +236,7 @@ def check(
     check_positive("seconds", seconds)
     if report is not None and report.suffix != ".html":
         raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
+    check_folder_of(report)
     memory = None
     if model is not None:
         stored = ObjectRecogniser.load(model).memory_.sensor
@@ -232,13 +248,20 @@ def check(
         memory = SensorMemory.from_dict(stored)
     with options.open(sensor) as live:
         step = -(-max(live.image_shape[:2]) // _MOST_SIDE)
+        if memory is not None and memory.no_contact.shape != live.image_shape:
+            raise ValueError(
+                f"{model} must be of images of {size_text(live.image_shape)}, which "
+                f"{live.name} gives, got one of {size_text(memory.no_contact.shape)}. "
+                "Give the model of this sensor."
+            )
         if memory is not None:
             memory = replace(memory, no_contact=memory.no_contact[::step, ::step])
         health = sensor_health(_frames(live, seconds, step), live.step, memory)
         health |= {"sensor": live.name, "unit": live.unit, "seconds": seconds}
+        channels = live.channels
     maps = {name: health.pop(name) for name in ("rest", "noise")}
     if report is not None:
-        write_text(report, _page(health, maps))
+        write_text(report, _page(health, maps, channels))
     findings = health["findings"] or ["Nothing is wrong."]
     figures = (f"{name:20s} {value}" for name, value in _figures(health))
     answer(as_json, health, *findings, "", *figures)
@@ -286,7 +309,11 @@ def _frames(sensor: "LiveSensor", seconds: float, step: int) -> list["Frame"]:
     return frames
 
 
-def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
+def _page(
+    health: dict[str, Any], maps: dict[str, Any], channels: Sequence[str] | None
+) -> str:
+    import numpy as np
+
     from .._page import html_table, png_address, report_page, worded
     from ..touches import as_shown
 
@@ -296,12 +323,12 @@ def _page(health: dict[str, Any], maps: dict[str, Any]) -> str:
     )
     pictures = ""
     for name, image in maps.items():
-        shown = as_shown(image[None], ("r", "g", "b") if image.ndim == 3 else None)[0]
+        shown = as_shown(image[None], channels)[0]
         pictures += (
             f"<figure style='margin:0'><img alt='{name} of each taxel' width=240 "
             f"style='image-rendering:pixelated' src='{png_address(shown, 240)}'>"
-            f"<figcaption class=note>{name}, {image.min():.3g} (dark) to "
-            f"{image.max():.3g}</figcaption></figure>"
+            f"<figcaption class=note>{name}, {np.nanmin(image):.3g} (dark) to "
+            f"{np.nanmax(image):.3g}</figcaption></figure>"
         )
     title = f"{health['sensor']}: {'well' if health['ok'] else 'look at it'}"
     colour = "#1d7a46" if health["ok"] else "#b3261e"

@@ -97,11 +97,11 @@ def serve(
                 "first.",
                 file=sys.stderr,
             )
-        model = model and model_file(model, library)
         chosen: list[Any] = [options.open(address) for address in addresses] or [None]
         folders = [library]
         if len(addresses) > 1:
             folders = _folders(addresses, library, model)
+        model = model and model_file(model, library)
         sessions = []
         for live, folder in zip(chosen, folders, strict=True):
             session = LiveSession(live, model=model, library=folder, **how)

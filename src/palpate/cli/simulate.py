@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, Seed, argument, checked_workers, flag, grouped, option
+from ._options import (
+    AsJson,
+    Seed,
+    argument,
+    check_folder_of,
+    checked_workers,
+    flag,
+    grouped,
+    option,
+)
 from ._output import answer
 
 if TYPE_CHECKING:
@@ -223,8 +232,7 @@ def check_output(path: Path) -> None:
     """Refuse before pressing, not after."""
     if path.suffix.lower() != ".npz":
         raise ValueError(f"--output must end in .npz, got {path.name!r}.")
-    if not path.parent.is_dir():
-        raise ValueError(f"There is no folder {path.parent} to write to; make it.")
+    check_folder_of(path)
 
 
 def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import flag, option
-from ._output import as_typed, print_json, say, table
+from ._output import answer, as_typed, print_json, say, table
 
 
 @_options.grouped
@@ -32,8 +32,9 @@ def study(
     from ..studies import STUDIES
 
     if list_names or not name:
-        for study_name, study in STUDIES.items():
-            say(f"{study_name:12s} {study.summary}")
+        summaries = {each: study.summary for each, study in STUDIES.items()}
+        lines = (f"{each:12s} {summary}" for each, summary in summaries.items())
+        answer(as_json, {"studies": summaries}, *lines)
         return
     study = STUDIES[check_option("study", name, STUDIES)]
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}

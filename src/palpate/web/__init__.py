@@ -13,5 +13,6 @@ from ._serving import PageServer as PageServer
 from ._serving import create_app
 from ._serving import page_token as page_token
 from ._session import LiveSession
+from ._teaching import MOST_PER_LESSON as MOST_PER_LESSON
 
 __all__ = ["LiveSession", "create_app"]

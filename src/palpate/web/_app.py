@@ -135,11 +135,12 @@ class _Hub:
         await socket.accept()
         client = _Client(socket, asyncio.get_running_loop())
         self._clients.add(client)
-        for session in self._sessions:
-            session.listeners.add(client.receive)
-            await asyncio.to_thread(session.tell_state, client.receive)
-        tasks = [asyncio.create_task(work()) for work in (client.listen, client.send)]
+        tasks: list[asyncio.Task[None]] = []
         try:
+            for session in self._sessions:
+                session.listeners.add(client.receive)
+                await asyncio.to_thread(session.tell_state, client.receive)
+            tasks = [asyncio.create_task(w()) for w in (client.listen, client.send)]
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for session in self._sessions:

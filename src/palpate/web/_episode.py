@@ -271,7 +271,7 @@ class LiveEpisode:
             "limits": self.limits,
             "withdrawn": episode.withdrawn if episode else [],
             "why": episode.belief.why(episode.error) if episode else [],
-            "n_counted": len(self.touches) if episode is None else episode.n_counted,
+            "n_counted": episode.n_counted if episode else len([*self.pictured()]),
             "touches": [dict(vars(touch)) for touch in self.touches],
         }
 

@@ -137,7 +137,9 @@ def _read_npy(data: bytes) -> Array:
             raise ValueError
         image = np.frombuffer(data, kind, offset=file.tell())
         image = image.reshape(shape, order="F" if by_column else "C")
-    except ValueError:
+        if not image.size:
+            raise ValueError
+    except Exception:  # numpy raises many kinds on a damaged head
         raise TouchesError(
             "The array must be whole numbers or floats of shape (n_rows, n_cols"
             f"[, at most {MOST_CHANNELS} channels]) as numpy.save writes them, got "
@@ -169,7 +171,8 @@ def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
         if ended is None or len(body) - ended.end() > _LONGEST_REST:
             raise ValueError
         rest = json.loads(body[: begun.end(1)] + b"null" + body[ended.end() :])
-        if rest.pop("image") is not None or len({len(row) for row in rows}) != 1:
+        is_whole = isinstance(rest, dict) and rest.pop("image", rows) is None
+        if not is_whole or len({len(row) for row in rows}) != 1:
             raise ValueError
     except (ValueError, OverflowError, RecursionError):
         wrong = f"{_BODY} of one length, got something else at row {len(rows) + 1}."

@@ -69,9 +69,13 @@ class _Learner:
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Start the process where there is none."""
-        with self._lock:
+        """Start the process where there is none; one that is busy is there."""
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
             self._running()
+        finally:
+            self._lock.release()
 
     def ask(self, job: Sequence[Any]) -> dict[str, Any]:
         """Return the answer to a job; a process that ended is replaced by the next."""

@@ -190,13 +190,17 @@ class Lesson:
 
 @dataclass(frozen=True)
 class Action:
-    """Touches "taught", "removed" or "moved" from `object`, as `copies`, `to` one."""
+    """Touches "taught", "removed" or "moved" from `object`, as `copies`, `to` one.
+
+    Some may have been of `others`.
+    """
 
     kind: str
     object: str
     ids: list[str]
     copies: list[str] = field(default_factory=list)
     to: str = ""
+    others: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the page shows of it."""
@@ -205,11 +209,20 @@ class Action:
 
 @dataclass
 class Interrupted:
-    """A lesson under way: what is taught, how often, the touches stored so far."""
+    """A lesson under way: what is taught, how often, the touches stored so far.
+
+    Those in `no_contact_ids` do not count.
+    """
 
     name: str
     wanted: int
     ids: list[str] = field(default_factory=list)
+    no_contact_ids: set[str] = field(default_factory=set)
+
+    @property
+    def done(self) -> int:
+        """How many touches count."""
+        return sum(key not in self.no_contact_ids for key in self.ids)
 
 
 class Journal:
@@ -238,13 +251,17 @@ class Journal:
         """The newest action that can be undone."""
         return self.actions[-1] if self.actions else None
 
-    def add(self, action: Action) -> None:
-        """Keep an action."""
-        self._write({"action": dict(vars(action))})
+    def add(self, action: Action, *, posted: bool = False) -> None:
+        """Keep an action; what was `posted` is none of the lesson under way."""
+        self._write({"action": dict(vars(action)), "posted": posted})
 
     def pop(self) -> None:
         """Forget the newest action: it is undone."""
         self._write({"undone": True})
+
+    def add_no_contact(self, key: str) -> None:
+        """Note that a touch of the lesson shows no contact."""
+        self._write({"no_contact": key})
 
     def store_in(self, session: str, sensor: str) -> None:
         """Note which session touches are stored in from now on."""
@@ -281,7 +298,8 @@ class Journal:
             action = Action(**line["action"])
             self.actions = [*self.actions[1 - MOST_ACTIONS :], action]
             self._change(action)
-            if self._lesson is not None and action.kind == "taught":
+            in_lesson = action.kind == "taught" and not line.get("posted")
+            if self._lesson is not None and in_lesson:
                 self._lesson.ids += action.ids
             else:
                 self._drop(action)
@@ -291,6 +309,8 @@ class Journal:
             self._drop(undone)
         elif "changed" in line:
             self.changed = {str(name) for name in line["changed"]}
+        elif "no_contact" in line and self._lesson is not None:
+            self._lesson.no_contact_ids.add(str(line["no_contact"]))
         elif "session" in line:
             session, sensor = line["session"]
             self.session = str(session), str(sensor)
@@ -300,7 +320,7 @@ class Journal:
             self._lesson = None if lesson is None else Interrupted(**lesson)
 
     def _change(self, action: Action) -> None:
-        self.changed |= {action.object, action.to} - {""}
+        self.changed |= {action.object, action.to, *action.others} - {""}
 
     def _drop(self, action: Action) -> None:
         if self._lesson is not None:

@@ -152,6 +152,10 @@ class RosPublisher:
             raise ValueError("confirm must come after touches, got none.")
         name = self._named(name)
         self._session.teach(name, n_touches, keep_episode=True)
+        teacher = self._session.teacher
+        if teacher is not None and (lesson := teacher.lesson) is not None:
+            n_touches = lesson.done  # the others show no contact
+            self._session.stop_teaching()
         return f"{n_touches} touches are kept as {name}; learn to use them."
 
     def _named(self, name: str) -> str:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -169,7 +170,7 @@ class SensorWatch:
         self._resting: list[Array] | None = None
         self._asking, self._n_presses = False, 0
         self.press: Array | None = None
-        self._lock = threading.Lock()
+        self._lock, self._taking = threading.Lock(), threading.Lock()
         self._stop = threading.Event()
         self._detected: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
         self._threads: list[threading.Thread] = []
@@ -202,11 +203,12 @@ class SensorWatch:
         """
         frames: list[Array] = []
         if not self.detector.touching or force:
-            self._resting = frames
-            deadline = time.monotonic() + timeout_s
-            while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
-                time.sleep(0.01)
-            self._resting = None
+            with self._taking:  # one after the other
+                self._resting = frames
+                deadline = time.monotonic() + timeout_s
+                while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
+                    time.sleep(0.01)
+                self._resting = None
         else:  # is refused with the reason
             frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
         if len(frames) < _BASELINE_FRAMES:
@@ -347,8 +349,9 @@ class SensorWatch:
             touch, ended_s = detected
             with self._lock:
                 self._recent = [*self._recent[1 - _RECENT :], touch.image]
-            self._take(touch, ended_s)
-            self._compare()
+            with suppress(Exception):  # what cannot be told must not end the touches
+                self._take(touch, ended_s)
+                self._compare()
 
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:

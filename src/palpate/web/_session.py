@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from .._checks import check_number
+from .._durable import replacing
 from .._types import Array
 from ..exploration import SurfaceMap
 from ..recognition import (
@@ -283,6 +284,8 @@ class LiveSession:
             episode = self.episode
             touched = list(episode.pictured())[-wanted:]
             for touch, image in touched if keep_episode else ():
+                if teacher.lesson is None:  # the whole recording is stored already
+                    break
                 self.message = self._take(image, touch.columns)
             self._new_episode()
 
@@ -457,9 +460,10 @@ class LiveSession:
 
     def _put(self, desk: PlayedSensor, name: str | None) -> None:
         """Put something on the desk; the touch under way is of what was there."""
-        if name != desk.placed:
-            self._placed_s = time.monotonic()
+        is_other = name != desk.placed
         desk.place(name)
+        if is_other:
+            self._placed_s = time.monotonic()
 
     def tell_state(self, listener: Callable[[Event], None]) -> None:
         """Tell one listener the state, before whatever changes it next."""
@@ -619,6 +623,8 @@ class LiveSession:
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
+        except Exception as error:  # of a model's own parts: others do not end with it
+            self.message = self.trouble = repr(error)
         if teaching or self.trouble:
             self._notify_state()
 
@@ -678,10 +684,10 @@ class LiveSession:
 
     def _learn_again(self, changes: Sequence[tuple[str, str]] = ()) -> None:
         """Learn after a change, where there was a model; after learning under way."""
-        if self.recogniser is None:
-            self._notify_state()
-            return
         with self._lock:
+            if self.recogniser is None and not self.learning:
+                self._notify_state()
+                return
             self._changes += changes
             try:
                 self._begin_learning()
@@ -724,7 +730,8 @@ class LiveSession:
         path, shape = self.model_path, self.teacher.image_shape()
         base, original = path if path.is_file() else None, self.given_model
         if original is not None and not original.exists():
-            shutil.copyfile(path, original)
+            with path.open("rb") as given, replacing(original) as whole:
+                shutil.copyfileobj(given, whole)
         answer = learn_in_process(self.teacher.folder, path, base, changes, shape)
         if names := answer["objects"]:
             self._use(ObjectRecogniser.load(path))

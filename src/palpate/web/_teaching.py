@@ -133,7 +133,7 @@ class Teacher:
         self._session = f"{started} {why}".strip() if name is None else name.strip()
 
     def begin(self, name: str, wanted: int) -> None:
-        check_count("count", wanted, at_most=MOST_PER_LESSON)
+        check_count("wanted", wanted, at_most=MOST_PER_LESSON)
         if self._sensor is None:
             raise SensorError(
                 "There is no sensor here whose touches could be stored. Post them "
@@ -157,7 +157,7 @@ class Teacher:
         if interrupted is None:
             raise ValueError("There is no interrupted lesson. Start one with a name.")
         name, keys = self._name_now(interrupted.name, interrupted.ids), interrupted.ids
-        wanted = max(interrupted.wanted, len(keys) + 1)
+        wanted = max(interrupted.wanted, interrupted.done + 1)
         self.begin(name, wanted)
         assert self.lesson is not None
         self.journal.begin_lesson(name, wanted, keys)
@@ -182,8 +182,13 @@ class Teacher:
         channels: Names,
         baseline: Array | None,
         columns: Mapping[str, Any] | None = None,
+        *,
+        posted: bool = True,
     ) -> str:
-        """Store one touch of an object; return its id once it is on the disk."""
+        """Store one touch of an object; return its id once it is on the disk.
+
+        What is not `posted` is of the lesson under way.
+        """
         tidy = checked_name(name)
         touch = Touches(
             image[np.newaxis],
@@ -202,7 +207,7 @@ class Teacher:
             progress=False,
         )
         self.journal.store_in(self._session, self._described.name)
-        self.journal.add(Action("taught", tidy, [key]))
+        self.journal.add(Action("taught", tidy, [key]), posted=posted)
         return key
 
     def take(
@@ -222,7 +227,8 @@ class Teacher:
         if self._desk is not None and _digest(image) in self._pictures.values():
             return self._repeat(lesson, self._desk)
         channels = None if self._sensor is None else self._sensor.channels
-        key = self.store(lesson.name, image, channels, baseline, columns)
+        touch = image, channels, baseline, columns
+        key = self.store(lesson.name, *touch, posted=False)
         self._n_repeated = 0
         if self._desk is not None:
             self._pictures[key] = _digest(image)
@@ -260,6 +266,7 @@ class Teacher:
         if not counts:  # known before it is there, so that it is never counted
             self.lesson.no_contact_ids.add(key)
             self.no_contact_ids.add(key)
+            self.journal.add_no_contact(key)
         self.lesson.add(key, image, baseline, noise)
         return counts
 
@@ -296,29 +303,37 @@ class Teacher:
             self.library.restore(gone)
         if copies:
             self.library.retract(copies, reason="the move was undone on the page")
-        return str(rows[0].object) if gone else None
+        return ", ".join(_objects(rows)) if gone else None
 
     def remove(self, ids: Sequence[str]) -> str:
         """Leave touches out, which can be undone; return what to say."""
         rows = self._present(ids)
         keys = [row.id for row in rows]
         self.library.retract(keys, reason="removed on the page")
-        self.journal.add(Action("removed", str(rows[0].object), keys))
+        names = _objects(rows)
+        self.journal.add(Action("removed", names[0], keys, others=names[1:]))
         self._drop_from_lesson(keys)
-        return f"{_counted(rows)} of {rows[0].object} removed."
+        return f"{_counted(rows)} of {', '.join(names)} removed."
 
     def move(self, ids: Sequence[str], name: str) -> str:
         """Let touches be of another object, which can be undone; return what to say."""
-        tidy, rows = checked_name(name), self._present(ids)
-        keys = [row.id for row in rows if row.object != tidy]
-        if not keys:
+        tidy = checked_name(name)
+        rows = [row for row in self._present(ids) if row.object != tidy]
+        if not rows:
             raise ValueError(f"The touch is of {tidy} already. Choose another object.")
-        copies = [self._copy(row, tidy) for row in rows if row.object != tidy]
-        self.library.retract(keys, reason=f"moved to {tidy} on the page")
-        action = Action("moved", str(rows[0].object), keys, copies, tidy)
-        self.journal.add(action)
+        keys, names = [row.id for row in rows], _objects(rows)
+        copies: list[str] = []
+        try:
+            for row in rows:
+                copies.append(self._copy(row, tidy))
+            self.library.retract(keys, reason=f"moved to {tidy} on the page")
+        except ValueError:  # a touch is of one object, not of both
+            if copies:
+                self.library.retract(copies, reason="the move failed on the page")
+            raise
+        self.journal.add(Action("moved", names[0], keys, copies, tidy, names[1:]))
         self._drop_from_lesson(keys)
-        return f"{_counted(rows)} of {rows[0].object} moved to {tidy}."
+        return f"{_counted(rows)} of {', '.join(names)} moved to {tidy}."
 
     def _copy(self, row: TouchRow, name: str) -> str:
         """Add a touch once more under another name; return its id."""
@@ -383,6 +398,11 @@ class Teacher:
             self.library.merge_objects(old, tidy)
         else:
             self.library.rename_object(old, tidy)
+        if (lesson := self.lesson) is not None and lesson.name == old:
+            lesson.name = tidy
+            self.journal.begin_lesson(tidy, lesson.wanted, lesson.ids)
+            for key in lesson.no_contact_ids:
+                self.journal.add_no_contact(key)
         return tidy
 
     def forget(self, name: str, *, learnt: bool) -> None:
@@ -416,8 +436,8 @@ class Teacher:
         if interrupted is None or self._sensor is None or self.lesson is not None:
             return None
         name = self._name_now(interrupted.name, interrupted.ids)
-        done = len(interrupted.ids)
-        return {"name": name, "wanted": interrupted.wanted, "done": done}
+        about = {"wanted": interrupted.wanted, "done": interrupted.done}
+        return {"name": name, **about}
 
     def newest(self, name: str, limit: int, offset: int = 0) -> list[TouchRow]:
         """Return the newest touches of an object but the first `offset`."""
@@ -492,6 +512,11 @@ class Teacher:
 def _digest(image: Array) -> bytes:
     """Return what is the same for pictures that are the same to the last number."""
     return sha256(image.tobytes()).digest()
+
+
+def _objects(rows: Sequence[TouchRow]) -> list[str]:
+    """Return what objects touches are of, each once."""
+    return [*dict.fromkeys(str(row.object) for row in rows)]
 
 
 def _counted(rows: Sequence[TouchRow]) -> str:

@@ -24,15 +24,18 @@ export function startBelief() {
     teachThese(0);
     post("episode/start");
   });
-  find("teach-this").addEventListener("click", () => teachThese(episode.touches.length));
+  find("teach-this").addEventListener("click", () => teachThese(pictured()));
   find("wrong").addEventListener("submit", (event) => {
     event.preventDefault();
-    teachThese(episode.touches.length, find("right-name").value);
+    teachThese(pictured(), find("right-name").value);
     find("right-name").value = "";
   });
 }
 
 export const currentEpisode = () => episode;
+
+// How many touches can be taught: where nothing was met there is no picture.
+const pictured = () => episode.touches.filter(({ miss }) => !miss).length;
 
 // Where touches look as if they were of another sensor, a doubt stands beside the name.
 export function showEpisode(whole, alarm = "") {
