@@ -15,8 +15,8 @@ taught = touches[touches.session != touches.session[-1]]
 recogniser = ObjectRecogniser().fit(taught)
 
 episode = recogniser.episode(error=0.05)
-asked = touches[(touches.session == touches.session[-1]) & (touches.object == "mug")]
-for touch in asked:
+test = touches[(touches.session == touches.session[-1]) & (touches.object == "mug")]
+for touch in test:
     print(episode.add(touch))
 
 axes = episode.plot()

@@ -17,11 +17,11 @@ touches = simulate_presses(None, 16, random_state=0)
 recogniser = ObjectRecogniser().fit(touches[~np.isin(touches.object, strangers)])
 
 figure, axes = plt.subplots()
-asked = simulate_presses(None, 8, random_state=1)
+test = simulate_presses(None, 8, random_state=1)
 curves, decisions = {}, {}
-for name, _, rows in asked.episodes():
+for name, _, rows in test.episodes():
     belief = recogniser.start(strangers=0.2)
-    scores = [belief.update(touch).unknown for touch in asked[rows]]
+    scores = [belief.update(touch).unknown for touch in test[rows]]
     never = name in strangers
     axes.plot(
         range(1, 9), scores, color="C1" if never else "C0", alpha=1 if never else 0.4

@@ -28,7 +28,7 @@ from palpate.images import ArrayCleanUp
 touches = simulate_presses(None, 20, random_state=0)
 binary = ArrayCleanUp().fit_transform(touches.images)
 encoder = EncodingUnion([FourierDescriptors(), ShapeGeometry()])
-taught, asked = slice(0, None, 2), slice(1, None, 2)  # every other press
+taught, tested = slice(0, None, 2), slice(1, None, 2)  # every other press
 model = make_pipeline(encoder, StandardScaler(), KernelPCA(40))
 X = model.fit(binary[taught]).transform(binary)
 sigmas = 2.0 ** np.arange(-5, 6)
@@ -41,7 +41,7 @@ for axis, (normalize, C) in zip(
     bank = [GaussianKernel(sigma) for sigma in sigmas]
     svc = MKLSVC(C, kernels=bank, normalize=normalize, probability=False)
     svc.fit(X[taught], touches.object[taught])
-    right = svc.score(X[asked], touches.object[asked])
+    right = svc.score(X[tested], touches.object[tested])
     weights = 100 * svc.weights_.mean(axis=0)
     axis.bar(np.log2(sigmas), weights)
     axis.axvline(np.log2(median), color="C1", ls="--", label="median distance")

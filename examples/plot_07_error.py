@@ -15,21 +15,22 @@ from palpate import ObjectRecogniser, simulate_presses
 recogniser = ObjectRecogniser().fit(
     simulate_presses(None, 4, load_kgf=(2, 5), random_state=1)
 )
-asked = simulate_presses(None, 10, load_kgf=(2, 5), random_state=2)
+test = simulate_presses(None, 10, load_kgf=(2, 5), random_state=2)
 errors = [0.2, 0.1, 0.05, 0.02, 0.01]
 outcome = np.zeros((len(errors), 3))  # right, wrong or refused, undecided
 used = np.zeros(len(errors))
-for name, _, rows in asked.episodes():
+for name, _, rows in test.episodes():
     belief = recogniser.start()
-    said = [None] * len(errors)
-    for touch in asked[rows]:
-        used += [one is None for one in said]
+    decisions = [None] * len(errors)
+    for touch in test[rows]:
+        used += [decision is None for decision in decisions]
         belief.update(touch)
-        said = [
-            one or belief.decide(error=e) for one, e in zip(said, errors, strict=True)
+        decisions = [
+            decision or belief.decide(error=error)
+            for decision, error in zip(decisions, errors, strict=True)
         ]
-    for row, one in enumerate(said):
-        outcome[row, 2 if one is None else int(one != name)] += 1
+    for row, decision in enumerate(decisions):
+        outcome[row, 2 if decision is None else int(decision != name)] += 1
 shares = 100 * outcome / outcome.sum(axis=1, keepdims=True)
 
 figure, axes = plt.subplots()

@@ -13,12 +13,12 @@ from palpate import ObjectRecogniser, simulate_presses
 
 taught = simulate_presses(None, 12, load_kgf=(1, 5), random_state=2)
 recogniser = ObjectRecogniser("liu2014").fit(taught)
-asked = simulate_presses(None, 12, load_kgf=(1, 5), random_state=3)
-named = recogniser.predict(asked)
+test = simulate_presses(None, 12, load_kgf=(1, 5), random_state=3)
+named = recogniser.predict(test)
 
 figure, axes = plt.subplots(figsize=(6.4, 5.6))
 ConfusionMatrixDisplay.from_predictions(
-    asked.object,
+    test.object,
     named,
     normalize="true",
     values_format=".0%",
@@ -28,5 +28,5 @@ ConfusionMatrixDisplay.from_predictions(
     colorbar=False,
     ax=axes,
 )
-right = (named == asked.object).mean()
+right = (named == test.object).mean()
 axes.set(xlabel="taken for", ylabel="pressed", title=f"liu2014: {right:.0%} right")

@@ -13,14 +13,14 @@ from palpate import ObjectRecogniser, Touches, simulate_touches
 
 touches = simulate_touches(["mug", "ball", "pen"], 24, random_state=0)
 taught = touches[touches.order < 16]
-asked = touches[touches.order >= 20]
+test = touches[touches.order >= 20]
 recogniser = ObjectRecogniser().fit(taught)
 
 gammas = [1.0, 1.1, 1.2, 1.4, 1.7, 2.0]
 away, usual = [], 0.0
 for gamma in gammas:
-    images = 255 * (asked.images / 255) ** gamma
-    check = recogniser.check_mounting(Touches(images, **asked.whole))
+    images = 255 * (test.images / 255) ** gamma
+    check = recogniser.check_mounting(Touches(images, **test.whole))
     away.append(check.distance)
     usual = check.usual
     print(gamma, check.changed, *check.reasons[:1])

@@ -14,7 +14,7 @@ from palpate import ObjectRecogniser, simulate_touches
 names = ["mug", "ball", "pen", "box", "stapler"]
 touches = simulate_touches(names, 24, n_sessions=4, mountings=True, random_state=0)
 days = list(dict.fromkeys(touches.session))
-asked = touches[touches.session == days[3]]
+test = touches[touches.session == days[3]]
 
 right = {}
 for n_days in (1, 2, 3):
@@ -24,7 +24,7 @@ for n_days in (1, 2, 3):
     for episode in touches.episodes():
         place[episode.rows] = np.arange(len(episode.rows))
     recogniser = ObjectRecogniser("corradi2015").fit(touches[taught & (place < each)])
-    right[f"{n_days} x {each}"] = 100 * recogniser.score(asked.images, asked.object)
+    right[f"{n_days} x {each}"] = 100 * recogniser.score(test.images, test.object)
 
 figure, axes = plt.subplots()
 bars = axes.bar([*right], [*right.values()])

@@ -24,15 +24,17 @@ frames = np.concatenate(film) + rng.normal(
 )
 
 detector = TouchDetector()
-found = detector.touches_in(Touches(frames))  # its first ten frames are the baseline
-print(found)
+touches = detector.touches_in(Touches(frames))  # its first ten frames are the baseline
+print(touches)
 change = np.sqrt(((frames - detector.baseline) ** 2).mean(axis=(1, 2)))
 
 figure, axes = plt.subplots(figsize=(6.4, 3))
 axes.plot(change, label="change from the baseline")
 axes.axhline(detector.begin, color="C1", ls="--", label="a touch begins")
 axes.axhline(detector.end, color="C2", ls=":", label="a touch ends")
-peaks = [int(np.argmin(abs(frames - one).sum(axis=(1, 2)))) for one in found.images]
+peaks = [
+    int(np.argmin(abs(frames - image).sum(axis=(1, 2)))) for image in touches.images
+]
 axes.plot(peaks, change[peaks], "v", color="C3", ms=9, label="touch")
 axes.set(xlabel="frame", ylabel="change, counts")
 axes.set_ylim(0, 17)

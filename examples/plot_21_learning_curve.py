@@ -11,7 +11,7 @@ import numpy as np
 
 from palpate import ObjectRecogniser, simulate_presses
 
-asked = simulate_presses(None, 30, load_kgf=(2, 5), random_state=99)
+test = simulate_presses(None, 30, load_kgf=(2, 5), random_state=99)
 taught = simulate_presses(None, 24, load_kgf=(2, 5), random_state=0)
 numbers = [2, 5, 12, 24]
 curves = {}
@@ -21,7 +21,7 @@ for preset in ("default", "corradi2015", "liu2014"):
     for number in numbers:
         rows = np.concatenate([rows[:number] for _, _, rows in taught.episodes()])
         recogniser = ObjectRecogniser(preset).fit(taught[rows])
-        right.append(100 * recogniser.score(asked.images, asked.object))
+        right.append(100 * recogniser.score(test.images, test.object))
     axes.plot(numbers, right, marker="o", label=preset)
     print(preset, np.round(right))
     curves[preset] = right

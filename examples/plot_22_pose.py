@@ -14,16 +14,16 @@ from palpate.images import PressPose
 
 taught = simulate_presses(["bar35", "hexagon13-hole8", "square13"], 20, random_state=0)
 pose = PressPose(pitch_mm=2.0).fit(taught.images, taught.object)
-asked = simulate_presses(["bar35", "hexagon13-hole8", "square13"], 2, random_state=1)
-found = pose.estimate(asked.images, asked.object)
+presses = simulate_presses(["bar35", "hexagon13-hole8", "square13"], 2, random_state=1)
+poses = pose.estimate(presses.images, presses.object)
 
 figure, axes = plt.subplots(2, 3, figsize=(5.4, 3.9))
 for number, axis in enumerate(axes.flat):
-    axis.imshow(asked.images[number], extent=(-10, 10, 10, -10))
+    axis.imshow(presses.images[number], extent=(-10, 10, 10, -10))
     x, y, angle = (
-        found.x_mm[number],
-        found.y_mm[number],
-        np.deg2rad(found.angle_deg[number]),
+        poses.x_mm[number],
+        poses.y_mm[number],
+        np.deg2rad(poses.angle_deg[number]),
     )
     along = 6 * np.array([np.cos(angle), np.sin(angle)])
     axis.plot(
@@ -32,9 +32,9 @@ for number, axis in enumerate(axes.flat):
     axis.plot(x, y, "o", color="C1")
     axis.set(xticks=[], yticks=[])
     axis.set_title(
-        f"{found.angle_deg[number]:.0f} ± {found.sd_deg[number]:.0f} deg", size=8
+        f"{poses.angle_deg[number]:.0f} ± {poses.sd_deg[number]:.0f} deg", size=8
     )
     print(
-        asked.object[number],
-        f"{x:.1f} mm, {y:.1f} mm, {found.angle_deg[number]:.0f} deg",
+        presses.object[number],
+        f"{x:.1f} mm, {y:.1f} mm, {poses.angle_deg[number]:.0f} deg",
     )

@@ -20,12 +20,12 @@ seen = [name for name in names for _ in range(10)]
 colours = [[hue[name] + rng.normal(scale=0.1)] for name in seen]
 recogniser.learn_modality("sight", colours, seen)
 
-asked = simulate_presses("hexagon13-hole8", 1, load_kgf=1.5, random_state=8)
+press = simulate_presses("hexagon13-hole8", 1, load_kgf=1.5, random_state=8)
 beliefs = {"touch": recogniser.start(), "sight": recogniser.start()}
 beliefs["both"] = recogniser.start()
 for what, belief in beliefs.items():
     if what != "sight":
-        belief.update(asked)
+        belief.update(press)
     if what != "touch":
         belief.update_sense("sight", [0.55])
     print(what, {name: round(share, 2) for name, share in belief.posterior.items()})

@@ -19,12 +19,12 @@ from palpate.images import find_rims
 
 folder = Path(os.environ["PALPATE_DATA"])
 touches = Touches.load(folder / "bathtip" / "bathtip50.npz")
-some = np.unique(touches.object)[::5]
-touches = touches[np.isin(touches.object, some)]
+names = np.unique(touches.object)[::5]
+touches = touches[np.isin(touches.object, names)]
 rims = find_rims(touches.images)
 
 figure, axes = plt.subplots(figsize=(6.4, 4.2))
-for number, name in enumerate(some):
+for number, name in enumerate(names):
     these = touches.object == name
     axes.plot(
         rims.col[these],

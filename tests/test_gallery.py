@@ -151,7 +151,7 @@ def test_the_belief_ends_with_the_mug(run):
     episode, axes = names["episode"], names["axes"]
     drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
     assert episode.belief.best == "mug"
-    assert len(drawn["mug"]) == len(names["asked"]) == 6
+    assert len(drawn["mug"]) == len(names["test"]) == 6
     for name in names["names"]:
         shares = [touch.posterior[name] for touch in episode.touches]
         np.testing.assert_array_equal(drawn[name], shares)
@@ -173,8 +173,8 @@ def test_the_trace_favours_narrow_kernels_and_is_right_less_often(run):
 def test_shapes_of_one_size_are_harder_than_sizes_of_one_shape(run):
     """A name is a shape, then its size and hole: "hexagon13-hole8"."""
     names = run("08_confusion")
-    wrong = names["named"] != names["asked"].object
-    confusions = zip(names["asked"].object[wrong], names["named"][wrong], strict=True)
+    wrong = names["named"] != names["test"].object
+    confusions = zip(names["test"].object[wrong], names["named"][wrong], strict=True)
     parts = [
         [re.fullmatch(r"([a-z]+)(.+)", name) for name in pair] for pair in confusions
     ]
@@ -200,7 +200,7 @@ def test_the_alarm_is_quiet_at_first_and_loud_at_the_end(run):
 
 def test_each_press_in_the_film_is_one_touch_at_its_peak(run):
     names = run("17_detector")
-    assert len(names["found"]) == len(names["presses"]) == 3
+    assert len(names["touches"]) == len(names["presses"]) == 3
     assert (names["change"][names["peaks"]] > names["detector"].begin).all()
     # After twelve frames of rest each press takes nine, with its peak at the fifth, and
     # eight of rest follow.
@@ -349,7 +349,7 @@ def test_a_pose_is_where_the_part_lies_by_its_standard_deviations(run):
     are compared.
     """
     names = run("22_pose")
-    touches, poses = names["asked"], names["found"]
+    touches, poses = names["presses"], names["poses"]
     true_mm = touches.columns["position_mm"]
     error_mm = np.stack([poses.x_mm, poses.y_mm], axis=1) - true_mm
     assert (np.abs(error_mm) < 4 * poses.sd_mm[:, None]).all()
@@ -366,7 +366,7 @@ def test_clouds_of_the_disc_lie_apart(run, data_folder):
     names = run("40_recorded_dome")
     rims, labels = names["rims"], names["touches"].object
     places = np.stack([rims.row, rims.col], axis=1)
-    middles = [np.median(places[labels == name], axis=0) for name in names["some"]]
+    middles = [np.median(places[labels == name], axis=0) for name in names["names"]]
     distances = np.linalg.norm(places[:, None] - np.array(middles), axis=2)
-    nearest = names["some"][distances.argmin(axis=1)]
+    nearest = names["names"][distances.argmin(axis=1)]
     assert np.mean(nearest == labels) > 0.5  # chance: 0.1

@@ -148,7 +148,7 @@ def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["-n", "0"], "--touches must be at least 1, got 0"),
         (["-n", "1001"], "--touches must be at most 1000, got 1001"),
@@ -157,30 +157,32 @@ def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path)
         (["--timeout", "nan"], "--timeout must be finite and between 0"),
     ],
 )
-def test_what_record_cannot_do_is_said_first(options, told, palpate, replay, tmp_path):
+def test_what_record_cannot_do_is_said_first(
+    options, message, palpate, replay, tmp_path
+):
     library = tmp_path / "lab"
     done = palpate("record", "bar", *replay, "--library", library, *options)
     assert done.returncode == 1
-    assert told in done.stderr
+    assert message in done.stderr
     assert not library.exists()
     if len(options) == 2 and "-n" in options:
         done = palpate("library", "add", library, replay[1], "--object", "x", *options)
-        assert told in done.stderr
+        assert message in done.stderr
         assert not library.exists()
 
 
 @pytest.mark.parametrize(
-    ("option", "told"),
+    ("option", "message"),
     [
         ("--episodes=-1", "--episodes must be at least 0, got -1"),
         ("--touches=0", "--touches must be at least 1, got 0"),
         ("--timeout=inf", "--timeout must be finite and between 0"),
     ],
 )
-def test_numbers_that_live_cannot_keep_are_refused(option, told, palpate, model):
+def test_numbers_that_live_cannot_keep_are_refused(option, message, palpate, model):
     done = palpate("live", model, "--sensor", "sim:bar10", option)
     assert done.returncode == 1
-    assert told in done.stderr
+    assert message in done.stderr
 
 
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
@@ -546,8 +548,8 @@ def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tm
     ):
         done = palpate(*words)
         assert done.returncode == 1
-        told = f"palpate: There is no folder {page.parent} to write to; make it."
-        assert told in done.stderr
+        message = f"palpate: There is no folder {page.parent} to write to; make it."
+        assert message in done.stderr
     assert not lab.exists()
 
 

@@ -95,7 +95,7 @@ def test_columns_of_some_row_groups_are_columns_of_all(library, tmp_path, order,
     images = rng.integers(0, 255, (2 * n, 4, 5), dtype=np.uint8)
     frames = rng.integers(0, 255, (n, 2, 4, 5), dtype=np.uint8)
     days = np.full(n, np.datetime64("2024-01-01"))
-    some = Touches(
+    first = Touches(
         images[:n],
         object=["a"] * n,
         category=["k"] * n,
@@ -105,7 +105,7 @@ def test_columns_of_some_row_groups_are_columns_of_all(library, tmp_path, order,
         note=["x"] * n,
     )
     others = Touches(images[n:], object=["b"] * n)
-    for touches, session in list(zip([some, others], "ab", strict=True))[::order]:
+    for touches, session in list(zip([first, others], "ab", strict=True))[::order]:
         library.add(touches, session=session)
     assert library.export(tmp_path / "t.parquet", by=by) == 2 * n
     read = Touches.load(tmp_path / "t.parquet")

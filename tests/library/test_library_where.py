@@ -206,8 +206,8 @@ def test_a_literal_is_only_ever_a_value(library, name):
 def test_columns_of_any_name_are_found(tmp_path, name):
     """JSON escapes letters beyond ASCII, quotes and backslashes."""
     with TouchLibrary.open(tmp_path / "lab", create=True) as library:
-        some = Touches(np.ones((2, 2, 2)), object=["a", "b"], **{name: [1, 2]})
-        library.add(some)
+        touches = Touches(np.ones((2, 2, 2)), object=["a", "b"], **{name: [1, 2]})
+        library.add(touches)
         library.add(Touches(np.zeros((1, 2, 2)), object=["c"]))
         quoted_name = '"' + name.replace('"', '""') + '"'
         for sign, n in (("= 2", 1), ("> 0", 2), ("is null", 1), ("!= 1", 2)):

@@ -109,8 +109,10 @@ def test_rest_that_differs_from_what_a_model_remembers_is_named(rng):
         "At rest the sensor differs from when the model learnt" in report["findings"][0]
     )
     smaller = sensors.SensorMemory.of(presses[:, :4], rest[:4])
-    found = health(as_frames(images, times), memory=smaller)
-    assert "learnt from a sensor of 4 x 10 taxels, this one has" in found["findings"][0]
+    report = health(as_frames(images, times), memory=smaller)
+    assert (
+        "learnt from a sensor of 4 x 10 taxels, this one has" in report["findings"][0]
+    )
 
 
 def test_a_touch_meanwhile_is_the_only_finding(rng):

@@ -54,11 +54,11 @@ def test_a_move_that_fails_moves_nothing(failing, make_session, folder, monkeypa
         library, n_calls = session.teacher.library, []
         plain = getattr(library, failing)
 
-        def fail(*given, **named):
+        def fail(*arguments, **options):
             n_calls.append(failing)
             if len(n_calls) == (2 if failing == "add" else 1):
                 raise LibraryError("The library has no room. Free space.")
-            return plain(*given, **named)
+            return plain(*arguments, **options)
 
         monkeypatch.setattr(library, failing, fail)
         keys = [row.id for row in session.teacher.newest("disc", 2)]
@@ -71,10 +71,10 @@ def test_a_move_that_fails_moves_nothing(failing, make_session, folder, monkeypa
 
 def test_a_given_model_is_kept_whole_or_not_at_all(make_session, folder, drawn_model):
     resource = pytest.importorskip("resource", reason="limits are of POSIX")
-    given = folder.parent / "given.palpate"
-    before = shutil.copyfile(drawn_model, given).read_bytes()
+    model = folder.parent / "given.palpate"
+    before = shutil.copyfile(drawn_model, model).read_bytes()
     _, most = limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with make_session(sensor=False, library=folder, model=given) as session:
+    with make_session(sensor=False, library=folder, model=model) as session:
         resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, most))
         try:
             session.learn(wait=True)
@@ -82,7 +82,7 @@ def test_a_given_model_is_kept_whole_or_not_at_all(make_session, folder, drawn_m
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert "File too large" in session.learn_error
         assert not session.given_model.exists()
-        assert given.read_bytes() == before
+        assert model.read_bytes() == before
         session.learn(wait=True)
         assert session.learn_error == ""
         assert session.given_model.read_bytes() == before

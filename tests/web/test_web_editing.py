@@ -279,8 +279,8 @@ def test_an_episode_of_a_recording_that_is_stored_is_not_kept(tmp_path, drawn):
         session.teach("disc", 2)
         assert waited(lambda: len(session.episode.touches) > 2)
         session.teach("disc", 5, keep_episode=True)
-        said = "All 2 touches that were recorded here are stored: 0 of 5 of disc."
-        assert (session.message, session.teacher.lesson) == (said, None)
+        message = "All 2 touches that were recorded here are stored: 0 of 5 of disc."
+        assert (session.message, session.teacher.lesson) == (message, None)
 
 
 def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn):

@@ -57,7 +57,7 @@ def test_touches_go_on_after_whatever_fails_with_some(make_session, model, monke
     class OwnError(Exception):
         """Of a package that a model needs."""
 
-    def fail(*given):
+    def fail(*arguments):
         raise OwnError("no room on the card")
 
     session = make_session(model=model)

@@ -229,8 +229,8 @@ def _remounted(
                 "takes all. Confirm fewer."
             )
         recogniser.remount(test[confirmed])
-        asked = test[~confirmed]
-        return recogniser, asked, recogniser.evidence(asked), test[confirmed]
+        tested = test[~confirmed]
+        return recogniser, tested, recogniser.evidence(tested), test[confirmed]
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
     of_sessions = [in_order[session[in_order] == s] for s in np.unique(session)]
@@ -239,8 +239,8 @@ def _remounted(
         used = copy(recogniser)
         used.remount(test[rows[:number]].without(*labels))
         evidence.append(used.evidence(test[rows]))
-    asked = test[np.concatenate(of_sessions)]
-    return used, asked, Evidence.together(evidence), None
+    tested = test[np.concatenate(of_sessions)]
+    return used, tested, Evidence.together(evidence), None
 
 
 def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:

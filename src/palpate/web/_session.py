@@ -730,8 +730,8 @@ class LiveSession:
         path, shape = self.model_path, self.teacher.image_shape()
         base, original = path if path.is_file() else None, self.given_model
         if original is not None and not original.exists():
-            with path.open("rb") as given, replacing(original) as whole:
-                shutil.copyfileobj(given, whole)
+            with path.open("rb") as source, replacing(original) as target:
+                shutil.copyfileobj(source, target)
         answer = learn_in_process(self.teacher.folder, path, base, changes, shape)
         if names := answer["objects"]:
             self._use(ObjectRecogniser.load(path))
