@@ -189,6 +189,11 @@ def load(
     Parameters and errors as for `fetch`: `name` is one of `names()`, `folder` where the
     set is or goes, `mirror` stands for the source's host, `progress` is called with the
     present stage.
+
+    Raises
+    ------
+    ValueError
+        For what `fetch` refuses, and a name that is no set but a ready model.
     """
     check_option("name", name, names())
     return Touches.load(fetch(name, folder=folder, mirror=mirror, progress=progress))
