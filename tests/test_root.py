@@ -5,11 +5,14 @@ import os
 import stat
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate._checks import check_number, check_positive
 from palpate._durable import PARTIAL, replacing, write_text
 from palpate._extras import install, needed
+from palpate._numbers import correlation, exp
 from palpate._parallel import in_parallel
 
 
@@ -133,3 +136,34 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
 def test_numbers_that_no_float_holds_are_refused_by_name(check, value):
     with pytest.raises(ValueError, match=r"^rate must be .*finite.*, got "):
         check("rate", value)
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_exponentials_are_numpys_but_for_the_last_bit(rng, kind):
+    values = rng.uniform(-80, 80, size=(5, 7, 31)).astype(kind)
+    # Two steps of the type, of numbers around 1.
+    rtol = 4 * np.finfo(kind).eps
+    expected = np.exp(values.astype(np.float64))
+    assert_allclose(exp(values), expected, rtol=rtol)
+    assert exp(values).dtype == kind
+    # Results are the same wherever values lie in memory, and in another layout.
+    assert_array_equal(exp(values[2, 3, 5:8].copy()), exp(values)[2, 3, 5:8])
+    assert_allclose(exp(values[:, ::2].T), expected[:, ::2].T, rtol=rtol)
+    assert exp(values[:0]).shape == (0, 7, 31)
+    assert exp(kind(0) * values[0, 0, 0]) == 1
+    limits = np.array([-np.inf, -1e30, -1.0, 0.0, np.inf, np.nan], kind)
+    assert_allclose(exp(limits), [0, 0, np.exp(-1), 1, np.inf, np.nan], rtol=rtol)
+    output = np.empty(values.shape, np.float64)
+    exp(values, out=output)
+    assert_allclose(output, expected, rtol=rtol)
+    assert exp(values, out=values) is not None
+    assert_allclose(values, expected, rtol=rtol)
+
+
+def test_correlation_is_that_of_statistics():
+    images = np.random.default_rng(0).integers(0, 255, (4, 5, 6), dtype=np.uint8)
+    images[3] = 9  # an even image is like nothing
+    correlations = correlation(images, images[1])
+    expected = np.corrcoef(images[:3].reshape(3, -1))[1]
+    assert correlations == pytest.approx([*expected, 0])
+    assert correlation(images, images[3]).tolist() == [0, 0, 0, 0]

@@ -18,7 +18,6 @@ from PIL import Image
 import palpate as package
 from palpate import Touches
 from palpate.cli import app
-from palpate.cli._options import Reading
 from palpate.cli.recognise import outcome_lines, print_episode
 from palpate.library import TouchLibrary
 from palpate.recognition import Belief, ObjectRecogniser
@@ -518,12 +517,17 @@ def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
     assert str(tmp_path / "there" / "rest.png") in "".join(result.stderr.split("\n"))
 
 
-def test_an_option_that_is_typed_wins_over_a_file_even_at_its_default(tmp_path):
+def test_an_option_that_is_typed_wins_over_a_file_even_at_its_default(
+    palpate, tmp_path
+):
     profile = tmp_path / "reading.toml"
     profile.write_text("max-megapixels = 0.0001")
-    assert Reading(read=profile).max_pixels == 100
-    assert Reading(read=profile, max_megapixels=50).max_pixels == 50_000_000
-    assert Reading().max_pixels == 50_000_000
+    (tmp_path / "set" / "mug").mkdir(parents=True)
+    Image.fromarray(np.eye(20, dtype=np.uint8)).save(tmp_path / "set" / "mug" / "1.png")
+    words = ["check", tmp_path / "set", "--read", profile, "--json"]
+    assert "100 pixels" in palpate(*words).stdout
+    typed = palpate(*words, "--max-megapixels", "50")
+    assert json.loads(typed.stdout)["n_touches"] == 1
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ import pytest
 from palpate import Touches
 from palpate.cli import record
 from palpate.library import TouchLibrary
-from palpate.recognition import ObjectRecogniser
+from palpate.recognition import Episode, ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
 from palpate.web import LiveSession, PageServer, create_app
 
@@ -344,10 +344,10 @@ def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, model):
 
 
 def test_live_says_why_a_touch_was_not_taken(palpate, replay, model, monkeypatch):
-    def refuse(self, *touch):
+    def refuse(self, touch, **options):
         raise ValueError("The touch is none.")
 
-    monkeypatch.setattr("palpate.web.LiveSession._recognise", refuse)
+    monkeypatch.setattr(Episode, "add", refuse)
     result = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
     assert result.returncode == 1
     assert result.stderr.endswith("palpate: The touch is none.\n")

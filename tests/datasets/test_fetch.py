@@ -11,7 +11,6 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.datasets import card, fetch, load, names, where
-from palpate.datasets._fetch import _write
 
 from .conftest import files_in, refusal_of, zipped
 
@@ -81,22 +80,6 @@ def test_a_full_disk_leaves_no_part_of_a_download(sources, pins, monkeypatch):
 
     monkeypatch.setattr(pooch.HTTPDownloader, "__call__", no_room)
     refusal_of("tactip4", "No space left", OSError)
-
-
-def test_a_full_disk_leaves_no_part_of_the_files_beside_an_archive(
-    tmp_path, monkeypatch
-):
-    write_bytes = Path.write_bytes
-
-    def no_room(self, data):
-        write_bytes(self, data[:1])
-        raise OSError(ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", no_room)
-    outputs = [tmp_path / "set" / "set.npz", tmp_path / "set" / "originals"]
-    with pytest.raises(OSError, match="No space left"):
-        _write(outputs, {"images": np.ones((1, 2, 2))}, {"a/1.png": b"12"})
-    assert not [*(tmp_path / "set").iterdir()]
 
 
 def test_a_download_that_is_cut_off_leaves_nothing(sources, pins, monkeypatch):

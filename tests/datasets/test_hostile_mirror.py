@@ -4,7 +4,9 @@ import hashlib
 import io
 import time
 import zipfile
+from errno import ENOSPC
 from http.server import SimpleHTTPRequestHandler
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from scipy.io import savemat
 
 from palpate import Touches
 from palpate.datasets import card, fetch
+from palpate.datasets._fetch import _write
 
 from .conftest import png, refusal_of, zipped
 
@@ -194,3 +197,19 @@ def test_the_cards_know_every_array_behind_the_figures(name, data_folder):
 
     with np.load(data_folder / card(name)["makes"][0]) as archive:
         assert {n: digest(archive[n]) for n in archive} == card(name)["arrays"]
+
+
+def test_a_full_disk_leaves_no_part_of_the_files_beside_an_archive(
+    tmp_path, monkeypatch
+):
+    write_bytes = Path.write_bytes
+
+    def no_room(self, data):
+        write_bytes(self, data[:1])
+        raise OSError(ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", no_room)
+    outputs = [tmp_path / "set" / "set.npz", tmp_path / "set" / "originals"]
+    with pytest.raises(OSError, match="No space left"):
+        _write(outputs, {"images": np.ones((1, 2, 2))}, {"a/1.png": b"12"})
+    assert not [*(tmp_path / "set").iterdir()]

@@ -9,6 +9,7 @@ recorded.
 
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
+from functools import partial
 from importlib import import_module
 from math import dist
 from unittest import mock
@@ -238,6 +239,13 @@ def teaching(arm):
         with recorded() as history:
             room.explore_to_learn([thing], camera=camera, **options)
         return history
+
+
+def toucher_of(arm):
+    """Return a function that touches from a pose, as an episode that goes on does."""
+    ways = import_module("palpate.exploration._ways")
+    toucher = ways.Toucher(arm, arm, GUARD, lag=0)
+    return partial(ways.touch_from_hemisphere, toucher, NEAR)
 
 
 @contextmanager

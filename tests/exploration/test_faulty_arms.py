@@ -20,7 +20,6 @@ from palpate.exploration import (
     guarded_touch,
     put_down,
 )
-from palpate.exploration._ways import Toucher, touch_from_hemisphere
 from palpate.simulation import SensorPose, find_object
 
 # Steps in the air are as long as usual: the promise follows from them.
@@ -208,9 +207,9 @@ class HeldAndNotStopped(HeldOnItsWay):
 @pytest.mark.parametrize("kind", [HeldOnItsWay, HeldAndNotStopped])
 def test_an_arm_that_cannot_go_back_on_its_way_is_not_said_to_be_out(kind):
     arm = kind()
-    toucher = Toucher(arm, arm, GUARD, lag=0)
+    touched = faulty_arms.toucher_of(arm)
     for why in ("did not come free (OSError: brakes)", "before the arm sets out"):
-        record = touch_from_hemisphere(toucher, NEAR, NEAR.pose(1.5, 0.3))
+        record = touched(NEAR.pose(1.5, 0.3))
         assert record.outcome == "limit exceeded"
         assert why in record.message
         assert record.peak_force_n > GUARD.limit_n

@@ -11,7 +11,6 @@ from palpate.exploration import (
     put_down,
     read_episode,
 )
-from palpate.exploration._record import EpisodeError
 from palpate.simulation import DomeCamera, SimObject, find_object
 
 CAMERA = DomeCamera(image_shape=(24, 24), n_nodes=20)
@@ -82,7 +81,7 @@ def test_what_was_begun_otherwise_is_refused(tmp_path, otherwise):
     # At one height whatever the face: the hemisphere does not tell them apart.
     how = {"n_sessions": 2, "known_height": False, "folder": tmp_path, "n_jobs": 1}
     explore_to_learn([BOX], 2, CAMERA, **how)
-    with pytest.raises(EpisodeError, match="Go on with the same settings"):
+    with pytest.raises(ValueError, match="Go on with the same settings"):
         explore_to_learn([BOX], 2, CAMERA, **how | otherwise)
 
 

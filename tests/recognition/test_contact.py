@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate._numbers import correlation
 from palpate.recognition import ObjectRecogniser, _contact
 
 NAMES = ["block"] * 12 + ["bar"] * 12
@@ -139,15 +138,6 @@ def mixed(share, frame, other):
     )
     centred_other *= np.linalg.norm(centred_frame) / np.linalg.norm(centred_other)
     return 50 + 7 * (share * centred_frame + np.sqrt(1 - share**2) * centred_other)
-
-
-def test_correlation_is_that_of_statistics():
-    images = np.random.default_rng(0).integers(0, 255, (4, 5, 6), dtype=np.uint8)
-    images[3] = 9  # an even image is like nothing
-    correlations = correlation(images, images[1])
-    expected = np.corrcoef(images[:3].reshape(3, -1))[1]
-    assert correlations == pytest.approx([*expected, 0])
-    assert correlation(images, images[3]).tolist() == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize(

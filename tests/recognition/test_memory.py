@@ -14,7 +14,7 @@ from palpate.recognition import (
     EmptyTouchError,
     Memory,
     ObjectRecogniser,
-    _learner,
+    SequenceCalibration,
     left_out_groups,
     without_copies,
 )
@@ -161,7 +161,7 @@ def test_a_change_that_runs_out_of_memory_leaves_the_recogniser_as_it_was(
     test, before = drawn(2), dict(vars(learnt))
     posterior = learnt.start().update(test[0]).posterior
     with monkeypatch.context() as patch:
-        patch.setattr(_learner, "fit_strangers", Mock(side_effect=MemoryError))
+        patch.setattr(SequenceCalibration, "weight", Mock(side_effect=MemoryError))
         with pytest.raises(MemoryError):
             learnt.add_object("cup", drawn(3, ("ball",), 7))
     assert vars(learnt).keys() == before.keys()
@@ -173,7 +173,8 @@ def test_learning_anew_that_fails_leaves_what_was_learnt(learnt, monkeypatch):
     """Interrupted, it had named the old objects by a classifier of the new ones."""
     test, before = drawn(2), dict(vars(learnt))
     with monkeypatch.context() as patch:
-        patch.setattr(_learner, "rehearse", Mock(side_effect=KeyboardInterrupt))
+        interrupt = Mock(side_effect=KeyboardInterrupt)
+        patch.setattr(SequenceCalibration, "weight", interrupt)
         with pytest.raises(KeyboardInterrupt):
             learnt.fit(drawn(3, NAMES[::-1]))
     with pytest.raises(ValueError, match="at least 2 touches, got 1 of 'cup'"):

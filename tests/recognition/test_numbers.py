@@ -6,10 +6,8 @@ from hashlib import sha256
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
-from palpate._numbers import exp
 
 LABELS = ["pen"] * 6 + ["mug"] * 6
 NOISE = np.random.default_rng(0).random((12, 12, 12))
@@ -66,25 +64,3 @@ def test_identical_runs_write_identical_model_files(tmp_path, monkeypatch):
     exec(ONE_RUN, {})
     digests = {sha256(path.read_bytes()).hexdigest() for path in paths}
     assert len(digests) == 1
-
-
-@pytest.mark.parametrize("kind", [np.float64, np.float32])
-def test_exponentials_are_numpys_but_for_the_last_bit(rng, kind):
-    values = rng.uniform(-80, 80, size=(5, 7, 31)).astype(kind)
-    # Two steps of the type, of numbers around 1.
-    rtol = 4 * np.finfo(kind).eps
-    expected = np.exp(values.astype(np.float64))
-    assert_allclose(exp(values), expected, rtol=rtol)
-    assert exp(values).dtype == kind
-    # Results are the same wherever values lie in memory, and in another layout.
-    assert_array_equal(exp(values[2, 3, 5:8].copy()), exp(values)[2, 3, 5:8])
-    assert_allclose(exp(values[:, ::2].T), expected[:, ::2].T, rtol=rtol)
-    assert exp(values[:0]).shape == (0, 7, 31)
-    assert exp(kind(0) * values[0, 0, 0]) == 1
-    limits = np.array([-np.inf, -1e30, -1.0, 0.0, np.inf, np.nan], kind)
-    assert_allclose(exp(limits), [0, 0, np.exp(-1), 1, np.inf, np.nan], rtol=rtol)
-    output = np.empty(values.shape, np.float64)
-    exp(values, out=output)
-    assert_allclose(output, expected, rtol=rtol)
-    assert exp(values, out=values) is not None
-    assert_allclose(values, expected, rtol=rtol)

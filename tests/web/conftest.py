@@ -12,7 +12,14 @@ import pytest
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
-from palpate.web import LiveSession, PageServer, create_app, learn_job, page_token
+from palpate.web import (
+    LiveSession,
+    PageServer,
+    _learning,
+    create_app,
+    learn_job,
+    page_token,
+)
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
 pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
@@ -78,6 +85,13 @@ def make_session(tmp_path_factory, drawn):
         return LiveSession(replay, **options)
 
     return make
+
+
+@pytest.fixture
+def learner_busy(learning_apart):
+    """Let the process that learns be asked by somebody else meanwhile."""
+    with _learning._LEARNER._lock:
+        yield
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import signal
 import threading
 import time
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -326,9 +325,8 @@ def test_frames_go_on_while_a_session_learns(make_session, drawn, learning_apart
         assert session.health.to_dict()["n_dropped"] == 0
 
 
-def test_a_lesson_begins_while_another_is_learnt(make_session, drawn, learning_apart):
-    learning = import_module("palpate.web._learning")._LEARNER
-    with make_session() as session, learning._lock:  # as while it is asked
+def test_a_lesson_begins_while_another_is_learnt(make_session, learner_busy):
+    with make_session() as session:
         begins = threading.Thread(target=session.teach, args=("cup", 3), daemon=True)
         begins.start()
         assert waited(lambda: session.teacher.lesson is not None, 5.0)
