@@ -212,6 +212,8 @@ def test_an_arm_that_cannot_go_back_on_its_way_is_not_said_to_be_out(kind):
         record = touched(NEAR.pose(1.5, 0.3))
         assert record.outcome == "limit exceeded"
         assert why in record.message
+        stopped = "could not be stopped (OSError: no power)"
+        assert (stopped in record.message) == (kind is HeldAndNotStopped)
         assert record.peak_force_n > GUARD.limit_n
         assert not record.retracted
 

@@ -149,11 +149,10 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
         raise
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
-    _stop(robot)
     raise RobotError(
         f"The arm was to be pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} "
-        f"mm are left, with {force_n:.3f} N: it was stopped. Free it by hand and begin "
-        "again."
+        f"mm are left, with {force_n:.3f} N: it {_stop(robot)}. Free it by hand and "
+        "begin again."
     )
 
 
@@ -177,19 +176,19 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        clear, force_n = False, math.nan
+        clear, force_n, end = False, math.nan, ""
         try:
             with suppress(Exception):
                 force_n = abs(_reading(robot))
                 clear = force_n <= guard.limit_n
         finally:  # interrupted again, too
             if not clear:
-                _stop(robot)
+                end = _stop(robot)
         if clear or not isinstance(error, Exception):
             raise
         raise WayError(
             f"{ON_THE_WAY}: {type(error).__name__}: {error} The force "
-            f"sensor reads {force_n:.3f} N, so the arm was stopped. Free it by hand.",
+            f"sensor reads {force_n:.3f} N, so the arm {end}. Free it by hand.",
             "force sensor" if math.isnan(force_n) else "limit exceeded",
             retracted=False,
             force_n=0.0 if math.isnan(force_n) else force_n,
@@ -235,11 +234,10 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
         message = "The force sensor reads no number before the way."
         raise WayError(message, "force sensor", retracted=True)
     if force_n > guard.limit_n:
-        _stop(robot)
         raise WayError(
             f"{force_n:.3f} N before the arm sets out, beyond the limit of "
             f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
-            "and was stopped. Free it by hand.",
+            f"and {_stop(robot)}. Free it by hand.",
             "limit exceeded",
             retracted=False,
             force_n=force_n,
@@ -252,7 +250,7 @@ def _refuse_load(
     """Where the force is beyond the limit take the last step back, and say so."""
     if abs(force_n) <= guard.limit_n:
         return
-    clear, why = False, ""
+    clear, why, end = False, "", ""
     try:
         robot.move_to(before)
         clear = abs(_reading(robot)) <= guard.limit_n
@@ -260,8 +258,8 @@ def _refuse_load(
         why = f" ({type(error).__name__}: {error})"
     finally:
         if not clear:
-            _stop(robot)
-    where = f"it did not come free{why} and was stopped"
+            end = _stop(robot)
+    where = f"it did not come free{why} and {end}"
     if clear:
         where = "it went back one step"
     if math.isnan(force_n):
@@ -277,18 +275,24 @@ def _refuse_load(
     )
 
 
-def _stop(robot: Robot) -> None:
-    """Stop the arm, in a second attempt if need be; an interrupt goes on afterwards."""
-    interrupt: BaseException | None = None
+def _stop(robot: Robot) -> str:
+    """Stop the arm, in a second attempt if need be; return whether it was stopped.
+
+    In words for a message. An interrupt meanwhile goes on afterwards.
+    """
+    end, interrupt = "", None
     for _ in range(2):
         try:
             robot.stop()
+            end = "was stopped"
             break
         except BaseException as error:
+            end = f"could not be stopped ({type(error).__name__}: {error})"
             if not isinstance(error, Exception):
                 interrupt = error
     if interrupt is not None:
         raise interrupt
+    return end
 
 
 def _reading(robot: Robot) -> float:
