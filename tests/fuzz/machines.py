@@ -478,7 +478,7 @@ class SessionMachine(RuleBasedStateMachine):
         rows = self._rows()
         for row in rows[len(rows) - n_kept :]:
             self.truth.add([row.id], name)
-            self.undoable.append(row.id)
+            self.undoable.append(("taught", [row.id]))
         if n_kept == wanted:
             self.lesson = None
         self._begun()
@@ -490,17 +490,18 @@ class SessionMachine(RuleBasedStateMachine):
 
     @rule()
     def undo(self):
-        while self.undoable and self.truth.touches[self.undoable[-1]][1]:
-            self.undoable.pop()
-        if not self.undoable:
+        """The last action of which something is left is taken back."""
+        keys = []
+        while self.undoable and not keys:
+            kind, of_action = self.undoable.pop()
+            is_out = kind == "forgotten"
+            keys = [key for key in of_action if self.truth.touches[key][1] == is_out]
+        if not keys:
             self._refused(self.session.undo)
             return
-        key = self.undoable.pop()
-        in_lesson = self.lesson is not None and key in self.session.teacher.lesson.ids
-        assert self.session.undo() == self.truth.touches[key][0]
-        self.truth.retract([key])
-        if in_lesson:
-            self.lesson[2] -= 1
+        self._leave_lesson(() if is_out else keys)
+        assert self.session.undo() == self.truth.touches[keys[0]][0]
+        (self.truth.restore if is_out else self.truth.retract)(keys)
 
     @rule(ask=st.booleans())
     def baseline(self, ask):
@@ -539,6 +540,8 @@ class SessionMachine(RuleBasedStateMachine):
         else:
             assert allowed, (old, new, merge)
             self.truth = reference
+            if self.lesson is not None and self.lesson[0] == old:
+                self.lesson[0] = new
             self._learnt_again()
 
     @rule(name=names)
@@ -546,8 +549,12 @@ class SessionMachine(RuleBasedStateMachine):
         if not self._counts().get(name) and name not in (self.learnt or ()):
             self._refused(lambda: self.session.forget(name))
             return
+        stored = [k for k, v in self.truth.touches.items() if v == [name, False]]
+        self._leave_lesson(stored)
         self.session.forget(name)
-        self.truth.retract([k for k, v in self.truth.touches.items() if v[0] == name])
+        self.truth.retract(stored)
+        if stored:
+            self.undoable.append(("forgotten", stored))
         self._learnt_again()
 
     @rule()
@@ -590,6 +597,10 @@ class SessionMachine(RuleBasedStateMachine):
         else:
             raise AssertionError("was not refused")
 
+    def _leave_lesson(self, keys):
+        if self.lesson is not None:
+            self.lesson[2] -= len({*keys} & {*self.session.teacher.lesson.ids})
+
     def _learnt_again(self):
         if self.learnt is not None:
             until(lambda: not self.session.learning)
@@ -611,7 +622,7 @@ class SessionMachine(RuleBasedStateMachine):
     def _stored(self, name):
         key = self._rows()[-1].id
         self.truth.add([key], name)
-        self.undoable.append(key)
+        self.undoable.append(("taught", [key]))
 
     def _counts(self):
         labels = [name for name, out in self.truth.touches.values() if not out]
