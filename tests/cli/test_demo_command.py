@@ -67,6 +67,15 @@ def recorded(monkeypatch, tmp_path, rng):
     monkeypatch.setenv("PALPATE_DATA", str(tmp_path / "data"))
 
 
+def test_an_impossible_share_of_strangers_is_refused_before_any_touch(
+    palpate, tmp_path
+):
+    result = palpate("demo", "--strangers", "2", cwd=tmp_path)
+    assert result.returncode == 1
+    assert "--strangers must be finite and between 0 and 1" in result.stderr
+    assert not [*tmp_path.iterdir()]
+
+
 def test_with_recorded_pictures_two_objects_are_unknown(palpate, recorded, tmp_path):
     result = palpate("demo", "--real", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

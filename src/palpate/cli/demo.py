@@ -58,6 +58,7 @@ def demo(
     from .._page import check_report_path
     from ..evaluation import Plan, evaluate, write_report
 
+    plan = Plan(touches=(1, 3, 5, 10), seed=seed, error=ERROR, strangers=strangers)
     if not (pictures or as_json):
         say(
             "A simulated arm touches six objects to learn them, 120 times each; then "
@@ -69,7 +70,6 @@ def demo(
     with stages() as stage:
         sets = _read(pictures, seed, stage) if pictures else _explored(seed)
         train, test, unknown = sets
-        plan = Plan(touches=(1, 3, 5, 10), seed=seed, error=ERROR, strangers=strangers)
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
         )
