@@ -118,6 +118,10 @@ def test_the_pages_of_names_are_made_from_the_code():
     assert page.read_text() == code["reference"](), "run: python docs/reference.py"
     page = docs / "contributing" / "shared.md"
     assert page.read_text() == code["shared"](), "run: python docs/reference.py"
+    index = (docs / "reference" / "index.md").read_text()
+    generated = set(re.findall(r"^generated/([a-z]+)$", index, re.MULTILINE))
+    assert generated >= {*code["SUBPACKAGES"]}
+    assert not generated - {*code["SUBPACKAGES"]} - {"http"}
 
 
 HEAVY = "{'sklearn', 'cv2', 'matplotlib', 'PIL', 'rich'}"
