@@ -175,6 +175,18 @@ def unmasked(name: str, value: Any) -> Any:
     return value.filled(np.nan)
 
 
+def as_array(name: str, value: Any, what: str = "one array") -> NDArray[Any]:
+    """Return a value as an array, NaN for what is masked, or say what it must be."""
+    values = unmasked(name.lower(), value)
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise ValueError(
+            f"{name} must be {what}, got lists of unequal lengths. Bring all touches "
+            "to the same rows and columns."
+        ) from error
+
+
 def check_finite(images: NDArray[Any], *, allow_nan: bool = False) -> NDArray[Any]:
     """Return images that are finite (or NaN, if `allow_nan`), or explain."""
     if images.dtype.kind != "f" or np.isfinite(images).all():
@@ -194,15 +206,7 @@ def check_image_shape(
     X: ArrayLike, *, shape: tuple[int, ...] | None = None, channels: bool = False
 ) -> NDArray[Any]:
     """Return `X` as real images of its own type, of `shape` if given, or explain."""
-    try:
-        images = np.asarray(unmasked("images", X))
-    except ValueError as error:
-        if isinstance(X, np.ma.MaskedArray):
-            raise
-        raise ValueError(
-            "Images must be one array of shape (n_touches, n_rows, n_cols), got lists "
-            "of unequal lengths. Bring all touches to the same rows and columns."
-        ) from error
+    images = as_array("Images", X, "one array of shape (n_touches, n_rows, n_cols)")
     if images.dtype.kind not in "biuf":
         raise TypeError(f"Images must be numbers, got an array of {images.dtype}.")
     if images.ndim not in ((3, 4) if channels else (3,)):

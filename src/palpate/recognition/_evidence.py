@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import check_positive, unmasked
+from .._checks import as_array, check_positive
 from .._numbers import exp, log, log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
@@ -102,15 +102,7 @@ def as_touches(touch: Any, channels: Sequence[str] | None = None) -> Touches:
         return touch
     if isinstance(touch, list) and touch and isinstance(touch[0], Touches):
         return Touches.concatenate(touch)
-    try:
-        images = np.asarray(unmasked("touch", touch))
-    except ValueError as error:
-        if isinstance(touch, np.ma.MaskedArray):
-            raise
-        raise ValueError(
-            "touch must be one array, got lists of unequal lengths. Bring all touches "
-            "to the same rows and columns."
-        ) from error
+    images = as_array("touch", touch)
     if channels and images.ndim in (3, 4) and images.shape[-1] == len(channels):
         if images.ndim == 3:
             images = images[np.newaxis]
