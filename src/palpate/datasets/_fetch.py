@@ -51,7 +51,7 @@ _LONGEST_LIST, _MOST_S = 20 * _MB, 7200.0
 _LIST_END, _INFLATED = b"PK\x05\x06", (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _FULL = (ENOSPC, EDQUOT, EACCES, EPERM, EROFS, EIO, EMFILE, ENFILE)
 _PACKAGE = Path(__file__).parents[1]
-_MADE_BY = (
+_MAKERS = (
     "datasets",
     "simulation",
     "touches",
@@ -441,6 +441,8 @@ def _ready_touches(name: str) -> Touches:
 def _code() -> str:
     """Return what names the code that makes ready models."""
     code = hashlib.sha256()
-    for path in sorted(p for room in _MADE_BY for p in (_PACKAGE / room).rglob("*.py")):
+    for path in sorted(
+        p for subpackage in _MAKERS for p in (_PACKAGE / subpackage).rglob("*.py")
+    ):
         code.update(path.read_bytes())
     return code.hexdigest()[:12]

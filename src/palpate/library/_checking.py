@@ -29,7 +29,7 @@ from ._store import (
     chained,
 )
 
-_SHOWN = 20  # ids of a problem that are listed
+_PROBLEMS_LISTED = 20  # ids of a problem that are listed
 LEFT_OUT = "left out"
 _LEFT_OUT = "SELECT 1 FROM arrays WHERE digest = ? AND content = ?"
 
@@ -60,9 +60,9 @@ class CheckReport(NamedTuple):
         state = "all present and as they were written." if self.ok else n_problems
         n_touches = f"{self.n_touches} touch{'es' * (self.n_touches != 1)}"
         lines = [f"{n_touches}: {state}"]
-        lines += [f"{p.kind}: {p.what}" for p in self.problems[:_SHOWN]]
-        if len(self.problems) > _SHOWN:
-            lines.append(f"... and {len(self.problems) - _SHOWN} more")
+        lines += [f"{p.kind}: {p.what}" for p in self.problems[:_PROBLEMS_LISTED]]
+        if len(self.problems) > _PROBLEMS_LISTED:
+            lines.append(f"... and {len(self.problems) - _PROBLEMS_LISTED} more")
         return "\n".join(lines)
 
 
@@ -115,7 +115,7 @@ def _database_problems(tables: Tables, progress: bool | None) -> Iterator[Proble
     rows = tables.store.rows("PRAGMA integrity_check(20)")
     for text in (text for (text,) in rows if text != "ok"):
         yield Problem("database", f"SQLite says: {text}.", [])
-    odd = tables.store.rows("PRAGMA foreign_key_check")[:_SHOWN]
+    odd = tables.store.rows("PRAGMA foreign_key_check")[:_PROBLEMS_LISTED]
     for table, key, parent, _ in odd:
         what = f"Row {key} of {table} refers to no row of {parent}."
         yield Problem("database", what, [])

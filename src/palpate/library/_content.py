@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from .._types import Array
+from .._types import PLAIN_KINDS, Array
 from ..touches import RGB, Touches, TouchesError, decode_bytes
 from ._store import LibraryError
 
@@ -36,7 +36,6 @@ _LEVEL = 1  # of Zstandard: the fastest
 _ID_BYTES = 16  # of SHA-256: two touches of 10^12 share one in 10^14
 MAX_HEADER = 2**14  # bytes of a .npy header; ours have 128
 _MAX_ARRAY = 2**30  # bytes of an array in the database
-_PLAIN_KINDS = "biufcSUMm"
 # What stands for values that lack, of a kind; else NaN.
 _NOTHING = {"U": "", "S": b"", "M": np.datetime64("NaT"), "m": np.timedelta64("NaT")}
 PICTURE = "picture"  # a form of images: the file it came in
@@ -273,7 +272,7 @@ def unpacked_rows(more: bytes | None, layout: Sequence[Column]) -> dict[str, Arr
 
 def packed_array(array: Array) -> bytes:
     """Return an array of a whole recording, with its type and shape, packed."""
-    if array.dtype.kind not in _PLAIN_KINDS:
+    if array.dtype.kind not in PLAIN_KINDS:
         raise ValueError(f"dtype must be of plain values, got {array.dtype}.")
     stream = io.BytesIO()
     npy.write_array(stream, np.asarray(array), allow_pickle=False)

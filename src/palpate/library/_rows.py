@@ -45,7 +45,7 @@ from ._store import (
 
 Numbers = NDArray[np.int64]
 LOST = b""  # an array that a repair did not find whole
-_SHOWN = 20  # ids of a message that are listed
+_IDS_LISTED = 20  # ids of a message that are listed
 _BYTES_AT_ONCE = 64 * 2**20  # of images, some MiB in memory
 RECORDED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
 _SIZES = ("n_rows", "n_cols", "n_channels", "dtype", "whole")
@@ -186,14 +186,14 @@ def rows_at(
         if bad and damaged == "raise":
             raise LibraryError(
                 f"Rows of touches must be as they were written, got others: "
-                f"{listed(bad, _SHOWN)}. `repair_library` keeps the rest; "
+                f"{listed(bad, _IDS_LISTED)}. `repair_library` keeps the rest; "
                 'damaged="skip" leaves them out.'
             )
         yield sound
     if bad:
         warnings.warn(
             f"{len(bad)} touches are left out, since their rows in {tables.store.path} "
-            f"are damaged: {listed(bad, _SHOWN)}.",
+            f"are damaged: {listed(bad, _IDS_LISTED)}.",
             stacklevel=4,
         )
 

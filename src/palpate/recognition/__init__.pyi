@@ -22,7 +22,6 @@ from ._model_file import ModelFileError as ModelFileError
 from ._model_file import check_model_path as check_model_path
 from ._model_file import read_model as read_model
 from ._model_file import write_model as write_model
-from ._plugs import Modality as Modality
 from ._presets import PRESETS as PRESETS
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt
@@ -41,3 +40,4 @@ from ._sentences import touch_note as touch_note
 from ._sentences import upper_bound as upper_bound
 from ._strangers import episode_evidence as episode_evidence
 from ._strangers import stranger_log_shares as stranger_log_shares
+from ._user_parts import Modality as Modality

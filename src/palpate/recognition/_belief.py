@@ -18,17 +18,17 @@ from . import _evidence, _strangers
 from ._contact import NO_CONTACT
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
-from ._plugs import Modality
 from ._sentences import (
     OTHER_SESSION,
     Promise,
     belief_in_html,
-    counts,
     draw_belief,
+    is_counted,
     n_touches_of,
     sentence_of,
     share_of,
 )
+from ._user_parts import Modality
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -514,7 +514,7 @@ class Belief:
         decision = self.named(error, costs, refusal=refusal, level=level)
         probability = 0.0 if decision is None else self.probability(decision)
         named = None if decision is None else (*decision, probability)
-        n_counted = sum(map(counts, self.flags))
+        n_counted = sum(map(is_counted, self.flags))
         is_stuck = decision is None and self.is_stuck(
             error, costs, refusal=refusal, level=level
         )

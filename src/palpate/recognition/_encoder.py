@@ -18,8 +18,8 @@ from .._types import Array, Bools, Floats
 from ..encodings import EncodingUnion, PrincipalShare, RingPatterns
 from ..images import ChannelMean, DomeCrop, fill_dead_taxels, typical_rim
 from ..touches import Touches
-from ._plugs import UserEncoding
 from ._sessions import looks
+from ._user_parts import UserEncoding
 
 # So many touches pass through all steps at a time, so that memory stays bounded.
 BATCH = 256

@@ -10,7 +10,7 @@ from ..touches import Touches
 from ._belief import Belief, Level, Named
 from ._evidence import Evidence
 from ._memory import UNKNOWN
-from ._sentences import NOTHING, counts, draw_episode, sentence_of, touch_note
+from ._sentences import NOTHING, draw_episode, is_counted, sentence_of, touch_note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -192,7 +192,7 @@ class Episode:
     @property
     def n_counted(self) -> int:
         """How many touches count: all that show contact."""
-        return sum(counts(touch.flag) for touch in self.touches)
+        return sum(is_counted(touch.flag) for touch in self.touches)
 
     @property
     def sentence(self) -> str:

@@ -49,11 +49,11 @@ from ._learning import (
 )
 from ._learnt import Learnt, RemountedEncoder
 from ._memory import Memory, Nearest
-from ._plugs import Encoding, Modality
 from ._presets import PRESENTATIONS, Preset, find_preset, resolved_preset
 from ._rehearsal import rehearsal_message, rehearse
 from ._remounting import remounted, without_nuisance
 from ._strangers import StrangerModel
+from ._user_parts import Encoding, Modality
 
 
 class Learner(BaseEstimator):

@@ -22,15 +22,15 @@ from ._encoder import TouchEncoder
 from ._evidence import Evidence, SequenceCalibration
 from ._learnt import AnyEncoder, RemountedEncoder
 from ._memory import Memory
-from ._plugs import Modality, UserEncoding
 from ._sessions import N_LOOKS
 from ._strangers import Curve, StrangerModel
+from ._user_parts import Modality, UserEncoding
 
 MB = 2**20
 MAX_PIXELS = 50_000_000
 # A blank touch of larger images is not tried.
 MOST_TRIED = 800_000
-_MOST = {
+_LARGEST_PARAMETER = {
     **dict.fromkeys(("degree", "order", "n_orientations", "n_partitions"), 60),
     **dict.fromkeys(("n_points", "n_rings", "radii", "n_harmonics", "cell"), 32),
     **dict.fromkeys(("shape", "side", "cells", "n", "resample", "n_quantiles"), 1024),
@@ -80,7 +80,7 @@ class Budget:
         """Refuse attributes of one object that would size or repeat too much."""
         self.objects += 1
         for name, value in values.items():
-            most = _MOST.get(name, 2**53)
+            most = _LARGEST_PARAMETER.get(name, 2**53)
             for item in value if isinstance(value, list | tuple) else (value,):
                 if isinstance(item, int) and abs(item) > most:
                     raise ValueError(f"{name} must be at most {most}, got {item}")

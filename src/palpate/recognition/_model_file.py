@@ -43,8 +43,8 @@ from ._evidence import SequenceCalibration
 from ._learnt import RemountedEncoder
 from ._memory import Memory
 from ._model_checks import MB, Budget
-from ._plugs import Modality, UserEncoding
 from ._strangers import Curve, StrangerModel
+from ._user_parts import Modality, UserEncoding
 
 FORMAT = 6
 # Formats that are read, and from how many texts on they are stored once each.
@@ -67,8 +67,12 @@ _OWN = (
 )
 # What has less, or more, in a file than in memory.
 _STORED = (EncodingPool, KernelRidgeClassifier, NearbyTouches, OnnxEncoding)
-_ROOMS = (classifiers, encodings, images)
-_PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
+_SUBPACKAGES = (classifiers, encodings, images)
+_PUBLIC = {
+    name: getattr(subpackage, name)
+    for subpackage in _SUBPACKAGES
+    for name in subpackage.__all__
+}
 # The classes that a model file may name: ours, and two of scikit-learn.
 KNOWN_CLASSES: dict[str, type] = {
     **{n: c for n, c in _PUBLIC.items() if isinstance(c, type)},

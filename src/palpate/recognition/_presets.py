@@ -31,7 +31,7 @@ from ..encodings import (
 from ..images import ArrayCleanUp, ChannelMean, DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder, find_geometry
-from ._plugs import Encoding, UserEncoding, user_encodings
+from ._user_parts import Encoding, UserEncoding, user_encodings
 
 # With fewer taxels on a side, gradients along rings have too few places.
 FINE_TAXELS = 24
@@ -84,38 +84,40 @@ def resolved_preset(
 
     And perhaps with another classifier, in place of its own.
     """
-    preset, of_user = find_preset(name), user_encodings(encodings)
-    if name is None and not of_user:
+    preset, from_user = find_preset(name), user_encodings(encodings)
+    if name is None and not from_user:
         raise ValueError(
             "encodings must name at least one encoding with preset=None, got "
             f"{encodings!r}. Give one, or leave preset as it is."
         )
-    if of_user and name not in (None, "default"):
+    if from_user and name not in (None, "default"):
         raise ValueError(
             f"encodings must be None with the preset {name!r}, whose encoding is the "
-            f"paper's, got {', '.join(of_user)}. Use the preset 'default', or None."
+            f"paper's, got {', '.join(from_user)}. Use the preset 'default', or None."
         )
     if classifier is not None:
         learns = as_touch_classifier(classifier)
         preset = replace(preset, classifier=lambda encoder: clone(learns))
-    if not of_user:
+    if not from_user:
         return preset
 
     def encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
         recipes = preset.encoders(touches, presentation)
-        return {name: _joined(recipe, of_user) for name, recipe in recipes.items()}
+        return {name: _joined(recipe, from_user) for name, recipe in recipes.items()}
 
     return replace(preset, encoders=encoders)
 
 
-def _joined(encoder: TouchEncoder, of_user: Mapping[str, UserEncoding]) -> TouchEncoder:
+def _joined(
+    encoder: TouchEncoder, from_user: Mapping[str, UserEncoding]
+) -> TouchEncoder:
     """Return a recipe with more encodings, of the same cleaned images."""
-    if taken := sorted(of_user.keys() & encoder.encodings.keys()):
+    if taken := sorted(from_user.keys() & encoder.encodings.keys()):
         raise ValueError(
             f"encodings must have names of their own, got {taken[0]!r}, which is one "
             "of the preset's. Choose another name."
         )
-    chains = {name: [encoding] for name, encoding in of_user.items()}
+    chains = {name: [encoding] for name, encoding in from_user.items()}
     encodings = {**encoder.encodings, **chains}
     return TouchEncoder(encoder.clean_up, encodings, channels=encoder.channels)
 

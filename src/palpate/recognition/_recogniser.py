@@ -29,8 +29,8 @@ from ._evidence import Evidence
 from ._learner import Learner, n_axes
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
-from ._plugs import Encoding, UserEncoding, user_encodings
 from ._sentences import draw_confusion
+from ._user_parts import Encoding, UserEncoding, user_encodings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

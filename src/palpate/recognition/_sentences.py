@@ -133,7 +133,7 @@ def few_objects_warning(n_labels: int, label: str) -> list[str]:
     return [sentence]
 
 
-def counts(flag: str) -> bool:
+def is_counted(flag: str) -> bool:
     """Whether a touch with this flag counts: it shows contact."""
     return "no contact" not in flag
 
@@ -142,7 +142,7 @@ def touch_note(number: int, flag: str) -> str:
     """Return the sentence about a touch that is not as it should be, "" for most."""
     if not flag:
         return ""
-    counted = "" if counts(flag) else ", not counted"
+    counted = "" if is_counted(flag) else ", not counted"
     return f"touch {number}: {flag}{counted}"
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.lib import format as npy
 
 from .._durable import replacing
-from .._types import Array
+from .._types import PLAIN_KINDS, Array
 from . import _columns
-from ._columns import PLAIN_KINDS, Arrays, TouchesError, belongs_to_whole
+from ._columns import Arrays, TouchesError, belongs_to_whole
 
 _WHOLE_NAMES = "set_whole_names"
 _MAX_MEMBERS = 1000  # of an archive; ours have some twenty

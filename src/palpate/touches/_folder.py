@@ -45,7 +45,9 @@ from ._tables import TABLES, folder_levels
 
 _GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
 PICTURES = (".jpg", ".jpeg", ".png")
-_OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
+_ONE_TOUCH_A_FILE = tuple(
+    ending for ending in CONTAINERS if ending not in (".zarr", ".mat")
+)
 _GREY = {".bmp", ".webp"}  # pictures too, read where there is no JPEG or PNG
 _LISTED = 5  # pictures left out
 _MOST_TABLE = 2**30  # bytes; only to say which objects are lost
@@ -113,7 +115,7 @@ def folder_arrays(
 ) -> tuple[Arrays, list[bytes] | None]:
     """Return what `Touches` is made of, and files of pictures; see `read_folder`."""
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
-    are_arrays = Path(names[0]).suffix.lower() in (*TABLES, *_OTHERS)
+    are_arrays = Path(names[0]).suffix.lower() in (*TABLES, *_ONE_TOUCH_A_FILE)
     if are_arrays and (colour or skip_bad or no_contact is not None):
         raise TouchesError(
             "colour, skip_bad and no_contact must be left out for arrays, as in "
@@ -420,7 +422,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
     try:
         files = _files(root)
         there = {Path(name).suffix.lower() for name in files}
-        kinds_of_files = (PICTURES, _OTHERS, TABLES)
+        kinds_of_files = (PICTURES, _ONE_TOUCH_A_FILE, TABLES)
         read = next((kinds for kinds in kinds_of_files if there & {*kinds}), ())
         pictures = [n for n in files if Path(n).suffix.lower() in read and n != LABELS]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
@@ -435,7 +437,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
             hint += f" Films ({films[0]}) are read one by one, each for its object."
         raise TouchesError(
             f"{root} must hold pictures ending in {', '.join(PICTURES)}, or "
-            f"{', '.join((*TABLES, *_OTHERS))} files, got {got}. "
+            f"{', '.join((*TABLES, *_ONE_TOUCH_A_FILE))} files, got {got}. "
             f"Convert them, or give another folder.{hint}"
         )
     return sorted(pictures, key=_natural_order)

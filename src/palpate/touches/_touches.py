@@ -213,8 +213,8 @@ class Touches(Labelled):
             The file or folder cannot be read as touches; it names the file and fix.
         """
         if is_parquet(path):
-            plain = {name_pattern, levels, shape, dtype} == {None} and not channels
-            if colour or skip_bad or not plain:
+            options = (name_pattern, levels, shape, dtype, channels or None)
+            if colour or skip_bad or any(option is not None for option in options):
                 raise TouchesError(
                     f"{path} must be read without options for folders and tables, got "
                     "some. A Parquet file says itself what it holds."
@@ -224,20 +224,20 @@ class Touches(Labelled):
             return cls._joined(held, max_bytes)._with_rest(no_contact, max_pixels)
         place = Path(path)
         ending = place.suffix.lower()
-        plain = name_pattern is None and not colour
+        for_pictures = name_pattern is not None or colour
         why = "Other files say themselves what they hold."
         has_shape = ending in RAW or (ending in (*TABLES, *TEXTS) and ending != ".npy")
         if place.exists() and not (has_shape and place.is_file()):
             _left_out(place, "but for tables and bare frames", why, shape=shape)
         if ending in (*CONTAINERS, *RAW) and place.exists():
             _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
-        if ending in CONTAINERS and place.exists() and plain:
+        if ending in CONTAINERS and place.exists() and not for_pictures:
             _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
             arrays = container_arrays(place, max_bytes, max_pixels)
             if channels:
                 arrays["channels"] = np.array(channels)
             return cls(**arrays)._with_rest(no_contact, max_pixels)
-        if ending in RAW and place.exists() and plain:
+        if ending in RAW and place.exists() and not for_pictures:
             read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
             return read._with_rest(no_contact, max_pixels)
         _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
@@ -250,7 +250,7 @@ class Touches(Labelled):
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
         _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
-        if ending in (*TABLES, *TEXTS) and place.is_file() and plain:
+        if ending in (*TABLES, *TEXTS) and place.is_file() and not for_pictures:
             if ending != ".npy":
                 read = cls(**csv_arrays(place, shape, max_bytes, channels))
             else:

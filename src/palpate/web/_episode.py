@@ -36,7 +36,7 @@ from ..touches import Touches
 from ._images import thumbnail
 
 Vector = tuple[float, float, float]
-_SHOWN, _NEAREST = 5, 6
+_OBJECTS_LISTED, _NEAREST = 5, 6
 # Whose places count, of an episode: what every next one costs grows with their cube.
 _MOST_PLACED = 100
 _NOTHING_MET = "touch {}: nothing met"
@@ -342,7 +342,7 @@ def _item(touch: LiveTouch, png: bytes | None) -> str:
         encoded = base64.b64encode(png).decode()
         source = f"data:image/png;base64,{encoded}"
         picture = f"<img alt='touch {touch.number}' src='{source}'>"
-    shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_SHOWN]
+    shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_OBJECTS_LISTED]
     if touch.unknown is not None:
         shown.append(("nothing learnt", touch.unknown))
     rows = "".join(
