@@ -233,9 +233,19 @@ def test_an_update_passes_the_functions_that_the_page_draws():
     assert len({*passed}) < 33
 
 
-def test_every_file_that_the_page_names_is_there():
-    page = (ROOT / "docs/explanation/architecture.md").read_text()
+def test_every_file_that_the_pages_name_is_there():
+    pages = ("docs/explanation/architecture.md", "docs/contributing/changes.md")
+    page = "".join((ROOT / name).read_text() for name in pages)
     names = re.findall(r"`(?:src/palpate/)?((?:\w+/)*_?\w+\.py)`", page)
     files = {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*.py")}
     outside = {name for name in names if (ROOT / name).is_file()}
     assert {n for n in names if not any(f.endswith(n) for f in files)} <= outside
+
+
+def test_every_name_on_the_page_of_changes_is_in_the_code():
+    page = (ROOT / "docs/contributing/changes.md").read_text()
+    names = {name.split(".")[-1] for name in re.findall(r"`([A-Za-z_][\w.]*)`", page)}
+    kinds = ("src/**/*.py", "src/**/*.js", "tests/**/*.py")
+    code = "".join(path.read_text() for kind in kinds for path in ROOT.glob(kind))
+    assert len(names) > 80
+    assert names - {*re.findall(r"\w+", code)} == set()
