@@ -5,6 +5,7 @@ Writes docs/images/pipeline.png; takes half a minute:
     python benchmarks/pipeline_picture.py
 """
 
+import textwrap
 from pathlib import Path
 
 import matplotlib
@@ -14,13 +15,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from palpate import ObjectRecogniser, Touches, simulate_touches
+from palpate import Belief, ObjectRecogniser, Touches, simulate_touches
 from palpate.simulation import DomeCamera
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "images" / "pipeline.png"
 OBJECTS = ("ball", "box", "mug", "pen", "stapler")
 TRUTH = "mug"
-N_TOUCHES = 6
+N_TOUCHES = 5
 PLACEMENTS = range(8)
 BLUE, GREY, ORANGE = "#4c78a8", "#b8b8b8", "#f58518"
 
@@ -34,18 +35,18 @@ def main() -> None:
     )
     test = simulate_touches((TRUTH,), N_TOUCHES, camera, random_state=100)
     recogniser = ObjectRecogniser().fit(train)
-    figure, columns = plt.subplots(
-        1, 9, figsize=(14, 3.2), layout="constrained", width_ratios=[8, 1] * 4 + [8]
-    )
-    axes = columns[::2]
-    for axis in columns[1::2]:
-        axis.axis("off")
-        axis.annotate("", (1, 0.5), (0, 0.5), arrowprops={"arrowstyle": "-|>"})
+    # In two rows, so that it can be read at the width of a page.
+    figure, axes = plt.subplots(2, 3, figsize=(7.6, 5.4), layout="constrained")
+    axes = axes.ravel()
     draw_images(axes[:2], recogniser, test)
     evidence = recogniser.evidence(test[0])
     draw_features(axes[2], evidence.features[0])
     draw_evidence(axes[3], evidence.log_likelihood[0])
-    draw_belief(axes[4], recogniser, test)
+    belief = draw_belief(axes[4], recogniser, test)
+    axes[5].axis("off")
+    axes[5].set_title("6 recognition/\ndecision")
+    sentence = textwrap.fill(belief.reason(), 18)
+    axes[5].text(0.5, 0.6, sentence, ha="center", va="center", size=14, color=ORANGE)
     OUTPUT.parent.mkdir(exist_ok=True)
     figure.savefig(OUTPUT, dpi=110)
     print(OUTPUT)
@@ -54,9 +55,9 @@ def main() -> None:
 def draw_images(axes, recogniser, touches) -> None:
     """Draw a touch as the camera saw it, and after the clean-up."""
     axes[0].imshow(touches.images[0], cmap="gray")
-    axes[0].set_title("Touches\n(images, labels, poses)", fontsize=10)
+    axes[0].set_title("1 touches/\na touch: image, labels")
     axes[1].imshow(recogniser.encoder_.clean(touches[:1])[0], cmap="gray")
-    axes[1].set_title("clean-up\n(rim found, disc standardised)", fontsize=10)
+    axes[1].set_title("2 images/\ncleaned up: a disc")
     for axis in axes:
         axis.set_xticks([])
         axis.set_yticks([])
@@ -65,9 +66,9 @@ def draw_images(axes, recogniser, touches) -> None:
 def draw_features(axis, features) -> None:
     """Draw the feature vector."""
     axis.bar(np.arange(len(features)), features, color=BLUE, width=1)
-    axis.set_title(f"encoding\n({len(features)} features)", fontsize=10)
+    axis.set_title(f"3 encodings/\na vector: {len(features)} features")
     axis.set_xticks([])
-    axis.set_xlabel("feature", fontsize=9)
+    axis.set_xlabel("feature")
 
 
 def draw_evidence(axis, log_likelihood) -> None:
@@ -75,26 +76,28 @@ def draw_evidence(axis, log_likelihood) -> None:
     colours = [ORANGE if name == TRUTH else GREY for name in OBJECTS]
     axis.barh(OBJECTS, log_likelihood - log_likelihood.min() + 0.05, color=colours)
     axis.invert_yaxis()
-    axis.set_title("Evidence\n(each encoding's\nlog-likelihood, flags)", fontsize=10)
-    axis.set_xlabel("nats above the least", fontsize=9)
+    axis.set_title("4 classifiers/\nevidence of this touch")
+    axis.set_xlabel("nats above the least")
 
 
-def draw_belief(axis, recogniser, touches) -> None:
-    """Draw the posterior of each object, touch by touch."""
+def draw_belief(axis, recogniser, touches) -> Belief:
+    """Draw the posterior of each object, touch by touch; return the belief."""
     belief = recogniser.start()
     shares = [list(belief.posterior.values())]
     for touch in touches:
-        shares.append(list(belief.update(touch).posterior.values()))
+        belief = belief.update(touch)
+        shares.append(list(belief.posterior.values()))
     for name, line in zip(recogniser.classes_, 100 * np.array(shares).T, strict=True):
         truth = name == TRUTH
         axis.plot(line, "o-", color=ORANGE if truth else GREY, label=name, ms=4)
         if truth:
-            axis.annotate(name, (len(line) - 1, line[-1]), (-30, -12), fontsize=9,
+            axis.annotate(name, (len(line) - 1, line[-1]), (-34, -16),
                           textcoords="offset points", color=ORANGE)  # fmt: skip
-    axis.set_title("Belief\n(posterior of each object)", fontsize=10)
-    axis.set_xlabel("touches", fontsize=9)
-    axis.set_ylabel("per cent", fontsize=9)
+    axis.set_title("5 recognition/\nbelief after each touch")
+    axis.set_xlabel("touches")
+    axis.set_ylabel("per cent")
     axis.set_ylim(0, 102)
+    return belief
 
 
 if __name__ == "__main__":
