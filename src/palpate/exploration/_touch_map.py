@@ -307,7 +307,35 @@ class TouchMap:
         return np.asarray(np.exp((squared - least) / (-2 * self.bandwidth_**2)))
 
 
-class PlacedBelief(Belief):
+class BeliefOfPlaces(Belief):
+    """What beliefs share that also know from where touches were made."""
+
+    def __init__(
+        self, recogniser: ObjectRecogniser, log_prior: Floats | None, strangers: float
+    ) -> None:
+        model, evidence_of = recogniser.belief_model(), recogniser.evidence
+        super().__init__(model, evidence_of, log_prior, strangers)
+
+    def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
+        """Return False: touches at other places may always tell."""
+        return False
+
+    @property
+    def best_without_places(self) -> str:
+        """The object that is most probable by the pictures alone."""
+        return str(self._model.classes[self._touch_log_posterior.argmax()])
+
+    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
+        placed = self._joined()
+        by_place = placed - log_posterior
+        super()._track_strangers(placed, log_softmax(by_encoding + by_place, axis=-1))
+
+    def _joined(self) -> Floats:
+        """Believe pictures and places together; return log p of objects."""
+        raise NotImplementedError
+
+
+class PlacedBelief(BeliefOfPlaces):
     """A posterior over objects that also knows from where each touch was made.
 
     Made by `TouchMap.start`, and used as a `Belief` is. How the object is turned is
@@ -323,10 +351,7 @@ class PlacedBelief(Belief):
     def __init__(
         self, touch_map: TouchMap, log_prior: Floats | None, strangers: float
     ) -> None:
-        recogniser = touch_map.recogniser
-        super().__init__(
-            recogniser.belief_model(), recogniser.evidence, log_prior, strangers
-        )
+        super().__init__(touch_map.recogniser, log_prior, strangers)
         self._map = touch_map
         self._placed = np.zeros((touch_map.n_objects, touch_map.n_turns))
         self._weigh()
@@ -367,23 +392,12 @@ class PlacedBelief(Belief):
         """Log probability of each object, were it one of them (nats), (n_objects,)."""
         return np.asarray(logsumexp(self.log_joint, axis=1))
 
-    def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
-        """Return False: touches at other places may always tell."""
-        return False
-
-    @property
-    def best_without_places(self) -> str:
-        """The object that is most probable by the touches alone."""
-        return str(self._model.classes[self._touch_log_posterior.argmax()])
-
-    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
+    def _joined(self) -> Floats:
         prior = log_softmax(self._prior_and_senses()) - np.log(self._map.n_turns)
         weight = self._map.sequence_calibration.weight(self._n_informative)
         joint = self._placed * weight + prior[:, np.newaxis]
         self.log_joint: Floats = joint - logsumexp(joint)
-        placed = self.log_posterior
-        by_place = placed - log_posterior
-        super()._track_strangers(placed, log_softmax(by_encoding + by_place, axis=-1))
+        return self.log_posterior
 
 
 def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:
