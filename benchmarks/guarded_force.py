@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.exploration import QUICK_GUARD, Guard, RandomHemisphere, put_down
+from palpate.exploration import Guard, RandomHemisphere, put_down
+from palpate.exploration._simulated_objects import QUICK_GUARD
 from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, SimObject, find_object
 
 CAMERA = DomeCamera(image_shape=(32, 32))
