@@ -24,7 +24,7 @@ from ..simulation import (
     PlacedObject,
     SensorPose,
     SimObject,
-    refuse_same_names,
+    find_objects,
 )
 from ..touches import Touches
 from ._episode import gather, gather_by
@@ -239,7 +239,7 @@ def explore_to_learn(
     objects = list(HOUSEHOLD if things is None else things)
     if not objects:
         raise ValueError("things must hold at least one object, got none.")
-    refuse_same_names(objects)
+    objects = find_objects(objects)
     check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
