@@ -441,11 +441,17 @@ def turned_back(places: Floats, n_turns: int) -> Floats:
     """Return stations of places on an object turned about z, (n_places, n_turns, p)."""
     if n_turns == 1:
         return places[:, None]
-    angle = np.arange(n_turns) * (2 * np.pi / n_turns)
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y, z = places.T[:, :, None]
-    height = np.repeat(z, n_turns, axis=1)
-    return np.stack([cos * x + sin * y, cos * y - sin * x, height], axis=-1)
+    poses = np.zeros((n_turns, 4))
+    poses[:, 0] = np.arange(n_turns) * (2 * np.pi / n_turns)
+    return in_frames(places[:, None], poses)
+
+
+def in_frames(points_mm: Floats, poses: Floats) -> Floats:
+    """Return points (..., 3) of the hemisphere in the frames of poses (..., 4)."""
+    from_it = points_mm - poses[..., 1:]
+    cos, sin = np.cos(poses[..., 0]), np.sin(poses[..., 0])
+    x, y, z = np.moveaxis(from_it, -1, 0)
+    return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
 
 
 def squared_distances(left: Floats, right: Floats) -> Floats:

@@ -266,47 +266,30 @@ def _numbers(action: Any, name: str, count: int) -> Floats:
     return values
 
 
-class FlatActions(gymnasium.ActionWrapper[Any, Any, Any]):
-    """Take actions as one vector in -1 to 1: direction, then logits over `MOST_LOGIT`.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        Made of a `TouchEnv`.
-    """
-
-    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        super().__init__(env)
-        inner = cast(spaces.Dict, env.action_space)
-        n_numbers = sum(int(np.prod(part.shape or ())) for part in inner.values())
-        self.action_space = spaces.Box(-1, 1, (n_numbers,), np.float32)
-
-    def action(self, action: Any) -> dict[str, Array]:
-        """Return the action of `TouchEnv` that a vector stands for."""
-        values = np.asarray(action, dtype=np.float32)
-        if values.shape != self.action_space.shape:
-            raise ValueError(
-                f"An action must be a vector of {self.action_space.shape}, got "
-                f"{values.shape}."
-            )
-        return {"action": values[:3], "prediction": values[3:] * MOST_LOGIT}
-
-
 def flat_touch_env(**options: Any) -> gymnasium.Env[Any, Any]:
     """Return a `TouchEnv` of vectors alone, for agents that take no dictionaries.
 
     An observation is image, place, touched and touches_left one after another, the
-    image over 255; an action is as `FlatActions` takes it. `options` are those of
-    `TouchEnv`.
+    image over 255; an action is direction, then logits over `MOST_LOGIT`, in -1 to 1.
+    `options` are those of `TouchEnv`.
     """
-    env = FlatActions(TouchEnv(**options))
-    inner = cast(spaces.Dict, env.observation_space)
-    levels = cast(spaces.Box, inner["image"])
-    image = spaces.Box(0, 1, levels.shape, np.float32)
+    env = TouchEnv(**options)
+    vector = spaces.Box(-1, 1, (3 + len(env.object_names),), np.float32)
+
+    def parts(action: Any) -> dict[str, Array]:
+        values = np.asarray(action, dtype=np.float32)
+        if values.shape != vector.shape:
+            raise ValueError(
+                f"An action must be a vector of {vector.shape}, got {values.shape}."
+            )
+        return {"action": values[:3], "prediction": values[3:] * MOST_LOGIT}
+
+    inner = cast(spaces.Dict, env.observation_space).spaces
+    image = spaces.Box(0, 1, inner["image"].shape, np.float32)
     scaled = gymnasium.wrappers.TransformObservation(
-        env,
+        gymnasium.wrappers.TransformAction(env, parts, vector),
         lambda whole: {**whole, "image": (whole["image"] / 255).astype(np.float32)},
-        spaces.Dict({**inner.spaces, "image": image}),
+        spaces.Dict({**inner, "image": image}),
     )
     return gymnasium.wrappers.FlattenObservation(scaled)
 

@@ -143,7 +143,10 @@ class DomeSensor(ABC):
     def sleeve_gap_mm(self, placed: PlacedObject, pose: SensorPose) -> float:
         """Return how far (mm) until the sleeve around the rim touches, or infinity."""
         rim_mm = self.dome.membrane_radius_mm
-        x, y = _ring_mm(rim_mm, self.dome.sleeve_mm)
+        # Three circles within the ring.
+        radius = rim_mm + self.dome.sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
+        angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
+        x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
         return float(distances_ahead(placed, pose, x, y, rim_mm).min())
 
     def no_contact(self) -> Frame:
@@ -390,14 +393,6 @@ _NOT_NEGATIVE = (
 @lru_cache(maxsize=4)
 def _optics(camera: DomeCamera) -> Optics:
     return Optics(camera)
-
-
-@lru_cache(maxsize=4)
-def _ring_mm(rim_radius_mm: float, sleeve_mm: float) -> tuple[Floats, Floats]:
-    """Places x and y on three circles within a ring around the rim."""
-    angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
-    radius = rim_radius_mm + sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
-    return (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
 
 
 @lru_cache(maxsize=4)
