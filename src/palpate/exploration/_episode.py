@@ -15,13 +15,13 @@ import numpy as np
 from .._checks import check_count, size_text
 from ..sensors import TouchSensor
 from ..simulation import SensorPose
-from ._guarded import Clock, Guard
+from ._guarded import Clock, Guard, Toucher
 from ._place_belief import PlaceBelief
 from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches
 from ._robot import Robot, RobotError
 from ._strategies import Hemisphere, Strategy
 from ._surface_map import SurfaceMap
-from ._ways import ON_THE_WAY, Toucher, come_out, touch_from_hemisphere
+from ._ways import ON_THE_WAY, come_out, touch_from_hemisphere
 
 if TYPE_CHECKING:
     from ..recognition import Belief, ObjectRecogniser

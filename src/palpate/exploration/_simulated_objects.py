@@ -28,11 +28,11 @@ from ..simulation import (
 )
 from ..touches import Touches
 from ._episode import gather, gather_by
-from ._guarded import Guard
+from ._guarded import Guard, Toucher
 from ._record import EpisodeLog, TouchRecord, as_touches, tip_mm
 from ._robot import SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
-from ._ways import Toucher, touch_from_hemisphere
+from ._ways import touch_from_hemisphere
 
 # Twice the default step in the air: half the time to simulate. The rigid edge met
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
