@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 
 MAX_FAULTS = 3
-# What of an attempt is told with the belief after it.
-_TOLD = ("outcome", "message", "position_mm", "direction", "force_n", "retracted")
+# What of an attempt stands beside the belief after it.
+_KEPT = ("outcome", "message", "position_mm", "direction", "force_n", "retracted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Exploration:
             plain = record.to_dict()
             attempts.append(
                 {
-                    **{name: plain[name] for name in _TOLD},
+                    **{name: plain[name] for name in _KEPT},
                     "flag": belief.flags[-1] if record.touched else None,
                     "posterior": belief.posterior,
                     "unknown": belief.unknown,
