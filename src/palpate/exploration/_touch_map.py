@@ -42,6 +42,7 @@ from ..recognition import (
     with_floor,
 )
 from ..touches import Touches
+from ._record import places_of
 
 Weights = tuple[float, float, float]
 Episodes = list[Indices]
@@ -54,8 +55,6 @@ EPISODES_PER_OBJECT = 30
 _FIRST_WEIGHTS = (1.0, 1.0, 0.2)
 _ELSEWHERE = 1e-3
 _TINY = 1e-6
-# Directions may have been written with a few digits.
-_LENGTH_TOLERANCE = 0.01
 
 
 class TouchMap:
@@ -398,43 +397,6 @@ class PlacedBelief(BeliefOfPlaces):
         joint = self._placed * weight + prior[:, np.newaxis]
         self.log_joint: Floats = joint - logsumexp(joint)
         return self.log_posterior
-
-
-def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:
-    """Return the places of touches, (n_touches, n_dimensions), or explain."""
-    if not isinstance(touches, Touches):
-        raise TypeError(
-            f"touches must be Touches, got {type(touches).__name__}. Write "
-            "Touches(images, direction=...)."
-        )
-    if places is None:
-        directions = touches.columns.get("direction")
-        if directions is None:
-            raise ValueError(
-                "touches must have a column 'direction' (unit vectors of approach), "
-                f"got {', '.join(touches.columns) or 'none'}. Add it, or give places."
-            )
-        places = -np.asarray(directions, dtype=np.float64)
-        length = np.sqrt((places**2).sum(axis=-1))
-        wrong = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
-        if len(wrong):
-            raise ValueError(
-                "direction must be unit vectors of approach, got "
-                f"{(-places[wrong[0]]).tolist()} in touch {wrong[0]}. Divide it by its "
-                "length; leave out touches whose direction is not known."
-            )
-    array = np.asarray(places, dtype=np.float64)
-    if array.ndim != 2 or len(array) != len(touches) or not np.isfinite(array).all():
-        raise ValueError(
-            f"places must be finite, one row for each of {len(touches)} touches, got "
-            f"shape {array.shape}."
-        )
-    if n_turns > 1 and array.shape[1] != 3:
-        raise ValueError(
-            f"places must be x, y, z to be turned, got {array.shape[1]} numbers each. "
-            "Use TouchMap(n_turns=1) for places that do not turn."
-        )
-    return array
 
 
 def turned_back(places: Floats, n_turns: int) -> Floats:
