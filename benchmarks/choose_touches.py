@@ -35,7 +35,6 @@ from palpate import Touches
 from palpate._durable import write_text
 from palpate.evaluation._trial import spread
 from palpate.exploration import (
-    QUICK_GUARD,
     InformativeTouch,
     RandomHemisphere,
     Raster,
@@ -45,7 +44,7 @@ from palpate.exploration import (
     explore_to_learn,
     put_down,
 )
-from palpate.exploration._simulated_objects import Stand
+from palpate.exploration._simulated_objects import QUICK_GUARD, Stand
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import HOUSEHOLD, DomeCamera, SimObject
 from recorded_choice import (

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.simulation import (
-    BASIC_SHAPES,
-    HOUSEHOLD,
-    UNSEEN,
+    OBJECT_SETS,
     DomeCamera,
     TacTipPins,
     simulate_touches,
@@ -24,9 +22,11 @@ Picture = NDArray[np.uint8]
 
 def main() -> None:
     camera = DomeCamera(image_shape=(SIDE, SIDE), noise_sd=0.0, texture_sd=0.0)
-    rows = [_strip(thing, camera, "hemisphere") for thing in HOUSEHOLD + UNSEEN]
-    rows += [_strip(thing, camera, "above") for thing in BASIC_SHAPES]
-    rows += [_strip(thing, TacTipPins(), "above") for thing in BASIC_SHAPES[:5:2]]
+    shapes, things = OBJECT_SETS["shapes"], OBJECT_SETS["household"]
+    things += OBJECT_SETS["unseen"]
+    rows = [_strip(thing, camera, "hemisphere") for thing in things]
+    rows += [_strip(thing, camera, "above") for thing in shapes]
+    rows += [_strip(thing, TacTipPins(), "above") for thing in shapes[:5:2]]
     half = (len(rows) + 1) // 2
     columns = [np.vstack(strips) for strips in (rows[:half], rows[half:])]
     short = columns[0].shape[0] - columns[1].shape[0]

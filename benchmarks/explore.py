@@ -27,7 +27,7 @@ from palpate._durable import write_text
 from palpate.evaluation._episodes import run_episodes
 from palpate.evaluation._trial import spread
 from palpate.recognition import ObjectRecogniser, adapt
-from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
+from palpate.simulation import HOUSEHOLD, OBJECT_SETS, DomeCamera, simulate_touches
 
 Row = dict[str, Any]
 OUT = Path(__file__).with_suffix(".json")
@@ -113,7 +113,8 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
     recorded = recorded[np.isin(recorded.category, list(names))]
     kinds = np.array([names[str(kind)] for kind in recorded.category])
     recorded = recorded.with_columns(category=kinds)
-    things = [thing for thing in HOUSEHOLD + UNSEEN if thing.category in KINDS]
+    both = HOUSEHOLD + OBJECT_SETS["unseen"]
+    things = [thing for thing in both if thing.category in KINDS]
     accuracies = []
     for seed in range(n_seeds):
         taught = simulate_touches(things, n_sessions=3, random_state=seed)

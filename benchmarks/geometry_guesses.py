@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from palpate.simulation import PARTS, Part, PressureArray, simulate_presses
+from palpate.simulation import Part, PressureArray, find_parts, simulate_presses
 from palpate.studies.liu2014.methods import Neighbours, Twofold, nested_figure
 from palpate.studies.liu2014.plan import encode
 
 N_PRESSES, RUNS, SEED = 20, 10, 0
 # In the order of their names, as in the study: 3-NN names the first of equal ones.
+PARTS = find_parts()
 NUMBERS = np.unique([part.name for part in PARTS], return_inverse=True)[1]
 CODES = np.repeat(NUMBERS, N_PRESSES)
 COMPARED = (("GE", True), ("GE", False), ("FD", False), ("FD+GE", False))

@@ -14,8 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from palpate.exploration import QUICK_GUARD, Guard, RandomHemisphere, put_down
-from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, SimObject, find_object
+from palpate.exploration import Guard, RandomHemisphere, put_down
+from palpate.exploration._simulated_objects import QUICK_GUARD
+from palpate.simulation import (
+    HOUSEHOLD,
+    OBJECT_SETS,
+    DomeCamera,
+    SimObject,
+    find_object,
+)
 
 CAMERA = DomeCamera(image_shape=(32, 32))
 GUARDS = {"Guard()": Guard(), "QUICK_GUARD": QUICK_GUARD}
@@ -33,7 +40,7 @@ def main() -> None:
         peaks = np.concatenate(
             [
                 touched(thing, face, guard, n_touches)[0]
-                for thing in HOUSEHOLD + UNSEEN
+                for thing in HOUSEHOLD + OBJECT_SETS["unseen"]
                 for face in range(len(thing.resting_rotations))
             ]
         )

@@ -51,8 +51,7 @@ from palpate.exploration._surface import mesh_surface
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import (
     HOUSEHOLD,
-    UNLIKE_OTHERS,
-    UNSEEN,
+    OBJECT_SETS,
     DomeCamera,
     PlacedObject,
     SensorPose,
@@ -67,7 +66,7 @@ ERROR = 0.05
 POSES_AFTER = 5, 10
 # As many turns as the tables distinguish look alike.
 AZIMUTHS_OF_ROUND = 72
-STRANGERS = UNSEEN + UNLIKE_OTHERS
+STRANGERS = OBJECT_SETS["unseen"] + OBJECT_SETS["unlike others"]
 Row = dict[str, Any]
 
 

@@ -57,7 +57,7 @@ def _dome_row(
         return cpu_ms(lambda: [stage() for _ in approaches], seconds) / len(approaches)
 
     whole = each_ms(lambda: camera.touch(*next(in_turn), rng=rng))
-    rays = each_ms(lambda: simulation.gap_map(*next(in_turn), camera.membrane))
+    rays = each_ms(lambda: camera.gap_mm(*next(in_turn)))
     picture = each_ms(lambda: camera.image(next(presses), rng))
     return row(
         f"touch {shape[0]} x {shape[1]} uint8",
@@ -76,7 +76,7 @@ def _array_row(size: int, seconds: float) -> Row:
 
     def press_all() -> None:
         number = next(numbers)
-        for part in simulation.PARTS:
+        for part in simulation.find_parts():
             array.press(
                 part,
                 x_mm=(0.37 * number) % 1,
@@ -86,6 +86,6 @@ def _array_row(size: int, seconds: float) -> Row:
                 random_state=number,
             )
 
-    ours_ms = cpu_ms(press_all, seconds) / len(simulation.PARTS)
+    ours_ms = cpu_ms(press_all, seconds) / len(simulation.find_parts())
     name = f"press {size} x {size} pitch 2 mm"
     return row(name, ours_ms, "none", reason=_NO_ARRAY)

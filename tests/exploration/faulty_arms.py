@@ -243,8 +243,10 @@ def teaching(arm):
 
 def toucher_of(arm):
     """Return a function that touches from a pose, as an episode that goes on does."""
-    ways = import_module("palpate.exploration._ways")
-    toucher = ways.Toucher(arm, arm, GUARD, lag=0)
+    ways, guarded = (
+        import_module(f"palpate.exploration.{name}") for name in ("_ways", "_guarded")
+    )
+    toucher = guarded.Toucher(arm, arm, GUARD, lag=0)
     return partial(ways.touch_from_hemisphere, toucher, NEAR)
 
 

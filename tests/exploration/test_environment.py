@@ -52,7 +52,7 @@ def test_gymnasium_has_nothing_but_a_wish_for_a_normal_range(mode):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(_small(render_mode=mode).unwrapped)
-    # Logits are in -20 to 20; FlatActions has them in -1 to 1.
+    # Logits are in -20 to 20; the flat form has them in -1 to 1.
     assert all("normalized space" in str(warning.message) for warning in caught)
 
 

@@ -185,6 +185,34 @@ def test_a_load_after_the_first_step_is_a_start_that_is_not_clear(
         assert line.retracted == [1]
 
 
+def test_one_reading_beyond_the_limit_ends_a_touch_whatever_the_mean():
+    line = Line(lambda line: 3.5 if (line.at, line.since) == (5, 3) else 0.0)
+    record = line.touch()
+    assert (record.outcome, record.travel_mm) == ("limit exceeded", 5)
+    assert record.peak_force_n == 3.5
+    # The arm comes out without another reading or step.
+    assert (line.read_at.count(5), line.visited[-1], line.retracted) == (3, 5, [5])
+
+
+@pytest.mark.parametrize(
+    ("force", "outcome"),
+    [
+        (3.0, "touched"),
+        (3.0 + JUST, "limit exceeded"),
+        (0.75, "touched"),
+        (0.75 - JUST, "force not reached"),
+        (-0.125, "nothing"),
+        (-0.125 - JUST, "force sensor"),
+        (0.125, "force not reached"),
+        (0.125 - JUST, "nothing"),
+    ],
+)
+def test_a_force_at_a_bound_counts_as_that_bound_says(force, outcome):
+    line = Line(at(dict.fromkeys(steps(10, 12, 0.25), force)))
+    limits = guard(max_travel_mm=12, contact_n=0.125, flat_mm=20)
+    assert line.touch(limits).outcome == outcome
+
+
 def test_a_step_that_landed_too_hard_is_made_again_in_small_ones():
     line = Line(at({10: 1.5}))
     record = line.touch()
@@ -319,13 +347,20 @@ def test_an_approach_may_last_as_long_as_its_limit(late_s, outcome):
 
 
 @pytest.mark.parametrize(
-    ("offset", "beyond", "is_refused"),
-    [(1.0, 0, False), (1.0, JUST, True), (-1.0, -JUST, True)],
+    ("offset", "beyond", "limits", "most"),
+    [
+        (1.0, 0, {}, None),
+        (1.0, JUST, {}, "1"),
+        (-1.0, -JUST, {}, "1"),
+        # Below the limit there must be room for the force.
+        (0.5, 0, {"limit_n": 1.125}, "0.375"),
+    ],
 )
-def test_an_offset_may_be_as_large_as_its_limit(offset, beyond, is_refused):
-    record = Line(lambda line: offset + beyond).touch()
-    assert (record.outcome == "force sensor") == is_refused
-    assert ("in the air, more than 1" in record.message) == is_refused
+def test_an_offset_may_be_as_large_as_its_limit(offset, beyond, limits, most):
+    record = Line(lambda line: offset + beyond).touch(guard(**limits))
+    assert (record.outcome == "force sensor") == (most is not None)
+    assert (f"N in the air, more than {most}:" in record.message) == (most is not None)
+    assert record.travel_mm == (16 if most is None else 0)
 
 
 def test_an_arm_may_miss_by_as_much_as_its_limit():
@@ -392,7 +427,8 @@ def test_a_frame_that_is_no_numbers_is_none(frame):
 
 
 @pytest.mark.parametrize(
-    ("offset", "force", "has_sign"), [(0.0, -4.0, True), (2.25, 0.875, False)]
+    ("offset", "force", "has_sign"),
+    [(0.0, -4.0, True), (2.25, 0.875, False), (-0.875, 3.25, False)],
 )
 def test_beyond_the_limit_the_sign_is_spoken_of_where_it_is_wrong(
     offset, force, has_sign

@@ -320,7 +320,7 @@ def test_the_promise_of_a_place(height_map, monkeypatch, gain, fresh, best):
 def test_being_sure_leaves_nothing_to_learn(touch_map, strategy):
     log_joint = np.full((2, N_TURNS), -60.0)
     log_joint[0, 3] = 0.0
-    gain = strategy._gain._stations.expected_gain(log_joint - logsumexp(log_joint), 4)
+    gain = strategy._gain.expected_gain(log_joint - logsumexp(log_joint), 4)
     assert_allclose(gain, 0, atol=1e-5)
 
 

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.exploration import (
-    QUICK_GUARD,
     Hemisphere,
     InformativeTouch,
     PlaceBelief,
@@ -363,7 +362,7 @@ def test_an_episode_with_the_arm_ends_with_a_pose(surface_map, tmp_path):
     stand = put_down(find_object("pen"), CAMERA, yaw_rad=1.0, random_state=2)
     strategy = InformativeTouch(surface_map, stand.hemisphere)
     arm = stand.robot, stand.sensor, surface_map, strategy, tmp_path / "pen"
-    options = {"guard": QUICK_GUARD, "clock": stand.robot.clock, "error": 0.05}
+    options = {"guard": stand.quick_guard, "clock": stand.robot.clock, "error": 0.05}
     end = explore(*arm, max_attempts=2, **options)
     again = explore(*arm, max_attempts=10, **options)
     before, after = ([r.to_dict() for r in e.history] for e in (end, again))
@@ -379,8 +378,10 @@ def test_a_contact_whose_frame_cannot_be_taken_counts_at_once_and_when_read_agai
     other = DomeCamera(image_shape=(32, 32), n_nodes=24)
     stand = put_down(find_object("mug"), other, random_state=2)
     arm = stand.robot, stand.sensor, surface_map, RandomHemisphere(stand.hemisphere)
-    options = {"guard": QUICK_GUARD, "clock": stand.robot.clock, "max_attempts": 2}
-    end, again = (explore(*arm, tmp_path / "mug", **options) for _ in range(2))
+    options = {"guard": stand.quick_guard, "clock": stand.robot.clock}
+    end, again = (
+        explore(*arm, tmp_path / "mug", max_attempts=2, **options) for _ in range(2)
+    )
     n_refused = sum(record.outcome == "no frame" for record in end.history)
     assert end.belief.n_contacts == n_refused > 0 == end.belief.touches_used
     assert again.belief.posterior == end.belief.posterior

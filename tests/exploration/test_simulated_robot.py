@@ -142,8 +142,3 @@ def test_an_arm_that_is_stuck_in_contact_is_stopped(tmp_path):
     last = read_episode(tmp_path)[-1]
     assert last.image is not None
     assert not last.retracted
-
-
-def test_a_fault_that_is_none_is_refused():
-    with pytest.raises(ValueError, match="faults must be one of 'stuck force'"):
-        Setup(faults={0: "tired"})

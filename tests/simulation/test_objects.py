@@ -8,10 +8,8 @@ import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.simulation import (
-    BASIC_SHAPES,
     HOUSEHOLD,
-    UNLIKE_OTHERS,
-    UNSEEN,
+    OBJECT_SETS,
     PlacedObject,
     SensorPose,
     SimObject,
@@ -19,7 +17,8 @@ from palpate.simulation import (
     load_mesh,
 )
 
-EVERYTHING = HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
+EVERYTHING = [thing for things in OBJECT_SETS.values() for thing in things]
+UNSEEN, BASIC_SHAPES = OBJECT_SETS["unseen"], OBJECT_SETS["shapes"]
 solid = pytest.mark.parametrize(
     "thing", [o for o in EVERYTHING if o.name != "nothing"], ids=lambda o: o.name
 )

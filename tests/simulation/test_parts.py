@@ -8,7 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from shapely.geometry import Polygon
 
-from palpate.simulation import PARTS, Part, find_parts
+from palpate.simulation import Part, find_parts
+
+PARTS = find_parts()
 
 SQUARE = [(0, 0), (2, 0), (2, 2), (0, 2)]
 HEXAGON_10 = sqrt(3) / 2 * 10**2  # area of a hexagon 10 mm across flats

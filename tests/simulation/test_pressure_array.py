@@ -9,7 +9,7 @@ from scipy import integrate
 from shapely import contains_xy
 from shapely.geometry import Polygon
 
-from palpate.simulation import PARTS, Part, Press, PressureArray
+from palpate.simulation import Part, Press, PressureArray, find_parts
 
 IDEAL = PressureArray(gain_spread=0, dead_zone_kpa=0, noise_kpa=0)
 NUT, HEXAGON, SQUARE, DISC = "hexagon13-hole8", "hexagon13", "square13", "disc13"
@@ -89,7 +89,7 @@ def test_stress_agrees_with_the_fourier_transform_of_boussinesq():
     assert_allclose(stress, expected, atol=0.05)
 
 
-@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+@pytest.mark.parametrize("part", find_parts(), ids=lambda part: part.name)
 def test_taxels_carry_the_whole_force_over_all_phases(part):
     # Sixteen phases of the pitch are taxels every 0.5 mm; an array 12 mm wider than
     # the part on either side loses next to nothing.
@@ -123,7 +123,7 @@ def test_a_hole_shows_under_a_thin_cover_and_fades_under_a_thick_one():
     assert depths[-1] < 0.8
 
 
-@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+@pytest.mark.parametrize("part", find_parts(), ids=lambda part: part.name)
 def test_surface_pressure_carries_the_load(part):
     press = Press(0.3, 0.1, 25, tilt_deg=(0.1, -0.1), roughness_um=10)
     pressure = PressureArray().contact_kpa(part, press, random_state=0)

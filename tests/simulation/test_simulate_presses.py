@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.simulation import PARTS, PressureArray, simulate_presses
+from palpate.simulation import PressureArray, find_parts, simulate_presses
 
 FORCE_N = 4 * 9.80665
 
@@ -17,7 +17,8 @@ def test_columns_of_a_set_of_presses_tell_what_was_pressed_and_how():
     assert touches.images.shape == (36, 10, 10)
     assert touches.images.dtype == np.uint8
     assert touches.geometry == "array"
-    assert list(touches.object) == [part.name for part in PARTS for _ in range(3)]
+    names = [part.name for part in find_parts()]
+    assert list(touches.object) == [name for name in names for _ in range(3)]
     assert list(columns["part"]) == [n for n in range(1, 13) for _ in range(3)]
     assert list(columns["press"][:6]) == [0, 1, 2, 0, 1, 2]
     assert columns["position_mm"].shape == columns["tilt_deg"].shape == (36, 2)

@@ -7,9 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.simulation import (
-    BASIC_SHAPES,
-    HOUSEHOLD,
-    UNSEEN,
+    OBJECT_SETS,
     DomeCamera,
     PressureArray,
     Scene,
@@ -21,7 +19,13 @@ from palpate.simulation import (
 
 
 @pytest.mark.parametrize(
-    "thing", HOUSEHOLD + UNSEEN + BASIC_SHAPES, ids=lambda thing: thing.name
+    "thing",
+    [
+        thing
+        for kind in ("household", "unseen", "shapes")
+        for thing in OBJECT_SETS[kind]
+    ],
+    ids=lambda thing: thing.name,
 )
 def test_every_object_from_everywhere_gives_finite_touches(thing):
     touches = simulate_touches(

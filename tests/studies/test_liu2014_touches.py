@@ -10,7 +10,7 @@ from sklearn.svm import SVC
 
 from palpate import Touches
 from palpate.encodings import KernelPCA
-from palpate.simulation import PARTS, find_parts, simulate_presses
+from palpate.simulation import find_parts, simulate_presses
 from palpate.studies.liu2014 import (
     REAL,
     Liu2014Plan,
@@ -38,13 +38,14 @@ from palpate.studies.liu2014.plan import (
 
 
 def test_class_sets_are_those_of_the_parts():
-    hollow = tuple(part.number for part in PARTS if part.hollow)
+    parts = find_parts()
+    hollow = tuple(part.number for part in parts if part.hollow)
     solid = tuple(
-        part.number for part in PARTS if not part.hollow and part.category != "bar"
+        part.number for part in parts if not part.hollow and part.category != "bar"
     )
     assert CLASS_SETS["all hollow"] == hollow == (3, 5, 7, 9, 11)
     assert CLASS_SETS["all solid"] == solid == (4, 6, 8, 10, 12)
-    assert CLASS_SETS["all"] == tuple(part.number for part in PARTS)
+    assert CLASS_SETS["all"] == tuple(part.number for part in parts)
     assert CLASS_SETS["3 vs 7 vs 12"] == (3, 7, 12)
 
 

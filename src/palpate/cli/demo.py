@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from ._options import AsJson, RecordedData, Seed, Strangers, flag, option
 from ._output import print_json, say, stages
 from .evaluate import in_options, print_figures
-from .explore import exploration_to_dict, print_attempt
+from .explore import print_attempt
 from .recognise import print_episode, recognise_episodes
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def _recognise_by_exploring(
 ) -> list[dict[str, Any]]:
     import numpy as np
 
-    from ..exploration import QUICK_GUARD, RandomHemisphere, explore, put_down
+    from ..exploration import RandomHemisphere, explore, put_down
     from ..simulation import DomeCamera, find_object
 
     episodes = []
@@ -155,7 +155,7 @@ def _recognise_by_exploring(
             stand.sensor,
             recogniser,
             RandomHemisphere(stand.hemisphere, random_state=seed),
-            guard=QUICK_GUARD,
+            guard=stand.quick_guard,
             max_attempts=MOST_ATTEMPTS,
             error=ERROR,
             strangers=strangers,
@@ -164,7 +164,7 @@ def _recognise_by_exploring(
         )
         if not quiet:
             say(f"  {end.reason}\n")
-        ended = exploration_to_dict(recogniser, end, strangers)
+        ended = end.to_dict(recogniser, strangers, stand.hemisphere)
         episodes.append({"object": name, **ended})
     return episodes
 

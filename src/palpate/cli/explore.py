@@ -1,7 +1,6 @@
 """`palpate explore`: a simulated arm touches objects, to learn or to recognise them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -14,9 +13,7 @@ from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
     from ..exploration import (
-        Exploration,
         Hemisphere,
-        PlaceBelief,
         Strategy,
         SurfaceMap,
         TouchMap,
@@ -27,7 +24,6 @@ if TYPE_CHECKING:
 
 STRATEGIES = ("informative", "random", "raster")
 _LEAST_SIDE = 16
-_KEPT = ("outcome", "message", "position_mm", "direction", "force_n", "retracted")
 
 explore = typer.Typer(
     no_args_is_help=True, help="Let a simulated arm touch objects: learn, recognise."
@@ -169,23 +165,31 @@ def recognise(
         knower,
         way,
         folder,
-        guard=exploration.QUICK_GUARD,
+        guard=stand.quick_guard,
         max_attempts=most,
         **vars(deciding),
         clock=stand.robot.clock,
         on_attempt=None if as_json else print_attempt,
     )
     about = {"object": target.name, "strategy": strategy}
-    if picture is not None:
-        _draw(end, way, picture)
+    standing = []
+    if isinstance(end.belief, exploration.PlaceBelief):
+        if picture is not None:
+            # The next touch too, if one is needed.
+            more = end.decision is None
+            start = way.next_pose(end.belief, end.history) if more else None
+            axes = end.belief.plot_surface(end.history, start=start)
+            cast(Any, axes.figure).savefig(picture, dpi=100, bbox_inches="tight")
+        if end.decision not in (None, "unknown"):
+            standing = [f"  {end.belief.pose()}"]
     answer(
         as_json,
         {
             **about,
-            **exploration_to_dict(knower, end, deciding.strangers, stand.hemisphere),
+            **end.to_dict(knower, deciding.strangers, stand.hemisphere),
         },
         f"  {end.reason}",
-        *_standing(end),
+        *standing,
     )
 
 
@@ -204,24 +208,6 @@ def _way(
         return exploration.Raster(hemisphere)
     assert touch_map is not None
     return exploration.InformativeTouch(touch_map, hemisphere)
-
-
-def _standing(end: "Exploration") -> list[str]:
-    """Return how the object stands, where places were believed too."""
-    from ..exploration import PlaceBelief
-
-    if end.decision in (None, "unknown") or not isinstance(end.belief, PlaceBelief):
-        return []
-    return [f"  {end.belief.pose()}"]
-
-
-def _draw(end: "Exploration", way: "Strategy", path: Path) -> None:
-    """Draw what is believed at the end; the next touch too, if one is needed."""
-    belief, start = cast("PlaceBelief", end.belief), None
-    if end.decision is None:
-        start = way.next_pose(belief, end.history)
-    axes = belief.plot_surface(end.history, start=start)
-    cast(Any, axes.figure).savefig(path, dpi=100, bbox_inches="tight")
 
 
 def _one_object(name: str, unit: str) -> "SimObject":
@@ -244,52 +230,6 @@ def print_attempt(record: "TouchRecord", belief: Any) -> None:
         say(f"  {note}" if note else shown)
     else:
         say(f"  {record.outcome}. {record.message}".rstrip())
-
-
-def exploration_to_dict(
-    knower: "ObjectRecogniser | TouchMap | SurfaceMap",
-    end: "Exploration",
-    strangers: float,
-    hemisphere: "Hemisphere | None" = None,
-) -> dict[str, Any]:
-    """Return an exploration as plain values, with the belief after every attempt."""
-    from ..exploration import Hemisphere, PlaceBelief, SurfaceMap, as_touches
-
-    if isinstance(knower, SurfaceMap):
-        belief: Any = knower.start_before(hemisphere or Hemisphere(), strangers)
-    else:
-        belief = knower.start(strangers=strangers)
-    attempts: list[dict[str, Any]] = []
-    touched = []  # the number of the attempt of each touch
-    for number, record in enumerate(end.history):
-        if isinstance(belief, PlaceBelief):
-            belief.update_from_record(record)
-        elif record.touched:
-            belief.update(as_touches([record]))
-        if record.touched:
-            touched.append(number)
-        plain = record.to_dict()
-        attempts.append(
-            {
-                **{name: plain[name] for name in _KEPT},
-                "flag": belief.flags[-1] if record.touched else None,
-                "posterior": belief.posterior,
-                "unknown": belief.unknown,
-            }
-        )
-    return {
-        "decision": end.decision,
-        "ended_by": end.ended_by,
-        "reasons": [end.reason],
-        "explanation": [
-            {**moved, "attempt": touched[moved["touch"] - 1]}
-            for moved in belief.explain()
-        ],
-        "touches_used": end.n_touches,
-        "n_attempts": len(end.history),
-        "pose": asdict(belief.pose()) if isinstance(belief, PlaceBelief) else None,
-        "attempts": attempts,
-    }
 
 
 def _touch_map(

@@ -69,11 +69,11 @@ class DomeTouches:
     as_json: AsJson = False
 
     def make(self, camera: "DomeCamera | TacTipPins") -> None:
-        from ..simulation import BASIC_SHAPES, Scene, simulate_touches
+        from ..simulation import OBJECT_SETS, Scene, simulate_touches
 
         things = find_objects(self.objects, self.unit)
         check_output(self.output)
-        shapes = [thing in BASIC_SHAPES for thing in things]
+        shapes = [thing in OBJECT_SETS["shapes"] for thing in things]
         if any(shapes) and not all(shapes):
             raise ValueError(
                 "The basic shapes are touched from above, other objects from all "
@@ -127,11 +127,11 @@ def array(
     as_json: AsJson = False,
 ) -> None:
     """Press flat parts on a pressure array, each time laid down anew."""
-    from ..simulation import PARTS, PressureArray, simulate_presses
+    from ..simulation import PressureArray, simulate_presses
 
     check_output(output)
     touches = simulate_presses(
-        [int(n) if n.isdecimal() else n for n in parts or [p.name for p in PARTS]],
+        [int(n) if n.isdecimal() else n for n in parts] if parts else None,
         presses,
         n_sessions=sessions,
         array=PressureArray(
@@ -239,13 +239,11 @@ def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
     """Return the objects that names, sets and mesh files stand for, each once."""
     from .. import simulation
 
-    things_of_sets = (simulation.HOUSEHOLD, simulation.UNSEEN, simulation.BASIC_SHAPES)
-    sets = dict(zip(SETS, things_of_sets, strict=True))
     given_as: dict[str, str] = {}
     objects: list[SimObject] = []
     for name in names or ["household"]:
-        if name in sets:
-            things = sets[name]
+        if name in SETS:
+            things = simulation.OBJECT_SETS[name]
         elif Path(name).suffix.lower() in simulation.MESH_SUFFIXES:
             things = (simulation.load_mesh(name, unit=unit),)
         else:

@@ -4,7 +4,6 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
-from ._episode import Exploration as Exploration
 from ._episode import explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
@@ -15,7 +14,6 @@ from ._record import TouchRecord as TouchRecord
 from ._record import as_touches as as_touches
 from ._record import read_episode
 from ._robot import Robot, RobotError, SimulatedRobot, check_robot
-from ._simulated_objects import QUICK_GUARD as QUICK_GUARD
 from ._simulated_objects import explore_to_learn, put_down
 from ._strategies import (
     Hemisphere,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,19 +14,23 @@ import numpy as np
 
 from .._checks import check_count, size_text
 from ..sensors import TouchSensor
-from ._guarded import Clock, Guard
+from ..simulation import SensorPose
+from ._guarded import Clock, Guard, Toucher
+from ._place_belief import PlaceBelief
 from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches
 from ._robot import Robot, RobotError
 from ._strategies import Hemisphere, Strategy
-from ._ways import ON_THE_WAY, Toucher, come_out, touch_from_hemisphere
+from ._surface_map import SurfaceMap
+from ._ways import ON_THE_WAY, come_out, touch_from_hemisphere
 
-if TYPE_CHECKING:  # scikit-learn is not needed to touch.
+if TYPE_CHECKING:
     from ..recognition import Belief, ObjectRecogniser
-    from ._surface_map import SurfaceMap
     from ._touch_map import TouchMap
 
 
 MAX_FAULTS = 3
+# What of an attempt stands beside the belief after it.
+_KEPT = ("outcome", "message", "position_mm", "direction", "force_n", "retracted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +61,44 @@ class Exploration:
     def n_touches(self) -> int:
         """Number of attempts that were touches."""
         return _n_touched(self.history)
+
+    def to_dict(
+        self,
+        recogniser: ObjectRecogniser | TouchMap | SurfaceMap,
+        strangers: float,
+        hemisphere: Hemisphere,
+    ) -> dict[str, Any]:
+        """Return plain values, with the belief after every attempt.
+
+        That is worked out once more, with what the episode was made with.
+        """
+        belief = _begun(recogniser, hemisphere, strangers)
+        attempts: list[dict[str, Any]] = []
+        for record in self.history:
+            _take_in(belief, record)
+            plain = record.to_dict()
+            attempts.append(
+                {
+                    **{name: plain[name] for name in _KEPT},
+                    "flag": belief.flags[-1] if record.touched else None,
+                    "posterior": belief.posterior,
+                    "unknown": belief.unknown,
+                }
+            )
+        touched = [n for n, record in enumerate(self.history) if record.touched]
+        return {
+            "decision": self.decision,
+            "ended_by": self.ended_by,
+            "reasons": [self.reason],
+            "explanation": [
+                {**moved, "attempt": touched[moved["touch"] - 1]}
+                for moved in belief.explain()
+            ],
+            "touches_used": self.n_touches,
+            "n_attempts": len(self.history),
+            "pose": asdict(belief.pose()) if isinstance(belief, PlaceBelief) else None,
+            "attempts": attempts,
+        }
 
 
 def explore(
@@ -128,9 +170,7 @@ def explore(
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before = len(log.history)
-        start = getattr(recogniser, "start_before", None)
-        start = recogniser.start if start is None else partial(start, hemisphere)
-        belief = start() if strangers is None else start(strangers=strangers)
+        belief = _begun(recogniser, hemisphere, strangers)
         log.history = [_taken_in(belief, record) for record in log.history]
 
         def ended(gave_up: str) -> tuple[str | None, str, str] | None:
@@ -184,45 +224,69 @@ def gather(
     check_count("n_touches", n_touches)
     check_count("max_faults", max_faults)
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
+    touch = partial(touch_from_hemisphere, toucher, strategy.hemisphere)
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         _refuse_other_size(log, sensor)
-        n_before, n_wanted = len(log.history), n_touches - _n_touched(log.history)
-        if n_wanted > 0:
+        if _n_touched(log.history) < n_touches:
             come_out(robot, strategy.hemisphere, toucher.guard)
-        while _n_touched(log.history) < n_touches:
-            pose = strategy.next_pose(None, log.history)
-            log.append(touch_from_hemisphere(toucher, strategy.hemisphere, pose))
-            attempts = log.history[n_before:]
-            n_made = _n_touched(attempts)
-            gave_up = _gave_up(attempts, max_faults, strategy.hemisphere)
-            if gave_up or (len(attempts) >= 5 * n_wanted and n_made < n_wanted):
-                why = "Is the object where the hemisphere has its centre?"
-                raise RobotError(
-                    f"Only {n_made} of {n_wanted} touches came of "
-                    f"{len(attempts)} attempts. {gave_up or why}"
-                )
-        counts = np.cumsum([record.touched for record in log.history])
-        return log.history[: int(np.searchsorted(counts, n_touches)) + 1]
+        return gather_by(touch, strategy, log, n_touches, max_faults)
+
+
+def gather_by(
+    touch: Callable[[SensorPose], TouchRecord],
+    strategy: Strategy,
+    log: EpisodeLog,
+    n_touches: int,
+    max_faults: int = MAX_FAULTS,
+) -> list[TouchRecord]:
+    """Touch so often, as `gather` does, with what touches from a pose."""
+    n_before, n_wanted = len(log.history), n_touches - _n_touched(log.history)
+    while _n_touched(log.history) < n_touches:
+        log.append(touch(strategy.next_pose(None, log.history)))
+        attempts = log.history[n_before:]
+        n_made = _n_touched(attempts)
+        gave_up = _gave_up(attempts, max_faults, strategy.hemisphere)
+        if gave_up or (len(attempts) >= 5 * n_wanted and n_made < n_wanted):
+            why = "Is the object where the hemisphere has its centre?"
+            raise RobotError(
+                f"Only {n_made} of {n_wanted} touches came of "
+                f"{len(attempts)} attempts. {gave_up or why}"
+            )
+    counts = np.cumsum([record.touched for record in log.history])
+    return log.history[: int(np.searchsorted(counts, n_touches)) + 1]
+
+
+def _begun(
+    recogniser: ObjectRecogniser | TouchMap | SurfaceMap,
+    hemisphere: Hemisphere,
+    strangers: float | None,
+) -> Belief:
+    """Return the belief before the first touch of an episode."""
+    start: Callable[..., Belief] = recogniser.start
+    if isinstance(recogniser, SurfaceMap):
+        start = partial(recogniser.start_before, hemisphere)
+    return start() if strangers is None else start(strangers=strangers)
+
+
+def _take_in(belief: Belief, record: TouchRecord) -> None:
+    if isinstance(belief, PlaceBelief):
+        belief.update_from_record(record)
+    elif record.touched:
+        belief.update(as_touches([record]))
 
 
 def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
     """Update the belief; a touch that it cannot take comes back as a fault."""
-    take_in = getattr(belief, "update_from_record", None)
-    if take_in is None and not record.touched:
-        return record
     try:
-        if take_in is None:
-            belief.update(as_touches([record]))
-        else:
-            take_in(record)
+        _take_in(belief, record)
     except Exception as error:
         why = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
         message = f"{record.message} {why}".strip()
         refused = replace(record, outcome="no frame", message=message)
-        if take_in is not None and record.touched:
+        if record.touched:
             # Its contact counts, as it does when the episode goes on another day.
             with suppress(Exception):
-                take_in(refused)
+                _take_in(belief, refused)
         return refused
     return record
 

@@ -180,28 +180,38 @@ def guarded_touch(
         Only what ends a program (KeyboardInterrupt, SystemExit), after the arm
         was pulled back.
     """
-    return approach_once(robot, sensor, start, guard or Guard(), clock, 0)[0]
+    return Toucher(robot, sensor, guard or Guard(), clock, lag=0).touch(start)
 
 
-def approach_once(
-    robot: Robot,
-    sensor: TouchSensor,
-    start: SensorPose,
-    guard: Guard,
-    clock: Clock,
-    wait_readings: int,
-) -> tuple[TouchRecord, int | None]:
-    """Touch as `guarded_touch` does, waiting for so many readings at every step.
+@dataclass
+class Toucher:
+    """What touches: arm, sensor, guard and clock, and the lag of the force if known."""
 
-    Returns the record, and by how many readings the force lagged where that was seen.
-    """
-    approach = _Approach(robot, sensor, start, guard, clock, wait_readings)
-    try:
-        approach.attempt(approach.run)
-    finally:
-        approach.pull_back()
-    approach.attempt(approach.check_offset)
-    return approach.record(), approach.lag_readings
+    robot: Robot
+    sensor: TouchSensor
+    guard: Guard
+    clock: Clock = time.monotonic
+    lag: int | None = None
+
+    @property
+    def wait_readings(self) -> int:
+        """Readings to wait for after each step."""
+        return self.guard.lag_readings if self.lag is None else self.lag
+
+    def touch(self, start: SensorPose) -> TouchRecord:
+        """Touch once from a pose that is clear of everything; see `guarded_touch`."""
+        arm = self.robot, self.sensor
+        approach = _Approach(*arm, start, self.guard, self.clock, self.wait_readings)
+        try:
+            approach.attempt(approach.run)
+        finally:
+            approach.pull_back()
+        approach.attempt(approach.check_offset)
+        lag = approach.lag_readings
+        if self.lag is None and lag is not None:
+            # With room for a filter, which only comes near to the force in its time.
+            self.lag = 2 * lag if lag >= self.guard.n_readings else 0
+        return approach.record()
 
 
 class _Fault(Exception):

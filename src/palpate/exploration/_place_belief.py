@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,12 +13,13 @@ from scipy.special import logsumexp
 from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
-from ..recognition import Belief, Evidence, as_touches
+from ..recognition import Evidence, as_touches
 from ..touches import Touches
 from ._place_filter import advice, out_of_frames
 from ._record import History, TouchRecord
 from ._record import as_touches as touches_of
 from ._surface import AZIMUTHS, HEIGHTS, contacts_of, directions
+from ._touch_map import BeliefOfPlaces
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +72,7 @@ class StandingPose:
         )
 
 
-class PlaceBelief(Belief):
+class PlaceBelief(BeliefOfPlaces):
     """A posterior over objects by pictures, contacts and misses.
 
     Made by `SurfaceMap.start`, and used as a `Belief` is. On which face the object
@@ -94,10 +95,7 @@ class PlaceBelief(Belief):
         log_prior: Floats | None,
         strangers: float,
     ) -> None:
-        recogniser = surface_map.recogniser
-        super().__init__(
-            recogniser.belief_model(), recogniser.evidence, log_prior, strangers
-        )
+        super().__init__(surface_map.recogniser, log_prior, strangers)
         self.map = surface_map
         self.centre_mm = np.asarray(centre_mm, dtype=np.float64)
         self.filter = surface_map.filter_before()
@@ -286,12 +284,7 @@ class PlaceBelief(Belief):
         """Log probability of each object, were it one of them (nats), (n_objects,)."""
         return self._log_objects
 
-    @property
-    def best_without_places(self) -> str:
-        """The object that is most probable by the pictures alone."""
-        return str(self._model.classes[self._touch_log_posterior.argmax()])
-
-    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
+    def _joined(self) -> Floats:
         prior = log_softmax(self._prior_and_senses())[self.map.object_of_state_]
         prior = prior + self.map.log_share_of_state
         calibration = self.map.pictures_.sequence_calibration
@@ -299,15 +292,9 @@ class PlaceBelief(Belief):
         joint = (pictures + prior[:, None]).ravel() + self.log_place
         self.log_joint: Floats = joint - logsumexp(joint)
         by_state = logsumexp(self.log_joint.reshape(self._pictures.shape), axis=1)
-        self._log_objects = np.full(len(log_posterior), -np.inf)
+        self._log_objects = np.full(len(self._model.classes), -np.inf)
         np.logaddexp.at(self._log_objects, self.map.object_of_state_, by_state)
-        by_place = self._log_objects - log_posterior
-        placed = log_softmax(by_encoding + by_place, axis=-1)
-        super()._track_strangers(self._log_objects, placed)
-
-    def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
-        """Return False: touches at other places may always tell."""
-        return False
+        return self._log_objects
 
     def pose(self, name: str | None = None) -> StandingPose:
         """Return how the most probable object stands, or the one of that name.

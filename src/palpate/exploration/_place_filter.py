@@ -42,6 +42,7 @@ from .._numbers import exp
 from .._types import Floats, Indices, Singles
 from ..simulation import SensorPose
 from ._surface import SurfaceTable, last_log_density, met_along
+from ._touch_map import in_frames
 
 if TYPE_CHECKING:
     from ._place_belief import PlaceBelief
@@ -214,14 +215,6 @@ class UnlearntSurfaces:
     def weighed(self, log_likelihood: Floats) -> UnlearntSurfaces:
         """Return them with what something else says, (n_surfaces,), in nats."""
         return replace(self, log_evidence=self.log_evidence + log_likelihood)
-
-
-def in_frames(points_mm: Floats, poses: Floats) -> Floats:
-    """Return points (..., 3) of the hemisphere in the frames of poses (..., 4)."""
-    from_it = points_mm - poses[..., 1:]
-    cos, sin = np.cos(poses[..., 0]), np.sin(poses[..., 0])
-    x, y, z = np.moveaxis(from_it, -1, 0)
-    return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
 
 
 def out_of_frames(points_mm: Floats, poses: Floats) -> Floats:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .._checks import check_option
 from .._durable import PARTIAL, replacing, write_text
@@ -39,6 +40,8 @@ OUTCOMES = (
 )
 _NUMBERS = ("force_n", "peak_force_n", "travel_mm", "duration_s")
 _NOTES = ("message", "retracted")
+# Directions may have been written with a few digits.
+_LENGTH_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +172,43 @@ def as_touches(
         geometry=geometry,
         **{name: [word] * len(touched) for name, word in labels.items() if word},
     )
+
+
+def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:
+    """Return the places of touches, (n_touches, n_dimensions), or explain."""
+    if not isinstance(touches, Touches):
+        raise TypeError(
+            f"touches must be Touches, got {type(touches).__name__}. Write "
+            "Touches(images, direction=...)."
+        )
+    if places is None:
+        directions = touches.columns.get("direction")
+        if directions is None:
+            raise ValueError(
+                "touches must have a column 'direction' (unit vectors of approach), "
+                f"got {', '.join(touches.columns) or 'none'}. Add it, or give places."
+            )
+        places = -np.asarray(directions, dtype=np.float64)
+        length = np.sqrt((places**2).sum(axis=-1))
+        wrong = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
+        if len(wrong):
+            raise ValueError(
+                "direction must be unit vectors of approach, got "
+                f"{(-places[wrong[0]]).tolist()} in touch {wrong[0]}. Divide it by its "
+                "length; leave out touches whose direction is not known."
+            )
+    array = np.asarray(places, dtype=np.float64)
+    if array.ndim != 2 or len(array) != len(touches) or not np.isfinite(array).all():
+        raise ValueError(
+            f"places must be finite, one row for each of {len(touches)} touches, got "
+            f"shape {array.shape}."
+        )
+    if n_turns > 1 and array.shape[1] != 3:
+        raise ValueError(
+            f"places must be x, y, z to be turned, got {array.shape[1]} numbers each. "
+            "Use TouchMap(n_turns=1) for places that do not turn."
+        )
+    return array
 
 
 class EpisodeError(ValueError):

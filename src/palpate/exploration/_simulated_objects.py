@@ -24,15 +24,15 @@ from ..simulation import (
     PlacedObject,
     SensorPose,
     SimObject,
-    refuse_same_names,
+    find_objects,
 )
 from ..touches import Touches
-from ._episode import gather
-from ._guarded import Guard
-from ._record import TouchRecord, as_touches, tip_mm
-from ._robot import RobotError, SimulatedRobot
+from ._episode import gather, gather_by
+from ._guarded import Guard, Toucher
+from ._record import EpisodeLog, TouchRecord, as_touches, tip_mm
+from ._robot import SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
-from ._ways import Toucher, touch_from_hemisphere
+from ._ways import touch_from_hemisphere
 
 # Twice the default step in the air: half the time to simulate. The rigid edge met
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
@@ -43,13 +43,17 @@ _AIM_MM = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """A simulated object, the hemisphere about its middle, arm, dome and bench."""
+    """A simulated object, the hemisphere about its middle, arm, dome and bench.
+
+    `quick_guard` has twice the default step in the air: half the time to simulate.
+    """
 
     thing: SimObject
     hemisphere: Hemisphere
     robot: SimulatedRobot
     sensor: SimulatedSensor
     bench: SimulatedBench
+    quick_guard: Guard = QUICK_GUARD
 
     def touch(self, start: SensorPose, guard: Guard | None = None) -> TouchRecord:
         """Go round the object to a pose on the hemisphere and touch from there.
@@ -235,7 +239,7 @@ def explore_to_learn(
     objects = list(HOUSEHOLD if things is None else things)
     if not objects:
         raise ValueError("things must hold at least one object, got none.")
-    refuse_same_names(objects)
+    objects = find_objects(objects)
     check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
@@ -307,7 +311,8 @@ def _session(
             clock=stand.robot.clock,
         )
     else:
-        history = _gathered_at_once(stand, strategy, n_touches)
+        touch = partial(stand.touch_at_once, guard=QUICK_GUARD)
+        history = gather_by(touch, strategy, EpisodeLog(None), n_touches)
     named = {"object": thing.name, "category": thing.category}
     touches = as_touches(history, **named, geometry="dome")
     # In the object's own frame: turned back about the vertical.
@@ -319,19 +324,3 @@ def _session(
     if every_face:
         columns["face"] = np.full(len(touches), face)
     return touches.with_columns(**columns)
-
-
-def _gathered_at_once(
-    stand: Stand, strategy: RandomHemisphere, n_touches: int
-) -> list[TouchRecord]:
-    """Touch so often as `gather` does, each time in one step."""
-    history: list[TouchRecord] = []
-    while (n_touched := sum(record.touched for record in history)) < n_touches:
-        if len(history) == 5 * n_touches:
-            raise RobotError(
-                f"Only {n_touched} of {n_touches} touches came of {len(history)} "
-                "attempts. Is the object where the hemisphere has its centre?"
-            )
-        pose = strategy.next_pose(None, history)
-        history.append(stand.touch_at_once(pose, QUICK_GUARD))
-    return history

@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from operator import is_not
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,7 +41,7 @@ from .._types import Floats
 from ..simulation import SensorPose
 from ._place_belief import PlaceBelief
 from ._place_filter import PlaceGain
-from ._record import History, TouchRecord, as_touches
+from ._record import History, as_touches
 from ._surface_map import SurfaceMap
 from ._touch_map import PlacedBelief, TouchMap, freshness
 
@@ -318,8 +318,9 @@ class InformativeTouch:
         rings = [[outward(a, np.arcsin(h)) for a in turns] for h in heights]
         grid = np.array(rings)
         self._candidates = grid.reshape(-1, 3)
+        self._gain: PlaceGain | Stations
         if isinstance(touch_map, SurfaceMap):
-            self._gain: Gain = SurfaceGain(touch_map, grid, self.hemisphere)
+            self._gain = PlaceGain(touch_map, grid)
             self._width = touch_map.pictures_.width_
         elif (n_numbers := touch_map.places_.shape[1]) != 3:
             raise ValueError(
@@ -327,7 +328,10 @@ class InformativeTouch:
                 "Fit it with the directions of touches."
             )
         else:
-            self._gain, self._width = TurnGain(touch_map, grid), touch_map.width_
+            self._gain, self._width = Stations(touch_map, grid), touch_map.width_
+        # What was taken in of the attempts stays so.
+        self._seen: History = ()
+        self._placed = self._begun()
 
     def next_pose(self, belief: Belief | None, history: History) -> SensorPose:
         """Return the pose of the candidate with the largest expected gain."""
@@ -347,7 +351,37 @@ class InformativeTouch:
 
         As if nothing near it had been touched; what was is `next_pose`'s business.
         """
-        return self._gain.expected(belief, history)
+        kind = type(self._placed)
+        placed = belief if isinstance(belief, kind) else self._after(history)
+        if isinstance(self._gain, PlaceGain):
+            return self._gain.expected_gain(cast(PlaceBelief, placed))
+        log_joint = placed.log_joint
+        if belief is not None and belief is not placed:
+            turns = log_joint - placed.log_posterior[:, None]
+            shares = np.exp(belief.log_posterior)
+            objects = np.log(np.maximum(shares, np.finfo(float).tiny))
+            log_joint = turns + objects[:, None]
+        n_touches = (placed if belief is None else belief).touches_used
+        return self._gain.expected_gain(log_joint, n_touches)
+
+    def _begun(self) -> PlaceBelief | PlacedBelief:
+        if isinstance(self.touch_map, SurfaceMap):
+            return self.touch_map.start_before(self.hemisphere)
+        return self.touch_map.start()
+
+    def _after(self, history: History) -> PlaceBelief | PlacedBelief:
+        """Return the belief over places after `history`."""
+        n_seen = len(self._seen)
+        if n_seen > len(history) or any(map(is_not, self._seen, history)):
+            self._placed, n_seen = self._begun(), 0
+        records = history[n_seen:]
+        if isinstance(self._placed, PlaceBelief):
+            for record in records:
+                self._placed.update_from_record(record)
+        elif any(record.touched for record in records):
+            self._placed.update(as_touches(records))
+        self._seen = list(history)
+        return self._placed
 
     def __repr__(self) -> str:
         return (
@@ -355,74 +389,6 @@ class InformativeTouch:
             f"n_turns={self.touch_map.n_turns}, nats_per_second="
             f"{self.nats_per_second}, speed_mm_s={self.speed_mm_s})"
         )
-
-
-class Gain(Protocol):
-    """What a touch at each candidate is expected to tell."""
-
-    def expected(self, belief: Belief | None, history: History) -> Floats: ...
-
-
-class TurnGain:
-    """Expected gains by a `TouchMap`: objects, and turns about the vertical."""
-
-    def __init__(self, touch_map: TouchMap, candidates: Floats) -> None:
-        self._map = touch_map
-        self._stations = Stations(touch_map, candidates)
-        self._seen: list[TouchRecord] = []
-        self._placed = touch_map.start()
-
-    def expected(self, belief: Belief | None, history: History) -> Floats:
-        """Return the gain of each candidate (nats), (n_candidates,)."""
-        gain = self._stations.expected_gain
-        if isinstance(belief, PlacedBelief):
-            return gain(belief.log_joint, belief.touches_used)
-        placed = self._follow(history)
-        if belief is None:
-            return gain(placed.log_joint, placed.touches_used)
-        turns = placed.log_joint - placed.log_posterior[:, None]
-        shares = np.exp(belief.log_posterior)
-        objects = np.log(np.maximum(shares, np.finfo(float).tiny))
-        return gain(turns + objects[:, None], belief.touches_used)
-
-    def _follow(self, history: History) -> PlacedBelief:
-        """Return the placed belief after `history`; what was encoded stays so."""
-        touched = [record for record in history if record.touched]
-        n_seen = len(self._seen)
-        if n_seen > len(touched) or any(map(is_not, self._seen, touched)):
-            self._seen, self._placed, n_seen = [], self._map.start(), 0
-        if len(touched) > n_seen:
-            self._placed.update(as_touches(touched[n_seen:]))
-            self._seen = touched
-        return self._placed
-
-
-class SurfaceGain:
-    """Expected gains by a `SurfaceMap`: objects, faces, turns and places."""
-
-    def __init__(
-        self, surface_map: SurfaceMap, candidates: Floats, hemisphere: Hemisphere
-    ) -> None:
-        self._map, self._hemisphere = surface_map, hemisphere
-        self._gain = PlaceGain(surface_map, candidates)
-        self._seen: list[TouchRecord] = []
-        self._placed = surface_map.start_before(hemisphere)
-
-    def expected(self, belief: Belief | None, history: History) -> Floats:
-        """Return the gain of each candidate (nats), (n_candidates,)."""
-        if not isinstance(belief, PlaceBelief):
-            belief = self._follow(history)
-        return self._gain.expected_gain(belief)
-
-    def _follow(self, history: History) -> PlaceBelief:
-        """Return the belief after `history`; what was taken in stays so."""
-        n_seen = len(self._seen)
-        if n_seen > len(history) or any(map(is_not, self._seen, history)):
-            self._placed, n_seen = self._map.start_before(self._hemisphere), 0
-        for record in history[n_seen:]:
-            self._placed.update_from_record(record)
-        self._seen = list(history)
-        return self._placed
 
 
 def most_promising(gain: Floats, fresh: Floats, cost: Floats | float = 0.0) -> int:

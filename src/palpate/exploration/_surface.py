@@ -30,7 +30,7 @@ from scipy.special import logsumexp
 from .._types import Floats, Indices
 from ..simulation import DomeCamera, PlacedObject, SensorPose, SimObject
 from ..touches import Touches
-from ._touch_map import places_of
+from ._record import places_of
 
 N_AROUND = 72
 _STEP = 2 * np.pi / N_AROUND

@@ -42,6 +42,7 @@ from ..recognition import (
     with_floor,
 )
 from ..touches import Touches
+from ._record import places_of
 
 Weights = tuple[float, float, float]
 Episodes = list[Indices]
@@ -54,8 +55,6 @@ EPISODES_PER_OBJECT = 30
 _FIRST_WEIGHTS = (1.0, 1.0, 0.2)
 _ELSEWHERE = 1e-3
 _TINY = 1e-6
-# Directions may have been written with a few digits.
-_LENGTH_TOLERANCE = 0.01
 
 
 class TouchMap:
@@ -307,7 +306,35 @@ class TouchMap:
         return np.asarray(np.exp((squared - least) / (-2 * self.bandwidth_**2)))
 
 
-class PlacedBelief(Belief):
+class BeliefOfPlaces(Belief):
+    """What beliefs share that also know from where touches were made."""
+
+    def __init__(
+        self, recogniser: ObjectRecogniser, log_prior: Floats | None, strangers: float
+    ) -> None:
+        model, evidence_of = recogniser.belief_model(), recogniser.evidence
+        super().__init__(model, evidence_of, log_prior, strangers)
+
+    def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
+        """Return False: touches at other places may always tell."""
+        return False
+
+    @property
+    def best_without_places(self) -> str:
+        """The object that is most probable by the pictures alone."""
+        return str(self._model.classes[self._touch_log_posterior.argmax()])
+
+    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
+        placed = self._joined()
+        by_place = placed - log_posterior
+        super()._track_strangers(placed, log_softmax(by_encoding + by_place, axis=-1))
+
+    def _joined(self) -> Floats:
+        """Believe pictures and places together; return log p of objects."""
+        raise NotImplementedError
+
+
+class PlacedBelief(BeliefOfPlaces):
     """A posterior over objects that also knows from where each touch was made.
 
     Made by `TouchMap.start`, and used as a `Belief` is. How the object is turned is
@@ -323,10 +350,7 @@ class PlacedBelief(Belief):
     def __init__(
         self, touch_map: TouchMap, log_prior: Floats | None, strangers: float
     ) -> None:
-        recogniser = touch_map.recogniser
-        super().__init__(
-            recogniser.belief_model(), recogniser.evidence, log_prior, strangers
-        )
+        super().__init__(touch_map.recogniser, log_prior, strangers)
         self._map = touch_map
         self._placed = np.zeros((touch_map.n_objects, touch_map.n_turns))
         self._weigh()
@@ -367,71 +391,29 @@ class PlacedBelief(Belief):
         """Log probability of each object, were it one of them (nats), (n_objects,)."""
         return np.asarray(logsumexp(self.log_joint, axis=1))
 
-    def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
-        """Return False: touches at other places may always tell."""
-        return False
-
-    @property
-    def best_without_places(self) -> str:
-        """The object that is most probable by the touches alone."""
-        return str(self._model.classes[self._touch_log_posterior.argmax()])
-
-    def _track_strangers(self, log_posterior: Floats, by_encoding: Floats) -> None:
+    def _joined(self) -> Floats:
         prior = log_softmax(self._prior_and_senses()) - np.log(self._map.n_turns)
         weight = self._map.sequence_calibration.weight(self._n_informative)
         joint = self._placed * weight + prior[:, np.newaxis]
         self.log_joint: Floats = joint - logsumexp(joint)
-        placed = self.log_posterior
-        by_place = placed - log_posterior
-        super()._track_strangers(placed, log_softmax(by_encoding + by_place, axis=-1))
-
-
-def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:
-    """Return the places of touches, (n_touches, n_dimensions), or explain."""
-    if not isinstance(touches, Touches):
-        raise TypeError(
-            f"touches must be Touches, got {type(touches).__name__}. Write "
-            "Touches(images, direction=...)."
-        )
-    if places is None:
-        directions = touches.columns.get("direction")
-        if directions is None:
-            raise ValueError(
-                "touches must have a column 'direction' (unit vectors of approach), "
-                f"got {', '.join(touches.columns) or 'none'}. Add it, or give places."
-            )
-        places = -np.asarray(directions, dtype=np.float64)
-        length = np.sqrt((places**2).sum(axis=-1))
-        wrong = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
-        if len(wrong):
-            raise ValueError(
-                "direction must be unit vectors of approach, got "
-                f"{(-places[wrong[0]]).tolist()} in touch {wrong[0]}. Divide it by its "
-                "length; leave out touches whose direction is not known."
-            )
-    array = np.asarray(places, dtype=np.float64)
-    if array.ndim != 2 or len(array) != len(touches) or not np.isfinite(array).all():
-        raise ValueError(
-            f"places must be finite, one row for each of {len(touches)} touches, got "
-            f"shape {array.shape}."
-        )
-    if n_turns > 1 and array.shape[1] != 3:
-        raise ValueError(
-            f"places must be x, y, z to be turned, got {array.shape[1]} numbers each. "
-            "Use TouchMap(n_turns=1) for places that do not turn."
-        )
-    return array
+        return self.log_posterior
 
 
 def turned_back(places: Floats, n_turns: int) -> Floats:
     """Return stations of places on an object turned about z, (n_places, n_turns, p)."""
     if n_turns == 1:
         return places[:, None]
-    angle = np.arange(n_turns) * (2 * np.pi / n_turns)
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y, z = places.T[:, :, None]
-    height = np.repeat(z, n_turns, axis=1)
-    return np.stack([cos * x + sin * y, cos * y - sin * x, height], axis=-1)
+    poses = np.zeros((n_turns, 4))
+    poses[:, 0] = np.arange(n_turns) * (2 * np.pi / n_turns)
+    return in_frames(places[:, None], poses)
+
+
+def in_frames(points_mm: Floats, poses: Floats) -> Floats:
+    """Return points (..., 3) of the hemisphere in the frames of poses (..., 4)."""
+    from_it = points_mm - poses[..., 1:]
+    cos, sin = np.cos(poses[..., 0]), np.sin(poses[..., 0])
+    x, y, z = np.moveaxis(from_it, -1, 0)
+    return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
 
 
 def squared_distances(left: Floats, right: Floats) -> Floats:

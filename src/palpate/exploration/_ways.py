@@ -17,17 +17,14 @@ step takes anyway.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..sensors import TouchSensor
 from ..simulation import SensorPose
-from ._guarded import Clock, Guard, approach_once
+from ._guarded import Guard, Toucher
 from ._record import TouchRecord, tip_mm
 from ._robot import Robot, RobotError
 from ._strategies import Hemisphere
@@ -51,32 +48,6 @@ class WayError(RobotError):
     ) -> None:
         super().__init__(message)
         self.outcome, self.retracted, self.force_n = outcome, retracted, force_n
-
-
-@dataclass
-class Toucher:
-    """What touches: arm, sensor, guard and clock, and the lag of the force if known."""
-
-    robot: Robot
-    sensor: TouchSensor
-    guard: Guard
-    clock: Clock = time.monotonic
-    lag: int | None = None
-
-    @property
-    def wait_readings(self) -> int:
-        """Readings to wait for after each step."""
-        return self.guard.lag_readings if self.lag is None else self.lag
-
-    def touch(self, start: SensorPose) -> TouchRecord:
-        """Touch once from a pose that is clear of everything; see `guarded_touch`."""
-        record, lag = approach_once(
-            self.robot, self.sensor, start, self.guard, self.clock, self.wait_readings
-        )
-        if self.lag is None and lag is not None:
-            # With room for a filter, which only comes near to the force in its time.
-            self.lag = 2 * lag if lag >= self.guard.n_readings else 0
-        return record
 
 
 def touch_from_hemisphere(

@@ -32,7 +32,7 @@ from .._checks import check_count, check_number, check_option
 from .._extras import missing
 from .._numbers import log_softmax
 from .._types import Array, Floats
-from ..simulation import HOUSEHOLD, DomeCamera, find_object, refuse_same_names
+from ..simulation import HOUSEHOLD, DomeCamera, find_objects
 from ._guarded import Guard
 from ._record import TouchRecord
 from ._simulated_objects import Stand, put_down
@@ -123,11 +123,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         guard: Guard | None = None,
         render_mode: str | None = None,
     ) -> None:
-        names = [thing.name for thing in HOUSEHOLD] if objects is None else objects
-        self._things = [find_object(name) for name in names]
-        if not self._things:
-            raise ValueError("objects must name at least one object, got none.")
-        refuse_same_names(self._things)
+        self._things = find_objects(HOUSEHOLD if objects is None else objects)
         self.object_names = [thing.name for thing in self._things]
         self.camera = DomeCamera((64, 64), n_nodes=24) if camera is None else camera
         self.max_touches = check_count("max_touches", max_touches)
@@ -270,47 +266,30 @@ def _numbers(action: Any, name: str, count: int) -> Floats:
     return values
 
 
-class FlatActions(gymnasium.ActionWrapper[Any, Any, Any]):
-    """Take actions as one vector in -1 to 1: direction, then logits over `MOST_LOGIT`.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        Made of a `TouchEnv`.
-    """
-
-    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        super().__init__(env)
-        inner = cast(spaces.Dict, env.action_space)
-        n_numbers = sum(int(np.prod(part.shape or ())) for part in inner.values())
-        self.action_space = spaces.Box(-1, 1, (n_numbers,), np.float32)
-
-    def action(self, action: Any) -> dict[str, Array]:
-        """Return the action of `TouchEnv` that a vector stands for."""
-        values = np.asarray(action, dtype=np.float32)
-        if values.shape != self.action_space.shape:
-            raise ValueError(
-                f"An action must be a vector of {self.action_space.shape}, got "
-                f"{values.shape}."
-            )
-        return {"action": values[:3], "prediction": values[3:] * MOST_LOGIT}
-
-
 def flat_touch_env(**options: Any) -> gymnasium.Env[Any, Any]:
     """Return a `TouchEnv` of vectors alone, for agents that take no dictionaries.
 
     An observation is image, place, touched and touches_left one after another, the
-    image over 255; an action is as `FlatActions` takes it. `options` are those of
-    `TouchEnv`.
+    image over 255; an action is direction, then logits over `MOST_LOGIT`, in -1 to 1.
+    `options` are those of `TouchEnv`.
     """
-    env = FlatActions(TouchEnv(**options))
-    inner = cast(spaces.Dict, env.observation_space)
-    levels = cast(spaces.Box, inner["image"])
-    image = spaces.Box(0, 1, levels.shape, np.float32)
+    env = TouchEnv(**options)
+    vector = spaces.Box(-1, 1, (3 + len(env.object_names),), np.float32)
+
+    def parts(action: Any) -> dict[str, Array]:
+        values = np.asarray(action, dtype=np.float32)
+        if values.shape != vector.shape:
+            raise ValueError(
+                f"An action must be a vector of {vector.shape}, got {values.shape}."
+            )
+        return {"action": values[:3], "prediction": values[3:] * MOST_LOGIT}
+
+    inner = cast(spaces.Dict, env.observation_space).spaces
+    image = spaces.Box(0, 1, inner["image"].shape, np.float32)
     scaled = gymnasium.wrappers.TransformObservation(
-        env,
+        gymnasium.wrappers.TransformAction(env, parts, vector),
         lambda whole: {**whole, "image": (whole["image"] / 255).astype(np.float32)},
-        spaces.Dict({**inner.spaces, "image": image}),
+        spaces.Dict({**inner, "image": image}),
     )
     return gymnasium.wrappers.FlattenObservation(scaled)
 

@@ -5,14 +5,14 @@ it here. World: millimetres, z up; forces in newtons along the axis of the dome.
 """
 
 from collections.abc import Container
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import simulation
 from .._checks import check_number
 from .._types import Array, Floats
-from ..simulation import DomeCamera, PlacedObject, SensorPose
+from ..simulation import DomeCamera, DomePress, PlacedObject, SensorPose
 from ._contract import SensorError
 
 _SAME_LINE_MM = 1e-6  # rounding of a pose on the same line
@@ -240,18 +240,16 @@ class _Line:
     ) -> None:
         self.base = base
         self._membrane = camera.membrane
-        gap = simulation.gap_map(target, base, camera.membrane)
+        gap = camera.gap_mm(target, base)
         self.first_mm = float(gap.min())
         self._way_mm = gap - self.first_mm if np.isfinite(self.first_mm) else gap
-        sleeve = simulation.sleeve_gap(
-            target, base, camera.membrane_radius_mm, camera.sleeve_mm
-        )
+        sleeve = camera.sleeve_gap_mm(target, base)
         self.hard_mm = min(sleeve, self.first_mm + camera.max_depth_mm)
         # Force against depth, in logarithms, solved as deep as was asked.
         self._log_depth: list[float] = []
         self._log_force: list[float] = []
         self._to_solve = [float(force) for force in _FORCES_N[::-1]]
-        self._pressed: tuple[float, simulation.DomePress] | None = None
+        self._pressed: tuple[float, DomePress] | None = None
 
     def holds(self, pose: SensorPose) -> bool:
         same_roll = pose.roll_rad == self.base.roll_rad
@@ -273,7 +271,7 @@ class _Line:
         log_depth = float(np.log(depth))
         while self._to_solve and not self._reaches(log_depth):
             force_n = self._to_solve.pop()
-            solved = self._contact(force_n).depth_mm
+            solved = self._solved(force_n).depth_mm
             if solved > 0 and not self._reaches(np.log(solved)):
                 self._log_depth.append(float(np.log(solved)))
                 self._log_force.append(float(np.log(force_n)))
@@ -284,45 +282,31 @@ class _Line:
 
     def pressed(
         self, force_n: float, housing_n_mm: float
-    ) -> tuple[float, simulation.DomePress | None]:
+    ) -> tuple[float, DomePress | None]:
         """Return the way to a force, rigid body included, and the press there."""
         most_mm = max(self.hard_mm - self.first_mm, 0.0)
         if not np.isfinite(self.first_mm):
             return np.inf, None
-        contact = simulation.solve_contact(
-            self._membrane,
-            self._way_mm,
-            force_n=max(force_n, _TINY_N),
-            depth_mm=most_mm,
-        )
-        way_mm = self.first_mm + contact.depth_mm
-        left_n = force_n - contact.force_n
-        if contact.depth_mm >= most_mm and left_n > 0:
+        solved = self._solved(max(force_n, _TINY_N), most_mm)
+        way_mm = self.first_mm + solved.depth_mm
+        left_n = force_n - solved.force_n
+        if solved.depth_mm >= most_mm and left_n > 0:
             way_mm += left_n / housing_n_mm if housing_n_mm else np.inf
-        return way_mm, self._described(way_mm, force_n, contact)
+        return way_mm, self._at(way_mm, force_n, solved)
 
-    def keep(self, press: simulation.DomePress | None) -> None:
+    def keep(self, press: DomePress | None) -> None:
         """Keep the press that was solved, for its picture."""
         if press is not None:
             self._pressed = press.travel_mm, press
 
-    def _described(
-        self, travel_mm: float, force_n: float, contact: simulation.Contact
-    ) -> simulation.DomePress:
-        return simulation.DomePress(
-            stopped_by="force",
-            travel_mm=travel_mm,
-            depth_mm=travel_mm - self.first_mm,
-            force_n=force_n,
-            area_mm2=contact.area_mm2,
-            contact=contact,
-            gap_mm=self._way_mm,
-        )
+    def _at(self, travel_mm: float, force_n: float, press: DomePress) -> DomePress:
+        depth_mm = travel_mm - self.first_mm
+        return replace(press, travel_mm=travel_mm, depth_mm=depth_mm, force_n=force_n)
 
     def _reaches(self, log_depth: float) -> bool:
         return bool(self._log_depth) and self._log_depth[-1] >= log_depth
 
-    def press(self, pose: SensorPose) -> simulation.DomePress | None:
+    def press(self, pose: SensorPose) -> DomePress | None:
         """The state of the dome at a pose, or None where it touches nothing."""
         travel = self.travel_mm(pose)
         if self._pressed is not None and abs(self._pressed[0] - travel) < _SAME_LINE_MM:
@@ -330,9 +314,14 @@ class _Line:
         force = self.force_n(travel)
         if force == 0:
             return None
-        press = self._described(travel, force, self._contact(force))
+        press = self._at(travel, force, self._solved(force))
         self._pressed = travel, press
         return press
 
-    def _contact(self, force_n: float) -> simulation.Contact:
-        return simulation.solve_contact(self._membrane, self._way_mm, force_n=force_n)
+    def _solved(self, force_n: float, most_mm: float | None = None) -> DomePress:
+        """Press until a force, or a greatest depth, which the rubber alone bears."""
+        gap_mm = self._way_mm
+        contact = self._membrane.pressed(gap_mm, force_n=force_n, depth_mm=most_mm)
+        depth, total, area = contact.depth_mm, contact.force_n, contact.area_mm2
+        travel_mm = self.first_mm + depth
+        return DomePress("force", travel_mm, depth, total, area, contact, gap_mm)

@@ -23,12 +23,11 @@ from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
 from .._numbers import evenly_spaced
 from .._types import Array
 from ..simulation import (
-    HOUSEHOLD,
-    PARTS,
-    UNLIKE_OTHERS,
+    OBJECT_SETS,
     DomeCamera,
     GelCamera,
     PressureArray,
+    find_parts,
 )
 from ..touches import MAX_PIXELS, Touches, TouchesError, no_contact_picture
 from ._contract import PLACE_COLUMNS, LiveSensor, Reading, SensorError, as_kind
@@ -42,7 +41,7 @@ _NAMES = {"dome": "dome camera", "gel": "gel camera", "array": "pressure array"}
 # third of all, since a thing may be touched in one place a few times.
 _ALIKE, _OF_PAIRS, _LEAST_QUIET, _COMPARED, _COMPARED_SIDE = 0.1, 90, 3, 300, 24
 # Of each kind of simulated sensor: noise (grey levels), what lies there at first.
-_KINDS = {"dome": (1.0, "mug"), "gel": (1.5, "ball"), "array": (0.5, PARTS[0].name)}
+_KINDS = {"dome": (1.0, "mug"), "gel": (1.5, "ball"), "array": (0.5, "bar10")}
 
 
 class PlayedSensor(LiveSensor):
@@ -342,10 +341,9 @@ class SimulatedStream(PlayedSensor):
         ramp: int = 3,
         random_state: int = 0,
     ) -> None:
-        solids = [
-            thing.name for thing in (*HOUSEHOLD, *simulation.UNSEEN, *UNLIKE_OTHERS)
-        ]
-        parts = [part.name for part in PARTS]
+        sets = ("household", "unseen", "unlike others")
+        solids = [thing.name for kind in sets for thing in OBJECT_SETS[kind]]
+        parts = [part.name for part in find_parts()]
         check_option("sim:OBJECT", name, [*_KINDS, *solids, *parts])
         kind = name if name in _KINDS else "dome" if name in solids else "array"
         noise_sd, first = _KINDS[kind]

@@ -12,25 +12,17 @@ from ._array import PressureArray
 from ._dome import DomeCamera
 from ._dome import DomePress as DomePress
 from ._gel_and_pins import GelCamera, TacTipPins
-from ._membrane import Contact as Contact
 from ._membrane import Membrane
-from ._membrane import solve_contact as solve_contact
 from ._mesh import MESH_SUFFIXES as MESH_SUFFIXES
 from ._mesh import load_mesh
-from ._objects import BASIC_SHAPES as BASIC_SHAPES
 from ._objects import HOUSEHOLD as HOUSEHOLD
-from ._objects import UNLIKE_OTHERS as UNLIKE_OTHERS
-from ._objects import UNSEEN as UNSEEN
+from ._objects import OBJECT_SETS as OBJECT_SETS
 from ._objects import find_object
-from ._objects import refuse_same_names as refuse_same_names
+from ._objects import find_objects as find_objects
 from ._optics import Lighting
-from ._optics import shade as shade
-from ._parts import PARTS as PARTS
 from ._parts import Part
 from ._parts import find_parts as find_parts
 from ._placed import PlacedObject, SensorPose, SimObject
-from ._placed import gap_map as gap_map
-from ._placed import sleeve_gap as sleeve_gap
 from ._simulate import Scene, simulate_presses, simulate_touches
 
 __all__ = [

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from .._checks import check_count, check_number, check_positive
 from .._parallel import opencv_on_one_thread
 from .._types import Floats
-from ._membrane import Contact, Membrane, solve_contact
-from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View
-from ._placed import PlacedObject, SensorPose, SimObject, gap_map, sleeve_gap
+from ._membrane import Contact, Membrane
+from ._optics import SURROUND_GREY, Optics, Plane
+from ._placed import PlacedObject, SensorPose, SimObject, distances_ahead
 
 Frame = NDArray[np.uint8]
 _LEAST_SIDE = 8
+_SLEEVE_RAYS = 64
 # One such picture takes a second and half a gigabyte.
 _MOST_PIXELS = 8_000_000
 
@@ -96,11 +97,11 @@ class DomeSensor(ABC):
         """
         dome = self.dome
         placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
-        gap = gap_map(placed, pose, dome.membrane)
+        gap = self.gap_mm(placed, pose)
         first, reason = float(gap.min()), "depth"
         if not first <= reach_mm or np.isinf(first):
             gap[:] = np.inf
-            nothing = solve_contact(dome.membrane, gap, depth_mm=0.0)
+            nothing = dome.membrane.pressed(gap, depth_mm=0.0)
             return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, gap)
         if first < 0:
             raise ValueError(
@@ -113,18 +114,40 @@ class DomeSensor(ABC):
             if force_n is not None:
                 raise ValueError("Give at most one of force_n and depth_mm.")
             most = check_number("depth_mm", depth_mm, low=0.0, high=most)
-        sleeve = sleeve_gap(placed, pose, dome.membrane_radius_mm, dome.sleeve_mm)
+        sleeve = self.sleeve_gap_mm(placed, pose)
         if sleeve - first < most:
             most, reason = max(sleeve - first, 0.0), "sleeve"
         gap -= first
         stop_n = force if depth_mm is None else None
-        contact = solve_contact(dome.membrane, gap, force_n=stop_n, depth_mm=most)
+        contact = dome.membrane.pressed(gap, force_n=stop_n, depth_mm=most)
         depth, total, area = contact.depth_mm, contact.force_n, contact.area_mm2
         if depth < most:
             reason = "force"
         elif reason == "sleeve":
             total = force
         return DomePress(reason, first + depth, depth, total, area, contact, gap)
+
+    def gap_mm(self, placed: PlacedObject, pose: SensorPose) -> Floats:
+        """Return how far (mm) it moves until each node touches, (n_nodes, n_nodes).
+
+        Infinity where nothing is ahead, negative in the dome. One ray per node, from
+        the level of the rim, to the first surface: subtract the least to press.
+        """
+        x, y, drop = self.membrane.used_mm
+        back = self.membrane.radius_mm
+        gap = np.full(self.membrane.drop_mm.shape, np.inf)
+        ahead = distances_ahead(placed, pose, x, y, back)
+        gap[np.isfinite(self.membrane.drop_mm)] = ahead + drop - back
+        return gap
+
+    def sleeve_gap_mm(self, placed: PlacedObject, pose: SensorPose) -> float:
+        """Return how far (mm) until the sleeve around the rim touches, or infinity."""
+        rim_mm = self.dome.membrane_radius_mm
+        # Three circles within the ring.
+        radius = rim_mm + self.dome.sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
+        angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
+        x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+        return float(distances_ahead(placed, pose, x, y, rim_mm).min())
 
     def no_contact(self) -> Frame:
         """Return the picture of the dome touching nothing, without noise."""
@@ -282,7 +305,7 @@ class DomeCamera(DomeSensor):
         depths = np.asarray(depths_mm, dtype=np.float64)
         if not press.touched:
             return np.zeros(depths.shape)
-        at = partial(solve_contact, self.membrane, press.gap_mm)
+        at = partial(self.membrane.pressed, press.gap_mm)
         forces = [at(depth_mm=depth).force_n for depth in depths.ravel()]
         return np.reshape(forces, depths.shape)
 
@@ -369,11 +392,7 @@ _NOT_NEGATIVE = (
 
 @lru_cache(maxsize=4)
 def _optics(camera: DomeCamera) -> Optics:
-    c = camera
-    place = (c.camera_distance_mm, c.camera_offset_mm, c.disc_centre, c.disc_radius)
-    answer = (c.diffuse, c.specular, c.ambient, c.shininess)
-    lighting = Lighting(c.n_leds, c.led_ring_radius_mm, *answer)
-    return Optics(View(c.image_shape, *place), c.membrane, lighting, c.max_depth_mm)
+    return Optics(camera)
 
 
 @lru_cache(maxsize=4)

@@ -32,6 +32,17 @@ _TINY = np.float32(1e-30)
 _FLOAT = np.float32
 
 
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """The dome against an object."""
+
+    depth_mm: float  # how far the sensor moved on after first touching
+    force_n: float  # in all, along the axis
+    node_force_n: Grid  # (n_nodes, n_nodes), none negative
+    displacement_mm: Grid  # how far the shell is pushed in, (n_nodes, n_nodes)
+    area_mm2: float  # of the nodes in contact, seen along the axis
+
+
 @dataclass(frozen=True)
 class Membrane:
     """A spherical rubber dome, clamped nowhere, and the grid it is solved on.
@@ -116,6 +127,50 @@ class Membrane:
         x, y = np.meshgrid(self.node_mm, self.node_mm)
         return x[inside], y[inside], self.drop_mm[inside]
 
+    def pressed(
+        self,
+        gap_mm: NDArray[Any],
+        *,
+        force_n: float | None = None,
+        depth_mm: float | None = None,
+        tolerance_mm: float = 0.01,
+        max_steps: int = 200,
+    ) -> Contact:
+        """Press it on an object until a force or a depth, whichever is first.
+
+        `gap_mm`, (n_nodes, n_nodes), is the way to go, infinity where there is none.
+        Steps end at a root-mean-square misfit of `tolerance_mm`, whose default puts w
+        within 0.06 mm under 75 gf. Conjugate gradients on the touching nodes, clipping
+        forces at zero and taking in pierced nodes: I. A. Polonsky, L. M. Keer, "A
+        numerical method for solving rough contact problems", Wear 231(2), 1999,
+        doi:10.1016/S0043-1648(99)00113-1.
+        """
+        gap = np.asarray(gap_mm, dtype=np.float32)
+        if gap.shape != (self.n_nodes, self.n_nodes):
+            raise ValueError(
+                f"gap_mm must be {self.n_nodes} x {self.n_nodes}, one a node, "
+                f"got shape {gap.shape}."
+            )
+        if np.isnan(gap).any() or (gap < 0).any():
+            raise ValueError(
+                "gap_mm must be at least 0, without NaN. Subtract the least gap first."
+            )
+        reachable = gap < _NEVER_MM
+        gap = np.where(reachable, gap, _NEVER_MM)
+        if force_n is None and depth_mm is None:
+            raise ValueError("Give force_n, depth_mm or both: the press must end.")
+        most = np.inf
+        if depth_mm is not None:
+            most = check_number("depth_mm", depth_mm, low=0.0)
+        force = None if force_n is None else check_positive("force_n", force_n)
+        if not reachable.any() or most == 0:
+            nothing = np.zeros(gap.shape, np.float32)
+            return Contact(0.0, 0.0, nothing, nothing, 0.0)
+        problem = _Problem(self, gap, reachable, tolerance_mm, max_steps)
+        if force is None:
+            return problem.at_depth(most, problem.springs(most))
+        return problem.at_first(force, most)
+
     def displaced(self, node_force_n: Grid, *, whole: bool = False) -> Grid:
         """Return w (mm) of the shell under forces at the nodes (N).
 
@@ -163,60 +218,6 @@ class Membrane:
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
-    """The dome against an object."""
-
-    depth_mm: float  # how far the sensor moved on after first touching
-    force_n: float  # in all, along the axis
-    node_force_n: Grid  # (n_nodes, n_nodes), none negative
-    displacement_mm: Grid  # how far the shell is pushed in, (n_nodes, n_nodes)
-    area_mm2: float  # of the nodes in contact, seen along the axis
-
-
-def solve_contact(
-    membrane: Membrane,
-    gap_mm: NDArray[Any],
-    *,
-    force_n: float | None = None,
-    depth_mm: float | None = None,
-    tolerance_mm: float = 0.01,
-    max_steps: int = 200,
-) -> Contact:
-    """Press the membrane on an object until a force or a depth, whichever is first.
-
-    `gap_mm`, (n_nodes, n_nodes), is the way to go, infinity where there is none. Steps
-    end at a root-mean-square misfit of `tolerance_mm`, whose default puts w within 0.06
-    mm under 75 gf. Conjugate gradients on the touching nodes, clipping forces at zero
-    and taking in pierced nodes: I. A. Polonsky, L. M. Keer, "A numerical method for
-    solving rough contact problems", Wear 231(2), 1999,
-    doi:10.1016/S0043-1648(99)00113-1.
-    """
-    gap = np.asarray(gap_mm, dtype=np.float32)
-    if gap.shape != (membrane.n_nodes, membrane.n_nodes):
-        raise ValueError(
-            f"gap_mm must be {membrane.n_nodes} x {membrane.n_nodes}, one a node, "
-            f"got shape {gap.shape}."
-        )
-    if np.isnan(gap).any() or (gap < 0).any():
-        raise ValueError(
-            "gap_mm must be at least 0, without NaN. Subtract the least gap first."
-        )
-    reachable = gap < _NEVER_MM
-    gap = np.where(reachable, gap, _NEVER_MM)
-    if force_n is None and depth_mm is None:
-        raise ValueError("Give force_n, depth_mm or both: the press must end.")
-    most = np.inf if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
-    force = None if force_n is None else check_positive("force_n", force_n)
-    if not reachable.any() or most == 0:
-        nothing = np.zeros(gap.shape, np.float32)
-        return Contact(0.0, 0.0, nothing, nothing, 0.0)
-    problem = _Problem(membrane, gap, reachable, tolerance_mm, max_steps)
-    if force is None:
-        return problem.at_depth(most, problem.springs(most))
-    return problem.at_first(force, most)
-
-
-@dataclass(frozen=True, eq=False)
 class _Problem:
     membrane: Membrane
     gap: Grid
@@ -259,7 +260,7 @@ class _Problem:
     def _relaxed(
         self, start: Grid, total: float | None, depth_mm: float | None
     ) -> Grid:
-        """Node forces at which dome and object agree; Notes of `solve_contact`."""
+        """Node forces at which dome and object agree; see `Membrane.pressed`."""
         membrane, tolerance = self.membrane, self.tolerance
         force = start if total is None else start * np.float32(total / start.sum())
         indented = membrane._indented(force)

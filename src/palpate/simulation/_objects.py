@@ -1,8 +1,8 @@
 """Objects to touch, built in code, and the sets of them that the papers used.
 
-`HOUSEHOLD` are the ten objects of Corradi 2015 (doi:10.1109/ICRA.2015.7139744),
-`UNSEEN` its five variants never touched in training, `BASIC_SHAPES` the seven
-shapes of Corradi 2014 (TAROS, Birmingham); `UNLIKE_OTHERS` resembles none of them.
+`HOUSEHOLD` are the ten objects of Corradi 2015 (doi:10.1109/ICRA.2015.7139744). In
+`OBJECT_SETS` are, too, its five variants never touched in training ("unseen"), the
+seven shapes of Corradi 2014 ("shapes"; TAROS, Birmingham), and what resembles none.
 Corradi 2015 shows photographs without sizes: these are ordinary objects of each kind,
 every size a guess within what shops sell. Sizes are in millimetres, z points up.
 Household objects stand on z = 0 about the origin, the way they usually stand or lie;
@@ -15,7 +15,7 @@ would be counted twice.
 
 from collections.abc import Iterable
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,27 +33,40 @@ def find_object(name: str) -> SimObject:
     ValueError
         There is none; the message lists the names.
     """
-    things = HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
-    for thing in things:
-        if thing.name == name:
-            return thing
-    names = [thing.name for thing in things]
+    things = {thing.name: thing for thing in chain(*OBJECT_SETS.values())}
+    if name in things:
+        return things[name]
     raise ValueError(
-        f"name must be one of {', '.join(names)}, got {name!r}."
-        f"{did_you_mean(name, names)} For a mesh file use load_mesh(path)."
+        f"name must be one of {', '.join(things)}, got {name!r}."
+        f"{did_you_mean(name, [*things])} For a mesh file use load_mesh(path)."
     )
 
 
-def refuse_same_names(things: Iterable[SimObject]) -> None:
-    """Refuse objects of one name: their touches would be taken for those of one."""
-    seen: set[str] = set()
-    for thing in things:
-        if thing.name in seen:
+def find_objects(
+    objects: Iterable[SimObject | str] | SimObject | str,
+) -> list[SimObject]:
+    """Return objects, which are objects or names of built-in ones, singly or listed.
+
+    None of one name: their touches would be taken for those of one.
+    """
+    requested = [objects] if isinstance(objects, SimObject | str) else list(objects)
+    if not requested:
+        raise ValueError("objects must name at least one object, got none.")
+    things: dict[str, SimObject] = {}
+    for item in requested:
+        if not isinstance(item, SimObject | str):
+            raise TypeError(
+                f"objects must be SimObject or names, got {type(item).__name__}. "
+                "Read a mesh file with load_mesh(path)."
+            )
+        thing = find_object(item) if isinstance(item, str) else item
+        if thing.name in things:
             raise ValueError(
                 f"objects must have names of their own, got {thing.name!r} twice. "
                 "Leave one out, or give a mesh another name: load_mesh(path, name=...)."
             )
-        seen.add(thing.name)
+        things[thing.name] = thing
+    return list(things.values())
 
 
 def stapler() -> Mesh:
@@ -399,22 +412,24 @@ HOUSEHOLD = (
     SimObject("water bottle", "bottle", water_bottle),
 )
 
-UNLIKE_OTHERS = (SimObject("massage ball", "massage ball", massage_ball),)
-
-UNSEEN = (
-    SimObject("plastic card", "card", plastic_card, (_UPSIDE,)),
-    SimObject("other mug", "mug", other_mug, (_UPSIDE,)),
-    SimObject("other pen", "pen", other_pen),
-    SimObject("smaller ball", "ball", smaller_ball),
-    SimObject("soft textbook", "book", soft_textbook),
-)
-
-BASIC_SHAPES = (
-    SimObject("corner", "corner", _corner),
-    SimObject("cylinder", "cylinder", _cylinder),
-    SimObject("edge", "edge", _edge),
-    SimObject("flat-to-edge", "flat-to-edge", partial(_block, (60, 80, 30), 30)),
-    SimObject("flat", "flat", partial(_block, (80, 80, 30), 0)),
-    SimObject("nothing", "nothing", joined),
-    SimObject("point", "point", _point),
-)
+# What the papers used, and what resembles none of it, by what the sets are called.
+OBJECT_SETS = {
+    "household": HOUSEHOLD,
+    "unseen": (
+        SimObject("plastic card", "card", plastic_card, (_UPSIDE,)),
+        SimObject("other mug", "mug", other_mug, (_UPSIDE,)),
+        SimObject("other pen", "pen", other_pen),
+        SimObject("smaller ball", "ball", smaller_ball),
+        SimObject("soft textbook", "book", soft_textbook),
+    ),
+    "unlike others": (SimObject("massage ball", "massage ball", massage_ball),),
+    "shapes": (
+        SimObject("corner", "corner", _corner),
+        SimObject("cylinder", "cylinder", _cylinder),
+        SimObject("edge", "edge", _edge),
+        SimObject("flat-to-edge", "flat-to-edge", partial(_block, (60, 80, 30), 30)),
+        SimObject("flat", "flat", partial(_block, (80, 80, 30), 0)),
+        SimObject("nothing", "nothing", joined),
+        SimObject("point", "point", _point),
+    ),
+}

@@ -10,14 +10,19 @@ side of a deep dent hides the far side. Shading is computed on at most 128 rows 
 enlarged: it is smooth, and the rim, which is not, is drawn at full size.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .._types import Array, Bools, Singles
 from ._membrane import Membrane
+
+if TYPE_CHECKING:
+    from ._dome import DomeCamera
 
 Plane = Array  # float32 throughout: half the time of float64
 SURROUND_GREY = 255.0
@@ -51,52 +56,79 @@ class Lighting:
         x, y = self.ring_radius_mm * np.cos(angle), self.ring_radius_mm * np.sin(angle)
         return np.column_stack([x, y, 0 * x]).astype(np.float32)
 
+    def shade(
+        self, point_mm: Sequence[Plane], slope: Sequence[Plane], distance_mm: float
+    ) -> Plane:
+        """Return the light that points (x, y, z), of slope (dz/dx, dz/dy), send back.
 
-@dataclass(frozen=True)
-class View:
-    """Where a camera stands behind a dome, and what its picture covers."""
+        Lambert plus a Blinn-Phong highlight (J. F. Blinn, SIGGRAPH 1977,
+        doi:10.1145/563858.563893), inverse squares, the lens's cosine to the fourth; no
+        shadows. At `distance_mm` an LED gives 1.
+        """
+        import cv2
 
-    image_shape: tuple[int, int]
-    distance_mm: float  # from the lens to the tip of the undented dome
-    offset_mm: tuple[float, float]  # of the lens from the dome's axis
-    disc_centre: tuple[float, float]  # row, column of the rim's middle, in heights
-    disc_radius: float
+        x, y, z = point_mm
+        away = x * x + y * y + z * z
+        to_camera = 1 / np.sqrt(away)
+        scale = 1 / np.sqrt(slope[0] ** 2 + slope[1] ** 2 + 1)
+        # The inner side faces the camera: the normal is (dz/dx, dz/dy, -1) scaled.
+        nx, ny = slope[0] * scale, slope[1] * scale
+        outward = nx * x + ny * y - scale * z
+        view = -outward * to_camera
+        twice, diffuse, glossy = 2 * away, np.zeros_like(z), np.zeros_like(z)
+        for led_x, led_y, _ in self.led_mm:  # level with the lens
+            along = (2 * led_x) * x + (2 * led_y) * y
+            square = 1 / (away + (led_x**2 + led_y**2) - along)
+            near = np.sqrt(square)
+            facing = (led_x * nx + led_y * ny - outward) * near
+            half = np.maximum(facing + view, 0)
+            # Its length: twice the half vector's, whose square is 2 + 2 cos(angle).
+            half *= half / (2 + (twice - along) * near * to_camera)
+            gloss = np.asarray(cv2.pow(half, 0.5 * self.shininess)).reshape(z.shape)
+            diffuse += np.maximum(facing, 0) * square
+            glossy += gloss * square
+        light = self.diffuse * diffuse + self.specular * glossy
+        light = light * (distance_mm**2 / self.n_leds) + self.ambient
+        cosine = z * to_camera
+        return np.asarray(light * (cosine * cosine) ** 2)
 
 
 class Optics:
-    """Tables of one view of one membrane; `light` makes pictures of dents with them.
+    """Tables of one camera; `light` makes pictures of dents with them.
 
     `inside` is the share of each pixel within the rim, `grid_shape` the size of the
-    grid on which shading is computed, `deepest_mm` the deepest dent to expect.
+    grid on which shading is computed.
     """
 
-    def __init__(
-        self, view: View, membrane: Membrane, lighting: Lighting, deepest_mm: float
-    ) -> None:
-        self._view, self._membrane, self._lighting = view, membrane, lighting
-        n_rows, n_cols = view.image_shape
-        row = (np.arange(n_rows) + 0.5) / n_rows - view.disc_centre[0]
-        col = (np.arange(n_cols) + 0.5) / n_rows - view.disc_centre[1]
+    def __init__(self, camera: DomeCamera) -> None:
+        membrane, deepest_mm = camera.membrane, camera.max_depth_mm
+        self._camera, self._membrane = camera, membrane
+        answer = camera.diffuse, camera.specular, camera.ambient, camera.shininess
+        self._lighting = Lighting(camera.n_leds, camera.led_ring_radius_mm, *answer)
+        n_rows, n_cols = camera.image_shape
+        row = (np.arange(n_rows) + 0.5) / n_rows - camera.disc_centre[0]
+        col = (np.arange(n_cols) + 0.5) / n_rows - camera.disc_centre[1]
         away = np.hypot(row[:, None], col)
-        share = (view.disc_radius - away) * n_rows + 0.5
+        share = (camera.disc_radius - away) * n_rows + 0.5
         self.inside: Plane = np.clip(share, 0, 1).astype(np.float32)
         rows = min(n_rows, _SHADED_ROWS)
         self._scale = rows / n_rows
         # Whole rows, and the columns that the disc covers.
-        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
+        covered = min(camera.disc_centre[1] + camera.disc_radius, n_cols / n_rows)
         cols = int(np.ceil(max(covered, 0) * rows)) + 1
         self.grid_shape = rows, max(2, cols)
         radius = membrane.radius_mm
-        rim = view.distance_mm - radius
+        rim = camera.camera_distance_mm - radius
         rows, cols = self.grid_shape
-        per_height = radius / (rim * view.disc_radius)
-        up = ((np.arange(rows) + 0.5) / rows - view.disc_centre[0])[:, None]
-        across = ((np.arange(cols) + 0.5) / rows - view.disc_centre[1])[None]
-        shift_x, shift_y = view.offset_mm
+        per_height = radius / (rim * camera.disc_radius)
+        up = ((np.arange(rows) + 0.5) / rows - camera.disc_centre[0])[:, None]
+        across = ((np.arange(cols) + 0.5) / rows - camera.disc_centre[1])[None]
+        shift_x, shift_y = camera.camera_offset_mm
         self._slope_x = (across * per_height - shift_x / rim).astype(np.float32)
         self._slope_y = (up * per_height - shift_y / rim).astype(np.float32)
         near = max(rim - deepest_mm / 2, rim / 2)
-        steps = np.linspace(near, view.distance_mm, _MARCH_STEPS, dtype=np.float32)
+        far = camera.camera_distance_mm
+        steps = np.linspace(near, far, _MARCH_STEPS, dtype=np.float32)
         self._depths = steps
         # Rays are followed through all steps, one after the other; some see the rim.
         self._undented, at_rim = self._met_undented()
@@ -125,18 +157,19 @@ class Optics:
         least = radius * np.float32(np.sqrt(1 - _STEEPEST**2))
         height = np.sqrt(np.maximum(radius**2 - x * x - y * y, least**2))
         slope = (-x / height - dent_x, -y / height - dent_y)
-        shift_x, shift_y = map(np.float32, self._view.offset_mm)
+        shift_x, shift_y = map(np.float32, self._camera.camera_offset_mm)
         point = (x - shift_x, y - shift_y, z)
-        shaded = shade(point, slope, self._lighting, self._view.distance_mm)
+        away_mm = self._camera.camera_distance_mm
+        shaded = self._lighting.shade(point, slope, away_mm)
         return self.enlarged(shaded)
 
     def enlarged(self, shaded: Plane) -> Plane:
         """Bring values on the shading grid to the picture's size."""
         import cv2
 
-        n_rows, n_cols = self._view.image_shape
+        n_rows, n_cols = self._camera.image_shape
         if self._scale == 1:
-            wide = np.zeros(self._view.image_shape, np.float32)
+            wide = np.zeros(self._camera.image_shape, np.float32)
             wide[:, : shaded.shape[1]] = shaded[:, :n_cols]
             return wide
         shift = 0.5 * self._scale - 0.5
@@ -149,8 +182,8 @@ class Optics:
     def _met_undented(self) -> tuple[Plane, Bools]:
         """Exact depth where rays meet the sphere, and those at its steep rim."""
         radius = self._membrane.radius_mm
-        rim = self._view.distance_mm - radius
-        shift_x, shift_y = self._view.offset_mm
+        rim = self._camera.camera_distance_mm - radius
+        shift_x, shift_y = self._camera.camera_offset_mm
         across, up = self._slope_x.astype(float), self._slope_y.astype(float)
         square = 1 + across**2 + up**2
         half = rim - across * shift_x - up * shift_y
@@ -164,13 +197,13 @@ class Optics:
     def _at(self, z: Any, slopes: Sequence[Plane] = ()) -> tuple[Plane, Plane]:
         """Where rays, by default the grid's, are at depth z, about the dome's axis."""
         slope_x, slope_y = slopes or (self._slope_x, self._slope_y)
-        shift_x, shift_y = map(np.float32, self._view.offset_mm)
+        shift_x, shift_y = map(np.float32, self._camera.camera_offset_mm)
         return slope_x * z + shift_x, slope_y * z + shift_y
 
     def _sphere(self, x: Plane, y: Plane) -> Plane:
         """Depth of the undented dome; beyond the rim, of the rim."""
         radius = np.float32(self._membrane.radius_mm)
-        rim = np.float32(self._view.distance_mm) - radius
+        rim = np.float32(self._camera.camera_distance_mm) - radius
         return np.asarray(rim + np.sqrt(np.maximum(radius**2 - x * x - y * y, 0)))
 
     def _first_met(self, displacement_mm: Plane) -> Plane:
@@ -201,46 +234,6 @@ class Optics:
         """Way from places on rays to the surface."""
         dents = _along(displacement_mm, self._cells.take(places))
         return np.asarray(self._ahead.take(places) - dents)
-
-
-def shade(
-    point_mm: Sequence[Plane],
-    slope: Sequence[Plane],
-    lighting: Lighting,
-    distance_mm: float,
-) -> Plane:
-    """Return the light that points (x, y, z), slope (dz/dx, dz/dy), send the camera.
-
-    Lambert plus a Blinn-Phong highlight (J. F. Blinn, SIGGRAPH 1977,
-    doi:10.1145/563858.563893), inverse squares, the lens's cosine to the fourth; no
-    shadows. At `distance_mm` an LED gives 1.
-    """
-    import cv2
-
-    x, y, z = point_mm
-    away = x * x + y * y + z * z
-    to_camera = 1 / np.sqrt(away)
-    scale = 1 / np.sqrt(slope[0] ** 2 + slope[1] ** 2 + 1)
-    # The inner side faces the camera: the normal is (dz/dx, dz/dy, -1) scaled.
-    nx, ny = slope[0] * scale, slope[1] * scale
-    outward = nx * x + ny * y - scale * z
-    view = -outward * to_camera
-    twice, diffuse, glossy = 2 * away, np.zeros_like(z), np.zeros_like(z)
-    for led_x, led_y, _ in lighting.led_mm:  # level with the lens
-        along = (2 * led_x) * x + (2 * led_y) * y
-        square = 1 / (away + (led_x**2 + led_y**2) - along)
-        near = np.sqrt(square)
-        facing = (led_x * nx + led_y * ny - outward) * near
-        half = np.maximum(facing + view, 0)
-        # Its length: twice the half vector's, whose square is 2 + 2 cos(angle).
-        half *= half / (2 + (twice - along) * near * to_camera)
-        gloss = np.asarray(cv2.pow(half, 0.5 * lighting.shininess)).reshape(z.shape)
-        diffuse += np.maximum(facing, 0) * square
-        glossy += gloss * square
-    light = lighting.diffuse * diffuse + lighting.specular * glossy
-    light = light * (distance_mm**2 / lighting.n_leds) + lighting.ambient
-    cosine = z * to_camera
-    return np.asarray(light * (cosine * cosine) ** 2)
 
 
 def sampled(values: Plane, x: Any, y: Any, membrane: Membrane) -> Plane:

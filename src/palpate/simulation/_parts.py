@@ -129,14 +129,18 @@ class Part:
         return [loop @ turn + (x_mm, y_mm) for loop in loops]
 
 
-def find_parts(parts: Iterable[Part | str | int] | Part | str | int) -> list[Part]:
-    """Return `parts`, which are parts, names or numbers of `PARTS`, singly or listed.
+def find_parts(
+    parts: Iterable[Part | str | int] | Part | str | int | None = None,
+) -> list[Part]:
+    """Return parts, by default the twelve, or those of such names or numbers.
 
     Raises
     ------
     ValueError
         For a name or number that is not among `PARTS`, or for none at all.
     """
+    if parts is None:
+        return [*PARTS]
     requested = [parts] if isinstance(parts, Part | str | int) else list(parts)
     if not requested:
         raise ValueError("parts must name at least one part, got none.")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,9 @@ from numpy.typing import ArrayLike
 from .._checks import check_number
 from .._extras import needed
 from .._types import Floats, Singles
-from ._membrane import Membrane
 
 Mesh = Any  # trimesh.Trimesh, whose package is an extra
 _MISSED_MM = 1e30
-_SLEEVE_RAYS = 64
 
 
 class _Rebuilt:
@@ -245,39 +243,10 @@ class SensorPose:
         return SensorPose(there, self.direction, self.roll_rad)
 
 
-def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Floats:
-    """How far (mm) a sensor moves until each node touches, (n_nodes, n_nodes).
-
-    Infinity where nothing is ahead, negative in the dome. One ray per node, from the
-    level of the rim, to the first surface: subtract the least to press.
-    """
-    x, y, drop = membrane.used_mm
-    back = membrane.radius_mm
-    gap = np.full(membrane.drop_mm.shape, np.inf)
-    gap[np.isfinite(membrane.drop_mm)] = _ahead(placed, pose, x, y, back) + drop - back
-    return gap
-
-
-def sleeve_gap(
-    placed: PlacedObject, pose: SensorPose, rim_radius_mm: float, sleeve_mm: float
-) -> float:
-    """How far (mm) until the ring, `sleeve_mm` wide, around the rim touches, or inf."""
-    x, y = _ring_mm(rim_radius_mm, sleeve_mm)
-    return float(_ahead(placed, pose, x, y, rim_radius_mm).min())
-
-
-@lru_cache(maxsize=4)
-def _ring_mm(rim_radius_mm: float, sleeve_mm: float) -> tuple[Floats, Floats]:
-    """Places x and y on three circles within the ring."""
-    angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
-    radius = rim_radius_mm + sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
-    return (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-
-
-def _ahead(
+def distances_ahead(
     placed: PlacedObject, pose: SensorPose, x: Floats, y: Floats, back_mm: float
 ) -> Singles:
-    """Distance along the sensor's axis from places x, y that lie behind its tip."""
+    """Return how far the object is along the sensor's axis from x, y behind its tip."""
     local = np.column_stack([x, y, np.full(x.shape, -back_mm)])
     origins = np.asarray(pose.position_mm) + local @ pose.axes.T
     return placed.distance_mm(origins, pose.direction)

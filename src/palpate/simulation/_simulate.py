@@ -20,8 +20,8 @@ from ..touches import Touches
 from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
 from ._gel_and_pins import GelCamera, TacTipPins
-from ._objects import HOUSEHOLD, find_object, refuse_same_names
-from ._parts import PARTS, Part, find_parts
+from ._objects import HOUSEHOLD, find_objects
+from ._parts import Part, find_parts
 from ._placed import PlacedObject, SensorPose, SimObject
 
 _PER_TASK = 25, 50  # touches, presses
@@ -136,7 +136,7 @@ def simulate_touches(
     strategy : {"hemisphere", "above"}, default="hemisphere"
         "hemisphere": from points evenly spread on a hemisphere about the middle of
         the object, facing it. "above": from above the object's own origin, as built,
-        for `BASIC_SHAPES`.
+        for the basic shapes.
     n_sessions : int, default=1
         Recordings that an object's touches are split into. In each the object is
         turned anew about the vertical and the camera drifts.
@@ -193,7 +193,7 @@ def simulate_touches(
     >>> simulate_touches(["mug", "pen"], 2, random_state=0).images.shape
     (4, 120, 120)
     """
-    things = _resolved(HOUSEHOLD if objects is None else objects)
+    things = find_objects(HOUSEHOLD if objects is None else objects)
     sensor: Any = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     if not isinstance(sensor, DomeCamera | TacTipPins | GelCamera):
         what = "a DomeCamera, TacTipPins or GelCamera"
@@ -315,7 +315,7 @@ def simulate_presses(
     >>> simulate_presses(["bar10", "disc13"], 3, random_state=0).images.shape
     (6, 10, 10)
     """
-    resolved = find_parts(PARTS if parts is None else parts)
+    resolved = find_parts(parts)
     device: Any = PressureArray() if array is None else array
     if not isinstance(device, PressureArray):
         kind = type(array).__name__
@@ -443,23 +443,6 @@ def _sessions_of(
         of_part = list(islice(seeds, len(part)))
         for start in range(0, len(of_part), _PER_TASK[0]):
             yield number, thing, session, of_part[start : start + _PER_TASK[0]]
-
-
-def _resolved(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
-    requested = [objects] if isinstance(objects, SimObject | str) else list(objects)
-    if not requested:
-        raise ValueError("objects must name at least one object, got none.")
-    for item in requested:
-        if not isinstance(item, SimObject | str):
-            raise TypeError(
-                f"objects must be SimObject or names, got {type(item).__name__}. "
-                "Read a mesh file with load_mesh(path)."
-            )
-    things = [
-        find_object(item) if isinstance(item, str) else item for item in requested
-    ]
-    refuse_same_names(things)
-    return things
 
 
 def _press_all(

@@ -18,7 +18,7 @@ from ...images import (
     repose,
     standardise_discs,
 )
-from ...simulation import BASIC_SHAPES, TacTipPins, simulate_touches
+from ...simulation import OBJECT_SETS, TacTipPins, simulate_touches
 from ...touches import Touches
 from .. import Archive, Codes, Plan, coded
 
@@ -154,7 +154,7 @@ def simulated_shapes(plan: Corradi2014Plan) -> Iterator[Shapes]:
     """Press the seven shapes with the dome and with its pins, ten recordings each."""
     for data, camera in (("simulated", None), ("simulated-pins", TacTipPins())):
         touches = simulate_touches(
-            BASIC_SHAPES,
+            OBJECT_SETS["shapes"],
             plan.n_touches,
             camera,
             "above",

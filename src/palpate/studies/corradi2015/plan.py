@@ -19,7 +19,7 @@ from ..._types import Bools, Floats, Singles
 from ...evaluation import brightness, without_contact
 from ...images import DomeCrop, Rims, crop_discs, standardise_discs
 from ...recognition import PRESETS
-from ...simulation import HOUSEHOLD, UNSEEN, simulate_touches
+from ...simulation import HOUSEHOLD, OBJECT_SETS, simulate_touches
 from ...touches import Touches
 from .. import Codes, Plan, labels
 
@@ -115,7 +115,7 @@ class Objects:
 def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
     """Touch the ten objects and five unseen ones with a camera that never drifts."""
     touches = simulate_touches(
-        HOUSEHOLD + UNSEEN,
+        HOUSEHOLD + OBJECT_SETS["unseen"],
         plan.n_simulated,
         drift=False,
         random_state=plan.seed,
