@@ -18,7 +18,6 @@ from palpate.sensors import (
     SensorError,
     _zenoh,
     check_sensor,
-    open_node,
     open_sensor,
     ros,
     ros_place,
@@ -29,6 +28,7 @@ pytest.importorskip("rosbags")
 DOMAIN, ENDPOINT = 100 + NUMBER, f"tcp/127.0.0.1:{17600 + NUMBER}"
 IMAGE = "sensor_msgs::msg::dds_::Image_/RIHS01_d31d41"
 TRIGGER = b"\0\1\0\0\0"  # CDR of a request without fields
+HERE = f"ros:/desk?domain={DOMAIN}"
 needs_dds = pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
 needs_zenoh = pytest.mark.skipif(not find_spec("zenoh"), reason="no zenoh")
 
@@ -58,7 +58,7 @@ def test_type_hashes_are_those_of_ros():
 def test_a_service_answers_as_rmw_cyclonedds_asks():
     from palpate.sensors._dds import DdsReader, DdsWriter, _topic
 
-    node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
+    node, client = (ros_place(HERE).open_node() for _ in range(2))
     service = node.serve("/desk/start", ros.TRIGGER, lambda _: (True, "begun"))
     participant, kind = client._participant, "std_srvs/srv/Trigger"
     asks = _topic(participant, "rq/desk/startRequest", f"{kind}_Request")
@@ -86,7 +86,7 @@ def test_a_service_answers_as_rmw_zenoh_asks():
     import zenoh
 
     with router(ENDPOINT) as client:
-        node = open_node(DOMAIN, "zenoh")
+        node = ros_place(f"{HERE}&via=zenoh").open_node()
         kind = ros.TRIGGER
         service = node.serve("/desk/start", kind, lambda _: (False, "no"))
         key = f"{DOMAIN}/desk/start/std_srvs::srv::dds_::Trigger_"
@@ -164,9 +164,9 @@ def test_where_to_publish_is_one_short_address():
     with pytest.raises(ValueError, match=r"'qos' is no option .* domain, via, serv"):
         ros_place("ros:/palpate?qos=reliable")
     with pytest.raises(ValueError, match="domain must be at most 232, got 233"):
-        open_node(233, "dds")
+        ros_place("ros:/palpate?domain=233").open_node()
     with pytest.raises(ValueError, match="via must be"):
-        open_node(0, "carrier pigeon")
+        ros_place("ros:/palpate?via=pigeon")
 
 
 @needs_zenoh
@@ -187,7 +187,7 @@ def test_a_subscriber_that_asks_for_more_than_is_offered_is_told_by_its_policy()
 
     from palpate.sensors._dds import _topic
 
-    node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
+    node, client = (ros_place(HERE).open_node() for _ in range(2))
     writer = node.publish("/desk/belief", ros.STRING)
     assert writer.hindrance == ""
     asks = Qos(

@@ -17,7 +17,7 @@ import time
 from functools import partial
 from typing import Any
 
-from ..sensors import CalibratedSensor, RosSensor, RosService, open_node, ros_place
+from ..sensors import ros_place
 from ..sensors.ros import (
     CLASSIFICATION,
     SET_BOOL,
@@ -58,27 +58,30 @@ class RosPublisher:
     """
 
     def __init__(self, session: LiveSession, address: str) -> None:
-        self.prefix, domain, via, services = ros_place(address)
+        place = ros_place(address)
+        self.prefix = place.prefix
         self._session, self._object, self._warned = session, "", False
         self._learning = False
-        self._node = node = open_node(domain, via)
+        self._node = node = place.open_node()
         at = self.prefix.rstrip("/")
         self._belief = node.publish(f"{at}/belief", CLASSIFICATION)
         self._decision = node.publish(f"{at}/decision", STRING)
         self._answer = node.publish(f"{at}/answer", STRING)
         self._commands = node.subscribe(f"{at}/command", STRING, reliable=True)
-        self._services = self._offered(at) if services else []
+        serve, triggers = node.serve, {*_COMMANDS} - {"object", "teach"}
+        self._services = []
+        if place.services:
+            self._services = [
+                *(
+                    serve(f"{at}/{n}", TRIGGER, partial(self._triggered, n))
+                    for n in triggers
+                ),
+                serve(f"{at}/teach", SET_BOOL, self._teach),
+            ]
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
         session.listeners.add(self.take, frames=False)
         self._thread.start()
-
-    def _offered(self, at: str) -> list[RosService]:
-        serve, plain = self._node.serve, {*_COMMANDS} - {"object", "teach"}
-        return [
-            *(serve(f"{at}/{n}", TRIGGER, partial(self._triggered, n)) for n in plain),
-            serve(f"{at}/teach", SET_BOOL, self._teach),
-        ]
 
     def close(self) -> None:
         """Leave the network."""
@@ -176,10 +179,9 @@ class RosPublisher:
         """Return the header of the message that a touch was seen in, or of now."""
         watch = self._session.watch
         sensor = None if watch is None else watch.sensor
-        if isinstance(sensor, CalibratedSensor):
-            sensor = sensor.inner
-        if isinstance(sensor, RosSensor) and touch["device_time_s"] is not None:
-            header = sensor.header_at(touch["device_time_s"])
+        device_time_s = touch["device_time_s"]
+        if sensor is not None and device_time_s is not None:
+            header = sensor.header_at(device_time_s)
             if header is not None:
                 return header
         seconds, rest = divmod(time.time_ns(), 10**9)
