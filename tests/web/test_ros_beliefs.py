@@ -27,7 +27,9 @@ from palpate.cli import main
 from palpate.library import TouchLibrary
 from palpate.sensors import open_sensor, ros_place
 from palpate.sensors.ros import STRING, read_message
-from palpate.web import Event, LiveSession, RosPublisher
+from palpate.web import LiveSession, RosPublisher
+
+from .conftest import Event
 
 pytest.importorskip("rosbags")
 

@@ -31,7 +31,6 @@ from ..sensors.ros import read_message as read
 from ..sensors.ros import write_message as write
 from ._sensor_watch import Event
 from ._session import LiveSession
-from ._teaching import MOST_PER_LESSON
 
 _TICK_S = 0.02
 _LONGEST = 200  # characters of a command
@@ -131,7 +130,7 @@ class RosPublisher:
             return "The next touch begins an episode."
         if command == "teach":
             name = self._named(name)
-            session.teach(name, MOST_PER_LESSON)
+            session.teach(name, session.most_per_lesson)
             return f"Touches teach {name}."
         if command == "stop":
             session.stop_teaching()
@@ -150,7 +149,7 @@ class RosPublisher:
         name = name or self._object or episode.decision or ""
         if name == "unknown":
             name = ""
-        n_touches = min(len(list(episode.pictured())), MOST_PER_LESSON)
+        n_touches = min(len(list(episode.pictured())), self._session.most_per_lesson)
         if not n_touches:
             raise ValueError("confirm must come after touches, got none.")
         name = self._named(name)

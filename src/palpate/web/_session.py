@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -43,7 +43,7 @@ from ._learning import (
     start_learning,
 )
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
-from ._teaching import Teacher
+from ._teaching import MOST_PER_LESSON, Teacher
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -84,6 +84,8 @@ class LiveSession:
         Whether it is learning now; `learn_error` says why it failed the last time.
     trouble : str
         Why the last touch of the sensor could not be taken; empty where it could.
+    most_per_lesson : int
+        Touches that a lesson may want at most.
 
     Raises
     ------
@@ -94,6 +96,8 @@ class LiveSession:
     ModelFileError, LibraryError
         The model or the library cannot be read.
     """
+
+    most_per_lesson: ClassVar[int] = MOST_PER_LESSON
 
     def __init__(
         self,
