@@ -63,8 +63,9 @@ class DetectedTouch:
     device_time_s: float | None = None
     columns: Mapping[str, float] = field(default_factory=dict)
 
-    def told(self) -> dict[str, Any]:
-        """Return what the device told beside the image, as columns of touches."""
+    @property
+    def touch_columns(self) -> dict[str, Any]:
+        """What the device told beside the image, as columns of touches."""
         columns: dict[str, Any] = dict(self.columns)
         for name, parts in PLACE_COLUMNS.items():
             if columns.keys() >= {*parts}:

@@ -211,9 +211,9 @@ class Journal:
     """Actions that can be undone, the newest last, and the lesson under way.
 
     `interrupted` is the lesson that was under way when the file was written last (of
-    its touches the ids alone), until one begins or it is ended. `changed` are the objects whose touches are others than
-    when the model learnt last. `session` is that of the touches stored last, with the
-    name of their sensor.
+    its touches the ids alone), until one begins or it is ended. `changed` are the
+    objects whose touches are others than when the model learnt last. `session` is that
+    of the touches stored last, with the name of their sensor.
     """
 
     def __init__(self, path: Path) -> None:

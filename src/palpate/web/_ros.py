@@ -35,6 +35,8 @@ from ._session import LiveSession
 _TICK_S = 0.02
 _LONGEST = 200  # characters of a command
 _COMMANDS = ("start", "object", "teach", "stop", "confirm", "learn", "session")
+_SERVICES = {name: TRIGGER for name in _COMMANDS if name != "object"}
+_SERVICES["teach"] = SET_BOOL
 
 
 class RosPublisher:
@@ -67,16 +69,10 @@ class RosPublisher:
         self._decision = node.publish(f"{at}/decision", STRING)
         self._answer = node.publish(f"{at}/answer", STRING)
         self._commands = node.subscribe(f"{at}/command", STRING, reliable=True)
-        serve, triggers = node.serve, {*_COMMANDS} - {"object", "teach"}
-        self._services = []
-        if place.services:
-            self._services = [
-                *(
-                    serve(f"{at}/{n}", TRIGGER, partial(self._triggered, n))
-                    for n in triggers
-                ),
-                serve(f"{at}/teach", SET_BOOL, self._teach),
-            ]
+        self._services = [
+            node.serve(f"{at}/{name}", kind, partial(self._requested, name))
+            for name, kind in (_SERVICES if place.services else {}).items()
+        ]
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
         session.listeners.add(self.take, frames=False)
@@ -168,11 +164,10 @@ class RosPublisher:
             f"{self.prefix.rstrip('/')}/command first."
         )
 
-    def _triggered(self, command: str, request: Any) -> tuple[bool, str]:
-        return self.ask(command)
-
-    def _teach(self, request: Any) -> tuple[bool, str]:
-        return self.ask("teach" if request.data else "stop")
+    def _requested(self, command: str, request: Any) -> tuple[bool, str]:
+        """Do what a request to a service says; "teach" with false means "stop"."""
+        stops = command == "teach" and not request.data
+        return self.ask("stop" if stops else command)
 
     def _header(self, touch: dict[str, Any]) -> Header:
         """Return the header of the message that a touch was seen in, or of now."""

@@ -614,7 +614,7 @@ class LiveSession:
                 if detected.began_s < self._placed_s:
                     return
                 teaching = self.teacher is not None and self.teacher.lesson is not None
-                columns = detected.told()
+                columns = detected.touch_columns
                 if teaching:
                     self.message = self._take(detected.image, columns)
             if not teaching:
