@@ -143,7 +143,7 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
         `image_shape`, `rate_hz`, `no_contact`...; what else the sensor takes; see
         `CameraSensor`, `SerialArraySensor`, `ReplaySensor`. None counts as not given.
         With a `calibration`, a `TaxelCalibration` or another fitted estimator of
-        images, frames are in its unit, kPa.
+        images, frames are in kPa.
 
     Raises
     ------
@@ -360,16 +360,14 @@ class _Calibration(Protocol):
 
 
 class CalibratedSensor(LiveSensor):
-    """Another sensor's frames in the unit of a calibration.
+    """Another sensor's frames in kPa, by a calibration.
 
     Parameters
     ----------
     sensor : LiveSensor
         Not connected yet.
     calibration : Calibration
-        A `TaxelCalibration`, or another fitted estimator of images.
-    unit : str, default="kPa"
-        What its numbers count.
+        A `TaxelCalibration`, or another fitted estimator of images in kPa.
 
     Raises
     ------
@@ -380,14 +378,12 @@ class CalibratedSensor(LiveSensor):
 
     queue_length = 64
 
-    def __init__(
-        self, sensor: LiveSensor, calibration: _Calibration, unit: str = "kPa"
-    ) -> None:
+    def __init__(self, sensor: LiveSensor, calibration: _Calibration) -> None:
         self.inner, self.calibration = sensor, calibration
         if misfit := self._misfit():
             raise ValueError(misfit)
         shape, geometry = sensor.image_shape, sensor.geometry
-        super().__init__(sensor.name, unit, shape, np.float64, geometry)
+        super().__init__(sensor.name, "kPa", shape, np.float64, geometry)
         self.channels = sensor.channels
         self._next_number = 0
 
