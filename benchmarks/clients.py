@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from palpate.sensors import RosSensor
+from palpate.sensors._ros import RosSensor
 from palpate.web import LiveSession, RosPublisher
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "sensors"))

@@ -16,7 +16,7 @@ from pathlib import Path
 from playwright.sync_api import Page, sync_playwright
 
 from palpate.sensors import open_sensor
-from palpate.web import LiveSession, PageServer, create_app, page_token
+from palpate.web import LiveSession, PageServer, create_app
 
 TAUGHT = ("mug", "stapler", "pen", "toothbrush", "box", "ball")
 TOUCHED, N_TAUGHT, LONGEST = "mug", 24, 30
@@ -79,11 +79,12 @@ def main() -> None:
         sync_playwright() as driver,
     ):
         taught(session)
-        token = page_token()
+        server = PageServer()
+        token = server.token
         browser = driver.chromium.launch(
             executable_path="/usr/bin/chromium", args=["--no-sandbox"]
         )
-        with PageServer().running(create_app(session, token)) as address:
+        with server.running(create_app(session, token)) as address:
             for name, (width, height) in SIZES.items():
                 page = browser.new_page(viewport={"width": width, "height": height})
                 pictured(page, f"{address}?token={token}", folder, name)

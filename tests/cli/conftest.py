@@ -17,36 +17,42 @@ class Result:
     stderr: str
 
 
-@pytest.fixture
-def palpate(capsys, monkeypatch):
-    """Call `palpate ARGUMENTS...` as a shell would and return what it printed."""
+class Command:
+    """The command `palpate`, as a shell would call it."""
 
-    def run(*arguments, cwd=None):
-        monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "2000")
-        monkeypatch.setattr(sys, "argv", ["palpate", *map(str, arguments)])
+    def __init__(self, capsys, monkeypatch):
+        self._capsys, self._monkeypatch = capsys, monkeypatch
+
+    def __call__(self, *arguments, cwd=None):
+        """Call `palpate ARGUMENTS...` and return what it printed."""
+        self._monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "2000")
+        self._monkeypatch.setattr(sys, "argv", ["palpate", *map(str, arguments)])
         if cwd is not None:
-            monkeypatch.chdir(cwd)
+            self._monkeypatch.chdir(cwd)
         try:
             main()
             code = 0
         except SystemExit as stop:
             code = stop.code or 0
-        printed = capsys.readouterr()
+        printed = self._capsys.readouterr()
         return Result(code, printed.out, printed.err)
 
-    return run
+    def answer(self, *arguments, cwd=None, code=0):
+        """Call `palpate ARGUMENTS... --json`, which must end so; return its JSON."""
+        result = self(*arguments, "--json", cwd=cwd)
+        assert result.returncode == code, result.stderr
+        return json.loads(result.stdout)
+
+    def refusal(self, *arguments, cwd=None):
+        """Call `palpate ARGUMENTS...`, which must fail; return what it says of that."""
+        result = self(*arguments, cwd=cwd)
+        assert result.returncode == 1, result.stdout
+        return result.stderr
 
 
 @pytest.fixture
-def answer_of(palpate):
-    """Call `palpate ARGUMENTS... --json`, which must end well; return its JSON."""
-
-    def run(*arguments, cwd=None):
-        result = palpate(*arguments, "--json", cwd=cwd)
-        assert result.returncode == 0, result.stderr
-        return json.loads(result.stdout)
-
-    return run
+def palpate(capsys, monkeypatch):
+    return Command(capsys, monkeypatch)
 
 
 @pytest.fixture

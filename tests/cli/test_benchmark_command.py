@@ -77,6 +77,4 @@ def test_a_wrong_option_is_refused_with_what_it_must_be(
 
 
 def test_an_empty_folder_is_refused(palpate, tmp_path):
-    result = palpate("benchmark", tmp_path)
-    assert result.returncode == 1
-    assert "Touches.save" in result.stderr
+    assert "Touches.save" in palpate.refusal("benchmark", tmp_path)

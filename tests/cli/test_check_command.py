@@ -60,7 +60,7 @@ def test_pictures_in_colour_are_noted_unless_colour_is_read(palpate, tmp_path):
             )
 
     def noted(*words):
-        answer = json.loads(palpate("check", *words, "--json").stdout)
+        answer = palpate.answer("check", *words)
         return any("--colour" in note for note in answer["notes"])
 
     assert noted(tmp_path / "gel")
@@ -90,7 +90,7 @@ def jpegs(tmp_path):
 
 
 def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp_path):
-    answer = json.loads(palpate("check", jpegs, "--json").stdout)
+    answer = palpate.answer("check", jpegs, code=1)
     bad = ["mug/1.jpg", "mug/3.jpg", "pen/1.jpg"]
     assert [picture["picture"] for picture in answer["bad"]] == bad
     assert answer["notes"] == [
@@ -101,7 +101,7 @@ def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp
         ),
     ]
     assert answer["odd"] == {"turned": ["mug/2.jpg"], "grey": ["pen/2.jpg"]}
-    in_colour = json.loads(palpate("check", jpegs, "--colour", "--json").stdout)
+    in_colour = palpate.answer("check", jpegs, "--colour", code=1)
     fixes = {picture["picture"]: picture["fix"] for picture in in_colour["bad"]}
     assert [*fixes] == [*bad, "pen/2.jpg"]
     assert fixes["pen/2.jpg"] == "leave out --colour, or take it out"
@@ -112,11 +112,8 @@ def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp
         recognised = palpate("recognise", model, jpegs, "--skip-bad", *words)
         assert recognised.returncode == 0, recognised.stderr
         assert "Touches of mug" in recognised.stdout
-    refused = palpate("recognise", grey, jpegs, "--skip-bad", "--colour")
-    assert refused.returncode == 1
-    assert refused.stderr.splitlines()[-1].endswith(
-        "Leave --colour out, or learn again."
-    )
+    refused = palpate.refusal("recognise", grey, jpegs, "--skip-bad", "--colour")
+    assert refused.splitlines()[-1].endswith("Leave --colour out, or learn again.")
     recognised = palpate("recognise", colour, jpegs, "--skip-bad")  # as it was learnt
     assert recognised.returncode == 0, recognised.stderr
     for name in ("mug/1.jpg", "mug/3.jpg", "pen/1.jpg"):
@@ -129,11 +126,10 @@ def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp
 def test_pictures_without_a_folder_of_their_object_are_not_learnt(
     palpate, jpegs, tmp_path
 ):
-    refused = palpate(
+    refused = palpate.refusal(
         "learn", jpegs / "pen", "--skip-bad", "-o", tmp_path / "m.palpate"
     )
-    assert refused.returncode == 1
-    assert "Name folders after objects, pass --name-pattern" in refused.stderr
+    assert "Name folders after objects, pass --name-pattern" in refused
 
 
 def test_a_sentence_breaks_between_words_on_a_terminal(monkeypatch):
@@ -188,7 +184,7 @@ def test_pictures_on_their_side_are_told_from_those_of_another_size(palpate, tmp
         put(tmp_path / "mug" / f"{number}.png")
     put(tmp_path / "mug" / "tall.png", np.zeros((12, 10), np.uint8))
     put(tmp_path / "mug" / "small.png", np.zeros((5, 6), np.uint8))
-    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    answer = palpate.answer("check", tmp_path, code=1)
     small, tall = answer["bad"]
     assert small["problem"] == "6 x 5 8-bit PNG, not 12 x 10 8-bit PNG"
     assert small["fix"].startswith("crop or pad it to that size")
@@ -205,7 +201,7 @@ def test_odd_pictures_are_named_the_first_few_and_all_as_json(palpate, tmp_path)
         put(tmp_path / "mug" / f"{number}.png", np.full((10, 12), number, np.uint8))
     shutil.copy(tmp_path / "pen" / "0.png", tmp_path / "pen" / "9.png")
     flat = [f"mug/{number}.png" for number in range(5)]
-    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    answer = palpate.answer("check", tmp_path)
     assert answer["odd"] == {"flat": flat, "copies": [["pen/9.png", "pen/0.png"]]}
     first, twice = answer["notes"]
     assert first.endswith(
@@ -215,9 +211,8 @@ def test_odd_pictures_are_named_the_first_few_and_all_as_json(palpate, tmp_path)
 
 
 def test_skip_bad_leaves_bad_pictures_out_and_names_them(palpate, odd, tmp_path):
-    refused = palpate("learn", odd, "-o", tmp_path / "m.palpate")
-    assert refused.returncode == 1
-    assert f"`palpate check {odd}` lists all that is wrong" in refused.stderr
+    refused = palpate.refusal("learn", odd, "-o", tmp_path / "m.palpate")
+    assert f"`palpate check {odd}` lists all that is wrong" in refused
     model = tmp_path / "m.palpate"
     result = palpate("learn", odd, "--skip-bad", "-o", model, "--json")
     assert result.returncode == 0, result.stderr
@@ -257,9 +252,7 @@ def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(
     assert "none" in answer["problem"]
 
 
-def test_pictures_that_are_turned_flat_or_there_twice_are_noted(
-    palpate, answer_of, tmp_path
-):
+def test_pictures_that_are_turned_flat_or_there_twice_are_noted(palpate, tmp_path):
     root = tmp_path / "set"
     for number in range(4):
         put(root / "mug" / f"{number}.png")
@@ -269,7 +262,7 @@ def test_pictures_that_are_turned_flat_or_there_twice_are_noted(
     exif[0x0112] = 6  # as large as the others once it is upright
     put(root / "mug" / "turned.png", np.eye(12, 10, dtype=np.uint8), exif=exif)
     (root / "notes.txt").write_text("hello")
-    notes = answer_of("check", root)["notes"]
+    notes = palpate.answer("check", root)["notes"]
     for words in (
         "1 picture turned",
         "mug/flat.png",
@@ -306,10 +299,10 @@ def test_brightness_that_tells_objects_apart_by_itself_is_reported(palpate, tmp_
             put(tmp_path / "set" / name / f"{number}.png")
             image = np.random.default_rng(number).integers(0, 255, (10, 12), np.uint8)
             put(tmp_path / "alike" / name / f"{number}.png", image)
-    alone = json.loads(palpate("check", tmp_path / "set", "--json").stdout)
+    alone = palpate.answer("check", tmp_path / "set")
     assert alone["alone"]["brightness"] == {"right": 1.0, "chance": 0.5}
     assert any("no touch" in line for line in alone["advice"])
-    alike = json.loads(palpate("check", tmp_path / "alike", "--json").stdout)
+    alike = palpate.answer("check", tmp_path / "alike")
     assert alike["alone"]["brightness"]["right"] == 0.5
     assert not any("no touch," in line for line in alike["advice"])
 
@@ -356,17 +349,17 @@ def test_common_layouts_are_read_as_objects_and_sessions(
     assert session_names == sessions
 
 
-def test_two_folders_of_the_same_names_are_reported(answer_of, tmp_path):
+def test_two_folders_of_the_same_names_are_reported(palpate, tmp_path):
     places = [
         f"{part}/{name}" for part in ("teach", "later") for name in ("mug", "pen")
     ]
     folders(tmp_path / "set", *places)
-    advice = answer_of("check", tmp_path / "set")["advice"]
+    advice = palpate.answer("check", tmp_path / "set")["advice"]
     (line,) = (line for line in advice if "the same names" in line)
     assert line.startswith("the same names (mug, pen) are in later/ and teach/")
     assert "--levels -/object" in line
     folders(tmp_path / "other", "tools/saw", "tools/awl", "toys/car", "toys/top")
-    advice = answer_of("check", tmp_path / "other")["advice"]
+    advice = palpate.answer("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)
 
 
@@ -378,8 +371,8 @@ def test_many_pictures_wrong_in_one_way_are_one_row(palpate, tmp_path):
     assert "and 5 more" in " ".join(result.stdout.split())
     _, table = result.stdout.split("8 pictures cannot be used")
     assert table.count("not named as levels") == 1
-    result = palpate("check", tmp_path, "--levels", "session/object", "--json")
-    assert len(json.loads(result.stdout)["bad"]) == 8
+    result = palpate.answer("check", tmp_path, "--levels", "session/object", code=1)
+    assert len(result["bad"]) == 8
 
 
 @pytest.mark.parametrize(
@@ -401,9 +394,8 @@ def test_ambiguous_layouts_are_refused_with_levels_to_give(
     folders(tmp_path / "set", *paths)
     with pytest.raises(TouchesError, match=message):
         Touches.load(tmp_path / "set")
-    result = palpate("check", tmp_path / "set")
-    assert result.returncode == 1
-    assert (" --levels " in result.stderr) == ("levels" in message)
+    result = palpate.refusal("check", tmp_path / "set")
+    assert (" --levels " in result) == ("levels" in message)
 
 
 def test_levels_are_skipped_and_chosen(tmp_path):
@@ -446,7 +438,7 @@ def test_an_object_in_folders_of_its_own_is_one_row_with_a_fix(
     assert "mug/ (6 pictures)" in row
     assert "in folders inside mug/ (first, second), unlike the others" in row
     assert f"move them up into mug/, or say {BY_FIRST}" in row
-    bad = json.loads(palpate("check", mixed, "--json").stdout)["bad"]
+    bad = palpate.answer("check", mixed, code=1)["bad"]
     assert {fault["folder"] for fault in bad} == {"mug"}
     assert len(bad) == 6
     refused = palpate("learn", mixed, "-o", tmp_path / "m.palpate")
@@ -482,12 +474,11 @@ def test_an_object_of_which_nothing_is_left_is_refused_by_name(
         ("evaluate", "--train", mixed, "--split", "last"),
         ("library", "add", tmp_path / "lab", mixed),
     ):
-        refused = palpate(*words, "--skip-bad")
-        assert refused.returncode == 1, words
-        assert no_mug in refused.stderr
-        assert f"or take mug out of {mixed}" in refused.stderr
+        refused = palpate.refusal(*words, "--skip-bad")
+        assert no_mug in refused
+        assert f"or take mug out of {mixed}" in refused
     assert not out.exists()
-    answer = json.loads(palpate("check", mixed, "--json").stdout)
+    answer = palpate.answer("check", mixed, code=1)
     assert no_mug in answer["problem"]
     assert not any("--skip-bad" in line for line in answer["advice"])
     for picture in (odd / "pen").iterdir():
@@ -515,7 +506,7 @@ def test_notes_name_the_few_in_colour_and_what_is_flat_empty_or_no_png(
     put(tmp_path / "pen" / "black.jpg", np.zeros((10, 12), np.uint8))
     put(tmp_path / "pen" / "old.bmp")
     (tmp_path / "cup").mkdir()
-    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    answer = palpate.answer("check", tmp_path)
     assert answer["odd"] == {"coloured": ["pen/gel.jpg"], "flat": ["pen/black.jpg"]}
     colour, flat, other, empty = answer["notes"]
     assert colour.startswith("1 picture in colour (pen/gel.jpg) and 13 in grey, all")
@@ -528,7 +519,7 @@ def test_a_folder_of_bmp_alone_is_read_and_a_note_says_so(palpate, tmp_path):
     for number in range(3):
         for name in ("mug", "pen"):
             put(tmp_path / name / f"{number}.bmp")
-    answer = json.loads(palpate("check", tmp_path, "--json").stdout)
+    answer = palpate.answer("check", tmp_path)
     assert answer["n_touches"] == 6
     assert answer["notes"] == [
         "6 files of .bmp read in grey, none looked at: save them as PNG"
@@ -541,18 +532,15 @@ def test_a_missing_picture_of_no_contact_is_refused_with_the_nearest_name(
     for name in ("loose.png", "mug/001.png"):
         shutil.copy(odd / "pen" / "001.png", odd / name)
     for near in (odd / "lose.png", "loose.png"):
-        refused = palpate("check", odd, "--no-contact", near)
-        assert refused.returncode == 1
-        assert f"Did you mean {odd / 'loose.png'}?" in refused.stderr
-        assert "out of the folder" not in refused.stderr
+        refused = palpate.refusal("check", odd, "--no-contact", near)
+        assert f"Did you mean {odd / 'loose.png'}?" in refused
+        assert "out of the folder" not in refused
     refused = palpate("check", odd, "--no-contact", odd / "zzzzzz")
     assert "Give another --no-contact, or leave it out." in refused.stderr
 
 
 def test_a_mistyped_path_is_refused_with_the_nearest_name(palpate, odd, tmp_path):
-    refused = palpate("check", odd.parent / "touchs")
-    assert refused.returncode == 1
-    assert f"Did you mean {odd}/?" in refused.stderr
+    assert f"Did you mean {odd}/?" in palpate.refusal("check", odd.parent / "touchs")
     (tmp_path / "mugs.palpate").write_bytes(b"")
     refused = palpate("recognise", tmp_path / "mug.palpate", odd)
     assert f"Did you mean {tmp_path / 'mugs.palpate'}?" in refused.stderr

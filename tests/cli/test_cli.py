@@ -58,8 +58,8 @@ def model(archive):
     return recogniser.save(archive.parent / "m.palpate")
 
 
-def test_learn_writes_a_model_that_recognises(answer_of, archive, tmp_path):
-    learnt = answer_of("learn", archive, "-o", tmp_path / "m.palpate")
+def test_learn_writes_a_model_that_recognises(palpate, archive, tmp_path):
+    learnt = palpate.answer("learn", archive, "-o", tmp_path / "m.palpate")
     assert learnt["n_labels"] == 3
     assert ObjectRecogniser.load(learnt["model"]).classes_.tolist() == list(NAMES)
 
@@ -83,8 +83,7 @@ def test_learn_warns_of_few_objects_as_the_page_does(palpate, tmp_path):
 
 
 def test_recognise_gives_one_episode_per_object(palpate, archive, model):
-    result = palpate("recognise", model, archive, "--json")
-    episodes = json.loads(result.stdout)["episodes"]
+    episodes = palpate.answer("recognise", model, archive)["episodes"]
     assert [e["object"] for e in episodes] == list(NAMES)
     for episode in episodes:
         assert [b["touch"] for b in episode["beliefs"]] == list(range(1, 21))
@@ -112,7 +111,7 @@ def test_recognise_takes_a_refusal_and_a_level(palpate, archive, model):
 
 
 @pytest.mark.parametrize("level", ["object", "any"])
-def test_only_what_is_named_has_a_level(answer_of, archive, model, monkeypatch, level):
+def test_only_what_is_named_has_a_level(palpate, archive, model, monkeypatch, level):
     plain = Belief.named
 
     def named(self, *arguments, **options):
@@ -122,7 +121,7 @@ def test_only_what_is_named_has_a_level(answer_of, archive, model, monkeypatch, 
         return decision._replace(level="unknown", name="unknown")
 
     monkeypatch.setattr(Belief, "named", named)
-    episodes = answer_of("recognise", model, archive, "--level", level)["episodes"]
+    episodes = palpate.answer("recognise", model, archive, "--level", level)["episodes"]
     decisions = [(e["decision"], e["level"]) for e in episodes]
     assert decisions == [("unknown", None), ("unknown", None), (None, None)]
 
@@ -206,10 +205,9 @@ def test_a_wrong_number_is_refused_with_a_right_one(palpate, archive):
 
 
 def test_a_split_by_session_needs_sessions_and_says_how(palpate, archive):
-    result = palpate("evaluate", "--train", archive, "--split", "session")
-    assert result.returncode == 1
-    assert "--train must have a column 'session'" in result.stderr
-    assert "--levels object/session" in result.stderr
+    result = palpate.refusal("evaluate", "--train", archive, "--split", "session")
+    assert "--train must have a column 'session'" in result
+    assert "--levels object/session" in result
 
 
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
@@ -319,7 +317,7 @@ def test_touches_without_an_order_are_split_as_read_and_a_note_says_so(
     words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1"]
     note = "The touches have no column order or time_s, which tells when each was made"
     assert note in " ".join(palpate(*words).stdout.split())
-    assert note in json.loads(palpate(*words, "--json").stdout)["notes"][-1]
+    assert note in palpate.answer(*words)["notes"][-1]
     touches = Touches.load(archive)
     path = tmp_path / "t.npz"
     for name in ("order", "time_s"):  # `record` writes the second
@@ -335,8 +333,8 @@ def test_one_picture_is_recognised(palpate, tmp_path, rng):
             Image.fromarray(levels).save(tmp_path / "t" / name / f"{number}.png")
     palpate("learn", tmp_path / "t", "-o", tmp_path / "m.palpate")
     picture = tmp_path / "t" / "pen" / "3.png"
-    result = palpate("recognise", tmp_path / "m.palpate", picture, "--json")
-    (episode,) = json.loads(result.stdout)["episodes"]
+    result = palpate.answer("recognise", tmp_path / "m.palpate", picture)
+    (episode,) = result["episodes"]
     assert episode["object"] is None
     (belief,) = episode["beliefs"]
     assert max(belief["posterior"], key=belief["posterior"].get) == "pen"
@@ -344,21 +342,20 @@ def test_one_picture_is_recognised(palpate, tmp_path, rng):
 
 def test_a_split_without_labels_is_refused(palpate, archive, tmp_path):
     Touches.load(archive).without("object").save(tmp_path / "bare.npz")
-    result = palpate("evaluate", "--train", tmp_path / "bare.npz", "--split", "last")
-    assert result.returncode == 1
-    assert "column 'object'" in result.stderr
+    result = palpate.refusal(
+        "evaluate", "--train", tmp_path / "bare.npz", "--split", "last"
+    )
+    assert "column 'object'" in result
 
 
 def test_demo_without_data_says_where_to_get_it(palpate, monkeypatch, tmp_path):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
-    result = palpate("demo", "--real", cwd=tmp_path)
-    assert result.returncode == 1
-    assert "PALPATE_DATA" in result.stderr
+    assert "PALPATE_DATA" in palpate.refusal("demo", "--real", cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_doctor_knows_this_installation(answer_of):
-    answer = answer_of("doctor")
+def test_doctor_knows_this_installation(palpate):
+    answer = palpate.answer("doctor")
     assert answer["healthy"]
     assert {"numpy", "matplotlib"} <= {check["name"] for check in answer["checks"]}
 
@@ -369,7 +366,7 @@ def test_doctor_checks_every_dependency_of_the_package(palpate):
     for extra, lines in project["optional-dependencies"].items():
         lists += [lines] * (extra not in ("test", "dev", "docs"))
     wanted = {re.split(r"[>=<\[]", line)[0] for lines in lists for line in lines}
-    checks = json.loads(palpate("doctor", "--json").stdout)["checks"]
+    checks = palpate.answer("doctor")["checks"]
     wanted -= {"palpate"}  # an extra that brings another
     assert {check["name"] for check in checks} == wanted | {"Python", "PALPATE_DATA"}
 
@@ -453,8 +450,7 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
 
 def test_bench_lists_its_names(palpate):
     assert "zernike" in palpate("bench", "--list").stdout
-    listed = json.loads(palpate("bench", "--list", "--json").stdout)
-    assert "zernike" in listed["benches"]
+    assert "zernike" in palpate.answer("bench", "--list")["benches"]
 
 
 def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):
@@ -482,9 +478,8 @@ def test_a_model_larger_than_asked_for_is_refused_unread(
 ):
     paths = {"MODEL": model, "TOUCHES": archive}
     arguments = [paths.get(word, word) for word in words]
-    result = palpate(*arguments, "--max-model-mb", "0.001")
-    assert result.returncode == 1
-    assert "A model file must be at most 0.001 MB large" in result.stderr
+    result = palpate.refusal(*arguments, "--max-model-mb", "0.001")
+    assert "A model file must be at most 0.001 MB large" in result
 
 
 @pytest.mark.parametrize(
@@ -501,10 +496,9 @@ def test_a_model_larger_than_asked_for_is_refused_unread(
 def test_a_file_of_reading_options_is_checked(palpate, tmp_path, written, message):
     profile = tmp_path / "reading.toml"
     profile.write_text(written)
-    result = palpate("check", tmp_path, "--read", profile)
-    assert result.returncode == 1
-    assert re.search(message, " ".join(result.stderr.split()))
-    assert "Traceback" not in result.stderr
+    result = palpate.refusal("check", tmp_path, "--read", profile)
+    assert re.search(message, " ".join(result.split()))
+    assert "Traceback" not in result
 
 
 def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
@@ -512,9 +506,8 @@ def test_paths_in_a_file_of_reading_options_start_there(palpate, tmp_path):
     profile = tmp_path / "there" / "reading.toml"
     profile.write_text("no-contact = 'rest.png'")
     Image.fromarray(np.zeros((8, 8), np.uint8)).save(tmp_path / "touch.png")
-    result = palpate("check", tmp_path / "touch.png", "--read", profile)
-    assert result.returncode == 1
-    assert str(tmp_path / "there" / "rest.png") in "".join(result.stderr.split("\n"))
+    result = palpate.refusal("check", tmp_path / "touch.png", "--read", profile)
+    assert str(tmp_path / "there" / "rest.png") in "".join(result.split("\n"))
 
 
 def test_an_option_that_is_typed_wins_over_a_file_even_at_its_default(
@@ -531,7 +524,7 @@ def test_an_option_that_is_typed_wins_over_a_file_even_at_its_default(
 
 
 @pytest.mark.slow
-def test_levels_of_folders_are_named(palpate, answer_of, tmp_path):
+def test_levels_of_folders_are_named(palpate, tmp_path):
     rng = np.random.default_rng(0)
     for name, level in (("mug", 60), ("pen", 150)):
         for session in ("mon", "tue"):
@@ -541,20 +534,20 @@ def test_levels_of_folders_are_named(palpate, answer_of, tmp_path):
                 picture = rng.normal(level, 20, (16, 16)).clip(0, 255).astype(np.uint8)
                 Image.fromarray(picture).save(folder / f"{k}.png")
     archive, model = tmp_path / "set", tmp_path / "m.palpate"
-    learnt = answer_of("learn", archive, "-o", model, "--levels", "object/session")
+    learnt = palpate.answer("learn", archive, "-o", model, "--levels", "object/session")
     assert learnt["labels"] == ["mug", "pen"]
     assert learnt["sessions"]["least"] == 2
     plain = palpate("learn", archive, "-o", model)
     assert "read as category/object; --levels says otherwise" in plain.stdout
-    as_before = json.loads(palpate("learn", archive, "-o", model, "--json").stdout)
+    as_before = palpate.answer("learn", archive, "-o", model)
     kinds = palpate(
         *["learn", archive, "-o", model, "--levels", "category/object", "--json"]
     )
     assert json.loads(kinds.stdout)["labels"] == as_before["labels"]
     profile = tmp_path / "reading.toml"
     profile.write_text('levels = "object/session"\nskip-bad = true\n')
-    from_file = palpate("learn", archive, "-o", model, "--read", profile, "--json")
-    assert json.loads(from_file.stdout)["labels"] == ["mug", "pen"]
+    from_file = palpate.answer("learn", archive, "-o", model, "--read", profile)
+    assert from_file["labels"] == ["mug", "pen"]
     beside = [archive, "-o", model, "--read", profile, "--levels", "category/object"]
     overridden = palpate("learn", *beside, "--json")
     assert json.loads(overridden.stdout)["labels"] == as_before["labels"]

@@ -1,7 +1,5 @@
 """Pictures in colour: a model reads new ones as it read those that taught it."""
 
-import json
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -50,14 +48,14 @@ def test_learning_says_that_colours_were_left(palpate, pictures):
 
 def test_evaluating_says_that_colours_were_left(palpate, pictures):
     words = "evaluate", "--train", pictures / "taught", "--test", pictures / "new"
-    grey = json.loads(palpate(*words, "--json").stdout)
+    grey = palpate.answer(*words)
     assert "read in grey: --colour" in grey["recommendations"][0]
-    coloured = json.loads(palpate(*words, "--colour", "--json").stdout)
+    coloured = palpate.answer(*words, "--colour")
     assert not any("read in grey" in s for s in coloured["recommendations"])
 
 
-def test_a_model_of_colours_reads_colours(palpate, answer_of, pictures, models):
-    episodes = answer_of("recognise", models[0], pictures / "new")["episodes"]
+def test_a_model_of_colours_reads_colours(palpate, pictures, models):
+    episodes = palpate.answer("recognise", models[0], pictures / "new")["episodes"]
     assert [e["beliefs"][-1]["posterior"][e["object"]] > 0.9 for e in episodes] == [
         True,
         True,
@@ -81,10 +79,9 @@ def test_grey_is_refused_where_colours_were_learnt(pictures, models):
 
 
 def test_colours_are_refused_where_grey_was_learnt(palpate, pictures, models):
-    result = palpate("recognise", models[1], pictures / "new", "--colour")
-    assert result.returncode == 1
-    assert "must have one level a pixel" in result.stderr
-    assert "Leave --colour out" in result.stderr
+    result = palpate.refusal("recognise", models[1], pictures / "new", "--colour")
+    assert "must have one level a pixel" in result
+    assert "Leave --colour out" in result
 
 
 def test_an_array_in_colour_is_one_picture_or_several(pictures, models):

@@ -42,8 +42,8 @@ def test_demo_explores_shows_beliefs_and_controls_and_ends_with_the_report(
 
 
 @pytest.mark.slow
-def test_demo_prints_everything_as_one_json_object(answer_of, small, tmp_path):
-    answer = answer_of("demo", cwd=tmp_path)
+def test_demo_prints_everything_as_one_json_object(palpate, small, tmp_path):
+    answer = palpate.answer("demo", cwd=tmp_path)
     assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= {*answer}
     assert [e["object"] for e in answer["episodes"]] == ["mug", "plastic card"]
     assert Path(answer["report"]).is_file()
@@ -70,9 +70,8 @@ def recorded(monkeypatch, tmp_path, rng):
 def test_an_impossible_share_of_strangers_is_refused_before_any_touch(
     palpate, tmp_path
 ):
-    result = palpate("demo", "--strangers", "2", cwd=tmp_path)
-    assert result.returncode == 1
-    assert "--strangers must be finite and between 0 and 1" in result.stderr
+    result = palpate.refusal("demo", "--strangers", "2", cwd=tmp_path)
+    assert "--strangers must be finite and between 0 and 1" in result
     assert not [*tmp_path.iterdir()]
 
 
@@ -96,8 +95,8 @@ def test_with_recorded_pictures_two_objects_are_unknown(palpate, recorded, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.realdata
-def test_real_pictures_leave_two_objects_unknown(answer_of, data_folder, tmp_path):
-    answer = answer_of("demo", "--real", cwd=tmp_path)
+def test_real_pictures_leave_two_objects_unknown(palpate, data_folder, tmp_path):
+    answer = palpate.answer("demo", "--real", cwd=tmp_path)
     assert answer["n_labels"] == 8
     assert len(answer["episodes"]) == 10
     assert answer["unknown_auroc"]["10"] > 0.8

@@ -162,11 +162,11 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_goes_into_a_library_as_it_is(kind, answer_of, tmp_path):
+def test_a_file_goes_into_a_library_as_it_is(kind, palpate, tmp_path):
     write, options, compare = KINDS[kind]
     (tmp_path / "files").mkdir()
     path, lab = write(tmp_path / "files"), tmp_path / "lab"
-    answer_of("library", "add", lab, path, *options)
+    palpate.answer("library", "add", lab, path, *options)
     with TouchLibrary.open(lab) as library:
         touches = library.touches()
         assert touches.object is not None
@@ -174,9 +174,8 @@ def test_a_file_goes_into_a_library_as_it_is(kind, answer_of, tmp_path):
 
 
 def test_touches_of_a_running_topic_need_the_name_of_an_object(palpate, tmp_path):
-    result = palpate("library", "add", tmp_path / "lab", "ros:/pad?domain=3")
-    assert result.returncode == 1
-    assert "--object NAME must be given with a running sensor" in result.stderr
+    result = palpate.refusal("library", "add", tmp_path / "lab", "ros:/pad?domain=3")
+    assert "--object NAME must be given with a running sensor" in result
     assert not (tmp_path / "lab").exists()
 
 

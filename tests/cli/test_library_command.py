@@ -34,8 +34,8 @@ def archive(tmp_path):
 @pytest.fixture
 def folder(tmp_path, archive, palpate):
     folder = tmp_path / "library"
-    result = palpate("library", "add", folder, archive, "--session", "monday", "--json")
-    assert json.loads(result.stdout)["added"] == 60
+    result = palpate.answer("library", "add", folder, archive, "--session", "monday")
+    assert result["added"] == 60
     return folder
 
 
@@ -45,15 +45,14 @@ def test_adding_twice_adds_once(palpate, folder, archive):
 
 
 def test_touches_are_listed_and_shown(palpate, folder, tmp_path):
-    result = palpate("library", "list", folder, "--where", "object = mug", "--json")
-    rows = json.loads(result.stdout)["rows"]
+    rows = palpate.answer("library", "list", folder, "--where", "object = mug")["rows"]
     assert len(rows) == 20
     assert {row["session"] for row in rows} == {"monday"}
     result = palpate("library", "list", folder, "--objects")
     assert all(name in result.stdout for name in NAMES)
     key = rows[3]["id"]
-    result = palpate("library", "show", folder, key, "-o", tmp_path / "i.npy", "--json")
-    assert json.loads(result.stdout)["object"] == "mug"
+    result = palpate.answer("library", "show", folder, key, "-o", tmp_path / "i.npy")
+    assert result["object"] == "mug"
     assert np.load(tmp_path / "i.npy").shape == (3, 24)
     assert palpate("library", "show", folder, "zz").returncode == 1
     assert "mug" in palpate("library", "show", folder, key[:12]).stdout
@@ -65,7 +64,7 @@ def test_objects_are_renamed_merged_retracted_and_restored(palpate, folder):
     assert "part of pen" in palpate("library", "merge", folder, "cup", "pen").stdout
     result = palpate("library", "retract", folder, "object = ball", "--reason", "wet")
     assert result.stdout == "20 touches retracted.\n"
-    stats = json.loads(palpate("library", "stats", folder, "--json").stdout)
+    stats = palpate.answer("library", "stats", folder)
     assert (stats["n_touches"], stats["n_retracted"], stats["n_objects"]) == (40, 20, 1)
     result = palpate("library", "restore", folder, "object = ball")
     assert result.stdout == "20 touches back.\n"
@@ -106,10 +105,9 @@ def test_a_filter_to_retract_may_be_an_option_and_says_what_it_did(palpate, fold
     ids=" ".join,
 )
 def test_a_misspelt_object_is_named_with_the_one_meant(palpate, folder, words):
-    result = palpate(*(folder if word == "LIB" else word for word in words))
-    assert result.returncode == 1
-    assert "library ('ball', 'mug', 'pen'), got " in result.stderr
-    assert result.stderr.endswith(" Did you mean 'mug'?\n")
+    result = palpate.refusal(*(folder if word == "LIB" else word for word in words))
+    assert "library ('ball', 'mug', 'pen'), got " in result
+    assert result.endswith(" Did you mean 'mug'?\n")
 
 
 def test_names_that_were_merged_may_still_be_filtered_by(palpate, folder):
@@ -139,15 +137,13 @@ def test_the_history_is_listed_and_a_backup_is_made(palpate, folder, tmp_path):
     assert "rename" in result.stdout
     assert "old mug, new cup" in result.stdout
     assert "20 touches, reason wet" in result.stdout
-    result = palpate("library", "history", folder, "--json")
-    changes = json.loads(result.stdout)["changes"]
+    changes = palpate.answer("library", "history", folder)["changes"]
     assert [change["action"] for change in changes] == ["rename", "retract"]
     result = palpate("library", "backup", folder, tmp_path / "copy")
     assert result.stdout.startswith("60 touches in")
     assert palpate("library", "check", tmp_path / "copy").returncode == 0
-    again = palpate("library", "backup", folder, tmp_path / "copy")
-    assert again.returncode == 1
-    assert "new or empty folder" in again.stderr
+    again = palpate.refusal("library", "backup", folder, tmp_path / "copy")
+    assert "new or empty folder" in again
 
 
 def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
@@ -155,21 +151,20 @@ def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
     result = palpate("library", "export", folder, "-o", out, "--by", "object")
     assert result.returncode == 0, result.stderr
     assert (out / "object=pen" / "part-0.parquet").is_file()
-    result = palpate("library", "add", tmp_path / "other", out, "--json")
-    assert json.loads(result.stdout) == {
+    result = palpate.answer("library", "add", tmp_path / "other", out)
+    assert result == {
         "library": str(tmp_path / "other"),
         "given": 60,
         "added": 60,
     }
     model = tmp_path / "m.palpate"
-    result = palpate("learn", out, "-o", model, "--json")
-    assert json.loads(result.stdout)["n_train_touches"] == 60
-    refused = palpate("library", "add", tmp_path / "other", out, "--where", "order > 1")
-    assert refused.returncode == 1
-    assert "--where must be left out for Parquet" in refused.stderr
-    refused = palpate("library", "export", folder, "-o", out, "--by", "colour")
-    assert refused.returncode == 1
-    assert "by must be one of" in refused.stderr
+    assert palpate.answer("learn", out, "-o", model)["n_train_touches"] == 60
+    refused = palpate.refusal(
+        "library", "add", tmp_path / "other", out, "--where", "order > 1"
+    )
+    assert "--where must be left out for Parquet" in refused
+    refused = palpate.refusal("library", "export", folder, "-o", out, "--by", "colour")
+    assert "by must be one of" in refused
 
 
 def test_touches_are_exported(palpate, folder, tmp_path):
@@ -179,25 +174,22 @@ def test_touches_are_exported(palpate, folder, tmp_path):
     assert len(Touches.load(pens)) == 20
 
 
-def test_verbs_take_a_library_with_a_filter(
-    palpate, answer_of, folder, archive, tmp_path
-):
+def test_verbs_take_a_library_with_a_filter(palpate, folder, archive, tmp_path):
     model = tmp_path / "m.palpate"
-    result = palpate("learn", folder, "--where", "object != pen", "-o", model, "--json")
-    assert json.loads(result.stdout)["n_train_touches"] == 40
+    result = palpate.answer("learn", folder, "--where", "object != pen", "-o", model)
+    assert result["n_train_touches"] == 40
     words = ("--where", "object = ball", "--error", "0.05")
-    [episode] = answer_of("recognise", model, folder, *words)["episodes"]
+    [episode] = palpate.answer("recognise", model, folder, *words)["episodes"]
     assert (episode["object"], len(episode["beliefs"])) == ("ball", 20)
-    figures = answer_of(
+    figures = palpate.answer(
         "evaluate",
         *("--train", folder, "--where", "order < 10"),
         *("--test", folder, "--test-where", "order >= 10"),
         *("--touches", "1,5", "--orders", "2"),
     )
     assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 30)
-    refused = palpate("learn", archive, "--where", "object = pen", "-o", model)
-    assert refused.returncode == 1
-    assert "--where must be given with a library" in refused.stderr
+    refused = palpate.refusal("learn", archive, "--where", "object = pen", "-o", model)
+    assert "--where must be given with a library" in refused
     refused = palpate("learn", folder, "--name-pattern", "x", "-o", model)
     assert "--name-pattern must be left out for a library" in refused.stderr
     refused = palpate("learn", folder, "--where", "colour = red", "-o", model)
@@ -205,7 +197,7 @@ def test_verbs_take_a_library_with_a_filter(
 
 
 def test_a_filter_in_a_file_selects_training_touches_as_a_typed_one_does(
-    answer_of, folder, tmp_path
+    palpate, folder, tmp_path
 ):
     with TouchLibrary.open(tmp_path / "test", create=True) as library:
         library.add(_touches(1))
@@ -213,11 +205,11 @@ def test_a_filter_in_a_file_selects_training_touches_as_a_typed_one_does(
     profile = tmp_path / "reading.toml"
     profile.write_text("where = 'order < 10'")
     for filtered in (("--where", "order < 10"), ("--read", profile)):
-        figures = answer_of("evaluate", *words, *filtered)
+        figures = palpate.answer("evaluate", *words, *filtered)
         assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 60)
 
 
-def test_a_model_is_extended_from_new_episodes(palpate, answer_of, folder, tmp_path):
+def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
     old, new = tmp_path / "old.palpate", tmp_path / "new.palpate"
     palpate("learn", folder, "-o", old)
     refused = palpate("learn", folder, "--extend", old, "-o", new)
@@ -231,7 +223,7 @@ def test_a_model_is_extended_from_new_episodes(palpate, answer_of, folder, tmp_p
     assert json.loads(result.stdout)["n_labels"] == 4
     with TouchLibrary.open(folder) as library:
         library.add(_touches(2, ("mug",), 7), episode="more")
-    learnt = answer_of("learn", folder, "--extend", new, "-o", new)
+    learnt = palpate.answer("learn", folder, "--extend", new, "-o", new)
     assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
 
 
@@ -241,9 +233,8 @@ def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeyp
     soon = partial(distributed.Client, timeout=0.2)
     monkeypatch.setattr(distributed, "Client", lambda address, timeout: soon(address))
     model = tmp_path / "m.palpate"
-    refused = palpate("learn", folder, "-o", model, "--cluster", "nowhere:1")
-    assert refused.returncode == 1
-    assert "--cluster must be the address of a Dask scheduler" in refused.stderr
+    refused = palpate.refusal("learn", folder, "-o", model, "--cluster", "nowhere:1")
+    assert "--cluster must be the address of a Dask scheduler" in refused
     refused = palpate("learn", folder, "-o", model, "--cluster", "x", "--workers", 2)
     assert "either --workers or --cluster" in refused.stderr
     refused = palpate("learn", folder, "-o", model, "--workers", "0")
@@ -253,14 +244,11 @@ def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeyp
 @pytest.mark.parametrize("option", ["--where", "--name-pattern", "--no-contact"])
 def test_a_bag_refuses_options_that_say_nothing_of_it(palpate, tmp_path, option):
     (tmp_path / "bag").mkdir()
-    refused = palpate(
+    refused = palpate.refusal(
         *("library", "add", tmp_path / "new", tmp_path / "bag"),
         *("--topic", "/pad", option, "object = mug"),
     )
-    assert refused.returncode == 1
-    assert f"{option} must be left out with --topic, got 'object = mug'" in (
-        refused.stderr
-    )
+    assert f"{option} must be left out with --topic, got 'object = mug'" in (refused)
     assert not (tmp_path / "new").exists()
 
 
@@ -268,9 +256,8 @@ def test_a_lost_database_is_not_replaced(palpate, folder, archive):
     palpate("library", "rename", folder, "mug", "cup")
     for path in folder.glob("library.sqlite*"):
         path.unlink()
-    refused = palpate("library", "add", folder, archive)
-    assert refused.returncode == 1
-    assert "library.sqlite, which held touches and is gone" in refused.stderr
+    refused = palpate.refusal("library", "add", folder, archive)
+    assert "library.sqlite, which held touches and is gone" in refused
     assert palpate("library", "check", folder).returncode == 1
     (folder / "library.count").unlink()  # as the message says
     assert palpate("library", "add", folder, archive).returncode == 0
@@ -283,13 +270,12 @@ def test_pictures_are_kept_in_colour_where_asked(palpate, tmp_path):
     Image.fromarray(flat).save(pictures / "cup" / "1.png")
     added = palpate("library", "add", tmp_path / "lab", pictures, "--colour")
     assert added.returncode == 0, added.stderr
-    result = palpate("library", "list", tmp_path / "lab", "--json")
-    assert json.loads(result.stdout)["rows"][0]["n_channels"] == 3
-    result = palpate(
+    result = palpate.answer("library", "list", tmp_path / "lab")
+    assert result["rows"][0]["n_channels"] == 3
+    result = palpate.refusal(
         "learn", tmp_path / "lab", "--colour", "-o", tmp_path / "m.palpate"
     )
-    assert result.returncode == 1
-    assert "--colour must be left out for a library" in result.stderr
+    assert "--colour must be left out for a library" in result
 
 
 def test_films_and_tables_become_touches(palpate, tmp_path):
@@ -330,30 +316,26 @@ def test_frames_become_touches_where_begin_says(palpate, tmp_path):
 
 @pytest.mark.parametrize("option", ["--shape=2x2", "--dtype=<u2", "--channels=x,y"])
 def test_what_a_library_says_itself_is_refused(option, palpate, folder):
-    done = palpate("check", folder, option)
-    assert done.returncode == 1
-    assert f"{option.partition('=')[0]} must be left out for a library" in done.stderr
+    done = palpate.refusal("check", folder, option)
+    assert f"{option.partition('=')[0]} must be left out for a library" in done
 
 
 def test_begin_is_of_films(palpate, folder, archive):
     for path in (folder, archive):
-        done = palpate("check", path, "--begin", "3")
-        assert done.returncode == 1
-        assert "--begin must be left out for" in done.stderr
+        done = palpate.refusal("check", path, "--begin", "3")
+        assert "--begin must be left out for" in done
 
 
 @pytest.mark.parametrize("size", ["inf", "nan", "-1"])
 def test_a_largest_picture_is_a_positive_number(size, palpate, archive):
-    done = palpate("check", archive, "--max-megapixels", size)
-    assert done.returncode == 1
-    assert "--max-megapixels must be positive and finite" in done.stderr
+    done = palpate.refusal("check", archive, "--max-megapixels", size)
+    assert "--max-megapixels must be positive and finite" in done
 
 
 def test_objects_are_listed_all_or_not_at_all(palpate, folder):
     for options in (("--where", "object = mug"), ("--offset", "1"), ("--retracted",)):
-        done = palpate("library", "list", folder, "--objects", *options)
-        assert done.returncode == 1
-        assert "--objects must stand without --where" in done.stderr
+        done = palpate.refusal("library", "list", folder, "--objects", *options)
+        assert "--objects must stand without --where" in done
 
 
 @pytest.mark.parametrize(
@@ -368,9 +350,8 @@ def test_objects_are_listed_all_or_not_at_all(palpate, folder):
 )
 def test_what_a_running_sensor_does_not_heed_is_refused(options, palpate, tmp_path):
     words = (tmp_path / "lab", "sim:mug", "--object", "mug", "-n", "1")
-    done = palpate("library", "add", *words, *options)
-    assert done.returncode == 1
-    assert f"{options[0]} must be left out with a running sensor" in done.stderr
+    done = palpate.refusal("library", "add", *words, *options)
+    assert f"{options[0]} must be left out with a running sensor" in done
     assert not (tmp_path / "lab").exists()
 
 
@@ -378,6 +359,5 @@ def test_what_a_running_sensor_does_not_heed_is_refused(options, palpate, tmp_pa
 def test_a_filter_of_touches_that_are_not_there_is_refused(name, palpate, folder):
     option = f"--{name}-where"
     words = ("--train", folder, "--split", "last", option, "order > 3")
-    done = palpate("evaluate", *words)
-    assert done.returncode == 1
-    assert f"{option} must come with --{name}, got 'order > 3' alone" in done.stderr
+    done = palpate.refusal("evaluate", *words)
+    assert f"{option} must come with --{name}, got 'order > 3' alone" in done

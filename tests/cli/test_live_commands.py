@@ -72,10 +72,10 @@ def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_p
     assert "touch 4 of 4" in result.stderr
 
 
-def test_the_address_of_a_sensor_may_hold_its_options(answer_of, recording, tmp_path):
+def test_the_address_of_a_sensor_may_hold_its_options(palpate, recording, tmp_path):
     address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
     words = ["record", "bar", "--sensor", address, "-n", "3", "--rate", "200"]
-    assert answer_of(*words, "--library", tmp_path / "l")["touches"] == 3
+    assert palpate.answer(*words, "--library", tmp_path / "l")["touches"] == 3
 
 
 def test_touches_of_a_running_sensor_are_added(palpate, recording, tmp_path):
@@ -90,12 +90,11 @@ def test_touches_of_a_running_sensor_are_added(palpate, recording, tmp_path):
 
 
 def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
-    result = palpate(
+    result = palpate.refusal(
         *["record", "bar", "--sensor", "sim:bar10", "--rate", "50", "--gap", "10000"],
         *["--library", str(tmp_path / "l"), "--timeout", "0.3"],
     )
-    assert result.returncode == 1
-    assert "No touch in 0.3 s" in result.stderr
+    assert "No touch in 0.3 s" in result
 
 
 def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
@@ -161,9 +160,8 @@ def test_what_record_cannot_do_is_said_first(
     options, message, palpate, replay, tmp_path
 ):
     library = tmp_path / "lab"
-    done = palpate("record", "bar", *replay, "--library", library, *options)
-    assert done.returncode == 1
-    assert message in done.stderr
+    done = palpate.refusal("record", "bar", *replay, "--library", library, *options)
+    assert message in done
     assert not library.exists()
     if len(options) == 2 and "-n" in options:
         done = palpate("library", "add", library, replay[1], "--object", "x", *options)
@@ -180,9 +178,7 @@ def test_what_record_cannot_do_is_said_first(
     ],
 )
 def test_numbers_that_live_cannot_keep_are_refused(option, message, palpate, model):
-    done = palpate("live", model, "--sensor", "sim:bar10", option)
-    assert done.returncode == 1
-    assert message in done.stderr
+    assert message in palpate.refusal("live", model, "--sensor", "sim:bar10", option)
 
 
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
@@ -247,9 +243,7 @@ def test_a_model_of_colours_is_refused_with_a_grey_sensor(
     colour = np.stack([grey.images] * 3, axis=-1)
     touches = Touches(colour, object=grey.object, channels=["r", "g", "b"])
     ObjectRecogniser().fit(touches).save(model)
-    result = palpate("live", model, *replay)
-    assert result.returncode == 1
-    message = " ".join(result.stderr.split())
+    message = " ".join(palpate.refusal("live", model, *replay).split())
     assert "of images of 12 x 12 taxels in grey" in message
     assert "got one of 12 x 12 taxels in colour" in message
     assert "with colour=1" in message
@@ -337,10 +331,9 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
 
 
 def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, model):
-    result = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
-    assert result.returncode == 1
-    assert "120 x 120 pixels" in result.stderr
-    assert "got one of 12 x 12" in result.stderr
+    result = palpate.refusal("live", model, "--sensor", "sim:mug", "--timeout", "4")
+    assert "120 x 120 pixels" in result
+    assert "got one of 12 x 12" in result
 
 
 def test_live_says_why_a_touch_was_not_taken(palpate, replay, model, monkeypatch):
@@ -348,9 +341,8 @@ def test_live_says_why_a_touch_was_not_taken(palpate, replay, model, monkeypatch
         raise ValueError("The touch is none.")
 
     monkeypatch.setattr(Episode, "add", refuse)
-    result = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
-    assert result.returncode == 1
-    assert result.stderr.endswith("palpate: The touch is none.\n")
+    result = palpate.refusal("live", model, *replay, "--gap", "3", "--timeout", "20")
+    assert result.endswith("palpate: The touch is none.\n")
 
 
 def test_record_says_that_the_disk_is_full(palpate, replay, tmp_path, monkeypatch):
@@ -394,10 +386,9 @@ def test_a_model_learnt_of_a_library_knows_its_touches_and_sensor(
     assert (memory.no_contact == zero).all()
     assert memory.n_touches == 20
     watch = "sensor", "check", "--sensor", "sim:bar10", "--seconds", "300"
-    other = palpate(*watch, "--model", model)
-    assert other.returncode == 1
-    assert "must be of images of 10 x 10 taxels" in other.stderr
-    assert "got one of 12 x 12 taxels" in other.stderr
+    other = palpate.refusal(*watch, "--model", model)
+    assert "must be of images of 10 x 10 taxels" in other
+    assert "got one of 12 x 12 taxels" in other
     moved = ReplaySensor(recorded.with_columns(no_contact=zero + np.uint8(60)))
     session = LiveSession(moved, model=model)
     (warning,) = session.to_dict()["sensor"]["warnings"]
@@ -458,9 +449,7 @@ def test_the_token_is_the_one_that_was_chosen_or_kept(palpate, monkeypatch, tmp_
     assert token_of([*words, "--token", chosen]) == chosen
     monkeypatch.setenv("PALPATE_TOKEN", chosen)
     assert token_of(kept) == chosen
-    refused = palpate(*words, "--token", "short")
-    assert refused.returncode == 1
-    assert "16 to 200 letters" in refused.stderr
+    assert "16 to 200 letters" in palpate.refusal(*words, "--token", "short")
 
 
 def test_the_core_of_the_loop_needs_none_of_the_extras():
@@ -517,8 +506,7 @@ def test_channels_that_are_no_colours_and_a_dead_taxel_are_reported(palpate, tmp
     Touches(images, no_contact=images[0], **about).save(tmp_path / "pad.npz")
     address = f"replay:{tmp_path / 'pad.npz'}?rate=100&hold=1"
     watch = "sensor", "check", "--sensor", address, "--seconds", "0.6"
-    result = palpate(*watch, "--report", page, "--json")
-    assert json.loads(result.stdout)["figures"]["frames"] > 24
+    assert palpate.answer(*watch, "--report", page)["figures"]["frames"] > 24
     assert "rest" in page.read_text()
     assert "nan" not in page.read_text()
 
@@ -546,10 +534,9 @@ def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tm
         ["record", "bar", *replay, "--library", lab, "-o", archive],
         ["library", "show", lab, "abc", "-o", page.with_name("a.npy")],
     ):
-        done = palpate(*words)
-        assert done.returncode == 1
+        done = palpate.refusal(*words)
         message = f"palpate: There is no folder {page.parent} to write to; make it."
-        assert message in done.stderr
+        assert message in done
     assert not lab.exists()
 
 
@@ -563,10 +550,9 @@ def test_a_library_that_is_served_already_is_named_with_its_address(
     words = ["serve", "--library", library, "--json"]
     with closing(PageServer()) as taken:
         port = urlsplit(taken.address).port
-        used = palpate(*words, "--port", port)
-        assert used.returncode == 1
-        assert "another program, perhaps a palpate that was not ended" in used.stderr
-        assert "free one" in used.stderr
+        used = palpate.refusal(*words, "--port", port)
+        assert "another program, perhaps a palpate that was not ended" in used
+        assert "free one" in used
     assert palpate(*words, "--port", "0").stderr == ""  # no server has it any more
     app = create_app(LiveSession(), "token")
     with PageServer(library=library).running(app, log_level="error") as address:
@@ -629,10 +615,11 @@ def test_a_bad_picture_of_a_replay_names_the_command_that_lists_all(
     bad.write_text("no picture")
     for verb in ("serve", "record"):
         words = [verb, *["mug"] * (verb == "record"), "--library", tmp_path / "l"]
-        result = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
-        assert result.returncode == 1
-        assert "mug/1.png" in result.stderr
-        assert f"`palpate check {tmp_path / 'touches'}` lists all" in result.stderr
+        result = palpate.refusal(
+            *words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9"
+        )
+        assert "mug/1.png" in result
+        assert f"`palpate check {tmp_path / 'touches'}` lists all" in result
     absent = palpate("serve", "--sensor", f"replay:{tmp_path / 'nowhere'}")
     assert "palpate check" not in absent.stderr
 
@@ -644,7 +631,8 @@ def test_a_replay_without_rest_does_not_call_its_pictures_wrong(palpate, tmp_pat
         picture = rng.integers(0, 255, (80, 90), np.uint8)
         path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     words = ["record", "mug", "--library", tmp_path / "l"]
-    result = palpate(*words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9")
-    assert result.returncode == 1
-    assert "must show what touching nothing looks like" in result.stderr
-    assert "palpate check" not in result.stderr
+    result = palpate.refusal(
+        *words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9"
+    )
+    assert "must show what touching nothing looks like" in result
+    assert "palpate check" not in result

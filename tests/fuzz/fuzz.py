@@ -27,7 +27,7 @@ from PIL import Image
 from palpate import ObjectRecogniser, Touches
 from palpate.library import LibraryError, read_bag
 from palpate.recognition import ModelFileError
-from palpate.sensors import BinaryFraming, LineFraming, write_binary, write_line
+from palpate.sensors import BinaryFraming, LineFraming
 from palpate.touches import TouchesError, decode_bytes
 
 HERE = Path(__file__).parent
@@ -158,10 +158,8 @@ def bag(chance, folder):
 def message(chance, folder):
     """Frames of a serial array, changed and cut anywhere, never end the stream."""
     image = np.arange(12, dtype=np.uint16).reshape(3, 4)
-    framing, write = chance.choice(
-        [(LineFraming((3, 4)), write_line), (BinaryFraming((3, 4)), write_binary)]
-    )
-    data = changed(write(image) * 20, chance) + write(image) * 3
+    framing = chance.choice([LineFraming((3, 4)), BinaryFraming((3, 4))])
+    data = changed(framing.write(image) * 20, chance) + framing.write(image) * 3
     frames = []
     while data:
         n = chance.randint(1, 70)

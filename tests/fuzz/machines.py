@@ -31,7 +31,8 @@ from hypothesis.stateful import (
 from palpate import ObjectRecogniser, Touches
 from palpate.library import LibraryError, TouchLibrary, check_library, repair_library
 from palpate.sensors import LiveSensor, SensorError
-from palpate.web import LiveSession, learn_job
+from palpate.web import LiveSession
+from palpate.web._learning import learn_job
 
 names = st.sampled_from("abcde")
 

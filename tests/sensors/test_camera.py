@@ -15,7 +15,6 @@ from palpate.sensors import (
     SensorError,
     TouchDetector,
     check_sensor,
-    find_camera,
     open_sensor,
 )
 
@@ -323,23 +322,23 @@ def test_names_choose_one_camera(monkeypatch):
     ]
     package = SimpleNamespace(enumerate_cameras=lambda: listed)
     monkeypatch.setitem(sys.modules, "cv2_enumerate_cameras", package)
-    assert find_camera("dome") == "/dev/video0"
-    assert find_camera("3") == "3"
+    assert CameraSensor.path_of("dome") == "/dev/video0"
+    assert CameraSensor.path_of("3") == "3"
     with pytest.raises(SensorError, match=r"2 cameras have 'cam' .*'Dome cam'"):
-        find_camera("cam")
+        CameraSensor.path_of("cam")
     none = "No camera has 'hall' in the name"
     with pytest.raises(SensorError, match=none) as refused:
-        find_camera("hall")
+        CameraSensor.path_of("hall")
     there = "There are: 'Dome cam' (/dev/video0), 'Desk cam' (/dev/video2)."
     assert str(refused.value).endswith(there)
     with pytest.raises(SensorError, match="no camera at /dev/nowhere"):
-        find_camera("/dev/nowhere")
+        CameraSensor.path_of("/dev/nowhere")
 
 
 def test_without_the_package_names_are_refused_and_paths_are_not(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "cv2_enumerate_cameras", None)
     with pytest.raises(ImportError, match=r'pip install "palpate\[camera\]"'):
-        find_camera("dome")
+        CameraSensor.path_of("dome")
     path = tmp_path / "video0"
     path.touch()
-    assert find_camera(str(path)) == str(path)
+    assert CameraSensor.path_of(str(path)) == str(path)

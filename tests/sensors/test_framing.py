@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from palpate.sensors import BinaryFraming, LineFraming, write_binary, write_line
+from palpate.sensors import BinaryFraming, LineFraming
 
 SHAPE = (3, 4)
 garbage = st.binary(max_size=40)
@@ -32,9 +32,9 @@ def test_the_documented_line_is_read():
 
 def test_every_digit_that_float32_holds_is_written():
     largest = np.array([[16777215.0, 16777216.0, -65535.0]])
-    assert write_line(largest).startswith(b"$16777215,16777216,-65535*")
+    assert LineFraming.write(largest).startswith(b"$16777215,16777216,-65535*")
     image = np.float32([[0.1, 1 / 3, 1e-20], [np.nan, 123.456, -7.0]])
-    (decoded,) = LineFraming((2, 3)).feed(write_line(image))
+    (decoded,) = LineFraming((2, 3)).feed(LineFraming.write(image))
     assert_array_equal(decoded, image)
 
 
@@ -50,7 +50,7 @@ def test_lines_tell_the_smallest_step_they_can_show():
 def test_the_checksum_of_bytes_is_ccitt_false():
     # The catalogue's check value of CRC-16/CCITT-FALSE for "123456789".
     assert binascii.crc_hqx(b"123456789", 0xFFFF) == 0x29B1
-    packet = write_binary(np.zeros((1, 1), np.uint8), number=7)
+    packet = BinaryFraming.write(np.zeros((1, 1), np.uint8), number=7)
     assert packet[:7] == bytes((0xA5, 0x5A, 1, 1, 1, 7, 0))
 
 
@@ -62,7 +62,9 @@ def test_the_checksum_of_bytes_is_ccitt_false():
 )
 def test_lines_survive_garbage_before_them(frames, noise, sizes):
     images = [np.reshape(values, SHAPE) for values in frames]
-    written = noise.replace(b"*", b"") + b"\n" + b"".join(map(write_line, images))
+    written = (
+        noise.replace(b"*", b"") + b"\n" + b"".join(map(LineFraming.write, images))
+    )
     framing = LineFraming(SHAPE)
     decoded = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
     assert_array_equal(decoded, np.array(images, np.float32))
@@ -77,7 +79,7 @@ def test_lines_survive_garbage_before_them(frames, noise, sizes):
 def test_bytes_survive_garbage_between_them(frames, noise, sizes):
     images = [(np.reshape(v, SHAPE) % 65536).astype(np.uint16) for v in frames]
     framing = BinaryFraming(SHAPE)
-    written = b"".join(noise + write_binary(i, n) for n, i in enumerate(images))
+    written = b"".join(noise + BinaryFraming.write(i, n) for n, i in enumerate(images))
     # A frame's length of zeros ends whatever the garbage may have begun.
     written += bytes(64)
     decoded = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
@@ -88,14 +90,14 @@ def test_bytes_survive_garbage_between_them(frames, noise, sizes):
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int16, np.float32])
 def test_every_type_of_taxel_comes_back(kind, rng):
     image = rng.uniform(0, 200, size=SHAPE).astype(kind)
-    (decoded,) = BinaryFraming(SHAPE, kind).feed(write_binary(image))
+    (decoded,) = BinaryFraming(SHAPE, kind).feed(BinaryFraming.write(image))
     assert decoded.dtype == kind
     assert_array_equal(decoded, image)
 
 
 def test_a_flipped_bit_anywhere_loses_that_frame_and_no_other(rng):
     images = rng.integers(0, 60000, size=(3, *SHAPE)).astype(np.uint16)
-    packets = [write_binary(image, n) for n, image in enumerate(images)]
+    packets = [BinaryFraming.write(image, n) for n, image in enumerate(images)]
     for at in range(len(packets[1])):
         broken = bytearray(packets[1])
         broken[at] ^= 0x10
@@ -109,7 +111,7 @@ def test_a_flipped_bit_anywhere_loses_that_frame_and_no_other(rng):
 def test_numbers_tell_how_many_frames_are_missing():
     framing = BinaryFraming((1, 1))
     for number in (65534, 65535, 0, 3):
-        framing.feed(write_binary(np.ones((1, 1), np.uint16), number))
+        framing.feed(BinaryFraming.write(np.ones((1, 1), np.uint16), number))
     assert framing.n_missed == 2
 
 
@@ -130,7 +132,7 @@ def test_a_line_that_is_no_frame_is_counted_and_skipped(line):
     assert framing.feed(line) == []
     # Lines carry no numbers: none is known to be missing.
     assert (framing.n_damaged, framing.n_missed) == (1, 0)
-    assert len(framing.feed(write_line(np.array([[4.0, 5.0]])))) == 1
+    assert len(framing.feed(LineFraming.write(np.array([[4.0, 5.0]])))) == 1
 
 
 def test_lines_without_checksum_are_read_where_asked_for():
@@ -166,7 +168,7 @@ def test_what_bytes_cannot_carry_is_refused():
 def test_lines_that_were_cut_are_counted(rng):
     """A cut that takes the line's end along leaves two frames in one line."""
     images = rng.integers(0, 4000, (300, *SHAPE)).astype(float)
-    lines = list(map(write_line, images))
+    lines = list(map(LineFraming.write, images))
     cut = rng.random(300) < 0.4
     cut[-1] = False  # nothing ends what was begun
     sent = [
@@ -200,5 +202,7 @@ def test_very_large_and_infinite_levels_are_no_frames():
 def test_a_gap_of_a_thousand_numbers_is_a_new_beginning(gap, n_missed):
     framing = BinaryFraming((1, 1))
     image = np.ones((1, 1), np.uint16)
-    framing.feed(write_binary(image, 7) + write_binary(image, (8 + gap) % 65536))
+    framing.feed(
+        BinaryFraming.write(image, 7) + BinaryFraming.write(image, (8 + gap) % 65536)
+    )
     assert framing.n_missed == n_missed

@@ -14,13 +14,13 @@ from palpate import Touches
 from palpate.cli.sensor import SensorOptions
 from palpate.sensors import (
     AddressError,
-    CalibratedSensor,
     Frame,
     LiveSensor,
     Reading,
     ReplaySensor,
     SensorError,
     TouchDetector,
+    _address,
     channels_of,
     check_sensor,
     open_sensor,
@@ -548,15 +548,15 @@ class Doubling:
 
 
 def test_a_calibrated_sensor_gives_frames_in_its_unit():
-    check_sensor(CalibratedSensor(Counting(), Doubling()))
-    with CalibratedSensor(Bursting(), Doubling()) as sensor:
+    check_sensor(_address.CalibratedSensor(Counting(), Doubling()))
+    with _address.CalibratedSensor(Bursting(), Doubling()) as sensor:
         frames = [sensor.read_next() for _ in range(30)]
     assert sensor.unit == "kPa"
     for frame in frames:
         assert frame.image[0, 0] == 2 * frame.device_time_s
     wrong = ReplaySensor(recording())
     with pytest.raises(ValueError, match="calibration is of 2 x 3 taxels"):
-        CalibratedSensor(wrong, Doubling())
+        _address.CalibratedSensor(wrong, Doubling())
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from ros_network import NUMBER, variables
 
-from palpate.sensors import RosSensor, SensorError, check_sensor, open_sensor, ros
+from palpate.sensors import SensorError, check_sensor, open_sensor, ros
 
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
@@ -78,7 +78,7 @@ def test_no_frame_is_lost_that_comes_together_with_the_first():
 
 def test_a_ros_sensor_keeps_the_contract():
     with peer("/t_contract"):
-        check_sensor(RosSensor("/t_contract", (12, 12), domain=DOMAIN))
+        check_sensor(open_sensor(address("/t_contract", "&shape=12x12")))
 
 
 def test_arrays_are_frames_too():
@@ -134,7 +134,7 @@ def test_messages_that_lie_are_counted_and_never_become_frames():
 
 def test_damaged_bytes_are_no_frame_whatever_they_are():
     whole = ros.write_message(rosbags_picture(), KIND)
-    sensor = RosSensor("/t_bytes", (12, 12), domain=DOMAIN)
+    sensor = open_sensor(address("/t_bytes", "&shape=12x12"))
     sensor._reader = SimpleNamespace(kind=KIND)
     rng = np.random.default_rng(0)
     assert (sensor._frame(whole).image == 7).all()

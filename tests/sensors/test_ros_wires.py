@@ -18,7 +18,6 @@ from palpate.sensors import (
     SensorError,
     _zenoh,
     check_sensor,
-    open_node,
     open_sensor,
     ros,
     ros_place,
@@ -29,6 +28,7 @@ pytest.importorskip("rosbags")
 DOMAIN, ENDPOINT = 100 + NUMBER, f"tcp/127.0.0.1:{17600 + NUMBER}"
 IMAGE = "sensor_msgs::msg::dds_::Image_/RIHS01_d31d41"
 TRIGGER = b"\0\1\0\0\0"  # CDR of a request without fields
+HERE = f"ros:/desk?domain={DOMAIN}"
 needs_dds = pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
 needs_zenoh = pytest.mark.skipif(not find_spec("zenoh"), reason="no zenoh")
 
@@ -39,26 +39,17 @@ def network(monkeypatch):
         monkeypatch.setenv(name, value)
 
 
-# Hashes that ROS publishes: of rmw_zenoh's design, and of std_srvs.
-def test_type_hashes_are_those_of_ros():
+# The hash that ROS publishes.
+def test_the_type_hash_of_a_message_is_that_of_ros():
     string = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-    add = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
     assert _zenoh.type_hash(ros.STRING) == string
-    name, typesys = (
-        "example_interfaces/srv/AddTwoInts",
-        pytest.importorskip("rosbags.typesys"),
-    )
-    for part, text in (("Request", "int64 a\nint64 b\n"), ("Response", "int64 sum\n")):
-        (fields,) = typesys.get_types_from_msg(text, f"{name}_{part}").values()
-        ros.store().register({f"{name}_{part}": fields})
-    assert _zenoh.service_hash(name) == add
 
 
 @needs_dds
 def test_a_service_answers_as_rmw_cyclonedds_asks():
     from palpate.sensors._dds import DdsReader, DdsWriter, _topic
 
-    node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
+    node, client = (ros_place(HERE).open_node() for _ in range(2))
     service = node.serve("/desk/start", ros.TRIGGER, lambda _: (True, "begun"))
     participant, kind = client._participant, "std_srvs/srv/Trigger"
     asks = _topic(participant, "rq/desk/startRequest", f"{kind}_Request")
@@ -86,11 +77,11 @@ def test_a_service_answers_as_rmw_zenoh_asks():
     import zenoh
 
     with router(ENDPOINT) as client:
-        node = open_node(DOMAIN, "zenoh")
+        node = ros_place(f"{HERE}&via=zenoh").open_node()
         kind = ros.TRIGGER
         service = node.serve("/desk/start", kind, lambda _: (False, "no"))
         key = f"{DOMAIN}/desk/start/std_srvs::srv::dds_::Trigger_"
-        key += f"/{_zenoh.service_hash(kind)}"
+        key += f"/{_zenoh.SERVICE_HASHES[kind]}"
         about = struct.pack("<qqB16s", 9, 123, 16, b"gid-of-a-client.")
         tokens = f"@ros2_lv/{DOMAIN}/*/*/*/SS/*/*/*/%desk%start/*/*/*"
         assert eventually(lambda: len([*client.liveliness().get(tokens)]) == 1)
@@ -164,9 +155,9 @@ def test_where_to_publish_is_one_short_address():
     with pytest.raises(ValueError, match=r"'qos' is no option .* domain, via, serv"):
         ros_place("ros:/palpate?qos=reliable")
     with pytest.raises(ValueError, match="domain must be at most 232, got 233"):
-        open_node(233, "dds")
+        ros_place("ros:/palpate?domain=233").open_node()
     with pytest.raises(ValueError, match="via must be"):
-        open_node(0, "carrier pigeon")
+        ros_place("ros:/palpate?via=pigeon")
 
 
 @needs_zenoh
@@ -187,7 +178,7 @@ def test_a_subscriber_that_asks_for_more_than_is_offered_is_told_by_its_policy()
 
     from palpate.sensors._dds import _topic
 
-    node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
+    node, client = (ros_place(HERE).open_node() for _ in range(2))
     writer = node.publish("/desk/belief", ros.STRING)
     assert writer.hindrance == ""
     asks = Qos(

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from palpate import sensors
 from palpate.recognition import ObjectRecogniser
-from palpate.sensors import SensorError, SensorMemory, baseline_warning, gain_warning
+from palpate.sensors import SensorError, SensorMemory
 from palpate.touches import Touches
 
 health = sensors.sensor_health
@@ -234,9 +234,8 @@ def test_the_share_of_each_taxel_is_remembered():
 @pytest.mark.parametrize("harder", [1, 5])
 def test_the_same_sensor_is_not_accused(presses, harder):
     before = SensorMemory.of(presses[:30], np.zeros((6, 6)))
-    after = SensorMemory.of(presses[30:] * harder, np.zeros((6, 6)))
-    assert gain_warning(before, after) == ""
-    assert baseline_warning(before, np.zeros((6, 6))) == ""
+    assert before.gain_warning(presses[30:] * harder, np.zeros((6, 6))) == ""
+    assert before.baseline_warning(np.zeros((6, 6))) == ""
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3, 4.0])
@@ -244,7 +243,7 @@ def test_a_taxel_whose_gain_has_left_tolerance_is_named(presses, gain):
     before = SensorMemory.of(presses[:30], np.zeros((6, 6)))
     faded = presses[30:].copy()
     faded[:, 2, 4] *= gain
-    warning = gain_warning(before, SensorMemory.of(faded, np.zeros((6, 6))))
+    warning = before.gain_warning(faded, np.zeros((6, 6)))
     assert "row 2 column 4." in warning
 
 
@@ -259,20 +258,19 @@ def test_a_taxel_that_answers_twice_as_much_is_named(times, n_touches, reported,
     other = images.copy()
     other[:, 1, 2] *= times
     # All shares sum to 1: one that doubles lessens the others by a sixteenth.
-    warning = gain_warning(before, SensorMemory.of(other, rest))
+    warning = before.gain_warning(other, rest)
     assert ("row 1 column 2" in warning) == reported
-    assert gain_warning(before, before) == ""
+    assert before.gain_warning(images, rest) == ""
 
 
 def test_a_baseline_is_judged_by_what_touches_change(presses):
     memory = SensorMemory.of(presses, np.zeros((6, 6)))
     rms = np.median(np.sqrt((presses**2).mean((1, 2))))
     assert memory.touch_change == pytest.approx(rms)
-    assert baseline_warning(memory, np.full((6, 6), 0.24 * rms)) == ""
-    assert "by 26 % of what" in baseline_warning(memory, np.full((6, 6), 0.26 * rms))
-    assert "6 x 6 taxels, this one has 5 x 5" in baseline_warning(
-        memory, np.zeros((5, 5))
-    )
+    assert memory.baseline_warning(np.full((6, 6), 0.24 * rms)) == ""
+    assert "by 26 % of what" in memory.baseline_warning(np.full((6, 6), 0.26 * rms))
+    other = memory.baseline_warning(np.zeros((5, 5)))
+    assert "6 x 6 taxels, this one has 5 x 5" in other
 
 
 def test_a_model_file_remembers_its_sensor(presses, tmp_path):
@@ -291,9 +289,8 @@ def test_a_taxel_that_fades_in_colour_is_named_once(presses):
     colour, rest = presses[..., np.newaxis] * [1.0, 0.5, 0.2], np.zeros((6, 6, 3))
     before, faded = SensorMemory.of(colour[:30], rest), colour[30:].copy()
     faded[:, 2, 4] = 0
-    warning = gain_warning(before, SensorMemory.of(faded, rest))
+    warning = before.gain_warning(faded, rest)
     assert warning.count("row") == 1
     assert "row 2 column 4." in warning
-    assert "6 x 6 x 3 taxels, this one has 6 x 6 taxels." in baseline_warning(
-        before, rest[..., 0]
-    )
+    grey = before.baseline_warning(rest[..., 0])
+    assert "6 x 6 x 3 taxels, this one has 6 x 6 taxels." in grey

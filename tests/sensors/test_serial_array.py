@@ -11,12 +11,12 @@ from numpy.testing import assert_array_equal
 
 from palpate.sensors import (
     AddressError,
+    BinaryFraming,
+    LineFraming,
     SensorError,
     SerialArraySensor,
     check_sensor,
     open_sensor,
-    write_binary,
-    write_line,
 )
 
 serial = pytest.importorskip("serial", reason="pyserial is not installed")
@@ -69,11 +69,11 @@ def endless(shape, write):
 
 
 def as_line(image, number):
-    return write_line(image)
+    return LineFraming.write(image)
 
 
 @pytest.mark.parametrize(
-    ("framing", "write"), [("line", as_line), ("binary", write_binary)]
+    ("framing", "write"), [("line", as_line), ("binary", BinaryFraming.write)]
 )
 def test_an_array_keeps_the_contract(terminal, framing, write):
     terminal.play(endless((3, 4), write), 200)
@@ -86,14 +86,14 @@ def test_16_x_16_at_100_hz_arrive_without_loss(terminal):
     images = np.arange(n_frames * 256, dtype=np.uint16).reshape(n_frames, 16, 16)
     sensor = SerialArraySensor(terminal.port, (16, 16), framing="binary", baud=921600)
     with sensor:
-        terminal.play([write_binary(im, n) for n, im in enumerate(images)], 100)
+        terminal.play([BinaryFraming.write(im, n) for n, im in enumerate(images)], 100)
         frames = [sensor.read_next() for _ in range(n_frames)]
     assert_array_equal([frame.image for frame in frames], images)
     assert sensor.n_dropped == 0
 
 
 def test_garbage_and_cut_frames_are_counted_and_left_behind(terminal):
-    good = [write_binary(np.full((2, 2), n, np.uint16), n) for n in range(4)]
+    good = [BinaryFraming.write(np.full((2, 2), n, np.uint16), n) for n in range(4)]
     with SerialArraySensor(terminal.port, (2, 2), framing="binary") as sensor:
         os.write(terminal.master, b"booting...\r\n" + good[0] + good[1][:7])
         os.write(terminal.master, good[2] + b"\xa5\x5a\x02" + good[3])
@@ -108,7 +108,7 @@ def test_a_pulled_plug_is_noticed_and_the_array_found_again(tmp_path):
     port.symlink_to(first.port)
     sensor = SerialArraySensor(str(port), (2, 2), framing="binary")
     sensor.retry_s = 0.02
-    packet = write_binary(np.ones((2, 2), np.uint16))
+    packet = BinaryFraming.write(np.ones((2, 2), np.uint16))
     with sensor:
         os.write(first.master, packet)
         sensor.read_next()
@@ -138,7 +138,7 @@ def test_a_port_that_is_not_there_or_busy_is_refused(terminal):
 def test_an_array_tells_the_step_of_its_numbers(terminal):
     with SerialArraySensor(terminal.port, (4, 4)) as array:
         assert array.step == 1
-        os.write(terminal.master, write_line(np.full((4, 4), 0.5)))
+        os.write(terminal.master, LineFraming.write(np.full((4, 4), 0.5)))
         array.read_next()
         assert array.step == 0.1
     assert SerialArraySensor("/dev/nowhere", (4, 4), framing="binary").step == 1
@@ -152,7 +152,7 @@ def plain_line(image, number):
 
 
 def one_byte(image, number):
-    return write_binary(image.astype(np.uint8), number)
+    return BinaryFraming.write(image.astype(np.uint8), number)
 
 
 def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(terminal):
@@ -176,10 +176,10 @@ def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(termina
             "128 values, expected 64: `shape=8x16` or `shape=16x8`",
         ),
         (plain_line, {"checksum": True}, "no checksum: `checksum=no`"),
-        (write_binary, {}, "look like binary: `framing=binary`"),
+        (BinaryFraming.write, {}, "look like binary: `framing=binary`"),
         (as_line, {"framing": "binary"}, "look like lines: `framing=line`"),
         (
-            write_binary,
+            BinaryFraming.write,
             {"framing": "binary", "image_shape": (16, 8)},
             "128: `shape=8x16`.",
         ),
@@ -207,7 +207,7 @@ def test_bytes_that_are_no_frames_say_why(
     [
         (as_line, (4, 4), "line", True),
         (plain_line, (4, 4), "line", False),
-        (write_binary, (3, 5), "binary", None),
+        (BinaryFraming.write, (3, 5), "binary", None),
         (one_byte, (3, 5), "binary", None),
     ],
 )
@@ -253,7 +253,7 @@ def test_lines_that_were_cut_are_counted_as_dropped(terminal):
 
     def packets():
         for number in range(80):
-            line = write_line(np.full((3, 4), number, np.float32))
+            line = LineFraming.write(np.full((3, 4), number, np.float32))
             yield line[:-7] if number % 4 == 1 else line
 
     with SerialArraySensor(terminal.port, (3, 4)) as sensor:

@@ -12,14 +12,10 @@ import pytest
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
-from palpate.web import (
-    LiveSession,
-    PageServer,
-    _learning,
-    create_app,
-    learn_job,
-    page_token,
-)
+from palpate.web import LiveSession, PageServer, _learning, create_app
+from palpate.web._learning import LearningError as LearningError
+from palpate.web._learning import learn_job
+from palpate.web._sensor_watch import Event as Event
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
 pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
@@ -183,10 +179,11 @@ def hand():
 @contextmanager
 def serving(session, token=None, port=0, keep_alive_s=5, **limits):
     """Run the application of a session, on a free port; give address and token."""
-    token = token or page_token()
+    server = PageServer(port=port)
+    token = token or server.token
     app = create_app(session, token, **limits)
     options = {"log_level": "error", "timeout_keep_alive": keep_alive_s}
-    with PageServer(port=port).running(app, **options) as address:
+    with server.running(app, **options) as address:
         yield address.rstrip("/"), token
 
 

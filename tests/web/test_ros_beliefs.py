@@ -25,9 +25,11 @@ from ros_network import (
 
 from palpate.cli import main
 from palpate.library import TouchLibrary
-from palpate.sensors import open_node, open_sensor
+from palpate.sensors import open_sensor, ros_place
 from palpate.sensors.ros import STRING, read_message
-from palpate.web import Event, LiveSession, RosPublisher
+from palpate.web import LiveSession, RosPublisher
+
+from .conftest import Event
 
 pytest.importorskip("rosbags")
 
@@ -190,9 +192,10 @@ def test_the_command_publishes_too(learnt, tmp_path):
 @pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
 def test_the_end_of_learning_is_a_second_answer():
     session = LiveSession()
-    node = open_node(DOMAIN, "dds")
+    place = f"ros:/desk?domain={DOMAIN}"
+    node = ros_place(place).open_node()
     answers = node.subscribe("/desk/answer", STRING, reliable=True)
-    publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+    publisher = RosPublisher(session, place)
     assert eventually(lambda reader=answers: reader.n_publishers)
     end_s = time.monotonic() + 10
     state = {"learning": True, "learn_error": "", "message": "Learnt 2 objects."}

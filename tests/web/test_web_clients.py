@@ -12,9 +12,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from palpate.library import LibraryError
-from palpate.web import Event
 
-from .conftest import waited
+from .conftest import Event, waited
 
 N_CLIENTS = 20
 

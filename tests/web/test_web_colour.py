@@ -10,9 +10,9 @@ import pytest
 from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import CameraSensor, ReplaySensor
-from palpate.web import LiveSession, learn_job
+from palpate.web import LiveSession
 
-from .conftest import waited
+from .conftest import learn_job, waited
 
 
 def red_left(side=60):

@@ -9,9 +9,9 @@ import pytest
 
 from palpate.library import LibraryError
 from palpate.sensors import DetectedTouch, ReplaySensor, open_sensor
-from palpate.web import LearningError, LiveSession
+from palpate.web import LiveSession
 
-from .conftest import waited
+from .conftest import LearningError, waited
 
 
 def _detected(image):

@@ -5,7 +5,7 @@ import logging
 import socket
 import threading
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from types import SimpleNamespace
 
 import httpx
@@ -15,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from palpate.library import TouchLibrary
-from palpate.web import PageServer, create_app, page_token
+from palpate.web import PageServer, create_app
 
 TOKEN = "right-token"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -225,6 +225,11 @@ def test_no_answer_is_held_back_until_the_one_before_is_acknowledged(make_sessio
     assert options == [1]
 
 
+def page_token(library=None, token=None):
+    with closing(PageServer(library=library, token=token)) as server:
+        return server.token
+
+
 def test_a_library_keeps_its_token_for_its_owner_alone(tmp_path):
     TouchLibrary.open(tmp_path / "library", create=True).close()
     token = page_token(tmp_path / "library")
@@ -241,7 +246,7 @@ def test_a_library_keeps_its_token_for_its_owner_alone(tmp_path):
 @pytest.mark.parametrize("token", ["short", "x" * 15, "x" * 201, "a b" * 9, "é" * 20])
 def test_a_token_that_is_easily_guessed_or_sent_wrongly_is_refused(token):
     with pytest.raises(ValueError, match=r"16 to 200 letters.*Leave it out") as refused:
-        page_token(chosen=token)
+        page_token(token=token)
     assert token not in str(refused.value)
 
 

@@ -12,9 +12,9 @@ from palpate import Touches
 from palpate.library import LibraryError, TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
-from palpate.web import LearningError, LiveSession, learn_job
+from palpate.web import LiveSession
 
-from .conftest import waited
+from .conftest import LearningError, learn_job, waited
 
 SMALL = np.arange(64, dtype=np.uint8).reshape(8, 8)
 

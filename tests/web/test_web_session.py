@@ -21,9 +21,9 @@ from palpate.sensors import (
     SensorError,
     SensorMemory,
 )
-from palpate.web import LearningError, LiveSession, learn_job
+from palpate.web import LiveSession
 
-from .conftest import Still, waited
+from .conftest import LearningError, Still, learn_job, waited
 
 
 @pytest.fixture(scope="module")

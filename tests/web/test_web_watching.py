@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from palpate.sensors import Frame, SensorError
-from palpate.web import Event, LiveSession
+from palpate.web import LiveSession
 
-from .conftest import Still
+from .conftest import Event, Still
 
 
 @pytest.fixture

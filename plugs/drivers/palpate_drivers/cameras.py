@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.sensors import CameraSensor, find_camera
+from palpate.sensors import CameraSensor
 
 Picture = NDArray[np.uint8]
 
@@ -137,7 +137,7 @@ def _opened(
     def usual(camera: str) -> Any:
         import cv2
 
-        address = find_camera(camera)
+        address = CameraSensor.path_of(camera)
         return cv2.VideoCapture(int(address) if address.isdigit() else address)
 
     return lambda name: Framed((open_capture or usual)(name), full, change, settings)

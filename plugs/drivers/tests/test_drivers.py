@@ -169,9 +169,9 @@ def test_arrays_come_over_a_network(rng, kind, framing):
         number = 0
         while not stop.is_set():
             if framing == "line":
-                data = sensors.write_line(frame)
+                data = sensors.LineFraming.write(frame)
             else:
-                data = sensors.write_binary(frame, number)
+                data = sensors.BinaryFraming.write(frame, number)
             number = (number + 1) % 65536
             try:
                 out.sendall(data) if stream else out.sendto(data, ("127.0.0.1", port))

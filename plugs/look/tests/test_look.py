@@ -16,7 +16,7 @@ from numpy.testing import assert_array_equal
 from palpate import ObjectRecogniser, Touches
 from palpate.library import read_bag
 from palpate.sensors import ReplaySensor
-from palpate.web import Event, LiveSession
+from palpate.web import LiveSession
 
 palpate_look = pytest.importorskip("palpate_look")
 needs_mcap = pytest.mark.skipif("not __import__('importlib').util.find_spec('mcap')")
@@ -335,6 +335,7 @@ def test_a_full_disk_is_reported_at_the_end_and_stops_nothing(tmp_path):
         raise OSError("No space left on device")
 
     log._image = no_room
-    log.take(Event("frame", {}, b"", np.zeros((2, 2), np.uint8)))
+    image = np.zeros((2, 2), np.uint8)
+    log.take(types.SimpleNamespace(kind="frame", values={}, image=image, channels=None))
     with pytest.raises(OSError, match="is not whole: No space left"):
         log.close()

@@ -44,10 +44,10 @@ class StandIn:
     parameters: ClassVar[dict] = {}
 
     def __init__(self, name):
-        from palpate.sensors import open_node
+        from palpate.sensors import ros_place
 
         self.services, self.ended = {}, threading.Event()
-        self.wire = open_node(DOMAIN, "dds")
+        self.wire = ros_place(f"ros:/desk?domain={DOMAIN}").open_node()
 
     def get_fully_qualified_name(self):
         return "/palpate"

@@ -108,9 +108,9 @@ def record_touches(
 def _check_touches(touches: int, sessions: int = 1) -> None:
     """Refuse too few touches, or too many, before a library is made."""
     from .._checks import check_count
-    from ..web import MOST_PER_LESSON
+    from ..web import LiveSession
 
-    check_count("touches", touches, at_most=MOST_PER_LESSON)
+    check_count("touches", touches, at_most=LiveSession.most_per_lesson)
     if touches < sessions:
         raise ValueError(
             f"--touches must be at least one for each of {sessions} --sessions, got "

@@ -113,18 +113,16 @@ class SensorOptions:
 
     def open(self, address: str) -> "LiveSensor":
         """Return the sensor at an address; it is not connected yet."""
-        from ..sensors import (
-            AddressError,
-            CalibratedSensor,
-            SensorError,
-            open_sensor,
-        )
+        from ..sensors import AddressError, SensorError, open_sensor
         from ..touches import TouchesError
 
         settings = {**vars(self)}
-        path = settings.pop("calibration")
+        if self.calibration is not None:
+            from ..images import TaxelCalibration
+
+            settings["calibration"] = TaxelCalibration.load(self.calibration)
         try:
-            sensor = open_sensor(address, **settings)
+            return open_sensor(address, **settings)
         except AddressError as error:
             raise typer.BadParameter(str(error)) from error
         except SensorError as error:
@@ -136,11 +134,6 @@ class SensorOptions:
             raise SensorError(
                 f"{error} `palpate check {folder}` lists all that is wrong."
             ) from error
-        if path is None:
-            return sensor
-        from ..images import TaxelCalibration
-
-        return CalibratedSensor(sensor, TaxelCalibration.load(path))
 
 
 def need_baseline(session: "LiveSession") -> None:

@@ -76,17 +76,15 @@ def serve(
     """Serve the page and the API of sensors, to whoever has the printed address."""
     if not as_json:
         say("Starting; the address follows.", flush=True)
-    from .. import web
-    from ..web import LiveSession, create_app
+    from ..web import LiveSession, PageServer, create_app
 
     check_publish(publish)
     how: Any = {**vars(deciding), "summary": summary}
     addresses = sensor or []
-    token = None if token is None else web.page_token(chosen=token)
     kept = "" if library is None else f" What was taught is kept in {library}."
     with (
         message_if_stopped(f"nothing is served any more.{kept}"),
-        closing(web.PageServer(host, port, library)) as server,
+        closing(PageServer(host, port, library, token)) as server,
         ExitStack() as stack,
     ):
         if server.elsewhere:
@@ -119,9 +117,8 @@ def serve(
             stack.enter_context(
                 published(session, _of(publish, number, len(addresses)))
             )
-        token = token or web.page_token(library)
-        app = create_app(sessions, token, names=[host, *(name or ())])
-        _say_where(host, server.address, token, as_json=as_json)
+        app = create_app(sessions, server.token, names=[host, *(name or ())])
+        _say_where(host, server.address, server.token, as_json=as_json)
         server.run(app)
 
 

@@ -8,15 +8,11 @@ ROS 2 that a node writes and reads.
 """
 
 from ._address import AddressError as AddressError
-from ._address import CalibratedSensor as CalibratedSensor
-from ._address import desk_of as desk_of
 from ._address import is_address as is_address
 from ._address import open_sensor
 from ._address import ros_place as ros_place
 from ._bench import SimulatedBench, SimulatedSensor
 from ._camera import CameraSensor
-from ._camera import find_camera as find_camera
-from ._contract import PLACE_COLUMNS as PLACE_COLUMNS
 from ._contract import Frame as Frame
 from ._contract import LiveSensor, Reading, SensorError, TouchSensor, check_sensor
 from ._contract import channels_of as channels_of
@@ -24,17 +20,9 @@ from ._detector import ContactError as ContactError
 from ._detector import DetectedTouch as DetectedTouch
 from ._detector import TouchDetector
 from ._health import SensorMemory as SensorMemory
-from ._health import baseline_warning as baseline_warning
-from ._health import gain_warning as gain_warning
 from ._health import sensor_health as sensor_health
-from ._played import PlayedSensor as PlayedSensor
 from ._played import ReplaySensor
-from ._ros import RosSensor as RosSensor
-from ._ros import RosService as RosService
-from ._ros import open_node as open_node
 from ._serial import BinaryFraming, LineFraming, SerialArraySensor
-from ._serial import write_binary as write_binary
-from ._serial import write_line as write_line
 
 __all__ = [
     "BinaryFraming",

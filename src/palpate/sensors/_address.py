@@ -28,8 +28,9 @@ from .._types import Array, Floats
 from ._camera import CameraSensor
 from ._contract import LiveSensor, Reading, SensorError
 from ._played import PlayedSensor, ReplaySensor, SimulatedStream
-from ._ros import RosSensor
+from ._ros import RosNode, RosSensor, open_node
 from ._serial import SerialArraySensor, find_array
+from .ros import Header
 
 _TICK_S = 0.3  # between looks at whether to stop
 
@@ -141,6 +142,8 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
         The same as Python values or as text, named as the sensor names them:
         `image_shape`, `rate_hz`, `no_contact`...; what else the sensor takes; see
         `CameraSensor`, `SerialArraySensor`, `ReplaySensor`. None counts as not given.
+        With a `calibration`, a `TaxelCalibration` or another fitted estimator of
+        images, frames are in kPa.
 
     Raises
     ------
@@ -166,22 +169,25 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
             "others come with plugs/drivers: pip install plugs/drivers."
         )
     arguments = _written(address, kind, written)
+    calibration = options.pop("calibration", None)
     for keyword, value in options.items():
         if value is not None:
             arguments[keyword] = _agreed(address, kind, arguments, keyword, value)
     place = re.sub("%3f", "?", place, flags=re.IGNORECASE)
-    if driver is None:
+    sensor: Any
+    if driver is not None:
+        sensor = driver(place, **arguments)
+    else:
         try:
-            return _sensor_of(kind, place, arguments)
+            sensor = _sensor_of(kind, place, arguments)
         except ValueError as error:
             raise AddressError(str(error)) from error
-    sensor = driver(place, **arguments)
     if not isinstance(sensor, LiveSensor):
         raise AddressError(
             f"The driver of {kind} sensors must return a LiveSensor, got "
             f"{type(sensor).__name__}. Ask its author; check_sensor tells."
         )
-    return sensor
+    return sensor if calibration is None else CalibratedSensor(sensor, calibration)
 
 
 class RosPlace(NamedTuple):
@@ -191,6 +197,10 @@ class RosPlace(NamedTuple):
     domain: int = 0
     via: str = "dds"
     services: bool = True
+
+    def open_node(self) -> RosNode:
+        """Return a participant in the domain, over "dds" or "zenoh"."""
+        return open_node(self.domain, self.via)
 
 
 def ros_place(address: str) -> RosPlace:
@@ -262,13 +272,6 @@ def _options(kind: str) -> dict[str, _Option]:
     return options
 
 
-def desk_of(sensor: object) -> PlayedSensor | None:
-    """Return the sensor if things can be placed before it by name, else None."""
-    if isinstance(sensor, CalibratedSensor):
-        return desk_of(sensor.inner)
-    return sensor if isinstance(sensor, PlayedSensor) else None
-
-
 def _agreed(
     address: str, kind: str, arguments: dict[str, Any], keyword: str, value: Any
 ) -> Any:
@@ -311,7 +314,7 @@ def _shown(value: Any) -> str:
 
 
 def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
-    desk, shape = arguments.pop("place", None), arguments.get("image_shape")
+    placed, shape = arguments.pop("place", None), arguments.get("image_shape")
     sensor: LiveSensor
     if kind == "camera":
         sensor = CameraSensor(place, **arguments)
@@ -341,10 +344,10 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
             f"shape must be that of the {sensor.name}, {n_rows} x {n_cols}, got "
             f"{asked_rows} x {asked_cols}. Leave `shape` out."
         )
-    if desk is not None and isinstance(sensor, PlayedSensor):
-        check_option("place", desk, dict.fromkeys((*sensor.objects, "nothing")))
-        nothing = desk == "nothing" and desk not in sensor.objects
-        sensor.place(None if nothing else desk)
+    if placed is not None and isinstance(sensor, PlayedSensor):
+        check_option("place", placed, dict.fromkeys((*sensor.objects, "nothing")))
+        nothing = placed == "nothing" and placed not in sensor.objects
+        sensor.place(None if nothing else placed)
     return sensor
 
 
@@ -357,16 +360,14 @@ class _Calibration(Protocol):
 
 
 class CalibratedSensor(LiveSensor):
-    """Another sensor's frames in the unit of a calibration.
+    """Another sensor's frames in kPa, by a calibration.
 
     Parameters
     ----------
     sensor : LiveSensor
         Not connected yet.
     calibration : Calibration
-        A `TaxelCalibration`, or another fitted estimator of images.
-    unit : str, default="kPa"
-        What its numbers count.
+        A `TaxelCalibration`, or another fitted estimator of images in kPa.
 
     Raises
     ------
@@ -377,16 +378,23 @@ class CalibratedSensor(LiveSensor):
 
     queue_length = 64
 
-    def __init__(
-        self, sensor: LiveSensor, calibration: _Calibration, unit: str = "kPa"
-    ) -> None:
+    def __init__(self, sensor: LiveSensor, calibration: _Calibration) -> None:
         self.inner, self.calibration = sensor, calibration
         if misfit := self._misfit():
             raise ValueError(misfit)
         shape, geometry = sensor.image_shape, sensor.geometry
-        super().__init__(sensor.name, unit, shape, np.float64, geometry)
+        super().__init__(sensor.name, "kPa", shape, np.float64, geometry)
         self.channels = sensor.channels
         self._next_number = 0
+
+    @property
+    def desk(self) -> PlayedSensor | None:
+        """What lets things be placed before it by name; None of a real sensor."""
+        return self.inner.desk
+
+    def header_at(self, device_time_s: float) -> Header | None:
+        """Return the header of the ROS message of a frame, None where none is kept."""
+        return self.inner.header_at(device_time_s)
 
     def no_contact(self) -> Array | None:
         """Return the frame of touching nothing, or None where it is not known."""

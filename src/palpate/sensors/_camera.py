@@ -108,6 +108,28 @@ class CameraSensor(LiveSensor):
         self._open_capture = open_capture or _open_video
         self._capture: Any = None
 
+    @staticmethod
+    def path_of(camera: str) -> str:
+        """Return the path (or number) of the one camera that `camera` means.
+
+        Raises
+        ------
+        SensorError
+            There is none, or more than one; the message lists those there are.
+        """
+        if camera.isdigit():
+            return camera
+        if os.sep in camera:
+            if not Path(camera).exists():
+                raise SensorError(f"There is no camera at {camera}.{_listed()}")
+            return str(Path(camera).resolve())
+        wanted = camera.lower()
+        fits = [path for name, path in camera_names() if wanted in name.lower()]
+        if len(fits) != 1:
+            how_many = "No camera has" if not fits else f"{len(fits)} cameras have"
+            raise SensorError(f"{how_many} {camera!r} in the name.{_listed()}")
+        return fits[0]
+
     def _open(self) -> None:
         self._capture = self._open_capture(self.camera)
         try:
@@ -232,22 +254,6 @@ def camera_names() -> list[tuple[str, str]]:
     return [(name, path) for path, name in names.items()]
 
 
-def find_camera(camera: str) -> str:
-    """Return the path (or number) of the one camera that `camera` means, or explain."""
-    if camera.isdigit():
-        return camera
-    if os.sep in camera:
-        if not Path(camera).exists():
-            raise SensorError(f"There is no camera at {camera}.{_listed()}")
-        return str(Path(camera).resolve())
-    wanted = camera.lower()
-    fits = [path for name, path in camera_names() if wanted in name.lower()]
-    if len(fits) != 1:
-        how_many = "No camera has" if not fits else f"{len(fits)} cameras have"
-        raise SensorError(f"{how_many} {camera!r} in the name.{_listed()}")
-    return fits[0]
-
-
 def _listed() -> str:
     try:
         cameras = camera_names()
@@ -261,7 +267,7 @@ def _listed() -> str:
 def _open_video(camera: str) -> Any:
     import cv2
 
-    place = find_camera(camera)
+    place = CameraSensor.path_of(camera)
     # What is wrong is said once, in a sentence of our own.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     return cv2.VideoCapture(int(place) if place.isdigit() else place)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -25,6 +25,10 @@ from numpy.typing import DTypeLike
 from .._checks import check_count
 from .._types import Array, Floats
 from ..touches import GEOMETRIES, RGB
+
+if TYPE_CHECKING:
+    from ._played import PlayedSensor
+    from .ros import Header
 
 # The columns of touches that say where they were made, and their parts in `Reading`.
 PLACE_COLUMNS = {
@@ -196,8 +200,17 @@ class LiveSensor(ABC):
         """Whether it runs; True also while it tries to find a lost device again."""
         return self._thread is not None and not self._stop.is_set()
 
+    @property
+    def desk(self) -> "PlayedSensor | None":
+        """What lets things be placed before it by name; None of a real sensor."""
+        return None
+
     def no_contact(self) -> Array | None:
         """Return the frame of touching nothing, or None where it is not known."""
+        return None
+
+    def header_at(self, device_time_s: float) -> "Header | None":
+        """Return the header of the ROS message of a frame, None where none is kept."""
         return None
 
     def connect(self) -> Self:

@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from itertools import islice
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -21,7 +22,7 @@ from scipy import ndimage
 from .._checks import ARRAY_SIDE, check_count, check_option, check_positive, size_text
 from .._types import Array, Floats
 from ..touches import Touches
-from ._contract import Frame, SensorError, as_kind, channels_of
+from ._contract import PLACE_COLUMNS, Frame, SensorError, as_kind, channels_of
 
 SUMMARIES = ("peak", "mean")
 # Limits in units of the noise, and never below so many of the numbers' steps.
@@ -61,6 +62,17 @@ class DetectedTouch:
     n_frames: int
     device_time_s: float | None = None
     columns: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def touch_columns(self) -> dict[str, Any]:
+        """What the device told beside the image, as columns of touches."""
+        columns: dict[str, Any] = dict(self.columns)
+        for name, parts in PLACE_COLUMNS.items():
+            if columns.keys() >= {*parts}:
+                columns[name] = tuple(columns.pop(part) for part in parts)
+        if self.device_time_s is not None:
+            columns["device_time_s"] = self.device_time_s
+        return columns
 
 
 class TouchDetector:

@@ -84,45 +84,45 @@ class SensorMemory:
         """Return arrays and plain values, for a model file."""
         return dict(vars(self))
 
+    def baseline_warning(self, no_contact: Array) -> str:
+        """Return a sentence if rest is off by over a quarter of a touch, or nothing."""
+        if self.no_contact.shape != no_contact.shape:
+            learnt, present = map(size_text, (self.no_contact.shape, no_contact.shape))
+            what = f"The model learnt from a sensor of {learnt}, this one has {present}"
+            return f"{what}. Learn again with this sensor."
+        off = float(np.sqrt(np.nanmean((no_contact - self.no_contact) ** 2)))
+        # NaN where no taxel works.
+        if not off > _BASELINE_TOLERANCE * self.touch_change:
+            return ""
+        share = f"{100 * off / self.touch_change:.0f} %" if self.touch_change else "all"
+        return (
+            f"At rest the sensor differs from when the model learnt by {share} of what "
+            "a touch changes. Check how it is mounted and lit, or learn again."
+        )
 
-def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
-    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
-    if memory.no_contact.shape != no_contact.shape:
-        learnt, present = map(size_text, (memory.no_contact.shape, no_contact.shape))
-        what = f"The model learnt from a sensor of {learnt}, this one has {present}."
-        return f"{what} Learn again with this sensor."
-    off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
-    # NaN where no taxel works.
-    if not off > _BASELINE_TOLERANCE * memory.touch_change:
-        return ""
-    share = f"{100 * off / memory.touch_change:.0f} %" if memory.touch_change else "all"
-    return (
-        f"At rest the sensor differs from when the model learnt by {share} of what a "
-        "touch changes. Check how it is mounted and lit, or learn again."
-    )
+    def gain_warning(self, images: Iterable[Array], no_contact: Array) -> str:
+        """Return a sentence if taxels answer otherwise than they did, else nothing.
 
-
-def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
-    """Return a sentence if taxels answer otherwise than they did, else nothing.
-
-    Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
-    touches differs by a factor of 2, up or down, and by 4 standard errors.
-    """
-    few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
-    if few or not memory.response.size or memory.response.shape != now.response.shape:
-        return ""
-    before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
-    error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
-    sure = np.abs(after - before) > _SURE_SD * error
-    far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
-    taxels = np.argwhere(sure & far)
-    if not len(taxels):
-        return ""
-    return (
-        "Taxels answer otherwise than when the model learnt: "
-        f"{taxels_listed(taxels.tolist(), _NAMED_AFTER)}. "
-        "They may be damaged or loose; calibrate, or learn again."
-    )
+        Asks for 10 touches learnt and 10 recent ones, `images`. A taxel is named whose
+        share in touches differs by a factor of 2, up or down, and by 4 standard errors.
+        """
+        if self.n_touches < _ENOUGH_TOUCHES or not self.response.size:
+            return ""
+        now = self.of(images, no_contact)
+        if now.n_touches < _ENOUGH_TOUCHES or self.response.shape != now.response.shape:
+            return ""
+        before, after = np.nan_to_num(self.response), np.nan_to_num(now.response)
+        error = np.sqrt(np.nan_to_num(self.response_var + now.response_var))
+        sure = np.abs(after - before) > _SURE_SD * error
+        far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
+        taxels = np.argwhere(sure & far)
+        if not len(taxels):
+            return ""
+        return (
+            "Taxels answer otherwise than when the model learnt: "
+            f"{taxels_listed(taxels.tolist(), _NAMED_AFTER)}. "
+            "They may be damaged or loose; calibrate, or learn again."
+        )
 
 
 def taxels_listed(places: Sequence[Sequence[int]], most: int) -> str:
@@ -177,7 +177,7 @@ def sensor_health(
     if is_array:
         taxels = _bad_taxels(stack, rest, noise, detector.step)
     if memory is not None:
-        findings += filter(None, [baseline_warning(memory, rest)])
+        findings += filter(None, [memory.baseline_warning(rest)])
     if n_touched:  # whatever else there is may come of it
         findings.append(
             f"Rest left its baseline {n_touched} times and came back: something "

@@ -11,14 +11,13 @@ from .._checks import check_count, check_option, check_positive
 from .._types import Array
 from ..touches import TouchesError, frame_of_message, shows_frame
 from ._contract import LiveSensor, Reading, SensorError
-from ._dds import DdsNode, DdsReader, DdsService
-from ._zenoh import ZenohNode, ZenohReader, ZenohService
+from ._dds import DdsNode, DdsReader
+from ._zenoh import ZenohNode, ZenohReader
 from .ros import MAX_MESSAGE, Header, read_message
 
 # What carries topics: both have these methods and attributes.
 RosNode = DdsNode | ZenohNode
 RosReader = DdsReader | ZenohReader
-RosService = DdsService | ZenohService
 VIA = ("dds", "zenoh")
 _TICK_S = 0.2  # between looks at whether to stop
 _MATCH_S = 1.0  # until publisher and reader have met

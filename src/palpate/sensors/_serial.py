@@ -380,6 +380,12 @@ class LineFraming:
             self.step = min(self.step, _step(line))
         return frame.astype(np.float32)
 
+    @staticmethod
+    def write(image: Array) -> bytes:
+        """Return a frame as one line with its checksum."""
+        values = ",".join(map(_digits, np.asarray(image).ravel().tolist())).encode()
+        return b"$" + values + f"*{_exclusive_or(values):02X}\n".encode()
+
 
 class BinaryFraming:
     """Frames as bytes, numbered, with a cyclic checksum.
@@ -458,26 +464,20 @@ class BinaryFraming:
         self._last = number
         return taxels.reshape(self.image_shape)
 
-
-def write_line(image: Array) -> bytes:
-    """Return a frame as one line with its checksum."""
-    values = ",".join(map(_digits, np.asarray(image).ravel().tolist())).encode()
-    return b"$" + values + f"*{_exclusive_or(values):02X}\n".encode()
+    @staticmethod
+    def write(image: Array, number: int = 0) -> bytes:
+        """Return a frame as bytes; `number` counts frames."""
+        image = np.asarray(image)
+        code, kind = _TYPES[check_option("image.dtype", image.dtype.name, _TYPES)]
+        body = _HEAD.pack(code, *image.shape, number % 65536)
+        body += image.astype(kind).tobytes()
+        return SYNC + body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")
 
 
 def _digits(value: float) -> str:
     """Return a number with all the digits that a taxel read as float32 can hold."""
     whole = isfinite(value) and value == int(value) and abs(value) < _LARGEST_WHOLE
     return str(int(value)) if whole else f"{value:.9g}"
-
-
-def write_binary(image: Array, number: int = 0) -> bytes:
-    """Return a frame as bytes; `number` counts frames."""
-    image = np.asarray(image)
-    code, kind = _TYPES[check_option("image.dtype", image.dtype.name, _TYPES)]
-    body = _HEAD.pack(code, *image.shape, number % 65536)
-    body += image.astype(kind).tobytes()
-    return SYNC + body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")
 
 
 def _step(line: bytes) -> float:

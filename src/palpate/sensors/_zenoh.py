@@ -14,18 +14,31 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from functools import cache
 from typing import Any
 
 from .._extras import needed
 from ._contract import SensorError
-from .ros import DEPTH, WHAT, Answer, Endpoint, answered, ros_kind, store, wire_kind
+from .ros import (
+    DEPTH,
+    SET_BOOL,
+    TRIGGER,
+    Answer,
+    Endpoint,
+    answered,
+    ros_kind,
+    store,
+    wire_kind,
+)
 
 _ROUTER = "tcp/localhost:7447"
 _TOKENS = "@ros2_lv"
 _QUALITY = f"::,{DEPTH}:,:,:,,"  # reliable, volatile, the last 64
 _RECENT_S = 2.0  # after its last message a publisher counts as there
-_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
+# What ROS publishes as the type hashes of services: rosbags knows those of messages.
+SERVICE_HASHES = {
+    TRIGGER: "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
+    SET_BOOL: "RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
+}
 
 
 class ZenohNode:
@@ -89,7 +102,7 @@ class ZenohNode:
         """Return a service that answers requests by a function of the message."""
         key = f"{self._domain}{service}/{wire_kind(kind)}/*"
         served = ZenohService(self._session, key, kind, answer)
-        self._declare(self._endpoint("SS", service, kind, service_hash(kind)))
+        self._declare(self._endpoint("SS", service, kind, SERVICE_HASHES[kind]))
         return served
 
     def close(self) -> None:
@@ -200,41 +213,9 @@ class ZenohService:
             query.drop()
 
 
-@cache
 def type_hash(kind: str) -> str:
     """Return what ROS calls a message's type hash, `RIHS01_...`."""
     return str(store().hash_rihs01(kind))
-
-
-@cache
-def service_hash(kind: str) -> str:
-    """Return the type hash of a service: of its request, response and event."""
-    typesys = needed("rosbags.typesys", "ros", WHAT)
-    types, package = store(), kind.rpartition("/")[0]
-    event = (
-        "service_msgs/ServiceEventInfo info\n"
-        f"{kind}_Request[<=1] request\n{kind}_Response[<=1] response\n"
-    )
-    whole = (
-        f"{kind}_Request request_message\n{kind}_Response response_message\n"
-        f"{kind}_Event event_message\n"
-    )
-    for name, text in ((f"{kind}_Event", event), (kind, whole)):
-        for fields in typesys.get_types_from_msg(text, name).values():
-            types.fielddefs[name] = _renamed(fields, f"{package}/msg/", f"{package}/")
-    # ROS hashes a char as the byte that it is since ROS 2, rosbags as a character.
-    info = types.fielddefs[_EVENT_INFO]
-    types.fielddefs[_EVENT_INFO] = _renamed(info, "char", "uint8")
-    return str(types.hash_rihs01(kind))
-
-
-def _renamed(fields: Any, old: str, new: str) -> Any:
-    """Return fields of rosbags in which names of types are others."""
-    if isinstance(fields, str):
-        return fields.replace(old, new)
-    if isinstance(fields, (tuple, list)):
-        return type(fields)(_renamed(field, old, new) for field in fields)
-    return fields
 
 
 def _publishers(tokens: set[str]) -> Iterator[Endpoint]:

@@ -207,31 +207,13 @@ class Action:
         return {"kind": self.kind, "object": self.object, "to": self.to}
 
 
-@dataclass
-class Interrupted:
-    """A lesson under way: what is taught, how often, the touches stored so far.
-
-    Those in `no_contact_ids` do not count.
-    """
-
-    name: str
-    wanted: int
-    ids: list[str] = field(default_factory=list)
-    no_contact_ids: set[str] = field(default_factory=set)
-
-    @property
-    def done(self) -> int:
-        """How many touches count."""
-        return sum(key not in self.no_contact_ids for key in self.ids)
-
-
 class Journal:
     """Actions that can be undone, the newest last, and the lesson under way.
 
-    `interrupted` is the lesson that was under way when the file was written last, until
-    one begins or it is ended. `changed` are the objects whose touches are others than
-    when the model learnt last. `session` is that of the touches stored last, with the
-    name of their sensor.
+    `interrupted` is the lesson that was under way when the file was written last (of
+    its touches the ids alone), until one begins or it is ended. `changed` are the
+    objects whose touches are others than when the model learnt last. `session` is that
+    of the touches stored last, with the name of their sensor.
     """
 
     def __init__(self, path: Path) -> None:
@@ -240,11 +222,11 @@ class Journal:
         self.changed: set[str] = set()
         self.session: tuple[str, str] | None = None
         self.n_lessons = 0
-        self._lesson: Interrupted | None = None
+        self._lesson: Lesson | None = None
         for line in self._lines():
             with suppress(ValueError, TypeError, KeyError, AttributeError):
                 self._take(json.loads(line))
-        self.interrupted: Interrupted | None = self._lesson
+        self.interrupted: Lesson | None = self._lesson
 
     @property
     def last(self) -> Action | None:
@@ -317,7 +299,7 @@ class Journal:
         elif "lesson" in line:
             lesson = line["lesson"]
             self.n_lessons += lesson is not None
-            self._lesson = None if lesson is None else Interrupted(**lesson)
+            self._lesson = None if lesson is None else Lesson(**lesson)
 
     def _change(self, action: Action) -> None:
         self.changed |= {action.object, action.to, *action.others} - {""}

@@ -17,7 +17,7 @@ import time
 from functools import partial
 from typing import Any
 
-from ..sensors import CalibratedSensor, RosSensor, RosService, open_node, ros_place
+from ..sensors import ros_place
 from ..sensors.ros import (
     CLASSIFICATION,
     SET_BOOL,
@@ -31,11 +31,12 @@ from ..sensors.ros import read_message as read
 from ..sensors.ros import write_message as write
 from ._sensor_watch import Event
 from ._session import LiveSession
-from ._teaching import MOST_PER_LESSON
 
 _TICK_S = 0.02
 _LONGEST = 200  # characters of a command
 _COMMANDS = ("start", "object", "teach", "stop", "confirm", "learn", "session")
+_SERVICES = {name: TRIGGER for name in _COMMANDS if name != "object"}
+_SERVICES["teach"] = SET_BOOL
 
 
 class RosPublisher:
@@ -58,27 +59,24 @@ class RosPublisher:
     """
 
     def __init__(self, session: LiveSession, address: str) -> None:
-        self.prefix, domain, via, services = ros_place(address)
+        place = ros_place(address)
+        self.prefix = place.prefix
         self._session, self._object, self._warned = session, "", False
         self._learning = False
-        self._node = node = open_node(domain, via)
+        self._node = node = place.open_node()
         at = self.prefix.rstrip("/")
         self._belief = node.publish(f"{at}/belief", CLASSIFICATION)
         self._decision = node.publish(f"{at}/decision", STRING)
         self._answer = node.publish(f"{at}/answer", STRING)
         self._commands = node.subscribe(f"{at}/command", STRING, reliable=True)
-        self._services = self._offered(at) if services else []
+        self._services = [
+            node.serve(f"{at}/{name}", kind, partial(self._requested, name))
+            for name, kind in (_SERVICES if place.services else {}).items()
+        ]
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
         session.listeners.add(self.take, frames=False)
         self._thread.start()
-
-    def _offered(self, at: str) -> list[RosService]:
-        serve, plain = self._node.serve, {*_COMMANDS} - {"object", "teach"}
-        return [
-            *(serve(f"{at}/{n}", TRIGGER, partial(self._triggered, n)) for n in plain),
-            serve(f"{at}/teach", SET_BOOL, self._teach),
-        ]
 
     def close(self) -> None:
         """Leave the network."""
@@ -128,7 +126,7 @@ class RosPublisher:
             return "The next touch begins an episode."
         if command == "teach":
             name = self._named(name)
-            session.teach(name, MOST_PER_LESSON)
+            session.teach(name, session.most_per_lesson)
             return f"Touches teach {name}."
         if command == "stop":
             session.stop_teaching()
@@ -147,7 +145,7 @@ class RosPublisher:
         name = name or self._object or episode.decision or ""
         if name == "unknown":
             name = ""
-        n_touches = min(len(list(episode.pictured())), MOST_PER_LESSON)
+        n_touches = min(len(list(episode.pictured())), self._session.most_per_lesson)
         if not n_touches:
             raise ValueError("confirm must come after touches, got none.")
         name = self._named(name)
@@ -166,20 +164,18 @@ class RosPublisher:
             f"{self.prefix.rstrip('/')}/command first."
         )
 
-    def _triggered(self, command: str, request: Any) -> tuple[bool, str]:
-        return self.ask(command)
-
-    def _teach(self, request: Any) -> tuple[bool, str]:
-        return self.ask("teach" if request.data else "stop")
+    def _requested(self, command: str, request: Any) -> tuple[bool, str]:
+        """Do what a request to a service says; "teach" with false means "stop"."""
+        stops = command == "teach" and not request.data
+        return self.ask("stop" if stops else command)
 
     def _header(self, touch: dict[str, Any]) -> Header:
         """Return the header of the message that a touch was seen in, or of now."""
         watch = self._session.watch
         sensor = None if watch is None else watch.sensor
-        if isinstance(sensor, CalibratedSensor):
-            sensor = sensor.inner
-        if isinstance(sensor, RosSensor) and touch["device_time_s"] is not None:
-            header = sensor.header_at(touch["device_time_s"])
+        device_time_s = touch["device_time_s"]
+        if sensor is not None and device_time_s is not None:
+            header = sensor.header_at(device_time_s)
             if header is not None:
                 return header
         seconds, rest = divmod(time.time_ns(), 10**9)

@@ -18,11 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from .. import sensors
 from .._checks import size_text
 from .._types import Array, Floats
 from ..recognition import ObjectRecogniser
-from ..sensors import DetectedTouch, Frame, LiveSensor, SensorError, SensorMemory
+from ..sensors import (
+    DetectedTouch,
+    Frame,
+    LiveSensor,
+    SensorError,
+    SensorMemory,
+    TouchDetector,
+)
 from ._images import FramePainter
 
 _BASELINE_FRAMES = 10
@@ -159,7 +165,7 @@ class SensorWatch:
         summary: str,
     ) -> None:
         self.sensor = sensor
-        self.detector = sensors.TouchDetector(sensor.no_contact(), summary=summary)
+        self.detector = TouchDetector(sensor.no_contact(), summary=summary)
         self._take, self._listeners, self._health = take, listeners, health
         of_array = sensor.geometry == "array"
         self._painter = FramePainter(sensor.image_shape, sensor.channels, of_array)
@@ -241,7 +247,7 @@ class SensorWatch:
         return difference
 
     def to_dict(self) -> dict[str, Any]:
-        sensor, desk = self.sensor, sensors.desk_of(self.sensor)
+        sensor, desk = self.sensor, self.sensor.desk
         has_baseline = self.detector.baseline is not None
         return {
             "name": f"{sensor.name} ({self.address})" if self.address else sensor.name,
@@ -290,11 +296,10 @@ class SensorWatch:
         baseline, memory = self.detector.baseline, self._memory
         warnings = [self.misfit]
         if not self.misfit and baseline is not None and memory is not None:
-            warnings = [sensors.baseline_warning(memory, baseline.astype(np.float64))]
+            warnings = [memory.baseline_warning(baseline.astype(np.float64))]
             recent = list(self._recent)
-            if recent and memory.response.size and not warnings[0]:
-                now = SensorMemory.of(np.stack(recent), baseline)
-                warnings.append(sensors.gain_warning(memory, now))
+            if recent and not warnings[0]:
+                warnings.append(memory.gain_warning(recent, baseline))
         self._warnings = [warning for warning in warnings if warning]
 
     def _follow(self) -> None:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -44,7 +45,7 @@ def create_app(
         Started and stopped with the application.
     token : str
         What everybody must know: as `Authorization: Bearer TOKEN`, as the cookie that
-        the page sets, or, to read, as `?token=TOKEN`. See `page_token`.
+        the page sets, or, to read, as `?token=TOKEN`.
     max_body : int, default=16 MiB
         Largest body of a request, in bytes.
     rate_hz : float, default=200
@@ -65,23 +66,6 @@ def create_app(
     return build_app(sessions, token, max_body=max_body, rate_hz=rate_hz, names=names)
 
 
-def page_token(library: str | Path | None = None, *, chosen: str | None = None) -> str:
-    """Return what everybody must know: `chosen`, if it will do, or a random token.
-
-    That is 192 bits that nobody guesses: with a `library` those that are kept with it,
-    new ones where others may read them.
-    """
-    if chosen is not None:
-        if not _TOKEN.fullmatch(chosen):
-            raise ValueError(
-                "token must be 16 to 200 letters, digits or any of . _ ~ -, got "
-                f"another text of {len(chosen)} characters. Leave it out for one "
-                "nobody guesses."
-            )
-        return chosen
-    return secrets.token_urlsafe(24) if library is None else _kept_token(library)
-
-
 class PageServer:
     """A server of a page, which listens from the first; `run` answers.
 
@@ -93,6 +77,9 @@ class PageServer:
         Where to listen; 0 takes a free one.
     library : path, optional
         Folder that the page is of. Its address stands there while it is served.
+    token : str, optional
+        What everybody must know. By default 192 bits that nobody guesses: with a
+        `library` those that are kept with it, new ones where others may read them.
 
     Attributes
     ----------
@@ -106,7 +93,8 @@ class PageServer:
     ImportError
         The packages of the extra `web` are missing.
     ValueError, OSError
-        The port is none, or there is no listening there; the message says why.
+        The token will not do, the port is none, or there is no listening there; the
+        message says why.
     """
 
     def __init__(
@@ -114,9 +102,16 @@ class PageServer:
         host: str = "127.0.0.1",
         port: int = 0,
         library: str | Path | None = None,
+        token: str | None = None,
     ) -> None:
         _require_web()
-        self._library = library
+        if token is not None and not _TOKEN.fullmatch(token):
+            raise ValueError(
+                "token must be 16 to 200 letters, digits or any of . _ ~ -, got "
+                f"another text of {len(token)} characters. Leave it out for one "
+                "nobody guesses."
+            )
+        self._library, self._chosen = library, token
         self.elsewhere = "" if library is None else _served_at(library)
         try:
             self._socket = _open_socket(host, port)
@@ -128,6 +123,15 @@ class PageServer:
                 f"or end that palpate with Ctrl-C first). {error}"
             ) from error
         self.address = _address_of(host, self._socket.getsockname()[1])
+
+    @cached_property
+    def token(self) -> str:
+        """What everybody must know; a library must be there when it is first read."""
+        if self._chosen is not None:
+            return self._chosen
+        if self._library is None:
+            return secrets.token_urlsafe(24)
+        return _kept_token(self._library)
 
     def close(self) -> None:
         """Stop listening; `run` does it when it ends."""

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -28,14 +28,11 @@ from ..recognition import (
     teaching_advice,
 )
 from ..sensors import (
-    PLACE_COLUMNS,
     ContactError,
     DetectedTouch,
     LiveSensor,
-    PlayedSensor,
     SensorError,
     channels_of,
-    desk_of,
 )
 from ..touches import Touches
 from ._episode import LiveEpisode, TopView, archive_beside
@@ -46,7 +43,7 @@ from ._learning import (
     start_learning,
 )
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
-from ._teaching import Teacher, columns_of
+from ._teaching import MOST_PER_LESSON, Teacher
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -87,6 +84,8 @@ class LiveSession:
         Whether it is learning now; `learn_error` says why it failed the last time.
     trouble : str
         Why the last touch of the sensor could not be taken; empty where it could.
+    most_per_lesson : int
+        Touches that a lesson may want at most.
 
     Raises
     ------
@@ -97,6 +96,8 @@ class LiveSession:
     ModelFileError, LibraryError
         The model or the library cannot be read.
     """
+
+    most_per_lesson: ClassVar[int] = MOST_PER_LESSON
 
     def __init__(
         self,
@@ -310,10 +311,10 @@ class LiveSession:
             name = teacher.resume(self.baseline, watch.detector.noise)
             watch.end_press()
             self.message = self.trouble = ""
-            desk = desk_of(watch.sensor)
+            desk = watch.sensor.desk
             if desk is not None:
                 is_there = name in desk.objects
-                self._put(desk, name if is_there else None)
+                self._put(name if is_there else None)
                 if not is_there:
                     self.message = f"Choose what {name} is: nothing is on the desk now."
             self._new_episode()
@@ -414,10 +415,11 @@ class LiveSession:
 
         What is taught from now on is of another session; `changed` says why, in words.
         """
-        desk = desk_of(self._watched().sensor)
+        watch = self._watched()
         try:
-            self._watched().take_baseline(force=force, ask_press=ask_press)
+            watch.take_baseline(force=force, ask_press=ask_press)
         except ContactError as error:
+            desk = watch.sensor.desk
             if desk is None or desk.placed is None:
                 raise
             raise ContactError(
@@ -451,15 +453,15 @@ class LiveSession:
 
     def place(self, name: str | None) -> None:
         """Put something else before a replayed or simulated sensor, or nothing."""
-        desk = None if self.watch is None else desk_of(self.watch.sensor)
-        if desk is None:
-            raise ValueError("What lies before a real sensor cannot be chosen here.")
         with self._lock:
-            self._put(desk, name)
+            self._put(name)
         self._notify_state()
 
-    def _put(self, desk: PlayedSensor, name: str | None) -> None:
+    def _put(self, name: str | None) -> None:
         """Put something on the desk; the touch under way is of what was there."""
+        desk = None if self.watch is None else self.watch.sensor.desk
+        if desk is None:
+            raise ValueError("What lies before a real sensor cannot be chosen here.")
         is_other = name != desk.placed
         desk.place(name)
         if is_other:
@@ -612,13 +614,14 @@ class LiveSession:
                 if detected.began_s < self._placed_s:
                     return
                 teaching = self.teacher is not None and self.teacher.lesson is not None
-                columns = columns_of(detected)
+                columns = detected.touch_columns
                 if teaching:
                     self.message = self._take(detected.image, columns)
             if not teaching:
                 channels = self._watched().sensor.channels
                 when = ended_s, detected.device_time_s
-                place = columns if columns.keys() >= {*PLACE_COLUMNS} else None
+                is_placed = columns.keys() >= {"position_mm", "direction"}
+                place = columns if is_placed else None
                 self._recognise(detected.image, channels, *when, place)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:

@@ -16,14 +16,7 @@ from .._checks import check_count, did_you_mean
 from .._types import Array
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
 from ..library import checked_name as library_name
-from ..sensors import (
-    PLACE_COLUMNS,
-    DetectedTouch,
-    LiveSensor,
-    PlayedSensor,
-    SensorError,
-    desk_of,
-)
+from ..sensors import LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
 from ._learning import LEAST_TOUCHES, of_size
@@ -87,7 +80,7 @@ class Teacher:
             self._described = SensorDescription(
                 sensor.name, unit=sensor.unit, geometry=sensor.geometry
             )
-        self._desk = desk_of(sensor)
+        self._desk = None if sensor is None else sensor.desk
         # Pictures of the object of the lesson, where touches are played: by touch id.
         self._pictures: dict[str, bytes] = {}
         self._n_repeated = 0  # one after the other
@@ -225,7 +218,7 @@ class Teacher:
         assert self.lesson is not None
         lesson = self.lesson
         if self._desk is not None and _digest(image) in self._pictures.values():
-            return self._repeat(lesson, self._desk)
+            return self._repeat(lesson, self._desk.n_recorded)
         channels = None if self._sensor is None else self._sensor.channels
         touch = image, channels, baseline, columns
         key = self.store(lesson.name, *touch, posted=False)
@@ -245,10 +238,9 @@ class Teacher:
         )
         return f"{stored} {lesson.verdict or then}"
 
-    def _repeat(self, lesson: Lesson, desk: PlayedSensor) -> str:
+    def _repeat(self, lesson: Lesson, n_recorded: int | None) -> str:
         """Say that a touch was played again; of a whole recording the lesson ends."""
         self._n_repeated += 1
-        n_recorded = desk.n_recorded
         if n_recorded is None or self._n_repeated < n_recorded:
             return REPEATED.format(lesson.name)
         self.end()
@@ -521,17 +513,6 @@ def _objects(rows: Sequence[TouchRow]) -> list[str]:
 
 def _counted(rows: Sequence[TouchRow]) -> str:
     return "1 touch" if len(rows) == 1 else f"{len(rows)} touches"
-
-
-def columns_of(touch: DetectedTouch) -> dict[str, Any]:
-    """Return what a device told beside the image of a touch, as columns."""
-    columns: dict[str, Any] = dict(touch.columns)
-    for name, parts in PLACE_COLUMNS.items():
-        if columns.keys() >= {*parts}:
-            columns[name] = tuple(columns.pop(part) for part in parts)
-    if touch.device_time_s is not None:
-        columns["device_time_s"] = touch.device_time_s
-    return columns
 
 
 def checked_name(name: str) -> str:
