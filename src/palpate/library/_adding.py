@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 from .._checks import check_option, check_positive
 from .._parallel import Progress
-from ..touches import GEOMETRIES, Touches
+from .._types import GEOMETRIES
+from ..touches import Touches
 from ._changes import Names, find_object
 from ._content import IDENTITY, Batch, Column, batch_of, earlier_cell, identity
 from ._rows import FROM, enter_array, write_rows

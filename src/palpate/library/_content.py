@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from .._types import PLAIN_KINDS, Array
-from ..touches import RGB, Touches, TouchesError, decode_bytes
+from .._types import PLAIN_KINDS, RGB, Array
+from ..touches import Touches, TouchesError, decode_bytes
 from ._store import LibraryError
 
 if sys.version_info >= (3, 14):

@@ -33,8 +33,8 @@ import numpy as np
 from .._checks import ARRAY_SIDE
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
-from .._types import Array, Floats, Indices
-from ..touches import RGB, Touches, TouchesError, png_bytes, url_of, write_parquet
+from .._types import RGB, Array, Floats, Indices
+from ..touches import Touches, TouchesError, png_bytes, url_of, write_parquet
 from ._reading import StoredTouches, read_array
 from ._rows import FROM, Numbers, Tables, n_at_once
 from ._store import LibraryError, refuse_used, room_for

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import check_option, one_spelling, size_text, unmasked
-from .._types import PLAIN_KINDS, Array, Floats
+from .._types import GEOMETRIES, PLAIN_KINDS, Array, Floats
 
 Arrays = dict[str, Array]
 
@@ -26,7 +26,6 @@ LAYOUT = ("channels", "pads", "pad_names")
 WHOLE = frozenset(("no_contact", "frame_index", "geometry", *LAYOUT))
 # Names that archives had before these were settled.
 FORMER = {f"set_{name}": name for name in LAYOUT}
-GEOMETRIES = ("dome", "array", "plane", "none")
 _TAXELS_AT_ONCE = 2**22
 SUMMARIES = ("peak", "hold", "loading")
 _HELD = 0.8

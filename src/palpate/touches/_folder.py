@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._checks import listed, nearest_path
-from .._types import Array
+from .._types import RGB, Array
 from . import _pictures
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
@@ -30,7 +30,6 @@ from ._layout import (
 )
 from ._pictures import (
     GREY_WHERE_COLOUR,
-    RGB,
     Header,
     PictureError,
     checked_picture,

@@ -27,9 +27,9 @@ import numpy as np
 
 from .._checks import ARRAY_SIDE, nearest_path, size_text
 from .._extras import needed
-from .._types import Array
+from .._types import RGB, Array
 from ._columns import Arrays, TouchesError
-from ._pictures import RGB, decode_bytes, png_bytes
+from ._pictures import decode_bytes, png_bytes
 
 ENDINGS = (".parquet", ".pq")
 FORMAT = 2  # 1 had one recording alone

@@ -24,6 +24,7 @@ from ._columns import Arrays, TouchesError, checked_column, picked_rows
 from ._folder import folder_arrays
 from ._parquet import (
     file_stamp,
+    is_parquet,
     parquet_files,
     parquet_index,
     parquet_parts,
@@ -222,6 +223,7 @@ class ParquetTouches(Labelled):
     """
 
     touch_id = None
+    is_parquet = staticmethod(is_parquet)
 
     def __init__(
         self,

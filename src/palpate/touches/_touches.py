@@ -221,7 +221,7 @@ class Touches(Labelled):
                 )
             parts = parquet_parts(path, max_bytes, max_pixels)
             held = (cls(**arrays)._with_files(files) for arrays, files in parts)
-            return cls._joined(held, max_bytes)._with_rest(no_contact, max_pixels)
+            return cls._joined(held, max_bytes).with_no_contact(no_contact, max_pixels)
         place = Path(path)
         ending = place.suffix.lower()
         for_pictures = name_pattern is not None or colour
@@ -236,10 +236,10 @@ class Touches(Labelled):
             arrays = container_arrays(place, max_bytes, max_pixels)
             if channels:
                 arrays["channels"] = np.array(channels)
-            return cls(**arrays)._with_rest(no_contact, max_pixels)
+            return cls(**arrays).with_no_contact(no_contact, max_pixels)
         if ending in RAW and place.exists() and not for_pictures:
             read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
-            return read._with_rest(no_contact, max_pixels)
+            return read.with_no_contact(no_contact, max_pixels)
         _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             named = list(channels) if channels else None
@@ -257,7 +257,7 @@ class Touches(Labelled):
                 array = load_levels(place, max_bytes)
                 array = array[None] if array.ndim == 2 else array
                 read = cls(array, channels=channels)
-            return read._with_rest(no_contact, max_pixels)
+            return read.with_no_contact(no_contact, max_pixels)
         if ending != ".npz":
             raise _no_touches(place)
         why = "Archives carry their labels and the names of their channels."
@@ -265,7 +265,7 @@ class Touches(Labelled):
         others = {"name_pattern": name_pattern, "colour": colour, "channels": named}
         _left_out(place, "for an archive", why, **others)
         touches = cls._of(*read_archive(place, max_bytes))
-        return touches._with_rest(no_contact, max_pixels)
+        return touches.with_no_contact(no_contact, max_pixels)
 
     @classmethod
     def _joined(cls, parts: Iterable[Touches], max_bytes: int) -> Self:
@@ -288,13 +288,18 @@ class Touches(Labelled):
         joined = Touches.concatenate(plain)
         return cls._of(joined._images, joined._columns, joined._whole, joined._files)
 
-    def _with_rest(
-        self, no_contact: str | PathLike[str] | None, max_pixels: int
+    def with_no_contact(
+        self, picture: str | PathLike[str] | None, max_pixels: int = MAX_PIXELS
     ) -> Self:
-        if no_contact is None:
+        """Return these touches with a picture of no contact, a JPEG or PNG.
+
+        It must be as large and deep as they are, of at most `max_pixels`. None leaves
+        them as they are.
+        """
+        if picture is None:
             return self
         like = self.images, self.channels, max_pixels
-        return self.with_columns(no_contact=no_contact_picture(Path(no_contact), *like))
+        return self.with_columns(no_contact=no_contact_picture(Path(picture), *like))
 
     @classmethod
     def from_frame(cls, frame: Any, shape: tuple[int, int] | None = None) -> Self:
