@@ -37,8 +37,8 @@ from ._rows import (
     Numbers,
     StoredTouch,
     Tables,
-    packed_images,
     rows_at,
+    stored_images,
     touch_row,
 )
 from ._store import (
@@ -277,8 +277,8 @@ class TouchLibrary:
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
         row = touch_row(self._tables, id)
-        [packed] = packed_images(self._tables, [row])
-        return packed.image_at(0)
+        [stored] = stored_images(self._tables, [row])
+        return stored.unpacked()
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.

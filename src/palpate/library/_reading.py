@@ -31,14 +31,14 @@ from ._content import PICTURE, Column, column_array, image_digest, unpacked_arra
 from ._rows import (
     LOST,
     Numbers,
-    StoredImages,
+    StoredImage,
     StoredTouch,
     Tables,
     distinct,
     n_at_once,
-    packed_images,
     plain_values,
     rows_at,
+    stored_images,
     wide_values,
 )
 from ._store import FEATURES, LibraryError, room_for
@@ -115,21 +115,18 @@ class StoredTouches:
 
     def files(self) -> list[bytes | None]:
         """Return the picture that each image came as, None where it did not."""
-        return [
-            image.data if image is not None and image.form == PICTURE else None
-            for packed in self.packed()
-            for image in packed.images
-        ]
+        images = (stored.image for stored in self.stored())
+        return [image.data if image and image.form == PICTURE else None for image in images]
 
     def has_pictures(self) -> bool:
         """Tell whether any of the images came as a picture."""
         sql = f"SELECT 1 FROM images WHERE form = '{PICTURE}' AND number IN (?)"
         return bool(self.tables.store.among(sql, self.numbers.tolist()))
 
-    def packed(self) -> Iterator[StoredImages]:
-        """Return the images as they are stored, some at a time."""
+    def stored(self) -> Iterator[StoredImage]:
+        """Return the images as they are stored."""
         for rows in rows_at(self.tables, self.numbers):
-            yield from packed_images(self.tables, rows)
+            yield from stored_images(self.tables, rows)
 
     def touches(self, max_bytes: int = NO_LIMIT, in_memory: int = IN_MEMORY) -> Touches:
         """Return touches with all columns; large ones in a mapped file."""
@@ -182,14 +179,9 @@ class StoredTouches:
         self, images: Array, rows: list[StoredTouch], values: list[dict[str, Any]]
     ) -> None:
         """Fill `images`, and add what rows have in wide columns to their `values`."""
-        done = 0
-        for packed in packed_images(self.tables, rows):
-            stop = done + len(packed.keys)
-            images[done:stop] = packed.unpacked()
-            for place, stored in zip(range(done, stop), packed.images, strict=True):
-                if stored is not None and stored.more is not None:
-                    values[place] |= wide_values(self.tables, rows[place], stored)
-            done = stop
+        for place, stored in enumerate(stored_images(self.tables, rows)):
+            images[place] = stored.unpacked()
+            values[place] |= wide_values(self.tables, stored)
 
     def whole(self) -> dict[str, Array]:
         """Return what is the same for all touches; warn of arrays lost or altered."""
@@ -232,10 +224,9 @@ def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
 def is_whole(tables: Tables, row: StoredTouch) -> bool:
     """Tell whether the image and the wide columns of a touch can be read."""
     try:
-        for packed in packed_images(tables, [row]):
-            packed.unpacked()
-            if (stored := packed.images[0]) and stored.more is not None:
-                wide_values(tables, row, stored)
+        for stored in stored_images(tables, [row]):
+            stored.unpacked()
+            wide_values(tables, stored)
     except LibraryError:
         return False
     return True
@@ -409,9 +400,9 @@ class Selection(Labelled):
         new = self._picked[rows]
         step = n_at_once(*new.kind)
 
-        def stored(number: int) -> list[StoredImages]:
+        def stored(number: int) -> list[list[StoredImage]]:
             stop = min((number + 1) * step, len(new))
-            return list(new[np.arange(number * step, stop)].packed())
+            return [list(new[np.arange(number * step, stop)].stored())]
 
         parts = results_of(encode_some, -(-len(new) // step), stored)
         waiting: list[Floats] = []
@@ -473,7 +464,11 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
     return joined_ids[order], joined[order]
 
 
-def _encoded(encode: Encode, layout: dict[str, Array], packed: StoredImages) -> Floats:
+def _encoded(
+    encode: Encode, layout: dict[str, Array], stored: list[StoredImage]
+) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
-    touches = Touches(packed.unpacked(), **layout)
-    return np.asarray(encode(touches), dtype=np.float64)
+    images = np.empty((len(stored), *stored[0].shape), stored[0].dtype)
+    for place, image in enumerate(stored):
+        images[place] = image.unpacked()
+    return np.asarray(encode(Touches(images, **layout)), dtype=np.float64)
