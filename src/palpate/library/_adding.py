@@ -20,6 +20,7 @@ from .._types import GEOMETRIES
 from ..touches import Touches
 from ._changes import Names, find_object
 from ._content import (
+    CELLS,
     IDENTITY,
     Column,
     earlier_cell,
@@ -35,6 +36,7 @@ from ._rows import (
     FROM,
     Batch,
     Recording,
+    StoredTouch,
     enter_array,
     new_rows,
     plain_values,
@@ -319,11 +321,10 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
     names = Names(store)
     ids = [row.key for row in batch.rows]
     maybe: dict[bytes, tuple[bytes, str | None]] = {}
-    values, images = plain_values(batch.rows), batch.images
-    parts = wide_identities(batch.layout, [image.more for image in images])
-    for row, cells_now, wide in zip(batch.rows, values, parts, strict=True):
+    parts = wide_identities(batch.layout, [image.more for image in batch.images])
+    for row, wide in zip(batch.rows, parts, strict=True):
         called = [row.label, now[row.label], *names.former(now[row.label])]
-        for cells in _earlier(cells_now, list(dict.fromkeys(called))):
+        for cells in _earlier(row, list(dict.fromkeys(called))):
             key = identity(row.image, cells, wide)
             if key != row.key:
                 maybe.setdefault(key, (row.key, now[row.label]))
@@ -339,18 +340,15 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
     return [before.get(key, key) for key in ids]
 
 
-def _earlier(
-    values: dict[str, Any], names: list[str | None]
-) -> Iterator[dict[str, Any]]:
+def _earlier(row: StoredTouch, names: list[str | None]) -> Iterator[dict[str, Any]]:
     """Return what may have set a touch apart from others when it was first added."""
-    now = {n: values[n] for n in IDENTITY if values.get(n) is not None}
-    plain = [name for name, cell in now.items() if not isinstance(cell, list)]
+    pairs = zip(CELLS, row.cells, strict=True)
+    now = {n: cell for n, cell in pairs if n in IDENTITY and cell is not None}
     forms = [
-        names
-        if name == "object"
-        else list(dict.fromkeys([now[name], earlier_cell(now[name])]))
-        for name in plain
+        names if name == "object" else list(dict.fromkeys([cell, earlier_cell(cell)]))
+        for name, cell in now.items()
     ]
     if any(len(form) > 1 for form in forms):
+        [values] = plain_values([row])
         for cells in product(*forms):
-            yield {**now, **dict(zip(plain, cells, strict=True))}
+            yield {**values, **dict(zip(now, cells, strict=True))}

@@ -21,7 +21,7 @@ References
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -141,8 +141,7 @@ def _write_parts(
     picked: StoredTouches, by: str, folder: str | Path, opened: Callable[[str], Any]
 ) -> None:
     """Write one file for each value of a column, in folders named `by=value`."""
-    common = picked.columns()
-    values = common.get(by)
+    values = picked.columns().get(by)
     if values is None:
         raise LibraryError(
             f"by must be a column of the touches, got {by!r}, which they lack."
@@ -153,27 +152,27 @@ def _write_parts(
         place = f"{folder}/{by}={quote(str(name), safe='')}"
         with opened(f"{place}/part-0.parquet") as file:
             part = picked[np.flatnonzero(names == name)]
-            _write_parquet(file, part, (picked, common), {by: values.dtype.str})
+            _write_parquet(file, part, picked, {by: values.dtype.str})
 
 
 def _write_parquet(
     file: Any,
     picked: StoredTouches,
-    whole: tuple[StoredTouches, Mapping[str, Array]] | None = None,
+    whole: StoredTouches | None = None,
     named: dict[str, str] | None = None,
 ) -> None:
     """Write a row group for every `_ROW_GROUP` touches, fewer of large images.
 
-    `whole` is all that is written, of which these may be a part, with its columns of
-    short values; `named` are columns that the path carries, and their types.
+    `whole` is all that is written, of which these may be a part; `named` are columns
+    that the path carries, and their types.
     """
-    of, common = (picked, picked.columns()) if whole is None else whole
-    left_out = {*(named or {})} | ({"category"} - common.keys())  # some may have one
+    if whole is None:
+        picked.columns()  # refuses objects that some lack, before any is written
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     numbers = np.array([places[key] for key in keys])
     recordings = [_described(picked.tables, key) for key in places]
-    parts = _row_groups(picked, numbers, of, left_out)
+    parts = _row_groups(picked, numbers, whole or picked, named or {})
     write_parquet(file, parts, picked.channels(), recordings, named)
 
 
@@ -181,7 +180,7 @@ def _row_groups(
     picked: StoredTouches,
     numbers: Indices,
     of: StoredTouches,
-    left_out: Collection[str],
+    named: Collection[str],
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
     """Yield images, columns, files of images and numbers of recordings, in parts.
 
@@ -196,7 +195,7 @@ def _row_groups(
         images = np.empty((len(rows), *shape), dtype)
         part = picked[rows]
         columns = part.columns(images, of)
-        columns = {n: c for n, c in columns.items() if n not in left_out}
+        columns = {n: c for n, c in columns.items() if n not in named}
         files = None
         if are_pictures:
             pairs = zip(part.files(), images, strict=True)
@@ -220,6 +219,7 @@ def _write_lerobot(path: Path, picked: StoredTouches) -> None:
     pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
     data = path / "data" / _FILE.format(0, 0)
     data.parent.mkdir(parents=True)
+    picked.columns()  # refuses objects that some lack, before any is written
     dataset = _Dataset(picked.whole())
     numbers = picked.numbers
     columns = "o.name, t.session, t.episode, t.number"
@@ -228,23 +228,9 @@ def _write_lerobot(path: Path, picked: StoredTouches) -> None:
     for *key, number in picked.tables.store.among(sql, numbers.tolist()):
         groups.setdefault(tuple(key), []).append(number)
     rows = (np.searchsorted(numbers, members) for members in groups.values())
-    episodes = _parts(picked, rows)
+    episodes = (picked[places].touches(of=picked) for places in rows)
     _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
     _write_meta(pa, path / "meta", dataset)
-
-
-def _parts(picked: StoredTouches, places: Iterable[Indices]) -> Iterator[Touches]:
-    """Read some touches at a time, with the columns that all of an export have.
-
-    Read by themselves some would lack what none of them has.
-    """
-    common = picked.columns()
-    for rows in places:
-        touches = picked[rows].touches()
-        columns = {name: column[rows] for name, column in common.items()}
-        wide = {n: c for n, c in touches.columns.items() if n not in columns}
-        wide.pop("category", None)
-        yield Touches(touches.images, **columns, **wide, **touches.whole)
 
 
 def _write_tables(path: Path, tables: Iterator[Any]) -> None:

@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._durable import replacing
 from .._parallel import results_of
-from .._types import Array, Floats, Indices
-from ..touches import FORMER, Labelled, Touches
+from .._types import FORMER, LAYOUT, Array, Floats, Indices
+from ..touches import Labelled, Touches
 from ._content import PICTURE, Column, column_array, image_digest, unpacked_array
 from ._rows import (
     LOST,
@@ -128,8 +128,16 @@ class StoredTouches:
         for rows in rows_at(self.tables, self.numbers):
             yield from stored_images(self.tables, rows)
 
-    def touches(self, max_bytes: int = NO_LIMIT, in_memory: int = IN_MEMORY) -> Touches:
-        """Return touches with all columns; large ones in a mapped file."""
+    def touches(
+        self,
+        max_bytes: int = NO_LIMIT,
+        in_memory: int = IN_MEMORY,
+        of: StoredTouches | None = None,
+    ) -> Touches:
+        """Return touches with all columns; large ones in a mapped file.
+
+        With those `of` which these are a part, as for `columns`.
+        """
         size, dtype = self.kind
         shape = (len(self), *size)
         n_bytes = prod(shape) * dtype.itemsize
@@ -145,7 +153,7 @@ class StoredTouches:
                 images: Array = np.memmap(file, dtype=dtype, mode="w+", shape=shape)
         else:
             images = np.empty(shape, dtype)
-        return Touches(images, **self.columns(images), **self.whole())
+        return Touches(images, **self.columns(images, of), **self.whole())
 
     def columns(
         self, images: Array | None = None, of: StoredTouches | None = None
@@ -170,7 +178,11 @@ class StoredTouches:
                 cells = [value.get(name) for value in values]
                 parts[name].append(column_array(alike, cells))
         joined = {name: _joined(arrays) for name, arrays in parts.items()}
-        for name in _lacking(layouts) & joined.keys() if of is not None else ():
+        lacking = set() if of is None else _lacking(layouts) & joined.keys()
+        if "category" in lacking:  # of some alone it is none
+            lacking.remove("category")
+            del joined["category"]
+        for name in lacking:
             blank = column_array(columns[name], [None])
             joined[name] = _joined([joined[name], blank])[:-1]
         return _labelled(joined)
@@ -395,7 +407,7 @@ class Selection(Labelled):
         self, cache: Path, encode: Encode, rows: Indices, ids: Array
     ) -> Floats:
         """Return new features; what is done is kept now and then, should this stop."""
-        layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
+        layout = {n: a for n, a in self.whole.items() if n in LAYOUT}
         encode_some = partial(_encoded, encode, layout)
         new = self._picked[rows]
         step = n_at_once(*new.kind)

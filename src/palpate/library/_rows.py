@@ -382,7 +382,8 @@ def write_rows(
     described = batch.recording.cells()
     recording = store.get_or_insert("recordings", described, "digest")
     labels = {row.label for row in batch.rows if row.label is not None}
-    objects = {n: _object_key(store, n) for n in sorted(labels)}
+    named = [(n, {"name": n}) for n in sorted(labels)]
+    objects = {n: store.get_or_insert("objects", row, "name") for n, row in named}
     rows, digests = [], []
     for number, row in zip(taken, batch.rows, strict=True):
         digests.append(_row_digest(row, layout_text, described["digest"]))
@@ -411,6 +412,3 @@ def _row_digest(row: StoredTouch, layout: str, recording: bytes) -> bytes:
     return digest_of((*identity, row.image, row.content, layout, recording))
 
 
-def _object_key(store: Store, name: str) -> int:
-    row = store.first_row("SELECT id FROM objects WHERE name = ?", [name])
-    return store.insert("objects", {"name": name}) if row is None else int(row[0])

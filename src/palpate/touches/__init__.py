@@ -5,7 +5,6 @@
 Pillow are imported when the first picture is decoded.
 """
 
-from ._columns import FORMER as FORMER
 from ._columns import TouchesError
 from ._containers import frame_of_message as frame_of_message
 from ._containers import shows_frame as shows_frame

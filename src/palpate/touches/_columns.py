@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import check_option, one_spelling, size_text, unmasked
-from .._types import GEOMETRIES, PLAIN_KINDS, Array, Floats
+from .._types import FORMER, GEOMETRIES, LAYOUT, PLAIN_KINDS, Array, Floats
 
 Arrays = dict[str, Array]
 
@@ -21,11 +21,7 @@ LABELS = ("object", "category")
 NUMBERS = ("order", "position_mm", "position_raw", "force_n", "time_s")
 FLAT = (*LABELS, "order", "session", "time_s", "sensor", "episode", "press", "frame")
 COLUMNS = frozenset((*FLAT, *NUMBERS, "source_path", "press_frames"))
-# How the last axis of images, and the arrays within one picture, are described.
-LAYOUT = ("channels", "pads", "pad_names")
 WHOLE = frozenset(("no_contact", "frame_index", "geometry", *LAYOUT))
-# Names that archives had before these were settled.
-FORMER = {f"set_{name}": name for name in LAYOUT}
 _TAXELS_AT_ONCE = 2**22
 SUMMARIES = ("peak", "hold", "loading")
 _HELD = 0.8
