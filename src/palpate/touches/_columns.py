@@ -255,6 +255,15 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
     return dict(parts[0])
 
 
+def common_whole(parts: Sequence[Arrays]) -> Arrays:
+    """Return the entries of whole sets that are the same in all of them."""
+    kinds = [{n: (a.dtype, a.shape, a.tobytes()) for n, a in p.items()} for p in parts]
+    same = {n: a for n, a in parts[0].items() if all(k.get(n) == kinds[0][n] for k in kinds)}
+    if "pads" not in same:  # names of pads that differ name nothing
+        same.pop("pad_names", None)
+    return same
+
+
 def _checked_labels(name: str, array: Array) -> Array:
     """Return labels as text; integers become text, nothing else does."""
     kind = array.dtype.kind

@@ -280,11 +280,8 @@ class Touches(Labelled):
                     f"Touches must take at most {max_bytes} bytes, got more. Keep them "
                     "in a library, which is read as it is needed."
                 )
-        whole = [{n: a.tobytes() for n, a in part._whole.items()} for part in held]
-        same = {n for n, a in whole[0].items() if all(w.get(n) == a for w in whole)}
-        if "pads" not in same:  # names of pads that differ name nothing
-            same.discard("pad_names")
-        plain = [part.without(*(part._whole.keys() - same)) for part in held]
+        same = _columns.common_whole([part._whole for part in held])
+        plain = [part.without(*(part._whole.keys() - same.keys())) for part in held]
         joined = Touches.concatenate(plain)
         return cls._of(joined._images, joined._columns, joined._whole, joined._files)
 
