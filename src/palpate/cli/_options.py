@@ -541,12 +541,12 @@ class Reading:
 
     def colour_left(self, path: Path, touches: "Labelled") -> str:
         """Return that pictures in colour were read in grey, if nobody said it."""
-        from ..touches import shows_colour
+        from ..touches import ParquetTouches, Touches
 
-        names = getattr(touches, "columns", {}).get("source_path")
-        if self.colour is not None or names is None or not path.is_dir():
+        is_folder = path.is_dir() and not ParquetTouches.is_parquet(path)
+        if self.colour is not None or not is_folder or not isinstance(touches, Touches):
             return ""
-        if not shows_colour(path / str(names[0])):
+        if not touches.hides_colour():
             return ""
         return (
             "pictures in colour were read in grey: --colour, if colour tells, as "

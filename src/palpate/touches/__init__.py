@@ -11,7 +11,6 @@ from ._containers import shows_frame as shows_frame
 from ._folder import PICTURES as PICTURES
 from ._folder import PictureCheck as PictureCheck
 from ._folder import check_folder as check_folder
-from ._folder import shows_colour as shows_colour
 from ._layout import levels_pattern as levels_pattern
 from ._parquet import url_of as url_of
 from ._parquet import write_parquet as write_parquet

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -326,11 +327,11 @@ def _another(name: str, header: Header, usual: Header) -> BadPicture:
     return BadPicture(name, problem, fix)
 
 
-def shows_colour(path: Path) -> bool:
+def shows_colour(file: Path | BytesIO) -> bool:
     """Return whether red, green and blue differ by more than what JPEG does to grey."""
     from PIL import Image
 
-    with Image.open(path) as picture:
+    with Image.open(file) as picture:
         levels = np.asarray(picture.convert("RGB"), np.int16)
     return bool(np.ptp(levels, axis=2).mean() > _GREY_DIFFERS)
 

@@ -7,6 +7,7 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -22,7 +23,7 @@ from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
-from ._folder import PICTURES, folder_arrays, no_contact_picture
+from ._folder import PICTURES, folder_arrays, no_contact_picture, shows_colour
 from ._parquet import is_parquet, parquet_parts
 from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
@@ -386,6 +387,12 @@ class Touches(Labelled):
         Shape (n_touches,), of objects; a library keeps these instead of the images.
         """
         return self._files
+
+    def hides_colour(self) -> bool:
+        """Tell whether the first picture shows colour, and was read in grey."""
+        if self._files is None or self.channels is not None:
+            return False
+        return shows_colour(BytesIO(self._files[0]))
 
     def _with_files(self, files: Sequence[bytes] | None) -> Self:
         """Return the touches with the files they were decoded from."""
