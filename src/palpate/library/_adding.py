@@ -277,7 +277,9 @@ def _batch(touches: Touches, recording: Recording) -> Batch:
     arrays = {n: a for n, a in touches.whole.items() if n != "geometry"}
     keys = {n: image_digest(array) for n, array in arrays.items()}
     recording = recording._replace(whole={n: key.hex() for n, key in keys.items()})
-    return Batch(layout, recording, {keys[n]: a for n, a in arrays.items()}, rows, stored)
+    return Batch(
+        layout, recording, {keys[n]: a for n, a in arrays.items()}, rows, stored
+    )
 
 
 def _store_batch(store: Store, batch: Batch) -> list[bytes]:

@@ -123,8 +123,11 @@ def wide_identities(
     names = [name for name in IDENTITY if name in wide]
     if not names:
         return [b""] * len(parts)
-    rows = [unpacked_rows(more, layout) for more in parts]
-    return [b"".join(b"\0" + n.encode() + row[n].tobytes() for n in names) for row in rows]
+    pieces = []
+    for more in parts:
+        rows = unpacked_rows(more, layout)
+        pieces.append(b"".join(b"\0" + n.encode() + rows[n].tobytes() for n in names))
+    return pieces
 
 
 def whole_numbers(cell: Any) -> Any:

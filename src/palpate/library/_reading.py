@@ -116,7 +116,9 @@ class StoredTouches:
     def files(self) -> list[bytes | None]:
         """Return the picture that each image came as, None where it did not."""
         images = (stored.image for stored in self.stored())
-        return [image.data if image and image.form == PICTURE else None for image in images]
+        return [
+            image.data if image and image.form == PICTURE else None for image in images
+        ]
 
     def has_pictures(self) -> bool:
         """Tell whether any of the images came as a picture."""

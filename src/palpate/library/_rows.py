@@ -80,9 +80,8 @@ class Recording(NamedTuple):
 
     def cells(self) -> dict[str, Any]:
         """Return what its row holds."""
-        n_rows, n_cols, *n_channels = self.image_shape
-        sizes = n_rows, n_cols, *(n_channels or [None]), self.dtype.str
-        cells = *self[1:6], *sizes, canonical(self.whole)
+        sides = [*self.image_shape, None][:3]  # without channels there is no third
+        cells = *self[1:6], *sides, self.dtype.str, canonical(self.whole)
         row = dict(zip((*RECORDED, *_SIZES), cells, strict=True))
         return {**row, "digest": digest_of(cells)}
 
@@ -297,9 +296,7 @@ def n_at_once(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     return max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
 
 
-def stored_images(
-    tables: Tables, rows: Sequence[StoredTouch]
-) -> Iterator[StoredImage]:
+def stored_images(tables: Tables, rows: Sequence[StoredTouch]) -> Iterator[StoredImage]:
     """Yield the stored images of touches with one size and type."""
     if not rows:
         return
@@ -352,11 +349,11 @@ def new_rows(
 ) -> list[StoredTouch]:
     """Return rows to be written, of plain values and of the digests of images."""
     in_cells = {c.name for c in layout if c.shape == () and c.name in CELLS}
-    names = [name if name in in_cells else None for name in CELLS]
+    names = [name if name in in_cells else "" for name in CELLS]
     wide = wide_identities(layout, [image.more for image in images])
     rows = []
     for values, digest, stored, part in zip(plain, digests, images, wide, strict=True):
-        cells = tuple([values.get(name) for name in names])
+        cells = tuple([values.get(name) if name else None for name in names])
         extra = {n: value for n, value in values.items() if n not in in_cells}
         key, text = identity(digest, values, part), canonical(extra) if extra else None
         belongs = 0, key, cells[0], None, 0, 0, added_s
@@ -410,5 +407,3 @@ def enter_array(store: Store, digest: bytes, array: Array | None) -> None:
 def _row_digest(row: StoredTouch, layout: str, recording: bytes) -> bytes:
     identity = row.key, row.label, *row.cells[1:], row.extra, row.added_s
     return digest_of((*identity, row.image, row.content, layout, recording))
-
-

@@ -257,8 +257,12 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
 
 def common_whole(parts: Sequence[Arrays]) -> Arrays:
     """Return the entries of whole sets that are the same in all of them."""
-    kinds = [{n: (a.dtype, a.shape, a.tobytes()) for n, a in p.items()} for p in parts]
-    same = {n: a for n, a in parts[0].items() if all(k.get(n) == kinds[0][n] for k in kinds)}
+    contents = [
+        {n: (a.dtype, a.shape, a.tobytes()) for n, a in part.items()} for part in parts
+    ]
+    first = contents[0].items()
+    alike = {n for n, held in first if all(c.get(n) == held for c in contents)}
+    same = {n: array for n, array in parts[0].items() if n in alike}
     if "pads" not in same:  # names of pads that differ name nothing
         same.pop("pad_names", None)
     return same
