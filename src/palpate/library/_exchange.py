@@ -35,7 +35,7 @@ from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
 from .._types import RGB, Array, Floats, Indices
 from ..touches import Touches, TouchesError, png_bytes, url_of, write_parquet
-from ._reading import StoredTouches, read_array
+from ._reading import Selection, read_array
 from ._rows import FROM, Numbers, Tables, n_at_once
 from ._store import LibraryError, refuse_used, room_for
 
@@ -55,7 +55,7 @@ def export_touches(
     tables: Tables, numbers: Numbers, path: str | Path, by: str | None = None
 ) -> int:
     """Write touches to `path`, whose ending says how; return how many."""
-    picked = StoredTouches(tables, numbers)
+    picked = Selection(tables, numbers)
     if (url := url_of(path)) is not None:
         return _to_store(picked, url, by)
     path = Path(path)
@@ -101,7 +101,7 @@ def _refuse_by(by: str | None, kind: str) -> None:
         )
 
 
-def _to_store(picked: StoredTouches, url: str, by: str | None) -> int:
+def _to_store(picked: Selection, url: str, by: str | None) -> int:
     """Write Parquet to a store that fsspec knows."""
     fsspec = needed("fsspec.core", "parquet", "Writing to a store")
     kind = Path(url).suffix.lower()
@@ -138,10 +138,10 @@ def _opened(name: str) -> Any:
 
 
 def _write_parts(
-    picked: StoredTouches, by: str, folder: str | Path, opened: Callable[[str], Any]
+    picked: Selection, by: str, folder: str | Path, opened: Callable[[str], Any]
 ) -> None:
     """Write one file for each value of a column, in folders named `by=value`."""
-    values = picked.columns().get(by)
+    values = picked.columns.get(by)
     if values is None:
         raise LibraryError(
             f"by must be a column of the touches, got {by!r}, which they lack."
@@ -157,8 +157,8 @@ def _write_parts(
 
 def _write_parquet(
     file: Any,
-    picked: StoredTouches,
-    whole: StoredTouches | None = None,
+    picked: Selection,
+    whole: Selection | None = None,
     named: dict[str, str] | None = None,
 ) -> None:
     """Write a row group for every `_ROW_GROUP` touches, fewer of large images.
@@ -167,7 +167,7 @@ def _write_parquet(
     that the path carries, and their types.
     """
     if whole is None:
-        picked.columns()  # refuses objects that some lack, before any is written
+        picked.read_columns()  # refuses objects that some lack, before any is written
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     numbers = np.array([places[key] for key in keys])
@@ -177,9 +177,9 @@ def _write_parquet(
 
 
 def _row_groups(
-    picked: StoredTouches,
+    picked: Selection,
     numbers: Indices,
-    of: StoredTouches,
+    of: Selection,
     named: Collection[str],
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
     """Yield images, columns, files of images and numbers of recordings, in parts.
@@ -194,7 +194,7 @@ def _row_groups(
         rows = np.arange(start, min(start + step, len(picked)))
         images = np.empty((len(rows), *shape), dtype)
         part = picked[rows]
-        columns = part.columns(images, of)
+        columns = part.read_columns(images, of)
         columns = {n: c for n, c in columns.items() if n not in named}
         files = None
         if are_pictures:
@@ -214,13 +214,13 @@ def _described(tables: Tables, key: int) -> dict[str, Any]:
     return {"whole": present, **{name: getattr(recording, name) for name in names}}
 
 
-def _write_lerobot(path: Path, picked: StoredTouches) -> None:
+def _write_lerobot(path: Path, picked: Selection) -> None:
     """Write a new folder; episodes are read one by one."""
     pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
     data = path / "data" / _FILE.format(0, 0)
     data.parent.mkdir(parents=True)
-    picked.columns()  # refuses objects that some lack, before any is written
-    dataset = _Dataset(picked.whole())
+    picked.read_columns()  # refuses objects that some lack, before any is written
+    dataset = _Dataset(picked.whole)
     numbers = picked.numbers
     columns = "o.name, t.session, t.episode, t.number"
     sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
@@ -436,7 +436,7 @@ _TASKS_PANDAS = {
 }
 
 
-_WRITERS: dict[str, Callable[[Path, StoredTouches], None]] = {
+_WRITERS: dict[str, Callable[[Path, Selection], None]] = {
     ".npz": lambda path, picked: picked.touches().save(path),
     ".parquet": _write_parquet,
     "": _write_lerobot,

@@ -27,7 +27,6 @@ from ._reading import (
     IN_MEMORY,
     NO_LIMIT,
     Selection,
-    StoredTouches,
     read_array,
     sound_numbers,
 )
@@ -347,8 +346,8 @@ class TouchLibrary:
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """
-        picked = StoredTouches(self._tables, self._numbers(where, damaged))
-        return picked.touches(max_bytes, in_memory)
+        picked = Selection(self._tables, self._numbers(where, damaged))
+        return picked.touches(max_bytes=max_bytes, in_memory=in_memory)
 
     def select(self, where: str | None = None, *, damaged: str = "raise") -> Selection:
         """Return touches as a source that reads images only as they are needed.
@@ -356,7 +355,7 @@ class TouchLibrary:
         `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`; `damaged`
         is as for `touches`.
         """
-        return Selection(StoredTouches(self._tables, self._numbers(where, damaged)))
+        return Selection(self._tables, self._numbers(where, damaged))
 
     def _numbers(self, where: str | None, damaged: str = "raise") -> Numbers:
         """Return the numbers of the touches that meet a filter, in the order added."""

@@ -58,27 +58,27 @@ class Labelled:
     @property
     def object(self) -> NDArray[np.str_] | None:
         """Label of each touch, shape (n_touches,), or None."""
-        return self._columns.get("object")
+        return self.columns.get("object")
 
     @property
     def category(self) -> NDArray[np.str_] | None:
         """Category of each touch, shape (n_touches,), or None."""
-        return self._columns.get("category")
+        return self.columns.get("category")
 
     @property
     def order(self) -> Array | None:
         """Position of each touch in its recording, shape (n_touches,), or None."""
-        return self._columns.get("order")
+        return self.columns.get("order")
 
     @property
     def session(self) -> Array | None:
         """Session of each touch, shape (n_touches,), or None."""
-        return self._columns.get("session")
+        return self.columns.get("session")
 
     @property
     def subject(self) -> Array | None:
         """Person or unit of each touch, shape (n_touches,), or None."""
-        return self._columns.get("subject")
+        return self.columns.get("subject")
 
 
 class Touches(Labelled):
