@@ -6,8 +6,7 @@ Pillow are imported when the first picture is decoded.
 """
 
 from ._columns import TouchesError
-from ._containers import frame_of_message as frame_of_message
-from ._containers import shows_frame as shows_frame
+from ._containers import frame_reader as frame_reader
 from ._folder import PICTURES as PICTURES
 from ._folder import PictureCheck as PictureCheck
 from ._folder import check_folder as check_folder
