@@ -18,6 +18,7 @@ PresetName = Literal["default", "corradi2015", "liu2014"]
 Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]
 GEOMETRIES = ("dome", "array", "plane", "none")  # how taxels lie
 RGB = ("r", "g", "b")  # channels of a picture in colour
+FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # endings of films
 # How the last axis of images, and the arrays within one picture, are described.
 LAYOUT = ("channels", "pads", "pad_names")
 # Names that archives had before these were settled.

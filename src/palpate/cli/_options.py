@@ -388,9 +388,9 @@ class Reading:
 
         Archives, libraries, bags and Parquet say themselves what they hold.
         """
-        from .._types import RGB
+        from .._types import FILMS, RGB
         from ..library import TouchLibrary, is_recording
-        from ..touches import FILMS, PICTURES, ParquetTouches
+        from ..touches import PICTURES, ParquetTouches
 
         kept = TouchLibrary.is_library(path) or is_recording(path)
         kept = kept or ParquetTouches.is_parquet(path)
@@ -466,8 +466,9 @@ class Reading:
     def _recording(
         self, path: Path, topic: str | None = None, *, quiet: bool = False
     ) -> "Touches":
+        from .._types import FILMS
         from ..library import is_recording, read_bag
-        from ..touches import FILMS, Touches, TouchesError
+        from ..touches import Touches, TouchesError
 
         fix = "All of it is read; choose in a library with --where."
         if topic is not None or is_recording(path):

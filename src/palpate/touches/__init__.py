@@ -13,7 +13,6 @@ from ._folder import check_folder as check_folder
 from ._layout import levels_pattern as levels_pattern
 from ._parquet import url_of as url_of
 from ._parquet import write_parquet as write_parquet
-from ._pictures import FILMS as FILMS
 from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
 from ._sources import ParquetTouches as ParquetTouches

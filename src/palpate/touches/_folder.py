@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._checks import listed, nearest_path
-from .._types import RGB, Array
+from .._types import FILMS, RGB, Array
 from . import _pictures
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
@@ -433,7 +433,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         kinds = sorted({Path(name).suffix or "no ending" for name in files})
         got = f"{len(files)} files of {', '.join(kinds[:5])}" if files else "no files"
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
-        if films := [kind for kind in kinds if kind.lower() in _pictures.FILMS]:
+        if films := [kind for kind in kinds if kind.lower() in FILMS]:
             hint += f" Films ({films[0]}) are read one by one, each for its object."
         raise TouchesError(
             f"{root} must hold pictures ending in {', '.join(PICTURES)}, or "

@@ -45,7 +45,6 @@ _HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _ALPHA = (4, 6)
 _GREY = (0, 4)
-FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # palpate.sensors reads them
 GREY_WHERE_COLOUR = "in grey where colour is asked for"
 _CUT_SHORT = "a file that is cut short"
 _EXIF = b"Exif\0\0"
