@@ -6,14 +6,14 @@ have something to tell.
 
 import base64
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from html import escape
 from pathlib import Path
 
 import numpy as np
 
 from ._extras import needed
-from ._types import Array
+from ._types import RGB, Array
 
 # Of taxels that are dead: blue, green, red.
 _DEAD = (60, 60, 220)
@@ -86,6 +86,20 @@ def worded(sentence: str) -> str:
     """
     text = escape(sentence)
     return _TYPED.sub(lambda typed: f"<code>{typed[1] or typed[0]}</code>", text)
+
+
+def as_shown(images: Array, channels: Collection[str] | None) -> Array:
+    """Return images (n_touches, n_rows, n_cols[, n_channels]) as people look at them.
+
+    With channels "r", "g" and "b" these three in that order, else the mean over all;
+    images without an axis of channels stay as they are.
+    """
+    if channels is None or images.ndim == 3:
+        return images
+    names = list(channels)
+    if set(RGB) <= set(names):
+        return images[..., [names.index(name) for name in RGB]]
+    return np.asarray(images.mean(axis=-1, dtype=np.float64))
 
 
 def png_address(image: Array, side: int) -> str:

@@ -1,4 +1,4 @@
-"""Names of types that signatures in every subpackage share."""
+"""Names of types, and of settled values, that signatures in every subpackage share."""
 
 from typing import Any, Literal
 
@@ -16,3 +16,10 @@ PLAIN_KINDS = "biufcSUMm"  # of types that files hold as they are, by `dtype.kin
 Label = Literal["object", "category"]
 PresetName = Literal["default", "corradi2015", "liu2014"]
 Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]
+GEOMETRIES = ("dome", "array", "plane", "none")  # how taxels lie
+RGB = ("r", "g", "b")  # channels of a picture in colour
+FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # endings of films
+# How the last axis of images, and the arrays within one picture, are described.
+LAYOUT = ("channels", "pads", "pad_names")
+# Names that archives had before these were settled.
+FORMER = {f"set_{name}": name for name in LAYOUT}

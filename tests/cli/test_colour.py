@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from palpate import ObjectRecogniser, Touches
+from palpate.library import TouchLibrary
 from palpate.sensors import open_sensor
 
 TINTS = {"ball": (60, 0, 0), "pen": (0, 60, 0)}
@@ -52,6 +53,23 @@ def test_evaluating_says_that_colours_were_left(palpate, pictures):
     assert "read in grey: --colour" in grey["recommendations"][0]
     coloured = palpate.answer(*words, "--colour")
     assert not any("read in grey" in s for s in coloured["recommendations"])
+
+
+@pytest.mark.parametrize("kind", ["arrays", "Parquet"])
+def test_folders_of_other_files_hide_no_colour(palpate, pictures, tmp_path, kind):
+    touches, folder = Touches.load(pictures / "taught"), tmp_path / "set"
+    if kind == "Parquet":
+        pytest.importorskip("pyarrow")
+        with TouchLibrary.open(tmp_path / "library", create=True) as library:
+            library.add(touches)
+            library.export(folder.with_suffix(".parquet"), by="object")
+        folder = folder.with_suffix(".parquet")
+    for number, touch in enumerate(touches if kind == "arrays" else ()):
+        (folder / touch.object[0]).mkdir(parents=True, exist_ok=True)
+        np.save(folder / touch.object[0] / f"{number}.npy", touch.images[0])
+    result = palpate("learn", folder, "-o", tmp_path / "m.palpate")
+    assert result.returncode == 0, result.stderr
+    assert "colour" not in result.stdout
 
 
 def test_a_model_of_colours_reads_colours(palpate, pictures, models):

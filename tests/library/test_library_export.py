@@ -56,12 +56,12 @@ def test_a_parquet_file_holds_the_same_touches(filled, tmp_path, rng):
 @pytest.mark.parametrize("name", ["t.npz", "t.parquet", "robot"])
 def test_exports_agree_on_touches_without_a_label(filled, tmp_path, rng, name):
     """Without any label there is no column; labels of only some are refused."""
-    bare = filled.touches().without("object").with_columns(session=["c"] * 7)
-    filled.add(bare)
+    bare = filled.touches()[np.arange(140) % 7].without("object")
+    filled.add(bare.with_columns(session=["c"] * 140, time_s=np.arange(140.0)))
     with pytest.raises(LibraryError, match="all touches must have an object or none"):
         filled.export(tmp_path / name)
     assert not (tmp_path / name).exists()
-    assert filled.export(tmp_path / name, "object is null") == 7
+    assert filled.export(tmp_path / name, "object is null") == 140
     if name == "t.npz":
         columns = set(Touches.load(tmp_path / name).columns)
     else:
@@ -240,6 +240,16 @@ def test_names_of_pads_that_differ_are_left_out_with_them(library, tmp_path):
     assert len(read) == len(source.touches(range(12))) == 12
     assert read.pads is read.pad_names is None
     assert not {"pads", "pad_names"} & {*source.whole}
+
+
+def test_a_baseline_with_a_dead_taxel_describes_several_recordings(library, tmp_path):
+    baseline = np.full((5, 6), np.nan)
+    for day in ("monday", "tuesday"):
+        touches = _presses(len(day), dtype="f8", no_contact=baseline, set_day=day)
+        library.add(touches, session=day)
+    library.export(tmp_path / "t.parquet")
+    for read in (Touches.load, ParquetTouches):
+        assert {*read(tmp_path / "t.parquet").whole} == {"no_contact"}
 
 
 def test_pictures_travel_as_their_own_files(library, tmp_path):

@@ -388,10 +388,12 @@ class Reading:
 
         Archives, libraries, bags and Parquet say themselves what they hold.
         """
+        from .._types import FILMS, RGB
         from ..library import TouchLibrary, is_recording
-        from ..touches import FILMS, PICTURES, RGB, is_parquet
+        from ..touches import PICTURES, ParquetTouches
 
-        kept = TouchLibrary.is_library(path) or is_recording(path) or is_parquet(path)
+        kept = TouchLibrary.is_library(path) or is_recording(path)
+        kept = kept or ParquetTouches.is_parquet(path)
         pictures = path.suffix.lower() in (*FILMS, *PICTURES) or path.is_dir()
         in_colour = tuple(recogniser.encoder_.channels_ or ()) == RGB
         if self.colour is None and in_colour and pictures and not kept:
@@ -402,9 +404,9 @@ class Reading:
         """Read touches to be kept, those of Parquet some at a time."""
         from itertools import chain
 
-        from ..touches import is_parquet, read_parquet
+        from ..touches import ParquetTouches, read_parquet
 
-        if topic is not None or not is_parquet(path):
+        if topic is not None or not ParquetTouches.is_parquet(path):
             return iter([self.touches(path, topic)])
         self._refuse_for_parquet()
         parts = read_parquet(path, max_pixels=self.max_pixels)
@@ -413,10 +415,10 @@ class Reading:
     @contextmanager
     def selection(self, path: Path) -> "Iterator[Labelled]":
         """Read touches to learn from; of a library or Parquet as they are needed."""
-        from ..touches import ParquetTouches, is_parquet
+        from ..touches import ParquetTouches
 
         opened = self._library(path)
-        if opened is None and is_parquet(path):
+        if opened is None and ParquetTouches.is_parquet(path):
             self._refuse_for_parquet()
             yield ParquetTouches(path, max_pixels=self.max_pixels)
             return
@@ -464,8 +466,9 @@ class Reading:
     def _recording(
         self, path: Path, topic: str | None = None, *, quiet: bool = False
     ) -> "Touches":
+        from .._types import FILMS
         from ..library import is_recording, read_bag
-        from ..touches import FILMS, Touches, TouchesError
+        from ..touches import Touches, TouchesError
 
         fix = "All of it is read; choose in a library with --where."
         if topic is not None or is_recording(path):
@@ -539,12 +542,12 @@ class Reading:
 
     def colour_left(self, path: Path, touches: "Labelled") -> str:
         """Return that pictures in colour were read in grey, if nobody said it."""
-        from ..touches import shows_colour
+        from ..touches import ParquetTouches, Touches
 
-        names = getattr(touches, "columns", {}).get("source_path")
-        if self.colour is not None or names is None or not path.is_dir():
+        is_folder = path.is_dir() and not ParquetTouches.is_parquet(path)
+        if self.colour is not None or not is_folder or not isinstance(touches, Touches):
             return ""
-        if not shows_colour(path / str(names[0])):
+        if not touches.hides_colour():
             return ""
         return (
             "pictures in colour were read in grey: --colour, if colour tells, as "

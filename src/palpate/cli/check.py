@@ -374,8 +374,7 @@ def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
     import numpy as np
 
     from .._numbers import evenly_spaced
-    from .._page import png_address
-    from ..touches import as_shown
+    from .._page import as_shown, png_address
 
     objects, odd = checked["objects"], _odd_words(checked["odd"])
     names = touches.columns.get("source_path", np.full(len(touches), ""))

@@ -67,9 +67,9 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
+    from .._types import FILMS
     from ..library import SensorDescription
     from ..sensors import is_address
-    from ..touches import FILMS
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")

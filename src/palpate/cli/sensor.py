@@ -307,8 +307,7 @@ def _page(
 ) -> str:
     import numpy as np
 
-    from .._page import html_table, png_address, report_page, worded
-    from ..touches import as_shown
+    from .._page import as_shown, html_table, png_address, report_page, worded
 
     findings = health["findings"] or ["Nothing is wrong."]
     lines = "".join(

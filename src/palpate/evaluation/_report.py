@@ -14,10 +14,17 @@ import numpy as np
 
 from .._durable import write_text
 from .._numbers import evenly_spaced
-from .._page import check_report_path, html_table, png_address, report_page, worded
+from .._page import (
+    as_shown,
+    check_report_path,
+    html_table,
+    png_address,
+    report_page,
+    worded,
+)
 from .._types import Bools, Indices
 from ..recognition import Evidence, about, sessions_message
-from ..touches import Touches, as_shown
+from ..touches import Touches
 from . import plots
 from ._comparisons import as_good_alone
 from ._episodes import Decisions, answers_of

@@ -12,12 +12,36 @@ from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from .._checks import check_option, check_positive
 from .._parallel import Progress
-from ..touches import GEOMETRIES, Touches
+from .._types import GEOMETRIES
+from ..touches import Touches
 from ._changes import Names, find_object
-from ._content import IDENTITY, Batch, Column, batch_of, earlier_cell, identity
-from ._rows import FROM, enter_array, write_rows
+from ._content import (
+    CELLS,
+    IDENTITY,
+    Column,
+    earlier_cell,
+    identity,
+    image_digest,
+    packed_rows,
+    packs_well,
+    plain_cells,
+    stored_image,
+    wide_identities,
+)
+from ._rows import (
+    FROM,
+    Batch,
+    Recording,
+    StoredTouch,
+    enter_array,
+    new_rows,
+    plain_values,
+    write_rows,
+)
 from ._store import (
     FEATURES,
     FILE_NAME,
@@ -199,7 +223,7 @@ def add_touches(
         with Progress(len(touches), "Adding touches", progress) as bar:
             for start in range(0, len(touches), step):
                 part = touches[start : start + step]
-                batch = batch_of(part, recording, time.time())
+                batch = _batch(part, recording)
                 keys = store.write(partial(_store_batch, store, batch))
                 ids += [key.hex() for key in keys]
                 bar.advance(len(part))
@@ -213,21 +237,49 @@ def add_touches(
     return ids
 
 
-def _recording(touches: Touches, sensor: SensorDescription | None) -> dict[str, Any]:
-    """Return what is the same for all of `touches`."""
-    sensor_now = (sensor or SensorDescription(""))._replace(geometry=touches.geometry)
-    described = sensor_now._asdict()
-    n_rows, n_cols, *channels = touches.images.shape[1:]
-    if described["pitch_mm"] is not None:
-        described["pitch_mm"] = float(described["pitch_mm"])
-    return {
-        "sensor": described.pop("name") or None,
-        **described,
-        "n_rows": n_rows,
-        "n_cols": n_cols,
-        "n_channels": channels[0] if channels else None,
-        "dtype": touches.images.dtype.str,
-    }
+def _recording(touches: Touches, sensor: SensorDescription | None) -> Recording:
+    """Return what is the same for all of `touches`, but for arrays."""
+    described = sensor or SensorDescription("")
+    return Recording(
+        b"",
+        described.name or None,
+        described.kind,
+        described.unit,
+        None if described.pitch_mm is None else float(described.pitch_mm),
+        touches.geometry,
+        touches.images.shape[1:],
+        touches.images.dtype,
+        {},
+    )
+
+
+def _batch(touches: Touches, recording: Recording) -> Batch:
+    """Return touches ready to be stored, each with its id."""
+    layout, values, wide = [], {}, {}
+    for name, array in touches.columns.items():
+        column = Column.of(name, array)
+        layout.append(column)
+        if column.wide:
+            wide[name] = np.ascontiguousarray(array)
+        else:
+            values[name] = plain_cells(name, array)
+    images = np.ascontiguousarray(touches.images)
+    files = [None] * len(images) if touches.files is None else touches.files
+    packs = touches.files is None and packs_well(images[0])
+    stored = [
+        stored_image(image, file, packed_rows(wide, place), packs=packs)
+        for place, (image, file) in enumerate(zip(images, files, strict=True))
+    ]
+    each = range(len(images))
+    plain = [{name: cells[row] for name, cells in values.items()} for row in each]
+    digests = [image_digest(image) for image in images]
+    rows = new_rows(layout, plain, digests, stored, time.time())
+    arrays = {n: a for n, a in touches.whole.items() if n != "geometry"}
+    keys = {n: image_digest(array) for n, array in arrays.items()}
+    recording = recording._replace(whole={n: key.hex() for n, key in keys.items()})
+    return Batch(
+        layout, recording, {keys[n]: a for n, a in arrays.items()}, rows, stored
+    )
 
 
 def _store_batch(store: Store, batch: Batch) -> list[bytes]:
@@ -238,16 +290,16 @@ def _store_batch(store: Store, batch: Batch) -> list[bytes]:
     ids = _matched(store, batch)
     sql = "SELECT id FROM touches WHERE id IN (?)"
     stored = {row[0] for row in store.among(sql, ids)}
-    new = {key: row for row, key in enumerate(ids) if key not in stored}
+    new = {key: place for place, key in enumerate(ids) if key not in stored}
     if new:
         kept = batch if len(new) == len(ids) else batch.picked(sorted(new.values()))
         write_rows(store, kept)
     return ids
 
 
-def _refuse_other_channels(store: Store, recording: dict[str, Any]) -> None:
+def _refuse_other_channels(store: Store, recording: Recording) -> None:
     """Refuse grey touches of a sensor that gave colour before, and the reverse."""
-    sensor, now = recording["sensor"], recording["n_channels"]
+    sensor, now = recording.sensor, [*recording.image_shape[2:], None][0]
     sql = "SELECT n_channels FROM recordings WHERE sensor = ? LIMIT 1"
     before = store.first_row(sql, [sensor]) if sensor else None
     if before is not None and before[0] != now:
@@ -266,41 +318,39 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
     too but for former names and cells that were empty or numbers, and both have one
     name.
     """
-    labels = batch.values.get("object", [None] * len(batch.ids))
-    present = {label: find_object(store, label) for label in set(labels)}
+    present = {row.label: find_object(store, row.label) for row in batch.rows}
     now = {name: match[1] if match else name for name, match in present.items()}
     names = Names(store)
+    ids = [row.key for row in batch.rows]
     maybe: dict[bytes, tuple[bytes, str | None]] = {}
-    for row, label in enumerate(labels):
-        called = [label, now[label], *names.former(now[label])]
-        for cells in _earlier(batch, row, list(dict.fromkeys(called))):
-            key = identity(batch.digests[row], cells, batch.identity[row])
-            if key != batch.ids[row]:
-                maybe.setdefault(key, (batch.ids[row], now[label]))
+    parts = wide_identities(batch.layout, [image.more for image in batch.images])
+    for row, wide in zip(batch.rows, parts, strict=True):
+        called = [row.label, now[row.label], *names.former(now[row.label])]
+        for cells in _earlier(row, list(dict.fromkeys(called))):
+            key = identity(row.image, cells, wide)
+            if key != row.key:
+                maybe.setdefault(key, (row.key, now[row.label]))
     if not maybe:
-        return batch.ids
+        return ids
     sql = f"SELECT t.id, o.name {FROM} WHERE t.id IN (?)"
-    there = {key for key, _ in store.among(sql, batch.ids)}
-    stored = {
+    there = {key for key, _ in store.among(sql, ids)}
+    before = {
         maybe[key][0]: key
         for key, name in store.among(sql, list(maybe))
         if maybe[key][0] not in there and maybe[key][1] == name
     }
-    return [stored.get(key, key) for key in batch.ids]
+    return [before.get(key, key) for key in ids]
 
 
-def _earlier(
-    batch: Batch, row: int, names: list[str | None]
-) -> Iterator[dict[str, Any]]:
+def _earlier(row: StoredTouch, names: list[str | None]) -> Iterator[dict[str, Any]]:
     """Return what may have set a touch apart from others when it was first added."""
-    now = {n: cells[row] for n, cells in batch.values.items() if n in IDENTITY}
-    plain = [name for name, cell in now.items() if not isinstance(cell, list)]
+    pairs = zip(CELLS, row.cells, strict=True)
+    now = {n: cell for n, cell in pairs if n in IDENTITY and cell is not None}
     forms = [
-        names
-        if name == "object"
-        else list(dict.fromkeys([now[name], earlier_cell(now[name])]))
-        for name in plain
+        names if name == "object" else list(dict.fromkeys([cell, earlier_cell(cell)]))
+        for name, cell in now.items()
     ]
     if any(len(form) > 1 for form in forms):
+        [values] = plain_values([row])
         for cells in product(*forms):
-            yield {**now, **dict(zip(plain, cells, strict=True))}
+            yield {**values, **dict(zip(now, cells, strict=True))}

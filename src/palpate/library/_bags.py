@@ -33,10 +33,14 @@ import numpy as np
 from .._checks import did_you_mean
 from .._extras import needed
 from .._types import Array
-from ..touches import Touches, TouchesError, frame_of_message, shows_frame
+from ..touches import Touches, TouchesError, frame_reader
 from ._store import LibraryError
 
 MAX_BYTES = 4 * 2**30  # as of Touches.load
+_KINDS = (
+    "sensor_msgs/msg/Image, sensor_msgs/msg/CompressedImage, "
+    "sensor_msgs/msg/PointCloud2"
+)
 _room = threading.local()  # how much the bag that is read may still unpack to
 
 
@@ -169,7 +173,7 @@ def _counted(packed: Any, opener: Any) -> Any:
 def _chosen_topic(reader: Any, topic: str | None) -> str:
     """Return the topic that is read; the only one that can be where none is named."""
     kinds = {c.topic: str(c.msgtype) for c in reader.connections}
-    able: list[str] = [name for name, kind in kinds.items() if shows_frame(kind)]
+    able: list[str] = [name for name, kind in kinds.items() if frame_reader(kind)]
     if topic in kinds:
         return str(topic)
     if topic is None and len(able) == 1:
@@ -193,7 +197,12 @@ def _messages(
         digest.update(f"{recorded_ns} {len(raw)} ".encode() + bytes(raw))
         message = reader.deserialize(raw, connection.msgtype)
         where = f"message {len(images)} of {topic}"
-        image = frame_of_message(message, connection.msgtype, where)
+        if (read_frame := frame_reader(connection.msgtype)) is None:
+            raise LibraryError(
+                f"{where} must be {_KINDS} or a std_msgs array such as "
+                f"std_msgs/msg/Float32MultiArray, got {connection.msgtype}."
+            )
+        image = read_frame(message, where)
         if images and (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
             raise LibraryError(
                 f"All images of {topic} must have one size and type, got "

@@ -7,16 +7,15 @@ from typing import NamedTuple
 
 from .._parallel import Progress
 from ._changes import Names, change_rows
-from ._content import id_bytes, identity, wide_identity
+from ._content import id_bytes, identity, wide_identities
 from ._reading import is_whole, stored_array
 from ._rows import (
     LOST,
     StoredTouch,
     Tables,
-    packed_images,
     plain_values,
+    stored_images,
     stored_touches,
-    wide_values,
 )
 from ._store import (
     AT_ONCE,
@@ -160,13 +159,11 @@ def touch_fault(tables: Tables, row: StoredTouch, names: Names | None) -> str | 
         return f"Row {row.number} must be as it was written, got other values."
     if not is_whole(tables, row):
         return f"The image of touch {row.key.hex()} must be as it was added."
-    [packed] = packed_images(tables, [row])
-    stored = packed.images[0]
-    assert stored is not None  # it is whole
+    [stored] = stored_images(tables, [row])
+    assert stored.image is not None  # it is whole
     [values] = plain_values([row])
-    wide = wide_values(tables, row, stored) if stored.more is not None else {}
-    wide_part = wide_identity({name: value[None] for name, value in wide.items()}, 0)
-    if row.key != identity(row.image, {**values, "object": row.label}, wide_part):
+    [wide] = wide_identities(tables.layout(row.layout), [stored.image.more])
+    if row.key != identity(row.image, {**values, "object": row.label}, wide):
         return f"The id of touch {row.key.hex()} must follow from what it holds."
     return None
 

@@ -16,15 +16,14 @@ import json
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
 
-from .._types import PLAIN_KINDS, Array
-from ..touches import RGB, Touches, TouchesError, decode_bytes
+from .._types import PLAIN_KINDS, RGB, Array
+from ..touches import TouchesError, decode_bytes
 from ._store import LibraryError
 
 if sys.version_info >= (3, 14):
@@ -62,6 +61,11 @@ class Column(NamedTuple):
     wide: bool
 
     @classmethod
+    def of(cls, name: str, array: Array) -> "Column":
+        """Return the column that an array of one row per touch is."""
+        return cls(name, array.dtype.str, array.shape[1:], not _fits_cells(array))
+
+    @classmethod
     def all_of(cls, text: str) -> "list[Column]":
         """Return columns from JSON; ValueError or TypeError where it holds others."""
         columns = [cls(n, d, tuple(s), bool(w)) for n, d, s, w in json.loads(text)]
@@ -92,73 +96,6 @@ class Image(NamedTuple):
         return digest.digest()
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Some touches made ready to be stored together, of one layout and recording.
-
-    `values` are plain values per touch of the columns in `layout` that are not wide,
-    `recording` is a row of that table, `arrays` holds its arrays by digest, None those
-    that are lost; `ids` have 16 bytes each, `digests` are the SHA-256 of the images.
-    """
-
-    layout: list[Column]
-    values: dict[str, list[Any]]
-    images: list[Image]
-    digests: list[bytes]
-    ids: list[bytes]
-    identity: list[bytes]
-    recording: dict[str, Any]
-    arrays: dict[bytes, Array | None]
-    added_s: float
-
-    def picked(self, rows: Sequence[int]) -> "Batch":
-        return replace(
-            self,
-            values={n: [cells[i] for i in rows] for n, cells in self.values.items()},
-            images=[self.images[i] for i in rows],
-            digests=[self.digests[i] for i in rows],
-            ids=[self.ids[i] for i in rows],
-            identity=[self.identity[i] for i in rows],
-        )
-
-
-def batch_of(touches: Touches, recording: dict[str, Any], added_s: float) -> Batch:
-    """Return touches ready to be stored, each with its id."""
-    layout, values, wide = [], {}, {}
-    for name, array in touches.columns.items():
-        is_wide = not _fits_cells(array)
-        layout.append(Column(name, array.dtype.str, array.shape[1:], is_wide))
-        if is_wide:
-            wide[name] = np.ascontiguousarray(array)
-        else:
-            values[name] = _cells(name, array)
-    images = np.ascontiguousarray(touches.images)
-    digests = [image_digest(image) for image in images]
-    plain = [(n, values[n]) for n in IDENTITY if n in values]
-    wide_parts = [wide_identity(wide, row) for row in range(len(images))]
-    ids = [
-        identity(d, {n: cells[row] for n, cells in plain}, wide_parts[row])
-        for row, d in enumerate(digests)
-    ]
-    files = touches.files
-    packs = files is None and packs_well(images[0])
-    stored = [
-        stored_image(
-            image,
-            None if files is None else files[row],
-            packed_rows(wide, row),
-            packs=packs,
-        )
-        for row, image in enumerate(images)
-    ]
-    arrays = {n: a for n, a in touches.whole.items() if n != "geometry"}
-    keys = {n: image_digest(array) for n, array in arrays.items()}
-    recording = {**recording, "whole": {n: key.hex() for n, key in keys.items()}}
-    by_key: dict[bytes, Array | None] = {keys[n]: a for n, a in arrays.items()}
-    parts = layout, values, stored, digests, ids, wide_parts, recording, by_key
-    return Batch(*parts, added_s)
-
-
 def image_digest(image: Array) -> bytes:
     """Return the SHA-256 of an array: its type, its shape and its values."""
     digest = hashlib.sha256(f"{image.dtype.str} {image.shape}".encode())
@@ -175,10 +112,22 @@ def identity(digest: bytes, cells: dict[str, Any], wide: bytes) -> bytes:
     return hashlib.sha256(content).digest()[:_ID_BYTES]
 
 
-def wide_identity(wide: dict[str, Array], row: int) -> bytes:
-    """Return what wide columns add to what an id follows from."""
+def wide_identities(
+    layout: Sequence[Column], parts: Sequence[bytes | None]
+) -> list[bytes]:
+    """Return what wide columns, packed, add to what the id of each touch follows from.
+
+    Mostly nothing: what tells touches apart fits into cells.
+    """
+    wide = {column.name for column in layout if column.wide}
     names = [name for name in IDENTITY if name in wide]
-    return b"".join(b"\0" + n.encode() + wide[n][row].tobytes() for n in names)
+    if not names:
+        return [b""] * len(parts)
+    pieces = []
+    for more in parts:
+        rows = unpacked_rows(more, layout)
+        pieces.append(b"".join(b"\0" + n.encode() + rows[n].tobytes() for n in names))
+    return pieces
 
 
 def whole_numbers(cell: Any) -> Any:
@@ -336,7 +285,7 @@ def _fits_cells(array: Array) -> bool:
     return kind != "u" or array.dtype.itemsize < 8 or int(array.max()) < 2**63
 
 
-def _cells(name: str, array: Array) -> list[Any]:
+def plain_cells(name: str, array: Array) -> list[Any]:
     """Return the plain values of a column; NaN is None."""
     if array.dtype.kind == "f":
         array = array + 0.0  # SQLite knows no negative zero

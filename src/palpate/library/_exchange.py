@@ -21,7 +21,7 @@ References
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -33,9 +33,9 @@ import numpy as np
 from .._checks import ARRAY_SIDE
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
-from .._types import Array, Floats, Indices
-from ..touches import RGB, Touches, TouchesError, png_bytes, url_of, write_parquet
-from ._reading import StoredTouches, read_array
+from .._types import RGB, Array, Floats, Indices
+from ..touches import Touches, TouchesError, png_bytes, url_of, write_parquet
+from ._reading import Selection, read_array
 from ._rows import FROM, Numbers, Tables, n_at_once
 from ._store import LibraryError, refuse_used, room_for
 
@@ -55,7 +55,7 @@ def export_touches(
     tables: Tables, numbers: Numbers, path: str | Path, by: str | None = None
 ) -> int:
     """Write touches to `path`, whose ending says how; return how many."""
-    picked = StoredTouches(tables, numbers)
+    picked = Selection(tables, numbers)
     if (url := url_of(path)) is not None:
         return _to_store(picked, url, by)
     path = Path(path)
@@ -101,7 +101,7 @@ def _refuse_by(by: str | None, kind: str) -> None:
         )
 
 
-def _to_store(picked: StoredTouches, url: str, by: str | None) -> int:
+def _to_store(picked: Selection, url: str, by: str | None) -> int:
     """Write Parquet to a store that fsspec knows."""
     fsspec = needed("fsspec.core", "parquet", "Writing to a store")
     kind = Path(url).suffix.lower()
@@ -138,11 +138,10 @@ def _opened(name: str) -> Any:
 
 
 def _write_parts(
-    picked: StoredTouches, by: str, folder: str | Path, opened: Callable[[str], Any]
+    picked: Selection, by: str, folder: str | Path, opened: Callable[[str], Any]
 ) -> None:
     """Write one file for each value of a column, in folders named `by=value`."""
-    common = picked.columns()
-    values = common.get(by)
+    values = picked.columns.get(by)
     if values is None:
         raise LibraryError(
             f"by must be a column of the touches, got {by!r}, which they lack."
@@ -153,35 +152,35 @@ def _write_parts(
         place = f"{folder}/{by}={quote(str(name), safe='')}"
         with opened(f"{place}/part-0.parquet") as file:
             part = picked[np.flatnonzero(names == name)]
-            _write_parquet(file, part, (picked, common), {by: values.dtype.str})
+            _write_parquet(file, part, picked, {by: values.dtype.str})
 
 
 def _write_parquet(
     file: Any,
-    picked: StoredTouches,
-    whole: tuple[StoredTouches, Mapping[str, Array]] | None = None,
+    picked: Selection,
+    whole: Selection | None = None,
     named: dict[str, str] | None = None,
 ) -> None:
     """Write a row group for every `_ROW_GROUP` touches, fewer of large images.
 
-    `whole` is all that is written, of which these may be a part, with its columns of
-    short values; `named` are columns that the path carries, and their types.
+    `whole` is all that is written, of which these may be a part; `named` are columns
+    that the path carries, and their types.
     """
-    of, common = (picked, picked.columns()) if whole is None else whole
-    left_out = {*(named or {})} | ({"category"} - common.keys())  # some may have one
+    if whole is None:
+        picked.read_columns()  # refuses objects that some lack, before any is written
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     numbers = np.array([places[key] for key in keys])
     recordings = [_described(picked.tables, key) for key in places]
-    parts = _row_groups(picked, numbers, of, left_out)
+    parts = _row_groups(picked, numbers, whole or picked, named or {})
     write_parquet(file, parts, picked.channels(), recordings, named)
 
 
 def _row_groups(
-    picked: StoredTouches,
+    picked: Selection,
     numbers: Indices,
-    of: StoredTouches,
-    left_out: Collection[str],
+    of: Selection,
+    named: Collection[str],
 ) -> Iterator[tuple[Array, dict[str, Array], list[bytes] | None, Indices]]:
     """Yield images, columns, files of images and numbers of recordings, in parts.
 
@@ -195,8 +194,8 @@ def _row_groups(
         rows = np.arange(start, min(start + step, len(picked)))
         images = np.empty((len(rows), *shape), dtype)
         part = picked[rows]
-        columns = part.columns(images, of)
-        columns = {n: c for n, c in columns.items() if n not in left_out}
+        columns = part.read_columns(images, of)
+        columns = {n: c for n, c in columns.items() if n not in named}
         files = None
         if are_pictures:
             pairs = zip(part.files(), images, strict=True)
@@ -215,12 +214,13 @@ def _described(tables: Tables, key: int) -> dict[str, Any]:
     return {"whole": present, **{name: getattr(recording, name) for name in names}}
 
 
-def _write_lerobot(path: Path, picked: StoredTouches) -> None:
+def _write_lerobot(path: Path, picked: Selection) -> None:
     """Write a new folder; episodes are read one by one."""
     pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
     data = path / "data" / _FILE.format(0, 0)
     data.parent.mkdir(parents=True)
-    dataset = _Dataset(picked.whole())
+    picked.read_columns()  # refuses objects that some lack, before any is written
+    dataset = _Dataset(picked.whole)
     numbers = picked.numbers
     columns = "o.name, t.session, t.episode, t.number"
     sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
@@ -228,23 +228,9 @@ def _write_lerobot(path: Path, picked: StoredTouches) -> None:
     for *key, number in picked.tables.store.among(sql, numbers.tolist()):
         groups.setdefault(tuple(key), []).append(number)
     rows = (np.searchsorted(numbers, members) for members in groups.values())
-    episodes = _parts(picked, rows)
+    episodes = (picked[places].touches(of=picked) for places in rows)
     _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
     _write_meta(pa, path / "meta", dataset)
-
-
-def _parts(picked: StoredTouches, places: Iterable[Indices]) -> Iterator[Touches]:
-    """Read some touches at a time, with the columns that all of an export have.
-
-    Read by themselves some would lack what none of them has.
-    """
-    common = picked.columns()
-    for rows in places:
-        touches = picked[rows].touches()
-        columns = {name: column[rows] for name, column in common.items()}
-        wide = {n: c for n, c in touches.columns.items() if n not in columns}
-        wide.pop("category", None)
-        yield Touches(touches.images, **columns, **wide, **touches.whole)
 
 
 def _write_tables(path: Path, tables: Iterator[Any]) -> None:
@@ -450,7 +436,7 @@ _TASKS_PANDAS = {
 }
 
 
-_WRITERS: dict[str, Callable[[Path, StoredTouches], None]] = {
+_WRITERS: dict[str, Callable[[Path, Selection], None]] = {
     ".npz": lambda path, picked: picked.touches().save(path),
     ".parquet": _write_parquet,
     "": _write_lerobot,

@@ -27,7 +27,6 @@ from ._reading import (
     IN_MEMORY,
     NO_LIMIT,
     Selection,
-    StoredTouches,
     read_array,
     sound_numbers,
 )
@@ -37,8 +36,8 @@ from ._rows import (
     Numbers,
     StoredTouch,
     Tables,
-    packed_images,
     rows_at,
+    stored_images,
     touch_row,
 )
 from ._store import (
@@ -277,8 +276,8 @@ class TouchLibrary:
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
         row = touch_row(self._tables, id)
-        [packed] = packed_images(self._tables, [row])
-        return packed.image_at(0)
+        [stored] = stored_images(self._tables, [row])
+        return stored.unpacked()
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
@@ -347,8 +346,8 @@ class TouchLibrary:
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """
-        picked = StoredTouches(self._tables, self._numbers(where, damaged))
-        return picked.touches(max_bytes, in_memory)
+        picked = Selection(self._tables, self._numbers(where, damaged))
+        return picked.touches(max_bytes=max_bytes, in_memory=in_memory)
 
     def select(self, where: str | None = None, *, damaged: str = "raise") -> Selection:
         """Return touches as a source that reads images only as they are needed.
@@ -356,7 +355,7 @@ class TouchLibrary:
         `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`; `damaged`
         is as for `touches`.
         """
-        return Selection(StoredTouches(self._tables, self._numbers(where, damaged)))
+        return Selection(self._tables, self._numbers(where, damaged))
 
     def _numbers(self, where: str | None, damaged: str = "raise") -> Numbers:
         """Return the numbers of the touches that meet a filter, in the order added."""

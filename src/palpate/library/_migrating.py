@@ -29,17 +29,16 @@ from ._changes import Change
 from ._content import (
     CELLS,
     MAX_HEADER,
-    Batch,
     Column,
     identity,
     image_digest,
     packed_rows,
     packs_well,
     stored_image,
-    wide_identity,
+    wide_identities,
 )
 from ._repairing import enter_all
-from ._rows import OBJECT_NAMES, RECORDED
+from ._rows import OBJECT_NAMES, RECORDED, Batch, Recording, new_rows
 from ._store import (
     FILE_NAME,
     OLD_VERSIONS,
@@ -266,19 +265,16 @@ class _OldLibrary:
         sql = "SELECT lower(hex(id)) FROM touches WHERE retraction = ?"
         return [row[0] for row in self._rows(sql, [key])]
 
-    def _read_recordings(self) -> dict[int, dict[str, Any]]:
+    def _read_recordings(self) -> dict[int, Recording]:
         recordings = {}
-        names = (*RECORDED, "n_rows", "n_cols")
         for row in self._rows("SELECT * FROM recordings"):
             # The type of images with channels began with their number: "(3,)|u1".
             channels, _, kind = row["dtype"].rpartition(")")
-            n_channels = int(channels.strip("(,")) if channels else None
-            recordings[row["id"]] = {
-                **{name: row[name] for name in names},
-                "n_channels": n_channels,
-                "dtype": kind,
-                "whole": json.loads(row["whole"]),
-            }
+            n_channels = [int(channels.strip("(,"))] if channels else []
+            shape = row["n_rows"], row["n_cols"], *n_channels
+            described = [row[name] for name in RECORDED]
+            fields = b"", *described, shape, np.dtype(kind), json.loads(row["whole"])
+            recordings[row["id"]] = Recording._make(fields)
         return recordings
 
     def _has_image(self, row: sqlite3.Row) -> bool:
@@ -292,11 +288,10 @@ class _OldLibrary:
 
     def _batch(self, rows: list[sqlite3.Row]) -> Batch:
         layout = Column.all_of(rows[0]["columns"])
-        values = [{**_values(row), "object": self._label(row)} for row in rows]
-        described = dict(self._recordings[rows[0]["recording"]])
+        recording = self._recordings[rows[0]["recording"]]
         arrays: dict[bytes, Array | None] = {}
         keys = {}
-        for entry, name in described["whole"].items():
+        for entry, name in recording.whole.items():
             try:
                 [array] = self._arrays("arrays", name)[:1]
             except (OSError, ValueError):
@@ -304,24 +299,21 @@ class _OldLibrary:
                 continue
             keys[entry] = image_digest(array).hex()
             arrays[image_digest(array)] = array
-        wide = [self._wide(row) for row in rows]
         packs = packs_well(self._image(rows[0]))
-        return Batch(
-            layout,
-            {c.name: [v.get(c.name) for v in values] for c in layout if not c.wide},
-            [
-                stored_image(self._image(row), None, packed_rows(more, 0), packs=packs)
-                for row, more in zip(rows, wide, strict=True)
-            ],
-            [row["image"] for row in rows],
-            [row["id"] for row in rows],
-            [b""] * len(rows),
-            {**described, "whole": keys},
-            arrays,
-            rows[0]["added_s"],
-        )
+        plain, images = [], []
+        for row in rows:
+            more = packed_rows(self._wide(row), 0)
+            images.append(stored_image(self._image(row), None, more, packs=packs))
+            values = {**_values(row), "object": self._label(row, layout, more)}
+            plain.append({c.name: values.get(c.name) for c in layout if not c.wide})
+        digests = [row["image"] for row in rows]
+        new = new_rows(layout, plain, digests, images, rows[0]["added_s"])
+        touches = [n._replace(key=row["id"]) for n, row in zip(new, rows, strict=True)]
+        return Batch(layout, recording._replace(whole=keys), arrays, touches, images)
 
-    def _label(self, row: sqlite3.Row) -> str | None:
+    def _label(
+        self, row: sqlite3.Row, layout: list[Column], more: bytes | None
+    ) -> str | None:
         """Return the name from which the id follows, else that by times of changes."""
         by_time: str | None = row["label"]
         names = [by_time]
@@ -330,7 +322,7 @@ class _OldLibrary:
                 if change.content["new"] == by_time and change.after >= row["number"]:
                     by_time = change.content["old"]
                 names.append(change.content["old"])
-        cells, wide = _values(row), wide_identity(self._wide(row), 0)
+        cells, [wide] = _values(row), wide_identities(layout, [more])
         for label in dict.fromkeys([by_time, *names]):
             if identity(row["image"], {**cells, "object": label}, wide) == row["id"]:
                 return label
@@ -338,10 +330,8 @@ class _OldLibrary:
 
     def _image(self, row: sqlite3.Row) -> Array:
         """Return the image of a row, compared with its digest."""
-        about = self._recordings[row["recording"]]
-        sides = (about["n_rows"], about["n_cols"], about["n_channels"])
-        shape = tuple(side for side in sides if side is not None)
-        dtype = np.dtype(about["dtype"])
+        recording = self._recordings[row["recording"]]
+        shape, dtype = recording.image_shape, recording.dtype
         n_bytes = prod(shape) * dtype.itemsize
         with self._path("images", row["file"].hex()).open("rb") as file:
             file.seek(row["offset"] + row["place"] * n_bytes)

@@ -12,11 +12,12 @@ import os
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from math import prod
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from uuid import uuid4
 
@@ -25,20 +26,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._durable import replacing
 from .._parallel import results_of
-from .._types import Array, Floats, Indices
-from ..touches import FORMER, Labelled, Touches
+from .._types import FORMER, LAYOUT, Array, Floats, Indices
+from ..touches import Labelled, Touches
 from ._content import PICTURE, Column, column_array, image_digest, unpacked_array
 from ._rows import (
     LOST,
     Numbers,
-    StoredImages,
+    StoredImage,
     StoredTouch,
     Tables,
     distinct,
     n_at_once,
-    packed_images,
     plain_values,
     rows_at,
+    stored_images,
     wide_values,
 )
 from ._store import FEATURES, LibraryError, room_for
@@ -78,8 +79,12 @@ def common_kind(
     return recordings[0].image_shape, recordings[0].dtype
 
 
-class StoredTouches:
-    """Touches chosen by their rising numbers; rows are compared when they are read."""
+class Selection(Labelled):
+    """Touches of a library without their images, in the order added.
+
+    Made by `TouchLibrary.select`; the library must stay open. What is added later is
+    not in it.
+    """
 
     def __init__(self, tables: Tables, numbers: Numbers) -> None:
         self.tables, self.numbers = tables, numbers
@@ -91,12 +96,22 @@ class StoredTouches:
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def __getitem__(self, places: Indices) -> StoredTouches:
-        return StoredTouches(self.tables, self.numbers[places])
+    def __repr__(self) -> str:
+        return f"<Selection: {len(self)} touches of {str(self.tables.store.folder)!r}>"
 
-    def ids(self) -> list[bytes]:
-        """Return the id of each touch."""
-        return self._cells("id")
+    def __getitem__(self, rows: ArrayLike) -> Selection:
+        """Pick touches by their places, which must rise; no image is read."""
+        return Selection(self.tables, self.numbers[_rising(rows, len(self))])
+
+    @cached_property
+    def columns(self) -> Mapping[str, Array]:
+        """Columns of short values, one row per touch."""
+        return MappingProxyType(self.read_columns())
+
+    @property
+    def touch_id(self) -> NDArray[np.str_]:
+        """Id of each touch, shape (n_touches,): 32 hexadecimal digits."""
+        return np.array([key.hex() for key in self._cells("id")])
 
     def recordings(self) -> list[int]:
         """Return the key of each touch's recording."""
@@ -115,10 +130,9 @@ class StoredTouches:
 
     def files(self) -> list[bytes | None]:
         """Return the picture that each image came as, None where it did not."""
+        images = (stored.image for stored in self.stored())
         return [
-            image.data if image is not None and image.form == PICTURE else None
-            for packed in self.packed()
-            for image in packed.images
+            image.data if image and image.form == PICTURE else None for image in images
         ]
 
     def has_pictures(self) -> bool:
@@ -126,19 +140,31 @@ class StoredTouches:
         sql = f"SELECT 1 FROM images WHERE form = '{PICTURE}' AND number IN (?)"
         return bool(self.tables.store.among(sql, self.numbers.tolist()))
 
-    def packed(self) -> Iterator[StoredImages]:
-        """Return the images as they are stored, some at a time."""
+    def stored(self) -> Iterator[StoredImage]:
+        """Return the images as they are stored."""
         for rows in rows_at(self.tables, self.numbers):
-            yield from packed_images(self.tables, rows)
+            yield from stored_images(self.tables, rows)
 
-    def touches(self, max_bytes: int = NO_LIMIT, in_memory: int = IN_MEMORY) -> Touches:
-        """Return touches with all columns; large ones in a mapped file."""
-        size, dtype = self.kind
-        shape = (len(self), *size)
+    def touches(
+        self,
+        rows: ArrayLike | None = None,
+        *,
+        max_bytes: int = NO_LIMIT,
+        in_memory: int = IN_MEMORY,
+        of: Selection | None = None,
+    ) -> Touches:
+        """Read all of the touches, or some, given by their places in the selection.
+
+        Places must rise; each is read once. Large images are in a mapped file. With
+        those `of` which these are a part, columns are as for `read_columns`.
+        """
+        picked = self if rows is None else self[rows]
+        size, dtype = picked.kind
+        shape = (len(picked), *size)
         n_bytes = prod(shape) * dtype.itemsize
         if n_bytes > max_bytes:
             raise LibraryError(
-                f"Images of {len(self)} touches must take at most {max_bytes} bytes, "
+                f"Images of {len(picked)} touches must take at most {max_bytes} bytes, "
                 f"got {n_bytes}. Choose fewer with a filter, or raise max_bytes."
             )
         if n_bytes > in_memory:
@@ -148,10 +174,10 @@ class StoredTouches:
                 images: Array = np.memmap(file, dtype=dtype, mode="w+", shape=shape)
         else:
             images = np.empty(shape, dtype)
-        return Touches(images, **self.columns(images), **self.whole())
+        return Touches(images, **picked.read_columns(images, of), **picked.whole)
 
-    def columns(
-        self, images: Array | None = None, of: StoredTouches | None = None
+    def read_columns(
+        self, images: Array | None = None, of: Selection | None = None
     ) -> dict[str, Array]:
         """Return columns and fill `images`; without these, columns of cells alone.
 
@@ -173,7 +199,11 @@ class StoredTouches:
                 cells = [value.get(name) for value in values]
                 parts[name].append(column_array(alike, cells))
         joined = {name: _joined(arrays) for name, arrays in parts.items()}
-        for name in _lacking(layouts) & joined.keys() if of is not None else ():
+        lacking = set() if of is None else _lacking(layouts) & joined.keys()
+        if "category" in lacking:  # of some alone it is none
+            lacking.remove("category")
+            del joined["category"]
+        for name in lacking:
             blank = column_array(columns[name], [None])
             joined[name] = _joined([joined[name], blank])[:-1]
         return _labelled(joined)
@@ -182,17 +212,16 @@ class StoredTouches:
         self, images: Array, rows: list[StoredTouch], values: list[dict[str, Any]]
     ) -> None:
         """Fill `images`, and add what rows have in wide columns to their `values`."""
-        done = 0
-        for packed in packed_images(self.tables, rows):
-            stop = done + len(packed.keys)
-            images[done:stop] = packed.unpacked()
-            for place, stored in zip(range(done, stop), packed.images, strict=True):
-                if stored is not None and stored.more is not None:
-                    values[place] |= wide_values(self.tables, rows[place], stored)
-            done = stop
+        for place, stored in enumerate(stored_images(self.tables, rows)):
+            images[place] = stored.unpacked()
+            values[place] |= wide_values(self.tables, stored)
 
+    @property
     def whole(self) -> dict[str, Array]:
-        """Return what is the same for all touches; warn of arrays lost or altered."""
+        """What is the same for all touches, by name; see `Touches`.
+
+        Of arrays that are lost or altered it warns.
+        """
         recordings = [self.tables.recording(key) for key in self._recordings]
         geometries = {recording.geometry for recording in recordings}
         names = sorted(geometry for geometry in geometries if geometry is not None)
@@ -215,6 +244,69 @@ class StoredTouches:
             whole["geometry"] = np.array(geometries.pop())
         return whole
 
+    def features(self, key: str, encode: Encode) -> Floats:
+        """Return features of all touches, (n_touches, n_features).
+
+        New touches are encoded some 512 at a time through joblib, so that
+        `joblib.parallel_config` decides where. Workers get the stored bytes of images,
+        not the library.
+
+        Parameters
+        ----------
+        key : str
+            Letters and digits that stand for the encoder and all it has learnt;
+            features under one key are computed once and then read.
+        encode : callable
+            Makes features (n, n_features) of `Touches`; called for what is new.
+        """
+        if not key.isalnum():
+            raise ValueError(f"key must be letters and digits, got {key!r}.")
+        cache = self.tables.store.folder / FEATURES / key
+        ids = np.array(self._cells("id"), _ID)
+        cached_ids, cached = _cached(cache)
+        kept = np.isin(ids, cached_ids)
+        if kept.all():
+            return cached[np.searchsorted(cached_ids, ids)]
+        new = self._encode_new(cache, encode, np.flatnonzero(~kept), ids[~kept])
+        if len(cached) and cached.shape[1] != new.shape[1]:  # of another encoding
+            return self.features(key, encode)
+        features = np.empty((len(ids), new.shape[1]))
+        features[~kept] = new
+        if kept.any():
+            features[kept] = cached[np.searchsorted(cached_ids, ids[kept])]
+        return features
+
+    def _encode_new(
+        self, cache: Path, encode: Encode, rows: Indices, ids: Array
+    ) -> Floats:
+        """Return new features; what is done is kept now and then, should this stop."""
+        layout = {n: a for n, a in self.whole.items() if n in LAYOUT}
+        encode_some = partial(_encoded, encode, layout)
+        new = self[rows]
+        step = n_at_once(*new.kind)
+
+        def stored(number: int) -> list[list[StoredImage]]:
+            stop = min((number + 1) * step, len(new))
+            return [list(new[np.arange(number * step, stop)].stored())]
+
+        parts = results_of(encode_some, -(-len(new) // step), stored)
+        waiting: list[Floats] = []
+        written: list[Floats] = []
+        n_kept = n_done = 0
+        for number, part in enumerate(parts, start=1):
+            waiting.append(part)
+            n_done += len(part)
+            if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
+                with room_for(
+                    "features", cache, "Free space; touches are not affected."
+                ):
+                    cache.mkdir(parents=True, exist_ok=True)
+                    written.append(np.concatenate(waiting))
+                    with replacing(cache / f"{uuid4().hex}.npz") as file:
+                        np.savez(file, ids=ids[n_kept:n_done], x=written[-1])
+                waiting, n_kept = [], n_done
+        return np.concatenate(written)
+
 
 def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
     """Return the touches whose rows and images are whole; tell of those left out."""
@@ -232,10 +324,9 @@ def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
 def is_whole(tables: Tables, row: StoredTouch) -> bool:
     """Tell whether the image and the wide columns of a touch can be read."""
     try:
-        for packed in packed_images(tables, [row]):
-            packed.unpacked()
-            if (stored := packed.images[0]) and stored.more is not None:
-                wide_values(tables, row, stored)
+        for stored in stored_images(tables, [row]):
+            stored.unpacked()
+            wide_values(tables, stored)
     except LibraryError:
         return False
     return True
@@ -324,114 +415,6 @@ def _labelled(columns: dict[str, Array]) -> dict[str, Array]:
     return columns
 
 
-class Selection(Labelled):
-    """Touches of a library without their images, in the order added.
-
-    Made by `TouchLibrary.select`; the library must stay open. What is added later is
-    not in it.
-
-    Attributes
-    ----------
-    columns : dict of ndarray
-        Columns of short values, one row per touch.
-    """
-
-    def __init__(self, picked: StoredTouches) -> None:
-        self._picked = picked
-        self._columns = picked.columns()
-
-    def __len__(self) -> int:
-        return len(self._picked)
-
-    def __repr__(self) -> str:
-        folder = str(self._picked.tables.store.folder)
-        return f"<Selection: {len(self)} touches of {folder!r}>"
-
-    @property
-    def touch_id(self) -> NDArray[np.str_]:
-        """Id of each touch, shape (n_touches,): 32 hexadecimal digits."""
-        return np.array([key.hex() for key in self._picked.ids()])
-
-    @property
-    def whole(self) -> dict[str, Array]:
-        """Arrays that describe all of the touches alike, by name; see `Touches`."""
-        return self._picked.whole()
-
-    def __getitem__(self, rows: ArrayLike) -> Selection:
-        """Pick touches by their places, which must rise; no image is read."""
-        return Selection(self._picked[_rising(rows, len(self))])
-
-    def touches(self, rows: ArrayLike) -> Touches:
-        """Read some of the touches, given by their places in the selection.
-
-        Places must rise; each is read once.
-        """
-        return self._picked[_rising(rows, len(self))].touches()
-
-    def features(self, key: str, encode: Encode) -> Floats:
-        """Return features of all touches, (n_touches, n_features).
-
-        New touches are encoded some 512 at a time through joblib, so that
-        `joblib.parallel_config` decides where. Workers get the stored bytes of images,
-        not the library.
-
-        Parameters
-        ----------
-        key : str
-            Letters and digits that stand for the encoder and all it has learnt;
-            features under one key are computed once and then read.
-        encode : callable
-            Makes features (n, n_features) of `Touches`; called for what is new.
-        """
-        if not key.isalnum():
-            raise ValueError(f"key must be letters and digits, got {key!r}.")
-        cache = self._picked.tables.store.folder / FEATURES / key
-        ids = np.array(self._picked.ids(), _ID)
-        cached_ids, cached = _cached(cache)
-        kept = np.isin(ids, cached_ids)
-        if kept.all():
-            return cached[np.searchsorted(cached_ids, ids)]
-        new = self._encode_new(cache, encode, np.flatnonzero(~kept), ids[~kept])
-        if len(cached) and cached.shape[1] != new.shape[1]:  # of another encoding
-            return self.features(key, encode)
-        features = np.empty((len(ids), new.shape[1]))
-        features[~kept] = new
-        if kept.any():
-            features[kept] = cached[np.searchsorted(cached_ids, ids[kept])]
-        return features
-
-    def _encode_new(
-        self, cache: Path, encode: Encode, rows: Indices, ids: Array
-    ) -> Floats:
-        """Return new features; what is done is kept now and then, should this stop."""
-        layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
-        encode_some = partial(_encoded, encode, layout)
-        new = self._picked[rows]
-        step = n_at_once(*new.kind)
-
-        def stored(number: int) -> list[StoredImages]:
-            stop = min((number + 1) * step, len(new))
-            return list(new[np.arange(number * step, stop)].packed())
-
-        parts = results_of(encode_some, -(-len(new) // step), stored)
-        waiting: list[Floats] = []
-        written: list[Floats] = []
-        n_kept = n_done = 0
-        for number, part in enumerate(parts, start=1):
-            waiting.append(part)
-            n_done += len(part)
-            if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
-                with room_for(
-                    "features", cache, "Free space; touches are not affected."
-                ):
-                    cache.mkdir(parents=True, exist_ok=True)
-                    written.append(np.concatenate(waiting))
-                    with replacing(cache / f"{uuid4().hex}.npz") as file:
-                        np.savez(file, ids=ids[n_kept:n_done], x=written[-1])
-                waiting, n_kept = [], n_done
-        return np.concatenate(written)
-
-
 def _rising(rows: ArrayLike, n_touches: int) -> Indices:
     """Return places in a selection, also from a mask; they must rise."""
     places = np.asarray(rows)
@@ -473,7 +456,11 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
     return joined_ids[order], joined[order]
 
 
-def _encoded(encode: Encode, layout: dict[str, Array], packed: StoredImages) -> Floats:
+def _encoded(
+    encode: Encode, layout: dict[str, Array], stored: list[StoredImage]
+) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
-    touches = Touches(packed.unpacked(), **layout)
-    return np.asarray(encode(touches), dtype=np.float64)
+    images = np.empty((len(stored), *stored[0].shape), stored[0].dtype)
+    for place, image in enumerate(stored):
+        images[place] = image.unpacked()
+    return np.asarray(encode(Touches(images, **layout)), dtype=np.float64)

@@ -19,16 +19,8 @@ from .._parallel import Progress
 from .._types import Array
 from ._changes import Change, change_rows, enter_change
 from ._checking import LEFT_OUT, check_store, next_rows, touch_fault
-from ._content import Batch
 from ._reading import stored_array
-from ._rows import (
-    RECORDED,
-    StoredTouch,
-    Tables,
-    packed_images,
-    plain_values,
-    write_rows,
-)
+from ._rows import Batch, StoredTouch, Tables, stored_images, write_rows
 from ._store import (
     DAMAGED,
     FILE_NAME,
@@ -285,7 +277,7 @@ def _readable_touches(
                 lost.append(key.hex() if isinstance(key, bytes) else f"{row.number}")
         for _, alike in groupby(whole, lambda r: (r.layout, r.recording, r.added_s)):
             together = list(alike)
-            yield [row.number for row in together], batch_again(tables, together)
+            yield [row.number for row in together], _batch_again(tables, together)
         bar.advance(len(rows))
 
 
@@ -311,28 +303,13 @@ def _readable_rows(old: Store, lost: list[str]) -> Iterator[list[StoredTouch]]:
         yield rows
 
 
-def batch_again(tables: Tables, rows: list[StoredTouch]) -> Batch:
+def _batch_again(tables: Tables, rows: list[StoredTouch]) -> Batch:
     """Return touches of one layout and recording as they were when they were added."""
     recording = tables.recording(rows[0].recording)
-    layout = tables.layout(rows[0].layout)
-    values = plain_values(rows)
-    for value, row in zip(values, rows, strict=True):
-        value["object"] = row.label
-    stored = [image for part in packed_images(tables, rows) for image in part.images]
-    n_rows, n_cols, *n_channels = recording.image_shape
-    described = {name: getattr(recording, name) for name in RECORDED}
-    sizes = {"n_rows": n_rows, "n_cols": n_cols, "n_channels": (*n_channels, None)[0]}
-    return Batch(
-        layout,
-        {c.name: [v.get(c.name) for v in values] for c in layout if not c.wide},
-        [image for image in stored if image is not None],
-        [row.image for row in rows],
-        [row.key for row in rows],
-        [b""] * len(rows),
-        {**described, **sizes, "dtype": recording.dtype.str, "whole": recording.whole},
-        {bytes.fromhex(d): _array(tables, d) for d in recording.whole.values()},
-        rows[0].added_s,
-    )
+    arrays = {bytes.fromhex(d): _array(tables, d) for d in recording.whole.values()}
+    images = [stored.image for stored in stored_images(tables, rows)]
+    whole = [image for image in images if image is not None]
+    return Batch(tables.layout(rows[0].layout), recording, arrays, rows, whole)
 
 
 def _array(tables: Tables, digest: str) -> Array | None:

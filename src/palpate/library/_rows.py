@@ -21,16 +21,17 @@ from ._changes import Names
 from ._content import (
     CELLS,
     PICTURE,
-    Batch,
     Column,
     Image,
     canonical,
     digest_of,
     id_bytes,
+    identity,
     image_digest,
     packed_array,
     unpacked_image,
     unpacked_rows,
+    wide_identities,
 )
 from ._store import (
     AT_ONCE,
@@ -77,6 +78,13 @@ class Recording(NamedTuple):
     dtype: np.dtype[Any]
     whole: dict[str, str]
 
+    def cells(self) -> dict[str, Any]:
+        """Return what its row holds."""
+        sides = [*self.image_shape, None][:3]  # without channels there is no third
+        cells = *self[1:6], *sides, self.dtype.str, canonical(self.whole)
+        row = dict(zip((*RECORDED, *_SIZES), cells, strict=True))
+        return {**row, "digest": digest_of(cells)}
+
 
 class StoredTouch(NamedTuple):
     """A touch's row: who it is, where it belongs, and its plain values.
@@ -100,6 +108,25 @@ class StoredTouch(NamedTuple):
     retraction: int | None
     extra: str | None
     cells: tuple[Any, ...]
+
+
+class Batch(NamedTuple):
+    """Some touches made ready to be stored together, of one layout and recording.
+
+    Numbers, keys of other tables and the digests of `rows` are those that they get.
+    `arrays` holds the recording's by digest, None those that are lost.
+    """
+
+    layout: list[Column]
+    recording: Recording
+    arrays: dict[bytes, Array | None]
+    rows: list[StoredTouch]
+    images: list[Image]
+
+    def picked(self, places: Sequence[int]) -> "Batch":
+        return self._replace(
+            rows=[self.rows[i] for i in places], images=[self.images[i] for i in places]
+        )
 
 
 class Tables:
@@ -235,42 +262,31 @@ def touch_row(tables: Tables, key: str) -> StoredTouch:
     return row
 
 
-class StoredImages(NamedTuple):
-    """Some touches of one recording, as the database keeps their images.
+class StoredImage(NamedTuple):
+    """The image of a touch, None where there is none, as the database keeps it.
 
-    `digests` are those of the image and of its content, as their rows have them.
-    `images` are None where there is none; a worker that has no database makes
-    images of it.
+    A worker that has no database makes an image of it.
     """
 
-    keys: list[str]
-    digests: list[tuple[bytes, bytes]]
-    images: list[Image | None]
+    row: StoredTouch
+    image: Image | None
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
 
     def unpacked(self) -> Array:
-        """Return images, (n_touches, *image_shape); each is compared first."""
-        images = np.empty((len(self.images), *self.shape), self.dtype)
-        for place in range(len(images)):
-            images[place] = self.image_at(place)
-        return images
-
-    def image_at(self, place: int) -> Array:
-        """Return one image, compared with its digest, and its file or frames too."""
-        stored = self.images[place]
-        image_sha256, content = self.digests[place]
+        """Return the image, compared with its digest, and its file or frames too."""
+        stored = self.image
         got = "none"
         if stored is not None:
             got = "altered bytes"
             with suppress(LibraryError):
                 image = unpacked_image(stored, self.shape, self.dtype)
-                same = stored.form == PICTURE or image_digest(image) == image_sha256
-                if same and stored.digest() == content:
+                same = stored.form == PICTURE or image_digest(image) == self.row.image
+                if same and stored.digest() == self.row.content:
                     return image
         raise LibraryError(
-            f"Touch {self.keys[place]}: its image must be as it was added, got {got}. "
-            "`repair_library` keeps all others."
+            f"Touch {self.row.key.hex()}: its image must be as it was added, got "
+            f"{got}. `repair_library` keeps all others."
         )
 
 
@@ -280,10 +296,8 @@ def n_at_once(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     return max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
 
 
-def packed_images(
-    tables: Tables, rows: Sequence[StoredTouch]
-) -> Iterator[StoredImages]:
-    """Return stored images of touches with one size and type, some at a time."""
+def stored_images(tables: Tables, rows: Sequence[StoredTouch]) -> Iterator[StoredImage]:
+    """Yield the stored images of touches with one size and type."""
     if not rows:
         return
     recording = tables.recording(rows[0].recording)
@@ -293,13 +307,9 @@ def packed_images(
         sql = "SELECT number, form, image, more FROM images WHERE number IN (?)"
         numbers = [row.number for row in part]
         kept = {n: _image(*rest) for n, *rest in tables.store.among(sql, numbers)}
-        yield StoredImages(
-            [row.key.hex() for row in part],
-            [(row.image, row.content) for row in part],
-            [kept.get(row.number) for row in part],
-            recording.image_shape,
-            recording.dtype,
-        )
+        for row in part:
+            image = kept.get(row.number)
+            yield StoredImage(row, image, recording.image_shape, recording.dtype)
 
 
 def _image(form: Any, data: Any, more: Any) -> Image | None:
@@ -308,9 +318,11 @@ def _image(form: Any, data: Any, more: Any) -> Image | None:
     return Image(form, data, more) if sound else None
 
 
-def wide_values(tables: Tables, row: StoredTouch, stored: Image) -> dict[str, Array]:
+def wide_values(tables: Tables, stored: StoredImage) -> dict[str, Array]:
     """Return what a touch has in each wide column."""
-    return unpacked_rows(stored.more, tables.layout(row.layout))
+    if stored.image is None or stored.image.more is None:
+        return {}
+    return unpacked_rows(stored.image.more, tables.layout(stored.row.layout))
 
 
 def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
@@ -328,6 +340,28 @@ def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]
     return list(dict.fromkeys(store.among(sql, numbers.tolist())))
 
 
+def new_rows(
+    layout: Sequence[Column],
+    plain: Sequence[dict[str, Any]],
+    digests: Sequence[bytes],
+    images: Sequence[Image],
+    added_s: float,
+) -> list[StoredTouch]:
+    """Return rows to be written, of plain values and of the digests of images."""
+    in_cells = {c.name for c in layout if c.shape == () and c.name in CELLS}
+    names = [name if name in in_cells else "" for name in CELLS]
+    wide = wide_identities(layout, [image.more for image in images])
+    rows = []
+    for values, digest, stored, part in zip(plain, digests, images, wide, strict=True):
+        cells = tuple([values.get(name) if name else None for name in names])
+        extra = {n: value for n, value in values.items() if n not in in_cells}
+        key, text = identity(digest, values, part), canonical(extra) if extra else None
+        belongs = 0, key, cells[0], None, 0, 0, added_s
+        held = digest, stored.digest(), b"", None, text, cells
+        rows.append(StoredTouch(*belongs, *held))
+    return rows
+
+
 def write_rows(
     store: Store, batch: Batch, numbers: Sequence[int] | None = None
 ) -> None:
@@ -337,39 +371,22 @@ def write_rows(
     """
     tally = store.tally()
     last = store.count("SELECT max(number) FROM touches")
-    taken = range(last + 1, last + 1 + len(batch.ids)) if numbers is None else numbers
+    taken = range(last + 1, last + 1 + len(batch.rows)) if numbers is None else numbers
     for digest, array in batch.arrays.items():
         enter_array(store, digest, array)
     layout_text = json.dumps([list(column) for column in batch.layout])
     layout = store.get_or_insert("layouts", {"columns": layout_text}, "columns")
-    described = {name: batch.recording[name] for name in (*RECORDED, *_SIZES)}
-    described["whole"] = canonical(described["whole"])
-    described["digest"] = digest_of(described.values())
+    described = batch.recording.cells()
     recording = store.get_or_insert("recordings", described, "digest")
-    cells, extras = plain_cells(batch)
-    labels = {name for name in cells[0] if name is not None}
-    objects = {n: _object_key(store, n) for n in sorted(labels)}
+    labels = {row.label for row in batch.rows if row.label is not None}
+    named = [(n, {"name": n}) for n in sorted(labels)]
+    objects = {n: store.get_or_insert("objects", row, "name") for n, row in named}
     rows, digests = [], []
-    for place, number in enumerate(taken):
-        row = StoredTouch(
-            number,
-            batch.ids[place],
-            cells[0][place],
-            None,
-            layout,
-            recording,
-            batch.added_s,
-            batch.digests[place],
-            batch.images[place].digest(),
-            b"",
-            None,
-            extras[place],
-            tuple(column[place] for column in cells),
-        )
+    for number, row in zip(taken, batch.rows, strict=True):
         digests.append(_row_digest(row, layout_text, described["digest"]))
-        identity = row.number, row.key, row.label, objects.get(row.label or "")
-        kept = row.layout, row.recording, row.added_s, row.image, row.content
-        rows.append((*identity, *kept, digests[-1], row.extra, *row.cells[1:]))
+        belongs = objects.get(row.label or ""), layout, recording, row.added_s
+        held = row.image, row.content, digests[-1], row.extra, *row.cells[1:]
+        rows.append((number, row.key, row.label, *belongs, *held))
     store.run_many(_INSERT, rows)
     images = zip(taken, batch.images, strict=True)
     store.run_many(
@@ -390,19 +407,3 @@ def enter_array(store: Store, digest: bytes, array: Array | None) -> None:
 def _row_digest(row: StoredTouch, layout: str, recording: bytes) -> bytes:
     identity = row.key, row.label, *row.cells[1:], row.extra, row.added_s
     return digest_of((*identity, row.image, row.content, layout, recording))
-
-
-def plain_cells(batch: Batch) -> tuple[list[list[Any]], list[str | None]]:
-    """Return the columns of `CELLS`, and the other plain values of each touch."""
-    scalar = {c.name for c in batch.layout if c.shape == () and c.name in batch.values}
-    blank = [None] * len(batch.ids)
-    cells = [batch.values[n] if n in scalar else blank for n in CELLS]
-    more = [n for n in batch.values if n not in CELLS or n not in scalar]
-    places = range(len(batch.ids))
-    extras = ({n: batch.values[n][row] for n in more} for row in places)
-    return cells, [canonical(extra) if extra else None for extra in extras]
-
-
-def _object_key(store: Store, name: str) -> int:
-    row = store.first_row("SELECT id FROM objects WHERE name = ?", [name])
-    return store.insert("objects", {"name": name}) if row is None else int(row[0])

@@ -155,7 +155,6 @@ class Store:
         self._explained = _Explained(self.path)
         self._count: int | None = None
         self._is_alone = alone  # locks out even a second connection of this program
-        self._row_keys: dict[tuple[str, Any], int] = {}  # keys of rows that stay
         is_there = self.path.is_file() and self.path.stat().st_size > 0
         if create and name == FILE_NAME and not is_there and self._counts():
             raise LibraryError(
@@ -259,13 +258,10 @@ class Store:
 
     def get_or_insert(self, table: str, values: dict[str, Any], unique: str) -> int:
         """Return the key of a row that never changes; it is entered where it lacks."""
-        row_name = table, values[unique]
-        if row_name not in self._row_keys:
-            sql = f"SELECT rowid FROM {table} WHERE {unique} = ?"
-            row = self.first_row(sql, [values[unique]])
-            key = self.insert(table, values) if row is None else row[0]
-            self._row_keys[row_name] = key
-        return self._row_keys[row_name]
+        row = self.first_row(
+            f"SELECT rowid FROM {table} WHERE {unique} = ?", [values[unique]]
+        )
+        return self.insert(table, values) if row is None else int(row[0])
 
     def insert(self, table: str, values: dict[str, Any]) -> int:
         """Insert one row within a job and return its key."""
@@ -374,7 +370,6 @@ class Store:
         except Exception as error:
             if not self._connection.in_transaction:  # a full disk ends all of it
                 raise
-            self._row_keys.clear()
             self.run("ROLLBACK TO job")
             outcome.set_exception(error)
         self.run("RELEASE job")
@@ -388,7 +383,6 @@ class Store:
                 yield
                 self._connection.execute("COMMIT")
             except BaseException:
-                self._row_keys.clear()  # it may know rows that are taken back
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise

@@ -12,9 +12,9 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from .._numbers import correlation, evenly_spaced
-from .._types import Array, Bools, Floats
+from .._types import LAYOUT, Array, Bools, Floats
 from ..images import DomeCrop, otsu_threshold
-from ..touches import FORMER, Touches
+from ..touches import Touches
 from ._encoder import (
     BATCH,
     Encoder,
@@ -90,7 +90,7 @@ class ContactCheck(BaseEstimator):
         self.kind_, self.typical_ = "", 1.0
         if geometry == "dome":
             if frame is not None:
-                whole = {n: a for n, a in touches.whole.items() if n in FORMER.values()}
+                whole = {n: a for n, a in touches.whole.items() if n in LAYOUT}
                 idle = Touches(np.asarray(frame)[np.newaxis], **whole)
                 self.idle_, self.kind_ = encoder.clean(idle)[0], "camera"
         elif frame is not None or geometry == "array":

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from .._checks import check_count
-from .._types import Array, Floats
-from ..touches import GEOMETRIES, RGB
+from .._types import GEOMETRIES, RGB, Array, Floats
 
 if TYPE_CHECKING:
     from ._played import PlayedSensor

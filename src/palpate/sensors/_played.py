@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from os import PathLike
-from pathlib import Path
 from typing import Any, Self
 
 import cv2
@@ -29,7 +28,7 @@ from ..simulation import (
     PressureArray,
     find_parts,
 )
-from ..touches import MAX_PIXELS, Touches, TouchesError, no_contact_picture
+from ..touches import Touches, TouchesError
 from ._contract import PLACE_COLUMNS, LiveSensor, Reading, SensorError, as_kind
 
 _LONGEST_WAIT_S = 0.2  # between looks at whether to stop
@@ -225,8 +224,7 @@ class ReplaySensor(PlayedSensor):
                     recorded, name_pattern=name_pattern, no_contact=path, colour=colour
                 )
             elif path is not None:
-                how = recorded.images, recorded.channels, MAX_PIXELS
-                frame = no_contact_picture(Path(path), *how)
+                recorded = recorded.with_no_contact(path)
             if frame is not None:
                 recorded = recorded.with_columns(no_contact=frame)
         except TouchesError as error:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._checks import check_count, check_option, check_positive
 from .._types import Array
-from ..touches import TouchesError, frame_of_message, shows_frame
+from ..touches import TouchesError, frame_reader
 from ._contract import LiveSensor, Reading, SensorError
 from ._dds import DdsNode, DdsReader
 from ._zenoh import ZenohNode, ZenohReader
@@ -116,7 +116,7 @@ class RosSensor(LiveSensor):
         while True:
             seen = node.publishers(self.topic)
             kinds = sorted({p.kind for p in seen if p.topic == self.topic})
-            able = [kind for kind in kinds if shows_frame(kind)]
+            able = [kind for kind in kinds if frame_reader(kind)]
             if len(kinds) == 1 and able:
                 return kinds[0]
             if kinds:
@@ -197,7 +197,9 @@ class RosSensor(LiveSensor):
             if len(raw) > MAX_MESSAGE:
                 raise TouchesError(f"{where} must have at most 64 MiB, got {len(raw)}.")
             message: Any = read_message(raw, kind)
-            frame = frame_of_message(message, kind, where)
+            read_frame = frame_reader(kind)
+            assert read_frame is not None  # no other kind is read
+            frame = read_frame(message, where)
             if frame.size == 0 or (frame.dtype.kind == "f" and np.isinf(frame).any()):
                 raise TouchesError(f"{where} must hold finite readings.")
         except TouchesError as error:

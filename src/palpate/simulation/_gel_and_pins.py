@@ -16,8 +16,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from .._checks import check_count, check_number, check_positive
-from .._types import Array, Floats, Singles
-from ..touches import RGB
+from .._types import RGB, Array, Floats, Singles
 from ._dome import DomeCamera, DomePress, DomeSensor, Frame
 from ._optics import sampled
 

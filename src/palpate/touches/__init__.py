@@ -5,28 +5,18 @@
 Pillow are imported when the first picture is decoded.
 """
 
-from ._columns import FORMER as FORMER
-from ._columns import GEOMETRIES as GEOMETRIES
 from ._columns import TouchesError
-from ._containers import frame_of_message as frame_of_message
-from ._containers import shows_frame as shows_frame
+from ._containers import frame_reader as frame_reader
 from ._folder import PICTURES as PICTURES
 from ._folder import PictureCheck as PictureCheck
 from ._folder import check_folder as check_folder
-from ._folder import no_contact_picture as no_contact_picture
-from ._folder import shows_colour as shows_colour
-from ._html import as_shown as as_shown
 from ._layout import levels_pattern as levels_pattern
-from ._parquet import is_parquet as is_parquet
 from ._parquet import url_of as url_of
 from ._parquet import write_parquet as write_parquet
-from ._pictures import FILMS as FILMS
-from ._pictures import RGB as RGB
 from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
 from ._sources import ParquetTouches as ParquetTouches
 from ._sources import TouchSource, read_folder, read_parquet
-from ._touches import MAX_PIXELS as MAX_PIXELS
 from ._touches import Labelled as Labelled
 from ._touches import Touches
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import check_option, one_spelling, size_text, unmasked
-from .._types import PLAIN_KINDS, Array, Floats
+from .._types import FORMER, GEOMETRIES, LAYOUT, PLAIN_KINDS, Array, Floats
 
 Arrays = dict[str, Array]
 
@@ -21,12 +21,7 @@ LABELS = ("object", "category")
 NUMBERS = ("order", "position_mm", "position_raw", "force_n", "time_s")
 FLAT = (*LABELS, "order", "session", "time_s", "sensor", "episode", "press", "frame")
 COLUMNS = frozenset((*FLAT, *NUMBERS, "source_path", "press_frames"))
-# How the last axis of images, and the arrays within one picture, are described.
-LAYOUT = ("channels", "pads", "pad_names")
 WHOLE = frozenset(("no_contact", "frame_index", "geometry", *LAYOUT))
-# Names that archives had before these were settled.
-FORMER = {f"set_{name}": name for name in LAYOUT}
-GEOMETRIES = ("dome", "array", "plane", "none")
 _TAXELS_AT_ONCE = 2**22
 SUMMARIES = ("peak", "hold", "loading")
 _HELD = 0.8
@@ -258,6 +253,19 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
                     f"{number}. {keep} the sets apart."
                 )
     return dict(parts[0])
+
+
+def common_whole(parts: Sequence[Arrays]) -> Arrays:
+    """Return the entries of whole sets that are the same in all of them."""
+    contents = [
+        {n: (a.dtype, a.shape, a.tobytes()) for n, a in part.items()} for part in parts
+    ]
+    first = contents[0].items()
+    alike = {n for n, held in first if all(c.get(n) == held for c in contents)}
+    same = {n: array for n, array in parts[0].items() if n in alike}
+    if "pads" not in same:  # names of pads that differ name nothing
+        same.pop("pad_names", None)
+    return same
 
 
 def _checked_labels(name: str, array: Array) -> Array:

@@ -34,9 +34,6 @@ _MAX_RANK = 5  # of what is read: channels, and frames of presses
 _PLAIN = "biufSU"
 _LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 _FIRST, _LAST = [0, 1, 2], [2, 1, 0]  # where red, green and blue stand
-_IMAGE = "sensor_msgs/msg/Image"
-_PICTURE = "sensor_msgs/msg/CompressedImage"
-_CLOUD = "sensor_msgs/msg/PointCloud2"
 _GREY = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
 _COLOUR = {"rgb8": _FIRST, "bgr8": _LAST, "rgba8": _FIRST, "bgra8": _LAST}
 # What sensor_msgs/msg/PointField calls the types of fields.
@@ -321,29 +318,25 @@ _MATLAB_KINDS = {
 }
 
 
-def shows_frame(kind: str) -> bool:
-    """Tell whether messages of a kind hold a frame: pictures, clouds, arrays."""
-    arrays = kind.startswith("std_msgs/msg/") and kind.endswith("MultiArray")
-    return arrays or kind in (_IMAGE, _PICTURE, _CLOUD)
+def frame_reader(kind: str) -> Callable[[Any, str], Array] | None:
+    """Return what reads the frame of a message of a kind; None where it holds none.
+
+    It takes the message and what to call it.
+    """
+    if kind.startswith("std_msgs/msg/") and kind.endswith("MultiArray"):
+        return _message_array
+    return {
+        "sensor_msgs/msg/Image": _message_picture,
+        "sensor_msgs/msg/CompressedImage": _coded_picture,
+        "sensor_msgs/msg/PointCloud2": _cloud,
+    }.get(kind)
 
 
-def frame_of_message(message: Any, kind: str, where: str = "A message") -> Array:
-    """Return what a message of a kind such as `sensor_msgs/msg/Image` shows."""
-    if kind == _IMAGE:
-        return _message_picture(message, where)
-    if kind == _PICTURE:
-        try:
-            return decode_bytes(np.asarray(message.data, np.uint8).tobytes())
-        except TouchesError as error:
-            raise TouchesError(f"{where}: {error}") from error
-    if kind == _CLOUD:
-        return _cloud(message, where)
-    if shows_frame(kind):
-        return _message_array(message, where)
-    raise TouchesError(
-        f"{where} must be {_IMAGE}, {_PICTURE}, {_CLOUD} or a std_msgs array such as "
-        f"std_msgs/msg/Float32MultiArray, got {kind}."
-    )
+def _coded_picture(message: Any, where: str) -> Array:
+    try:
+        return decode_bytes(np.asarray(message.data, np.uint8).tobytes())
+    except TouchesError as error:
+        raise TouchesError(f"{where}: {error}") from error
 
 
 def _cloud(message: Any, where: str) -> Array:

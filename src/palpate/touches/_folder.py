@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._checks import listed, nearest_path
-from .._types import Array
+from .._types import FILMS, RGB, Array
 from . import _pictures
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
@@ -30,7 +31,6 @@ from ._layout import (
 )
 from ._pictures import (
     GREY_WHERE_COLOUR,
-    RGB,
     Header,
     PictureError,
     checked_picture,
@@ -327,11 +327,11 @@ def _another(name: str, header: Header, usual: Header) -> BadPicture:
     return BadPicture(name, problem, fix)
 
 
-def shows_colour(path: Path) -> bool:
+def shows_colour(file: Path | BytesIO) -> bool:
     """Return whether red, green and blue differ by more than what JPEG does to grey."""
     from PIL import Image
 
-    with Image.open(path) as picture:
+    with Image.open(file) as picture:
         levels = np.asarray(picture.convert("RGB"), np.int16)
     return bool(np.ptp(levels, axis=2).mean() > _GREY_DIFFERS)
 
@@ -433,7 +433,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         kinds = sorted({Path(name).suffix or "no ending" for name in files})
         got = f"{len(files)} files of {', '.join(kinds[:5])}" if files else "no files"
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
-        if films := [kind for kind in kinds if kind.lower() in _pictures.FILMS]:
+        if films := [kind for kind in kinds if kind.lower() in FILMS]:
             hint += f" Films ({films[0]}) are read one by one, each for its object."
         raise TouchesError(
             f"{root} must hold pictures ending in {', '.join(PICTURES)}, or "

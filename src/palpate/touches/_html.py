@@ -1,15 +1,14 @@
 """Touches as a notebook shows them: a small table, and the first few pictures."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from html import escape
 
 import numpy as np
 
 from .._checks import check_count
 from .._extras import needed
-from .._page import png_address
+from .._page import as_shown, png_address
 from .._types import Array
-from ._pictures import RGB
 
 PICTURES = 8  # shown of a set
 SIDE_PX = 96  # of each
@@ -78,20 +77,6 @@ def touches_axes(
         place.imshow(image, cmap="gray", interpolation="nearest")
         place.set_title(_cut(label)[:16], fontsize=8)
     return np.asarray(axes)
-
-
-def as_shown(images: Array, channels: Collection[str] | None) -> Array:
-    """Return images (n_touches, n_rows, n_cols[, n_channels]) as people look at them.
-
-    With channels "r", "g" and "b" these three in that order, else the mean over all;
-    images without an axis of channels stay as they are.
-    """
-    if channels is None or images.ndim == 3:
-        return images
-    names = list(channels)
-    if set(RGB) <= set(names):
-        return images[..., [names.index(name) for name in RGB]]
-    return np.asarray(images.mean(axis=-1, dtype=np.float64))
 
 
 def _listed(each: list[str]) -> str:

@@ -27,9 +27,9 @@ import numpy as np
 
 from .._checks import ARRAY_SIDE, nearest_path, size_text
 from .._extras import needed
-from .._types import Array
+from .._types import RGB, Array
 from ._columns import Arrays, TouchesError
-from ._pictures import RGB, decode_bytes, png_bytes
+from ._pictures import decode_bytes, png_bytes
 
 ENDINGS = (".parquet", ".pq")
 FORMAT = 2  # 1 had one recording alone
@@ -246,15 +246,9 @@ def parquet_index(name: str) -> FileIndex:
         ]
         table = reader.read(columns=short).combine_chunks()
         groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
-    dtypes = about.get("dtypes", {})
-    columns = {}
-    for column_name in table.column_names:
-        values = pa.chunked_array(table[column_name]).combine_chunks()
-        array = _numpy(pa, name, column_name, values)
-        columns[column_name] = _as_written(array, dtypes.get(column_name, ""))
-    n_rows = [group.num_rows for group in groups]
-    for column_name, value in _named(name, dtypes).items():
-        columns.setdefault(column_name, np.full(sum(n_rows), value))
+        n_rows = [group.num_rows for group in groups]
+    held = {n: pa.chunked_array(table[n]).combine_chunks() for n in short}
+    columns = _columns(pa, name, held, about, sum(n_rows))
     kind = schema.field(_IMAGE).type
     is_tensor = isinstance(kind, pa.FixedShapeTensorType)
     shown = (
@@ -306,19 +300,18 @@ def parquet_rows(
     with _reader(name) as (pa, reader):
         _, about = _schema_of(name, reader)
         size = _batch_size(name, reader, max_bytes)
-        named = _named(name, about.get("dtypes", {}))
         batches = reader.iter_batches(batch_size=size, row_groups=groups)
         for batch in _picked(pa, batches, rows):
-            arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
-            for column, value in named.items():
-                arrays.setdefault(column, np.full(batch.num_rows, value))
+            held = dict(zip(batch.schema.names, batch.columns, strict=True))
+            images, files = _images(pa, name, held.pop(_IMAGE), about, max_pixels)
+            arrays = _columns(pa, name, held, about, batch.num_rows)
             numbers = np.zeros(batch.num_rows, int)
             if _has_recordings(about):
                 numbers = arrays.pop(_RECORDING, numbers)
             cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
             for start, stop in pairwise(cuts):
                 part = {n: array[start:stop] for n, array in arrays.items()}
-                part["images"] = part.pop(_IMAGE)
+                part["images"] = images[start:stop]
                 kept = None if files is None else files[start:stop]
                 yield {**part, **_whole(name, about, int(numbers[start]))}, kept
 
@@ -392,19 +385,19 @@ def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:
         ) from error
 
 
-def _batch_arrays(
-    pa: Any, name: str, batch: Any, about: Mapping[str, Any], max_pixels: int
-) -> tuple[Arrays, list[bytes] | None]:
+def _columns(
+    pa: Any, name: str, held: Mapping[str, Any], about: Mapping[str, Any], n_rows: int
+) -> Arrays:
+    """Return the columns that a file has and those that its path carries."""
     dtypes = about.get("dtypes", {})
-    arrays: Arrays = {}
-    files = None
-    for field, column in zip(batch.schema, batch.columns, strict=True):
-        if field.name == _IMAGE:
-            arrays[_IMAGE], files = _images(pa, name, column, about, max_pixels)
-            continue
-        array = _numpy(pa, name, field.name, column)
-        arrays[field.name] = _as_written(array, dtypes.get(field.name, ""))
-    return arrays, files
+    columns = {
+        column: _as_written(_numpy(pa, name, column, values), dtypes.get(column, ""))
+        for column, values in held.items()
+    }
+    for column, value in _named(name, dtypes).items():
+        if column != _IMAGE:
+            columns.setdefault(column, np.full(n_rows, value))
+    return columns
 
 
 def _as_written(array: Array, dtype: str) -> Array:

@@ -27,7 +27,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from .._parallel import Progress
-from .._types import Array
+from .._types import RGB, Array
 from ._columns import TouchesError
 
 _MOST_SCANS = 100  # progressive files of cameras have about ten
@@ -45,8 +45,6 @@ _HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _ALPHA = (4, 6)
 _GREY = (0, 4)
-RGB = ("r", "g", "b")
-FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # palpate.sensors reads them
 GREY_WHERE_COLOUR = "in grey where colour is asked for"
 _CUT_SHORT = "a file that is cut short"
 _EXIF = b"Exif\0\0"

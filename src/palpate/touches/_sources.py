@@ -20,10 +20,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._parallel import results_of
 from .._types import Array, Floats, Indices
-from ._columns import Arrays, TouchesError, checked_column, picked_rows
+from ._columns import (
+    Arrays,
+    TouchesError,
+    checked_column,
+    common_whole,
+    picked_rows,
+)
 from ._folder import folder_arrays
 from ._parquet import (
     file_stamp,
+    is_parquet,
     parquet_files,
     parquet_index,
     parquet_parts,
@@ -222,6 +229,7 @@ class ParquetTouches(Labelled):
     """
 
     touch_id = None
+    is_parquet = staticmethod(is_parquet)
 
     def __init__(
         self,
@@ -261,15 +269,7 @@ class ParquetTouches(Labelled):
     @property
     def whole(self) -> Arrays:
         """What describes all of the touches alike, by name; see `Touches`."""
-        first, *others = self._whole or [{}]
-        same = {
-            name: array
-            for name, array in first.items()
-            if all(np.array_equal(other.get(name, ()), array) for other in others)
-        }
-        if "pads" not in same:  # names of pads that differ name nothing
-            same.pop("pad_names", None)
-        return same
+        return common_whole(self._whole or [{}])
 
     def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
         """Pick touches by their rows, which must rise; no image is read."""

@@ -7,6 +7,7 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -22,7 +23,7 @@ from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
-from ._folder import PICTURES, folder_arrays, no_contact_picture
+from ._folder import PICTURES, folder_arrays, no_contact_picture, shows_colour
 from ._parquet import is_parquet, parquet_parts
 from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
@@ -57,27 +58,27 @@ class Labelled:
     @property
     def object(self) -> NDArray[np.str_] | None:
         """Label of each touch, shape (n_touches,), or None."""
-        return self._columns.get("object")
+        return self.columns.get("object")
 
     @property
     def category(self) -> NDArray[np.str_] | None:
         """Category of each touch, shape (n_touches,), or None."""
-        return self._columns.get("category")
+        return self.columns.get("category")
 
     @property
     def order(self) -> Array | None:
         """Position of each touch in its recording, shape (n_touches,), or None."""
-        return self._columns.get("order")
+        return self.columns.get("order")
 
     @property
     def session(self) -> Array | None:
         """Session of each touch, shape (n_touches,), or None."""
-        return self._columns.get("session")
+        return self.columns.get("session")
 
     @property
     def subject(self) -> Array | None:
         """Person or unit of each touch, shape (n_touches,), or None."""
-        return self._columns.get("subject")
+        return self.columns.get("subject")
 
 
 class Touches(Labelled):
@@ -221,7 +222,7 @@ class Touches(Labelled):
                 )
             parts = parquet_parts(path, max_bytes, max_pixels)
             held = (cls(**arrays)._with_files(files) for arrays, files in parts)
-            return cls._joined(held, max_bytes)._with_rest(no_contact, max_pixels)
+            return cls._joined(held, max_bytes).with_no_contact(no_contact, max_pixels)
         place = Path(path)
         ending = place.suffix.lower()
         for_pictures = name_pattern is not None or colour
@@ -236,10 +237,10 @@ class Touches(Labelled):
             arrays = container_arrays(place, max_bytes, max_pixels)
             if channels:
                 arrays["channels"] = np.array(channels)
-            return cls(**arrays)._with_rest(no_contact, max_pixels)
+            return cls(**arrays).with_no_contact(no_contact, max_pixels)
         if ending in RAW and place.exists() and not for_pictures:
             read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
-            return read._with_rest(no_contact, max_pixels)
+            return read.with_no_contact(no_contact, max_pixels)
         _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             named = list(channels) if channels else None
@@ -257,7 +258,7 @@ class Touches(Labelled):
                 array = load_levels(place, max_bytes)
                 array = array[None] if array.ndim == 2 else array
                 read = cls(array, channels=channels)
-            return read._with_rest(no_contact, max_pixels)
+            return read.with_no_contact(no_contact, max_pixels)
         if ending != ".npz":
             raise _no_touches(place)
         why = "Archives carry their labels and the names of their channels."
@@ -265,7 +266,7 @@ class Touches(Labelled):
         others = {"name_pattern": name_pattern, "colour": colour, "channels": named}
         _left_out(place, "for an archive", why, **others)
         touches = cls._of(*read_archive(place, max_bytes))
-        return touches._with_rest(no_contact, max_pixels)
+        return touches.with_no_contact(no_contact, max_pixels)
 
     @classmethod
     def _joined(cls, parts: Iterable[Touches], max_bytes: int) -> Self:
@@ -280,21 +281,23 @@ class Touches(Labelled):
                     f"Touches must take at most {max_bytes} bytes, got more. Keep them "
                     "in a library, which is read as it is needed."
                 )
-        whole = [{n: a.tobytes() for n, a in part._whole.items()} for part in held]
-        same = {n for n, a in whole[0].items() if all(w.get(n) == a for w in whole)}
-        if "pads" not in same:  # names of pads that differ name nothing
-            same.discard("pad_names")
-        plain = [part.without(*(part._whole.keys() - same)) for part in held]
+        same = _columns.common_whole([part._whole for part in held])
+        plain = [part.without(*(part._whole.keys() - same.keys())) for part in held]
         joined = Touches.concatenate(plain)
         return cls._of(joined._images, joined._columns, joined._whole, joined._files)
 
-    def _with_rest(
-        self, no_contact: str | PathLike[str] | None, max_pixels: int
+    def with_no_contact(
+        self, picture: str | PathLike[str] | None, max_pixels: int = MAX_PIXELS
     ) -> Self:
-        if no_contact is None:
+        """Return these touches with a picture of no contact, a JPEG or PNG.
+
+        It must be as large and deep as they are, of at most `max_pixels`. None leaves
+        them as they are.
+        """
+        if picture is None:
             return self
         like = self.images, self.channels, max_pixels
-        return self.with_columns(no_contact=no_contact_picture(Path(no_contact), *like))
+        return self.with_columns(no_contact=no_contact_picture(Path(picture), *like))
 
     @classmethod
     def from_frame(cls, frame: Any, shape: tuple[int, int] | None = None) -> Self:
@@ -384,6 +387,12 @@ class Touches(Labelled):
         Shape (n_touches,), of objects; a library keeps these instead of the images.
         """
         return self._files
+
+    def hides_colour(self) -> bool:
+        """Tell whether the first picture shows colour, and was read in grey."""
+        if self._files is None or self.channels is not None:
+            return False
+        return shows_colour(BytesIO(self._files[0]))
 
     def _with_files(self, files: Sequence[bytes] | None) -> Self:
         """Return the touches with the files they were decoded from."""

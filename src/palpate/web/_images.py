@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import ARRAY_SIDE, size_text
-from .._types import Array
-from ..touches import RGB, TouchesError, as_shown, decode_bytes
+from .._page import as_shown
+from .._types import RGB, Array
+from ..touches import TouchesError, decode_bytes
 
 MAX_PIXELS, MOST_CHANNELS = 4_000_000, 64
 _QUALITY = 80
