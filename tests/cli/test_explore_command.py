@@ -239,7 +239,7 @@ def test_a_wrong_argument_is_refused_and_leaves_no_file(
         else ["recognise"]
     )
     result = palpate("explore", *few, *arguments[1:], cwd=tmp_path)
-    assert result.returncode == 1
+    assert result.returncode == 1 + ("--seed" in arguments or "--workers" in arguments)
     assert message in result.stderr
     assert "Traceback" not in result.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.npz", "m.palpate"]

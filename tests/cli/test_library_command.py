@@ -247,6 +247,7 @@ def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeyp
     refused = palpate("learn", folder, "-o", model, "--cluster", "x", "--workers", 2)
     assert "either --workers or --cluster" in refused.stderr
     refused = palpate("learn", folder, "-o", model, "--workers", "0")
+    assert refused.returncode == 2
     assert "--workers must be at least 1" in refused.stderr
 
 

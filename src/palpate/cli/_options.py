@@ -43,7 +43,7 @@ MEGAPIXELS = 50  # of the largest picture that is read unless told
 
 def checked_seed(seed: int) -> int:
     if not 0 <= seed <= MOST_SEED:
-        raise ValueError(
+        raise WrongUse(
             f"--seed must be between 0 and {MOST_SEED}, got {seed}. "
             "Give another number."
         )
@@ -88,7 +88,7 @@ def in_order(model: Path, touches: Path) -> None:
 
 def checked_workers(workers: int | None) -> int | None:
     if workers is not None and workers < 1 and workers != -1:
-        raise ValueError(
+        raise WrongUse(
             f"--workers must be at least 1, or -1 for all cores, got {workers}."
         )
     return workers
@@ -104,7 +104,7 @@ def numbers_of_touches(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(
+        raise WrongUse(
             f"--touches must be whole numbers with commas, got {text!r}; "
             "write --touches 1,5,15."
         ) from None
@@ -592,7 +592,7 @@ def _of_profile(path: Path, key: str, value: Any) -> Any:
 def _sides(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})[xX×](\d{1,5})", text.strip())
     if match is None:
-        raise ValueError(f"--shape must be rows x columns such as 16x16, got {text!r}.")
+        raise WrongUse(f"--shape must be rows x columns such as 16x16, got {text!r}.")
     return int(match[1]), int(match[2])
 
 
