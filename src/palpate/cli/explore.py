@@ -203,14 +203,13 @@ def _way(
     """Return where to touch next, by the strategy's name."""
     from .. import exploration
 
-    if strategy == "informative":
-        assert touch_map is not None
-        return exploration.InformativeTouch(touch_map, hemisphere)
-    ways = {
-        "random": lambda: exploration.RandomHemisphere(hemisphere, seed),
-        "raster": lambda: exploration.Raster(hemisphere),
-    }
-    return ways[strategy]()
+    if strategy == "random":
+        return exploration.RandomHemisphere(hemisphere, seed)
+    if strategy == "raster":
+        return exploration.Raster(hemisphere)
+    if strategy != "informative" or touch_map is None:
+        raise KeyError(strategy)
+    return exploration.InformativeTouch(touch_map, hemisphere)
 
 
 def _standing(end: "Exploration") -> list[str]:
