@@ -9,14 +9,24 @@ that it may have had before are looked for as well.
 import time
 from collections.abc import Iterator
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from .._checks import check_option, check_positive
 from .._parallel import Progress
 from ..touches import GEOMETRIES, Touches
 from ._changes import Names, find_object
-from ._content import IDENTITY, Batch, Column, batch_of, earlier_cell, identity
+from ._content import (
+    IDENTITY,
+    Batch,
+    Column,
+    batch_of,
+    earlier_cell,
+    holds_infinity,
+    identity,
+)
 from ._rows import FROM, enter_array, write_rows
 from ._store import (
     FEATURES,
@@ -194,11 +204,14 @@ def add_touches(
     ids: list[str] = []
     n_bytes = max(1, touches.images[0].nbytes)
     step = max(1, min(_TOUCHES_AT_ONCE, _BYTES_AT_ONCE // n_bytes))
+    # Columns that hold infinity stand beside the rows, out of reach of filters.
+    changes = np.flatnonzero(np.diff(holds_infinity(touches))) + 1
+    starts = sorted({*range(0, len(touches), step), *changes.tolist()})
     recording = _recording(touches, sensor)
     try:
         with Progress(len(touches), "Adding touches", progress) as bar:
-            for start in range(0, len(touches), step):
-                part = touches[start : start + step]
+            for start, end in pairwise([*starts, len(touches)]):
+                part = touches[start:end]
                 batch = batch_of(part, recording, time.time())
                 keys = store.write(partial(_store_batch, store, batch))
                 ids += [key.hex() for key in keys]
