@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _OF_NUMBERS = ("shape", "dtype", "channels")
 _NOT_OF_STREAMS = ("where", "name_pattern", "levels", *_OF_NUMBERS)
+_TYPED = ("COMMANDLINE", "ENVIRONMENT")
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
 MEGAPIXELS = 50  # of the largest picture that is read unless told
@@ -92,6 +93,12 @@ def checked_workers(workers: int | None) -> int | None:
             f"--workers must be at least 1, or -1 for all cores, got {workers}."
         )
     return workers
+
+
+def typed(context: typer.Context, *names: str) -> list[str]:
+    """Return those of a verb's options that were typed, though it be their default."""
+    sources = {name: context.get_parameter_source(name) for name in names}
+    return [n for n, source in sources.items() if source and source.name in _TYPED]
 
 
 def check_folder_of(path: Path | None) -> None:
