@@ -546,12 +546,13 @@ class Reading:
 
     def colour_left(self, path: Path, touches: "Labelled") -> str:
         """Return that pictures in colour were read in grey, if nobody said it."""
-        from ..touches import shows_colour
+        from ..touches import PICTURES, shows_colour
 
         names = getattr(touches, "columns", {}).get("source_path")
         if self.colour is not None or names is None or not path.is_dir():
             return ""
-        if not shows_colour(path / str(names[0])):
+        first = path / str(names[0])  # of others --colour is refused
+        if first.suffix.lower() not in PICTURES or not shows_colour(first):
             return ""
         return (
             "pictures in colour were read in grey: --colour, if colour tells, as "
