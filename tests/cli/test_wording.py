@@ -81,6 +81,12 @@ def test_the_default_of_strangers_is_that_of_python(palpate, verb):
     assert f"[default: {STRANGERS}]" in help_text[: help_text.index("--", 400)]
 
 
+def test_what_a_file_lacks_is_no_option(palpate, tmp_path):
+    np.savez(tmp_path / "t.npz", images=np.ones((2, 4, 4, 3)), object=["mug", "pen"])
+    result = palpate("learn", tmp_path / "t.npz", "-o", tmp_path / "m.palpate")
+    assert "t.npz: channels must name each of the 3 channels" in result.stderr
+
+
 def test_touches_are_no_option_where_their_number_is_one(palpate, tmp_path):
     touches = Touches(np.eye(4)[None].repeat(8, 0), object=["mug"] * 8)
     touches.save(tmp_path / "mug.npz")
