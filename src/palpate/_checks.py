@@ -231,7 +231,8 @@ def check_levels(images: NDArray[Any]) -> NDArray[Any]:
     """Return `images` if single precision holds sums of their levels, or explain."""
     if images.dtype.kind != "f":
         return images
-    if max(images.max(), -images.min()) > LARGEST_LEVEL:
+    # As floats: half precision does not hold the limit.
+    if max(float(images.max()), -float(images.min())) > LARGEST_LEVEL:
         size = np.abs(images).max(axis=tuple(range(1, images.ndim)))
         touch = int(np.argmax(size > LARGEST_LEVEL))
         raise ValueError(

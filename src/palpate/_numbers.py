@@ -61,6 +61,16 @@ def log_softmax(values: Array, axis: int = -1) -> Floats:
     return result
 
 
+def without_gaps(log_likelihood: Floats) -> Floats:
+    """Return log-likelihoods (..., n_classes), the least in place of minus infinity.
+
+    Zeros where all are.
+    """
+    is_finite = np.isfinite(log_likelihood)
+    worst = np.where(is_finite, log_likelihood, np.inf).min(axis=-1, keepdims=True)
+    return np.where(is_finite, log_likelihood, np.where(worst < np.inf, worst, 0))
+
+
 def log_loss(logits: Floats, codes: Array, shares: Floats) -> tuple[float, Floats]:
     """Return the log loss of softmax beliefs (nats), and its slope by each logit.
 

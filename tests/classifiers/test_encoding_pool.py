@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.special import log_softmax
+from sklearn.naive_bayes import GaussianNB
 
 from palpate.classifiers import (
     EncodingPool,
     FromProbabilities,
+    KernelDensityBayes,
     KernelRidgeClassifier,
     TouchClassifier,
 )
@@ -111,9 +113,23 @@ def test_refit_keeps_weights_and_widths(problem):
         pool.refit(X[without_pen, :4], labels[without_pen], groups=groups[without_pen])
 
 
-def test_any_touch_classifier_can_be_the_machine(problem):
-    from sklearn.naive_bayes import GaussianNB
+@pytest.mark.parametrize(
+    "machine", [KernelDensityBayes(), FromProbabilities(GaussianNB())], ids=repr
+)
+@pytest.mark.parametrize("groups", ["of each label", "one"])
+def test_labels_left_out_whole_say_nothing_of_the_weights(problem, machine, groups):
+    X, labels, _ = problem
+    two = np.flatnonzero(labels != "pen")
+    codes = np.unique(labels, return_inverse=True)[1]
+    group = codes[two] if groups == "of each label" else np.zeros(60)
+    pool = EncodingPool({"telling": 2, "noise": 3}, machine, together=False)
+    pool.fit(X[two], labels[two], groups=group)
+    # No touch is left to learn its label from: the weights stay those of no touches.
+    assert_allclose(list(pool.weights_.values()), 0.5)
+    assert_allclose(pool.left_out_, -np.log(2))
 
+
+def test_any_touch_classifier_can_be_the_machine(problem):
     X, labels, groups = problem
     machine = FromProbabilities(GaussianNB())
     pool = EncodingPool({"telling": 2, "noise": 3}, machine).fit(X, labels, groups)

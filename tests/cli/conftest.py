@@ -43,10 +43,10 @@ class Command:
         assert result.returncode == code, result.stderr
         return json.loads(result.stdout)
 
-    def refusal(self, *arguments, cwd=None):
+    def refusal(self, *arguments, cwd=None, code=1):
         """Call `palpate ARGUMENTS...`, which must fail; return what it says of that."""
         result = self(*arguments, cwd=cwd)
-        assert result.returncode == 1, result.stdout
+        assert result.returncode == code, result.stdout
         return result.stderr
 
 

@@ -288,7 +288,7 @@ def test_a_shell_completes_verbs():
         (["recognise", "gone.palpate", "gone.npz"], 1, "no model file gone.palpate"),
         (["learn", "gone", "-o", "m.palpate"], 1, "gone"),
         (["learn", "gone", "-o", "m.pkl"], 1, "must end in .palpate"),
-        (["evaluate", "--train", "gone", "--touches", "a"], 1, "--touches 1,5,15"),
+        (["evaluate", "--train", "gone", "--touches", "a"], 2, "--touches 1,5,15"),
         (["bench", "speed"], 1, "'zernike'"),
         (["learn"], 2, "Missing argument"),
         (["touch"], 2, "No such command"),

@@ -47,6 +47,25 @@ def test_learning_says_that_colours_were_left(palpate, pictures):
     assert not is_noted("--colour")
 
 
+@pytest.mark.parametrize("ending", [".npy", ".csv", ".bmp"])
+def test_of_other_files_than_pictures_no_colours_were_left(palpate, tmp_path, ending):
+    rng = np.random.default_rng(0)
+    for name in TINTS:
+        (tmp_path / "t" / name).mkdir(parents=True)
+        for number in range(4):
+            path = tmp_path / "t" / name / f"{number}{ending}"
+            levels = rng.integers(0, 255, (8, 9, 3), dtype=np.uint8)
+            if ending == ".bmp":
+                Image.fromarray(levels).save(path)
+            elif ending == ".npy":
+                np.save(path, levels[..., 0])
+            else:
+                np.savetxt(path, levels[..., 0], fmt="%d", delimiter=",")
+    result = palpate("learn", tmp_path / "t", "-o", tmp_path / "m.palpate")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "--colour" not in result.stdout
+
+
 def test_evaluating_says_that_colours_were_left(palpate, pictures):
     words = "evaluate", "--train", pictures / "taught", "--test", pictures / "new"
     grey = palpate.answer(*words)

@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.exploration import explore_to_learn, read_episode
+from palpate.cli.explore import STRATEGIES, _way
+from palpate.exploration import (
+    Hemisphere,
+    SurfaceMap,
+    explore_to_learn,
+    read_episode,
+)
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 
@@ -224,6 +230,7 @@ def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
         (["recognise", "m.palpate", "ball", "--fault", "x"], "NUMBER=NAME"),
         (["recognise", "m.palpate", "ball", "--fault", "²=slow"], "NUMBER=NAME"),
         (["recognise", "m.palpate", "ball", "--picture", "no/a.png"], "no folder no"),
+        (["recognise", "m.palpate", "ball", "--picture", "a.txt"], "must end in .png"),
         (["recognise", "m.palpate", "ball", "--fault", "0=x"], "'stuck force'"),
         (["recognise", "m.palpate", "ball", "--face", "9"], "face must be below"),
         (["recognise", "m.palpate", "ball", "--taught", "gone.npz"], "gone.npz"),
@@ -238,10 +245,21 @@ def test_a_wrong_argument_is_refused_and_leaves_no_file(
         if arguments[0] == "learn"
         else ["recognise"]
     )
-    result = palpate.refusal("explore", *few, *arguments[1:], cwd=tmp_path)
+    code = 1 + ("--seed" in arguments or "--workers" in arguments)
+    result = palpate.refusal("explore", *few, *arguments[1:], cwd=tmp_path, code=code)
     assert message in result
     assert "Traceback" not in result
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.npz", "m.palpate"]
+
+
+def test_a_strategy_without_a_way_is_no_informative_touch(learnt):
+    recogniser = ObjectRecogniser.load(learnt / "m.palpate")
+    touch_map = SurfaceMap().fit(recogniser, Touches.load(learnt / "m.npz"))
+    ways = [_way(name, Hemisphere(), touch_map, 0) for name in STRATEGIES]
+    names = [type(way).__name__ for way in ways]
+    assert names == ["InformativeTouch", "RandomHemisphere", "Raster"]
+    with pytest.raises(KeyError, match="spiral"):
+        _way("spiral", Hemisphere(), touch_map, 0)
 
 
 def test_the_belief_is_drawn_from_above(palpate, model, tmp_path):

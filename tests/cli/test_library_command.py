@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from palpate import Touches
+from palpate import Touches, simulate_presses
 from palpate.library import TouchLibrary
+from palpate.recognition import ObjectRecogniser
 
 NAMES = ("ball", "mug", "pen")
 
@@ -227,6 +228,28 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
     assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
 
 
+def test_what_is_extended_stays_as_it_is(palpate, tmp_path):
+    old, new, part = (tmp_path / n for n in ("old.palpate", "new.palpate", "p.npz"))
+    simulate_presses(["bar10", "disc13"], 8, random_state=0).save(tmp_path / "two.npz")
+    simulate_presses(["square13"], 8, random_state=1).save(part)
+    palpate("learn", tmp_path / "two.npz", "-o", old, "--preset", "liu2014")
+    words = "learn", part, "--extend", old, "-o", new
+    assert palpate.answer(*words, "--preset", "liu2014")["n_labels"] == 3
+    # Where parts lie is learnt from images, which the model does not keep.
+    poses = ObjectRecogniser.load(new).pose_
+    assert poses.labels_.tolist() == ["bar10", "disc13"]
+    for option, value, usual in (
+        ("--preset", "default", "'liu2014'"),
+        ("--seed", "1", "0"),
+        ("--label", "category", "'object'"),
+    ):
+        refused = palpate(*words, option, value)
+        assert refused.returncode == 1
+        assert f"{option} must be {usual} as the model has it" in refused.stderr
+    refused = palpate(*words, "--pitch-mm", "2")
+    assert "--pitch-mm must be left out with --extend, got 2" in refused.stderr
+
+
 def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeypatch):
     import distributed
 
@@ -238,6 +261,7 @@ def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeyp
     refused = palpate("learn", folder, "-o", model, "--cluster", "x", "--workers", 2)
     assert "either --workers or --cluster" in refused.stderr
     refused = palpate("learn", folder, "-o", model, "--workers", "0")
+    assert refused.returncode == 2
     assert "--workers must be at least 1" in refused.stderr
 
 
@@ -352,6 +376,14 @@ def test_what_a_running_sensor_does_not_heed_is_refused(options, palpate, tmp_pa
     words = (tmp_path / "lab", "sim:mug", "--object", "mug", "-n", "1")
     done = palpate.refusal("library", "add", *words, *options)
     assert f"{options[0]} must be left out with a running sensor" in done
+    assert not (tmp_path / "lab").exists()
+
+
+def test_how_many_touches_is_refused_without_a_running_sensor(palpate, tmp_path):
+    _touches(1, ("mug",)).save(tmp_path / "t.npz")
+    done = palpate("library", "add", tmp_path / "lab", tmp_path / "t.npz", "-n", "12")
+    assert done.returncode == 1
+    assert "--touches must be left out without a running sensor" in done.stderr
     assert not (tmp_path / "lab").exists()
 
 

@@ -99,10 +99,10 @@ def test_the_same_seed_writes_the_same_touches_with_any_workers(simulate, tmp_pa
         (["-o", "gone/t.npz"], 1, "no folder gone"),
         (["-o", "t.npz", "--load", "heavy"], 1, "--load 1:5"),
         (["-o", "t.npz", "--sensing", "3"], 1, "at most pitch_mm"),
-        (["-o", "t.npz", "--workers", "0"], 1, "--workers must be at least 1, or -1"),
+        (["-o", "t.npz", "--workers", "0"], 2, "--workers must be at least 1, or -1"),
         (["-o", "t.npz", "--pitch", "1e6"], 1, "Lower --pitch or"),
         (["-o", "t.npz", "--rows", "100000"], 1, "number of taxels (--rows, --cols)"),
-        (["-o", "t.npz", "--seed", "-1"], 1, "--seed must be between 0 and 4294967295"),
+        (["-o", "t.npz", "--seed", "-1"], 2, "--seed must be between 0 and 4294967295"),
         ([], 2, "Missing option"),
     ],
 )

@@ -76,3 +76,21 @@ def test_units_are_left_out_and_variables_of_the_environment_are_options(
 def test_the_default_of_strangers_is_that_of_python(palpate, verb):
     help_text = palpate(verb, "-h").stdout.partition("--strangers")[2]
     assert f"[default: {STRANGERS}]" in help_text[: help_text.index("--", 400)]
+
+
+def test_what_a_file_lacks_is_no_option(palpate, tmp_path):
+    np.savez(tmp_path / "t.npz", images=np.ones((2, 4, 4, 3)), object=["mug", "pen"])
+    result = palpate("learn", tmp_path / "t.npz", "-o", tmp_path / "m.palpate")
+    assert "t.npz: channels must name each of the 3 channels" in result.stderr
+
+
+def test_touches_are_no_option_where_their_number_is_one(palpate, tmp_path):
+    touches = Touches(np.eye(4)[None].repeat(8, 0), object=["mug"] * 8)
+    touches.save(tmp_path / "mug.npz")
+    words = "evaluate", "--train", tmp_path / "mug.npz", "--split", "last"
+    result = palpate(*words, "--touches", "1")
+    assert result.stderr.endswith(
+        "palpate: touches must hold at least two object labels, got only 'mug'.\n"
+    )
+    result = palpate(*words, "--touches", "0")
+    assert result.stderr == "palpate: --touches must be at least 1, got 0.\n"

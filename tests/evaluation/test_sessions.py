@@ -4,10 +4,12 @@ import re
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
-from palpate import Touches
+from palpate import Touches, simulate_touches
 from palpate.evaluation import Plan, evaluate, split_touches, summary, write_report
 from palpate.recognition import sessions_message
+from palpate.simulation import DomeCamera
 
 CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
 MOVES = {"mon": np.zeros(8), "tue": np.array([6.0, -5, 4, 0, 7, -3, 5, 4])}
@@ -95,6 +97,36 @@ def test_labels_of_the_test_touches_tell_recentring_nothing():
     _, (other,) = evaluate(train, test.with_columns(object=mixed), plan=plan)
     offsets = trial.recogniser.encoder_.offset, other.recogniser.encoder_.offset
     assert np.array_equal(*offsets)
+
+
+def test_strangers_are_asked_of_what_got_used_to_their_session(monkeypatch):
+    monkeypatch.setitem(MOVES, "wed", -MOVES["tue"][::-1])
+    train = visited("mon", 12, 0, "abcd")
+    days = [visited(day, 10, seed, "abcd") for seed, day in enumerate(("tue", "wed"))]
+    strangers = [visited(day, 6, 3, "e") for day in ("wed", "tue")]
+    unknown = Touches.concatenate(strangers).with_columns(object=[*"xxxxxxyyyyyy"])
+    plan = Plan(touches=(1,), orders=2, remount="recentre")
+    _, (both,) = evaluate(train, Touches.concatenate(days), unknown=unknown, plan=plan)
+    assert both.unknown.session.tolist() == ["tue"] * 6 + ["wed"] * 6
+    beliefs = dict(zip("xy", both.unknown_episodes.singles.beliefs, strict=True))
+    for name, test, stranger in zip("yx", days, strangers[::-1], strict=True):
+        _, (alone,) = evaluate(train, test, unknown=stranger, plan=plan)
+        assert_array_equal(alone.unknown_episodes.singles.beliefs[0], beliefs[name])
+
+
+@pytest.mark.parametrize("remount", ["recentre", "confirm:2"])
+def test_a_dome_of_another_resolution_is_asked_once_it_is_remounted(remount):
+    def touched(side, n, seed):
+        camera = DomeCamera(image_shape=(side, side), n_nodes=24)
+        return simulate_touches(["ball", "pen"], n, camera, random_state=seed)
+
+    train, test = touched(48, 8, 0), touched(56, 6, 1)
+    plan = Plan(touches=(1,), orders=2, remount=remount)
+    figures, (trial,) = evaluate(train, test, plan=plan)
+    assert figures["accuracy"]["1"] > 0.7
+    assert trial.recogniser.encoder_.image_shape_ == (56, 56)
+    with pytest.raises(ValueError, match=r"48 x 48 .* got 56 x 56"):
+        evaluate(train, test, plan=PLAN)
 
 
 def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch, tmp_path):

@@ -162,6 +162,11 @@ def test_objects_of_known_height_are_touched_about_their_middle():
         assert_allclose(aside, 0, atol=0.1)
 
 
+def test_the_name_of_an_object_is_no_object():
+    with pytest.raises(TypeError, match=r"must be a SimObject, got str.*find_object"):
+        put_down("mug")
+
+
 def test_a_face_that_is_none_is_refused():
     with pytest.raises(ValueError, match=r"face must be below 1.*'pen'"):
         put_down(PEN, CAMERA, face=1)

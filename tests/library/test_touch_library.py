@@ -79,6 +79,18 @@ def test_one_touch_at_a_time_equals_all_at_once(tmp_path, cups):
             )
 
 
+def test_an_infinite_force_leaves_the_touches_beside_it_as_they_are(library, cups):
+    force = np.linspace(0.5, 1, len(cups))
+    force[1] = np.inf
+    ids = library.add(cups.with_columns(force_n=force))
+    finite = [0, 2, 3, 4, 5]
+    assert [row.id for row in library.list("force_n > 0")] == [ids[n] for n in finite]
+    assert library.add(cups.with_columns(force_n=force)[finite]) == [
+        ids[n] for n in finite
+    ]
+    assert_array_equal(library.touches().columns["force_n"], force)
+
+
 def test_objects_are_counted_with_their_episodes(library, cups):
     library.add(cups)
     assert library.objects() == [("cup", "vessel", 3, 2), ("pen", "tool", 3, 2)]

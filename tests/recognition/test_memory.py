@@ -231,6 +231,13 @@ def test_copies_are_left_out_together():
     assert joined.tolist() == [*blocks[:15], 0, 0, 0, 0, 1]
 
 
+def test_a_session_that_is_there_twice_is_cut_into_blocks():
+    features = np.tile(np.random.default_rng(0).normal(size=(10, 5)), (2, 1))
+    objects, sessions = np.repeat(["cup"], 20), np.repeat([0, 1], 10)
+    joined = without_copies(features, objects, sessions)
+    assert joined.tolist() == 2 * np.repeat(np.arange(2, 7), 2).tolist()
+
+
 def test_touches_that_are_all_alike_keep_their_blocks():
     features, objects = np.zeros((10, 3)), np.repeat(["cup"], 10)
     blocks = np.repeat(np.arange(5), 2)

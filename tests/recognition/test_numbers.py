@@ -6,6 +6,7 @@ from hashlib import sha256
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from palpate import ObjectRecogniser, Touches
 
@@ -28,6 +29,13 @@ def test_levels_too_large_to_add_up_are_refused(preset, geometry):
     for size in sizes:
         with pytest.raises(ValueError, match=r"at most 1e\+37"):
             recogniser.predict(Touches(size * NOISE, geometry=geometry))
+
+
+def test_half_precision_is_learnt_as_single_is_without_a_warning():
+    half = Touches(NOISE.astype(np.float16), object=LABELS, geometry="array")
+    single = Touches(half.images.astype(np.float32), object=LABELS, geometry="array")
+    posteriors = [ObjectRecogniser().fit(t).predict_proba(t) for t in (half, single)]
+    assert_allclose(*posteriors, atol=1e-3)
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)

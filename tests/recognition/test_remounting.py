@@ -15,7 +15,7 @@ from palpate.recognition import (
     adapt,
     sessions_message,
 )
-from palpate.simulation import DomeCamera, simulate_touches
+from palpate.simulation import DomeCamera, simulate_presses, simulate_touches
 
 NAMES = ("ball", "mug", "pen")
 CAMERA = DomeCamera(image_shape=(64, 64), n_nodes=24)
@@ -277,6 +277,37 @@ def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
     # One in twenty is the aim; six of forty is what chance may make of it.
     assert alarms[0] <= 6
     assert alarms[1] >= 38
+
+
+@pytest.mark.parametrize("taught_with", [True, False])
+def test_a_baseline_that_comes_or_goes_raises_no_alarm(taught_with):
+    rest = np.full((10, 10), 900, dtype=np.uint16)
+    names = ["bar10", "disc13", "square13"]
+
+    def pressed(n, seed, *, with_rest):
+        parts = simulate_presses(names, n, random_state=seed)
+        whole = {"no_contact": rest} if with_rest else {}
+        images = parts.images + rest
+        return Touches(images, object=parts.object, geometry="array", **whole)
+
+    recogniser = ObjectRecogniser().fit(pressed(12, 0, with_rest=taught_with))
+    for with_rest in (True, False):
+        new = pressed(4, 1, with_rest=with_rest).without("object")
+        assert not recogniser.check_mounting(new).changed
+
+
+def test_a_dome_that_was_taught_with_a_frame_of_no_contact_is_asked_without(tmp_path):
+    def touched(n, seed):
+        camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
+        names = ["ball", "box", "pen"]
+        return simulate_touches(names, n, camera, drift=False, random_state=seed)
+
+    recogniser = ObjectRecogniser().fit(touched(12, 0))
+    again = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
+    new = touched(4, 1).without("object")
+    for model in (recogniser, again):
+        for touches in (new, new.without("no_contact")):
+            assert not model.check_mounting(touches).changed
 
 
 def test_a_remounting_that_fails_leaves_the_recogniser_as_it_was(taught):

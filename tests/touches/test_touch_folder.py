@@ -1,7 +1,9 @@
 """Folders of pictures, some of which are not what they seem."""
 
+import copy
 import itertools
 import os
+import pickle
 from pathlib import Path
 
 import cv2
@@ -36,6 +38,12 @@ def test_numbers_in_names_sort_by_value(put):
         "A/img_1.png", "a/img_02.png", "a/img_2.png", "a/IMG_3.png", "a/img_10.png",
         "a9/x.png", "a10/x.png",
     ]  # fmt: skip
+
+
+def test_copies_keep_the_files_that_were_decoded(put):
+    touches = Touches.load(put("cup/1.png", "cup/2.png"))
+    for again in (copy.copy(touches), pickle.loads(pickle.dumps(touches))):
+        assert again.files.tolist() == touches.files.tolist()
 
 
 def test_no_contact_within_the_folder_is_no_touch(put, tmp_path):

@@ -148,6 +148,11 @@ def test_json_that_holds_no_image_is_refused(body):
         read_json(body)
 
 
+def test_the_row_of_another_length_is_named():
+    with pytest.raises(ValueError, match="something else at row 2"):
+        read_json(b'{"image": [[0, 1], [2], [3, 4]]}')
+
+
 def test_an_unknown_content_type_is_named_beside_the_known_ones():
     with pytest.raises(TouchesError, match=r"image/png, image/jpeg or .*'text/html'"):
         read_picture(b"", "text/html", colour=False)

@@ -20,7 +20,7 @@ from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import as_groups, check_count, check_squarable
-from .._numbers import log_loss, log_softmax
+from .._numbers import log_loss, log_softmax, without_gaps
 from .._types import Array, Floats, Indices
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, learns_by_landmarks
@@ -227,7 +227,7 @@ class EncodingPool(BayesRule):
 
     def left_out_posteriors(self) -> Floats:
         """Return the same as log posteriors, so bounded that none decides alone."""
-        return np.maximum(log_softmax(self.left_out_by_part()), _LEAST)
+        return np.maximum(log_softmax(without_gaps(self.left_out_by_part())), _LEAST)
 
     @property
     def part_weights(self) -> Mapping[str, float]:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _OF_NUMBERS = ("shape", "dtype", "channels")
 _NOT_OF_STREAMS = ("where", "name_pattern", "levels", *_OF_NUMBERS)
+_TYPED = ("COMMANDLINE", "ENVIRONMENT")
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
 MEGAPIXELS = 50  # of the largest picture that is read unless told
@@ -43,7 +44,7 @@ MEGAPIXELS = 50  # of the largest picture that is read unless told
 
 def checked_seed(seed: int) -> int:
     if not 0 <= seed <= MOST_SEED:
-        raise ValueError(
+        raise WrongUse(
             f"--seed must be between 0 and {MOST_SEED}, got {seed}. "
             "Give another number."
         )
@@ -88,10 +89,16 @@ def in_order(model: Path, touches: Path) -> None:
 
 def checked_workers(workers: int | None) -> int | None:
     if workers is not None and workers < 1 and workers != -1:
-        raise ValueError(
+        raise WrongUse(
             f"--workers must be at least 1, or -1 for all cores, got {workers}."
         )
     return workers
+
+
+def typed(context: typer.Context, *names: str) -> list[str]:
+    """Return those of a verb's options that were typed, though it be their default."""
+    sources = {name: context.get_parameter_source(name) for name in names}
+    return [n for n, source in sources.items() if source and source.name in _TYPED]
 
 
 def check_folder_of(path: Path | None) -> None:
@@ -104,7 +111,7 @@ def numbers_of_touches(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(
+        raise WrongUse(
             f"--touches must be whole numbers with commas, got {text!r}; "
             "write --touches 1,5,15."
         ) from None
@@ -595,7 +602,7 @@ def _of_profile(path: Path, key: str, value: Any) -> Any:
 def _sides(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})[xX×](\d{1,5})", text.strip())
     if match is None:
-        raise ValueError(f"--shape must be rows x columns such as 16x16, got {text!r}.")
+        raise WrongUse(f"--shape must be rows x columns such as 16x16, got {text!r}.")
     return int(match[1]), int(match[2])
 
 

@@ -34,7 +34,9 @@ _VERBS = {
     "ObjectRecogniser.fit_pose": "palpate learn --pitch-mm MM",
 }
 _QUOTED = re.compile(r"`([\w.]+)(?:=([^`\s]+)|\(([^`]*)\))?`")
-_FIRST_WORD = re.compile(r"(?:^|(?<=[.;:] ))(\w+)(?= must )")
+# Numbers of touches are an option, touches themselves are none.
+_NO_NUMBER = r"touches must (?!be at |hold (?:a )?number)"
+_FIRST_WORD = re.compile(rf"(?:^|(?<=[.;] ))(?!{_NO_NUMBER})(\w+)(?= must )")
 _NO = ("no", "False", "0")
 _UNITS = ("mm", "n", "s", "deg")  # an option leaves the unit of an argument out
 _ROOT: list[typer.Typer] = []  # the command, once it is put together

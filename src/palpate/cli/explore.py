@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from .._extras import needed
 from . import _options
 from ._options import option
 from ._output import answer, belief_line, say, stages
@@ -137,7 +138,11 @@ def recognise(
     from .._checks import check_number
     from ..recognition import ObjectRecogniser
 
-    _options.check_folder_of(picture)
+    if picture is not None:
+        if picture.suffix != ".png":
+            raise ValueError(f"--picture must end in .png, got {picture.name!r}.")
+        _options.check_folder_of(picture)
+        needed("matplotlib", "plot", "--picture")
     target = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
@@ -206,7 +211,8 @@ def _way(
         return exploration.RandomHemisphere(hemisphere, seed)
     if strategy == "raster":
         return exploration.Raster(hemisphere)
-    assert touch_map is not None
+    if strategy != "informative" or touch_map is None:
+        raise KeyError(strategy)
     return exploration.InformativeTouch(touch_map, hemisphere)
 
 

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from . import _options
 from ._output import answer, counted, message_if_stopped, stages, unless_made
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 
 @_options.grouped
 def learn(
+    context: typer.Context,
     touches: _options.TouchesPath,
     output: _options.ModelOutput,
     *,
@@ -48,6 +51,11 @@ def learn(
     from ..library import TouchLibrary
 
     recognition.check_model_path(output)
+    if extend is not None and pitch_mm is not None:
+        raise ValueError(
+            f"--pitch-mm must be left out with --extend, got {pitch_mm:g}. Learn all "
+            "parts anew to know where they lie."
+        )
     kept = unless_made("nothing is learnt", output)
     replaces = ", in place of the model there" if output.exists() else ""
     with message_if_stopped(kept), stages() as stage, working.started():
@@ -55,6 +63,7 @@ def learn(
         before = None
         if extend is not None:
             before = recognition.ObjectRecogniser.load(_options.model_file(extend))
+            _refuse_others(before, how, _options.typed(context, *vars(how)))
             reading = reading.like(before, touches)
         with reading.selection(touches) as selection:
             training = selection
@@ -67,7 +76,8 @@ def learn(
                 settings = vars(how) | {"random_state": how.seed}
                 del settings["seed"]
                 recogniser = recognition.ObjectRecogniser(**settings).fit(training)
-            if pitch_mm is not None or "set_pitch_mm" in getattr(training, "whole", ()):
+            placed = "set_pitch_mm" in getattr(training, "whole", ())
+            if before is None and (pitch_mm is not None or placed):
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
         if TouchLibrary.is_library(touches) and calibration is None and extend is None:
@@ -113,6 +123,20 @@ def _few(training: "_options.Labelled", label: str) -> list[str]:
     names, numbers = np.unique(labels, return_counts=True)
     few = few_touches(dict(zip(names.tolist(), numbers.tolist(), strict=True)))
     return [f"{few[0].upper()}{few[1:]}."] if few else []
+
+
+def _refuse_others(
+    recogniser: "ObjectRecogniser", how: _options.Learning, names: list[str]
+) -> None:
+    """Refuse options by which a model that is extended was not learnt."""
+    for name in names:
+        value = getattr(how, name)
+        kept = getattr(recogniser, "random_state" if name == "seed" else name)
+        if value != kept:
+            raise ValueError(
+                f"--{name} must be {kept!r} as the model has it, or left out with "
+                f"--extend, got {value!r}. Learn anew for another."
+            )
 
 
 def _extended(

@@ -17,6 +17,7 @@ from ._options import (
     flag,
     grouped,
     option,
+    typed,
 )
 from ._output import answer, as_typed, counted, print_json, say, table
 
@@ -36,6 +37,7 @@ Filter = Annotated[str | None, argument("FILTER", "A filter, as --where.")]
 @library.command()
 @grouped
 def add(
+    context: typer.Context,
     folder: LibraryPath,
     touches: TouchesPath,
     *,
@@ -94,6 +96,11 @@ def add(
         if n_taken < n_touches:
             raise typer.Exit(1)
         return
+    if typed(context, "n_touches"):
+        raise ValueError(
+            f"--touches must be left out without a running sensor, got {n_touches}. "
+            f"All of {touches} is added."
+        )
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
     n_given = 0
     begin = reading.begin

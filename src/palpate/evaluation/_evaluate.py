@@ -176,8 +176,9 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     seconds = {"learn": time.perf_counter() - start}
     _test_labels(test, plan.label, recogniser)
     progress(f"{fold.name}: recognising {len(test)} touches")
+    recognisers, test, evidence, confirmed = _remounted(recogniser, test, plan)
+    *_, recogniser = recognisers.values()
     timing = _timed(recogniser, test)
-    recogniser, test, evidence, confirmed = _remounted(recogniser, test, plan)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
     rows = evidence.log_likelihood
@@ -198,8 +199,8 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
-        trial.unknown = unknown
-        trial.unknown_episodes = _meet_unknown(recogniser, unknown, plan)
+        met = _meet_unknown(recognisers, unknown, plan)
+        trial.unknown, trial.unknown_episodes = met
     progress(f"{fold.name}: nuisance controls")
     trial.controls = _controls(trial, labels, objects, plan)
     return trial
@@ -207,14 +208,14 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
 
 def _remounted(
     recogniser: ObjectRecogniser, test: Touches, plan: Plan
-) -> tuple[ObjectRecogniser, Touches, Evidence, Touches | None]:
-    """Return what got used to the test sessions, what is asked, and what that tells.
+) -> tuple[dict[Any, ObjectRecogniser], Touches, Evidence, Touches | None]:
+    """Return what got used to each test session, what is asked, and what that tells.
 
     And the touches that were confirmed, None where none were.
     """
     way, number = plan.remounting
     if way == "none":
-        return recogniser, test, recogniser.evidence(test), None
+        return {None: recogniser}, test, recogniser.evidence(test), None
     order = recorded_order(test)
     order = np.arange(len(test)) if order is None else order
     in_order = np.argsort(order, kind="stable")
@@ -230,17 +231,17 @@ def _remounted(
             )
         recogniser.remount(test[confirmed])
         tested = test[~confirmed]
-        return recogniser, tested, recogniser.evidence(tested), test[confirmed]
+        evidence = recogniser.evidence(tested)
+        return {None: recogniser}, tested, evidence, test[confirmed]
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
-    of_sessions = [in_order[session[in_order] == s] for s in np.unique(session)]
-    evidence = []
-    for rows in of_sessions:
-        used = copy(recogniser)
-        used.remount(test[rows[:number]].without(*labels))
-        evidence.append(used.evidence(test[rows]))
-    tested = test[np.concatenate(of_sessions)]
-    return used, tested, Evidence.together(evidence), None
+    of_sessions = {s: in_order[session[in_order] == s] for s in np.unique(session)}
+    recognisers = {s: copy(recogniser) for s in of_sessions}
+    for s, rows in of_sessions.items():
+        recognisers[s].remount(test[rows[:number]].without(*labels))
+    told = [recognisers[s].evidence(test[rows]) for s, rows in of_sessions.items()]
+    tested = test[np.concatenate([*of_sessions.values()])]
+    return recognisers, tested, Evidence.together(told), None
 
 
 def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:
@@ -268,8 +269,19 @@ def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Arr
 
 
 def _meet_unknown(
-    recogniser: ObjectRecogniser, unknown: Touches, plan: Plan
-) -> Episodes:
+    recognisers: dict[Any, ObjectRecogniser], unknown: Touches, plan: Plan
+) -> tuple[Touches, Episodes]:
+    """Ask strangers of what got used to their session, if test touches are of it.
+
+    Others of the last. Returned in the order of sessions.
+    """
+    *_, last = recognisers
+    recogniser = recognisers[last]
+    sessions = [last] * len(unknown) if unknown.session is None else unknown.session
+    whose = [session if session in recognisers else last for session in sessions]
+    rows = {s: [n for n, of in enumerate(whose) if of == s] for s in recognisers}
+    parts = {s: unknown[of] for s, of in rows.items() if of}
+    unknown = Touches.concatenate(parts.values())
     objects = unknown.object if unknown.object is not None else unknown.category
     if objects is None:
         objects = np.full(len(unknown), "unknown")
@@ -280,9 +292,12 @@ def _meet_unknown(
             f"unknown touches must be of objects that were not learnt, got "
             f"{str(learnt[0])!r}. Leave those out."
         )
-    evidence = recogniser.evidence(unknown)
+    evidence = Evidence.together(
+        [recognisers[s].evidence(part) for s, part in parts.items()]
+    )
     args = (objects, None, plan.orders, plan.seed + 1, evidence)
-    return run_episodes(recogniser, evidence.log_likelihood, *args)
+    episodes = run_episodes(recogniser, evidence.log_likelihood, *args)
+    return unknown, episodes
 
 
 def _controls(

@@ -132,6 +132,11 @@ def put_down(
     ValueError
         `face` is none of its faces, or it does not fit into the hemisphere.
     """
+    if not isinstance(thing, SimObject):
+        raise TypeError(
+            f"thing must be a SimObject, got {type(thing).__name__}. Built-in ones are "
+            "had by their names with find_object."
+        )
     n_faces = len(thing.resting_rotations)
     if check_count("face", face, at_least=0) >= n_faces:
         raise ValueError(

@@ -9,7 +9,7 @@ that it may have had before are looked for as well.
 import time
 from collections.abc import Iterator
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from ._content import (
     IDENTITY,
     Column,
     earlier_cell,
+    holds_infinity,
     identity,
     image_digest,
     packed_rows,
@@ -218,11 +219,14 @@ def add_touches(
     ids: list[str] = []
     n_bytes = max(1, touches.images[0].nbytes)
     step = max(1, min(_TOUCHES_AT_ONCE, _BYTES_AT_ONCE // n_bytes))
+    # Columns that hold infinity stand beside the rows, out of reach of filters.
+    changes = np.flatnonzero(np.diff(holds_infinity(touches))) + 1
+    starts = sorted({*range(0, len(touches), step), *changes.tolist()})
     recording = _recording(touches, sensor)
     try:
         with Progress(len(touches), "Adding touches", progress) as bar:
-            for start in range(0, len(touches), step):
-                part = touches[start : start + step]
+            for start, end in pairwise([*starts, len(touches)]):
+                part = touches[start:end]
                 batch = _batch(part, recording)
                 keys = store.write(partial(_store_batch, store, batch))
                 ids += [key.hex() for key in keys]

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from .._types import PLAIN_KINDS, RGB, Array
-from ..touches import TouchesError, decode_bytes
+from .._types import PLAIN_KINDS, RGB, Array, Bools
+from ..touches import Touches, TouchesError, decode_bytes
 from ._store import LibraryError
 
 if sys.version_info >= (3, 14):
@@ -283,6 +283,15 @@ def _fits_cells(array: Array) -> bool:
     if kind == "f":
         return array.dtype.itemsize <= 8 and not np.isinf(array).any()
     return kind != "u" or array.dtype.itemsize < 8 or int(array.max()) < 2**63
+
+
+def holds_infinity(touches: Touches) -> Bools:
+    """Tell which touches hold infinity in a column that would else fit cells."""
+    there = np.zeros(len(touches), dtype=bool)
+    for array in touches.columns.values():
+        if array.dtype.kind == "f" and prod(array.shape[1:]) <= WIDE:
+            there |= np.isinf(array).reshape(len(array), -1).any(axis=1)
+    return there
 
 
 def plain_cells(name: str, array: Array) -> list[Any]:

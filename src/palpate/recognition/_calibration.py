@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from sklearn.isotonic import isotonic_regression
 
-from .._numbers import evenly_spaced, log_loss, log_softmax
+from .._numbers import evenly_spaced, log_loss, log_softmax, without_gaps
 from .._types import Array, Floats, Indices
 from ..classifiers import TouchClassifier
 from ._evidence import SequenceCalibration, is_informative, with_floor
@@ -65,13 +65,6 @@ def left_out_log_likelihood(classifier: TouchClassifier) -> Floats:
     the least likelihood that any label got for the touch.
     """
     return without_gaps(classifier.left_out_log_likelihood())
-
-
-def without_gaps(log_likelihood: Floats) -> Floats:
-    """Return log-likelihoods (..., n_classes), the least in place of minus infinity."""
-    is_finite = np.isfinite(log_likelihood)
-    worst = np.where(is_finite, log_likelihood, np.inf).min(axis=-1, keepdims=True)
-    return np.where(is_finite, log_likelihood, worst)
 
 
 def draw_episodes(

@@ -96,6 +96,8 @@ class TouchEncoder(Encoder, BaseEstimator):
         What the touches' channels are called.
     baseline_ : ndarray of the shape of a touch, or None
         The frame of no contact, where images are looked at as they are.
+    rest_ : ndarray of shape (n_rows, n_cols), or None
+        The frame of no contact in grey, where images are cleaned up.
     still_ : ndarray of the shape of a touch, or None
         The level of each taxel in half of the training touches, where images are
         looked at as they are; NaN where it changes from touch to touch of every object.
@@ -105,6 +107,7 @@ class TouchEncoder(Encoder, BaseEstimator):
 
     image_shape_: tuple[int, ...]
     baseline_: Array | None = None
+    rest_: Array | None = None
     still_: Array | None = None
     reach_: float = 0.0
 
@@ -121,7 +124,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         """Learn the clean-up and return the cleaned images."""
         self.image_shape_ = touches.images.shape[1:]
         self.pads_, self.channels_ = touches.pads, touches.channels
-        self.clean_up_ = self.baseline_ = self.still_ = None
+        self.clean_up_ = self.baseline_ = self.rest_ = self.still_ = None
         if self.clean_up is None:
             self.still_ = _still(touches)
             self.reach_ = float(np.nanmax(touches.images)) - np.nanmin(touches.images)
@@ -129,6 +132,7 @@ class TouchEncoder(Encoder, BaseEstimator):
                 self.baseline_ = self.living(touches.no_contact[np.newaxis])[0]
         if self.clean_up is not None:
             images, idle = self.living(touches.images), self._idle(touches)
+            self.rest_ = idle
             self.clean_up_ = clone(self.clean_up)
             if isinstance(self.clean_up_, DomeCrop) and not (
                 self.channels and images.ndim == 4
@@ -264,8 +268,12 @@ class TouchEncoder(Encoder, BaseEstimator):
             parts = [self.look(batch, broken) for batch in in_batches(touches)]
             return np.concatenate(parts)
         rest = self._idle(touches, broken)
-        if rest is None and self.baseline_ is not None:
+        if self.clean_up_ is None and self.baseline_ is None:
+            rest = None  # as in what it learnt
+        elif rest is None and self.baseline_ is not None:
             rest = grey(self.baseline_[np.newaxis])[0]
+        elif rest is None:
+            rest = self.rest_
         if rest is not None and rest.shape != touches.images.shape[1:3]:
             rest = None
         return looks(grey(self.living(touches.images, broken)), rest)

@@ -21,7 +21,7 @@ from .._checks import (
     check_targets,
     unmasked,
 )
-from .._numbers import log_softmax
+from .._numbers import log_softmax, without_gaps
 from .._parallel import on_one_thread
 from .._types import Array, Bools, Floats, Indices, Label, Presentation, PresetName
 from ..classifiers import EncodingPool, TouchClassifier
@@ -35,7 +35,6 @@ from ._calibration import (
     fit_sequence_calibration,
     fit_strangers,
     left_out_log_likelihood,
-    without_gaps,
 )
 from ._contact import ContactCheck, consists_of_nothing
 from ._encoder import TouchEncoder

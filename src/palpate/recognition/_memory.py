@@ -458,7 +458,8 @@ def without_copies(features: Floats, objects: Array, blocks: Indices) -> Indices
 
     Copies, and frames of one press, would be met in training while they are left out.
     Touches of `features` (n_touches, n_features) nearer to each other than `COPY` of
-    their object's median squared distance all go to the first one's block.
+    their object's median squared distance all go to the first one's block. Where that
+    is one block for all, as of a session that is there twice, new blocks are cut.
     """
     joined, last = blocks.copy(), blocks.max(initial=0)
     for rows in rows_of_each(objects):
@@ -471,6 +472,11 @@ def without_copies(features: Floats, objects: Array, blocks: Indices) -> Indices
         np.minimum.at(first, which, blocks[rows])
         if len(np.unique(first)) > 1:
             joined[rows] = first[which]
+            continue
+        several = len(np.unique(blocks[rows])) > 1
+        if several and 2 * np.bincount(which).max() <= len(rows):
+            n_blocks = min(N_BLOCKS, n_touches)
+            joined[rows] = joined.max() + 1 + which * n_blocks // n_touches
     return joined
 
 

@@ -373,7 +373,7 @@ class Touches(Labelled):
         return touches
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return self._of, (self._images, self._columns, self._whole)
+        return self._of, (self._images, self._columns, self._whole, self._files)
 
     @property
     def images(self) -> Array:

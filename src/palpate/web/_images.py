@@ -164,7 +164,10 @@ def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
         while more is not None:
             start = more.end()
             stop = body.find(b"]", start, start + _LONGEST_ROW) + 1
-            rows.append(_row(json.loads(body[start:stop])))
+            row = _row(json.loads(body[start:stop]))
+            if rows and len(row) != len(rows[0]):
+                raise ValueError
+            rows.append(row)
             if len(body) > _LONG_BODY:
                 time.sleep(_PAUSE_S)
             more = _NEXT.match(body, stop)
@@ -172,8 +175,7 @@ def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
         if ended is None or len(body) - ended.end() > _LONGEST_REST:
             raise ValueError
         rest = json.loads(body[: begun.end(1)] + b"null" + body[ended.end() :])
-        is_whole = isinstance(rest, dict) and rest.pop("image", rows) is None
-        if not is_whole or len({len(row) for row in rows}) != 1:
+        if not isinstance(rest, dict) or rest.pop("image", rows) is not None:
             raise ValueError
     except (ValueError, OverflowError, RecursionError):
         wrong = f"{_BODY} of one length, got something else at row {len(rows) + 1}."
