@@ -16,3 +16,4 @@ PLAIN_KINDS = "biufcSUMm"  # of types that files hold as they are, by `dtype.kin
 Label = Literal["object", "category"]
 PresetName = Literal["default", "corradi2015", "liu2014"]
 Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]
+Split = Literal["between", "last", "unseen-objects", "session", "subject"]

@@ -5,14 +5,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
+from palpate._numbers import with_floor
 from palpate.recognition import (
     Evidence,
     Modality,
     ObjectRecogniser,
     SequenceCalibration,
-    as_touches,
-    given_prior,
-    with_floor,
 )
 from palpate.recognition._calibration import (
     LENGTHS,
@@ -20,8 +18,10 @@ from palpate.recognition._calibration import (
     fit_sequence_calibration,
 )
 from palpate.recognition._evidence import (
+    as_touches,
     beliefs_after,
     doubts,
+    given_prior,
     is_informative,
     log_posteriors,
 )

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.classifiers import Drawn, EncodingPool, RehearsedMachine
-from palpate.recognition import ObjectRecogniser, across_sessions, sessions_message
+from palpate.recognition import ObjectRecogniser, sessions_message
 from palpate.recognition._rehearsal import (
     RANGES,
     Ranges,
@@ -105,7 +105,7 @@ def test_labels_of_one_group_each_leave_nothing_to_be_asked():
     learnt = ObjectRecogniser().fit(touches, groups=touches.object)
     json.dumps(learnt.summary(), allow_nan=False)
     assert learnt.chosen_["rehearsal"].keys() == {"share", "told_by", "drawn", "trust"}
-    assert "expect less than today" in sessions_message(across_sessions(learnt))
+    assert "expect less than today" in sessions_message(learnt.across_sessions())
 
 
 def test_vectors_are_not_rehearsed():
@@ -186,14 +186,14 @@ def test_every_kind_of_sensor_has_its_ranges():
 
 def test_the_accuracy_to_expect_of_another_day_is_said(both):
     plain, rehearsed = both
-    across = across_sessions(rehearsed)
+    across = rehearsed.across_sessions()
     low, high = across["rehearsed"]
     assert 0 <= low <= high <= 1
     sentence = sessions_message(across)
     assert f"expect about {100 * low:.0f} to {100 * high:.0f} % right" in sentence
     # Nothing was rehearsed: nothing is promised.
-    assert "rehearsed" not in across_sessions(plain)
-    assert "can show how much less" in sessions_message(across_sessions(plain))
+    assert "rehearsed" not in plain.across_sessions()
+    assert "can show how much less" in sessions_message(plain.across_sessions())
 
 
 def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):
@@ -219,7 +219,7 @@ def test_the_accuracy_to_expect_after_confirming_is_said(both):
     rehearsal = both[1].chosen_["rehearsal"]
     low, high = rehearsal["confirmed"]
     assert 0 <= low <= high <= 1
-    words = sessions_message(across_sessions(both[1]))
+    words = sessions_message(both[1].across_sessions())
     ends = dict.fromkeys((f"{100 * low:.0f}", f"{100 * high:.0f}"))  # "100", if alike
     assert f"({' to '.join(ends)} % with one confirmed touch of each)" in words
     there = copy(both[1]).remount(_presses(1, 4)[:3])

@@ -9,16 +9,16 @@ from scipy.special import expit, log_softmax
 from scipy.stats import beta
 
 from palpate import ObjectRecogniser, Touches
-from palpate.recognition import (
-    SequenceCalibration,
-    about,
-    episode_evidence,
-    stranger_log_shares,
-    upper_bound,
-    with_floor,
-)
+from palpate._numbers import upper_bound, with_floor
+from palpate._words import about
+from palpate.recognition import SequenceCalibration
 from palpate.recognition._calibration import LeftOut, draw_episodes, fit_strangers
-from palpate.recognition._strangers import Curve, lowest_so_far
+from palpate.recognition._strangers import (
+    Curve,
+    episode_evidence,
+    lowest_so_far,
+    stranger_log_shares,
+)
 from palpate.simulation import DomeCamera, simulate_touches
 
 N_EACH = 30

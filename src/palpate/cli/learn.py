@@ -47,7 +47,7 @@ def learn(
     from .. import recognition
     from ..library import TouchLibrary
 
-    recognition.check_model_path(output)
+    recognition.ObjectRecogniser.check_path(output)
     kept = unless_made("nothing is learnt", output)
     replaces = ", in place of the model there" if output.exists() else ""
     with message_if_stopped(kept), stages() as stage, working.started():
@@ -77,7 +77,7 @@ def learn(
         written = recogniser.save(output)
     learnt = recogniser.summary()
     few = [] if extend is not None else _few(training, learnt["label"])
-    across = recognition.across_sessions(recogniser)
+    across = recogniser.across_sessions()
     sentences = learnt["chosen"].get("found", ())
     if not TouchLibrary.is_library(touches):
         how_read = (

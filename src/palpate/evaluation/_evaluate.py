@@ -16,12 +16,7 @@ import numpy as np
 from .._checks import listed
 from .._parallel import in_parallel
 from .._types import Array, Floats
-from ..recognition import (
-    Evidence,
-    ObjectRecogniser,
-    SequenceCalibration,
-    left_out_groups,
-)
+from ..recognition import Evidence, ObjectRecogniser, left_out_groups
 from ..touches import Touches
 from ._comparisons import (
     CONTROLS,
@@ -182,8 +177,6 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     objects = labels if test.object is None else test.object
     rows = evidence.log_likelihood
     args = (rows, objects, labels, plan.orders, plan.seed, evidence)
-    plain = copy(recogniser)
-    plain.sequence_calibration_ = SequenceCalibration()
     flagged = Counter(filter(None, evidence.flags))
     trial = Trial(
         replace(fold, train=train, test=test),
@@ -193,7 +186,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
         seconds={**seconds, **timing},
         evidence=evidence,
         confirmed=confirmed,
-        uncalibrated=run_episodes(plain, *args[:-1]),
+        uncalibrated=run_episodes(recogniser, *args[:-1], calibrated=False),
         flags={flag: n / len(rows) for flag, n in sorted(flagged.items())},
     )
     if unknown is not None:

@@ -16,7 +16,8 @@ from .._durable import write_text
 from .._numbers import evenly_spaced
 from .._page import check_report_path, html_table, png_address, report_page, worded
 from .._types import Bools, Indices
-from ..recognition import Evidence, about, sessions_message
+from .._words import about
+from ..recognition import Evidence, sessions_message
 from ..touches import Touches, as_shown
 from . import plots
 from ._comparisons import as_good_alone

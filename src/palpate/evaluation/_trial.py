@@ -13,16 +13,15 @@ from numpy.typing import ArrayLike
 from scipy.stats import mannwhitneyu
 from sklearn.utils import check_X_y
 
-from .._checks import check_count, check_number, check_option
-from .._types import Floats, Indices, Label, Presentation, PresetName
-from ..recognition import (
-    PRESETS,
+from .._checks import (
     STRANGERS,
-    Evidence,
-    ObjectRecogniser,
-    across_sessions,
+    check_count,
+    check_number,
+    check_option,
     check_strangers,
 )
+from .._types import Floats, Indices, Label, Presentation, PresetName
+from ..recognition import PRESETS, Evidence, ObjectRecogniser
 from ..touches import Touches
 from ._episodes import Decisions, Episodes, Scores, answers_of
 from ._splits import VISITS, Fold
@@ -195,7 +194,7 @@ def figures_of(
         "left_out": list(trials[0].fold.left_out),
         "elsewhere": split in VISITS or all(t.fold.elsewhere for t in trials),
         "remount": plan.remount,
-        "sessions": across_sessions(first),
+        "sessions": first.across_sessions(),
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
         "n_test_touches": sum(len(t.fold.test) for t in trials),
         "chance": 1 / len(first.classes_),

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import as_array, check_positive
-from .._numbers import exp, log, log_softmax
+from .._numbers import exp, log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
 
+NO_CONTACT = "no contact"
 _LEAST_LOG_PRIOR = -27.7
-_RULED_OUT = -1e6
 
 
 class Evidence(NamedTuple):
@@ -49,6 +49,11 @@ class Evidence(NamedTuple):
     by_encoding: Floats
     log_distances: Floats
     looks: Floats
+
+    @property
+    def shows_contact(self) -> Bools:
+        """Which touches show contact, shape (n_touches,)."""
+        return np.array([flag != NO_CONTACT for flag in self.flags], dtype=bool)
 
     @classmethod
     def together(cls, parts: Sequence[Evidence]) -> Evidence:
@@ -140,24 +145,6 @@ def given_prior(prior: Mapping[str, float], classes: Array) -> Floats:
             f"{least!r}. Give it at least 1e-12 of the sum, or forget the object."
         )
     return log_prior
-
-
-def with_floor(log_likelihood: Floats, floor: float) -> Floats:
-    """Return log-likelihoods under which no touch rules an object out.
-
-    Each touch's posterior under equal priors is mixed with the uniform one, so
-    that no object gets less than floor / n_objects from one touch. Shape
-    (..., n_objects), natural logarithms; with `floor=0` only the scale of each
-    touch changes.
-    """
-    if floor == 0:
-        # Finite, so that touches that rule out all objects in turn leave a belief.
-        return np.maximum(log_softmax(log_likelihood, axis=-1), _RULED_OUT)
-    mixed: Floats = log_likelihood - log_likelihood.max(axis=-1, keepdims=True)
-    exp(mixed, out=mixed)
-    mixed *= (1 - floor) / mixed.sum(axis=-1, keepdims=True)
-    mixed += floor / mixed.shape[-1]
-    return log(mixed, out=mixed)
 
 
 def log_posteriors(
