@@ -175,19 +175,17 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     recogniser, test, evidence, confirmed = _remounted(recogniser, test, plan)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
-    rows = evidence.log_likelihood
-    args = (rows, objects, labels, plan.orders, plan.seed, evidence)
+    of_test = evidence.log_likelihood, objects, labels, plan.orders, plan.seed
     flagged = Counter(filter(None, evidence.flags))
     trial = Trial(
         replace(fold, train=train, test=test),
         recogniser,
-        rows,
-        run_episodes(recogniser, *args),
+        evidence,
+        run_episodes(recogniser, *of_test, evidence),
+        run_episodes(recogniser, *of_test, calibrated=False),
         seconds={**seconds, **timing},
-        evidence=evidence,
         confirmed=confirmed,
-        uncalibrated=run_episodes(recogniser, *args[:-1], calibrated=False),
-        flags={flag: n / len(rows) for flag, n in sorted(flagged.items())},
+        flags={flag: n / len(test) for flag, n in sorted(flagged.items())},
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
@@ -302,9 +300,10 @@ def _controls(
             continue
         learnt = in_train[even], taught[even], groups[even]
         result[name] = curve(control_log_likelihood(*learnt, in_test))
-    idle = without_contact(test)
-    any_idle = idle is not None and idle.any()
-    result["no contact"] = curve(trial.log_likelihood[idle], idle) if any_idle else None
+    result["no contact"] = None
+    if (idle := without_contact(test)) is not None and idle.any():
+        rows = trial.evidence.log_likelihood[idle]
+        result["no contact"] = curve(rows, idle)
     return result
 
 

@@ -58,9 +58,9 @@ class Explained(NamedTuple):
     @property
     def evidence(self) -> Evidence:
         """What they told, in the session in which they were asked."""
-        of_test = self.trial.evidence
-        if self.is_stranger or of_test is None:
+        if self.is_stranger:
             return self.trial.recogniser.evidence(self.touches)
+        of_test = self.trial.evidence
         return Evidence.together([*map(of_test.of_touch, self.rows.tolist())])
 
 

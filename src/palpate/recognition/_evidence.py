@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -166,22 +166,11 @@ def beliefs_after(
     `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
     """
     wide = used.reshape(used.shape + (1,) * (floored.ndim - used.ndim))
-    total = summed_up(np.where(wide, floored, 0.0), used.ndim - 1)
+    total = np.where(wide, floored, 0.0).cumsum(axis=used.ndim - 1)
     count = used.cumsum(axis=-1)
     total *= calibration.weight(count).reshape(wide.shape)
     total += log_prior
     return log_softmax(total, axis=-1), count
-
-
-def summed_up(values: Floats, axis: int) -> Floats:
-    """Write the sums so far over the values; faster than `np.cumsum` but for the last.
-
-    Along an `axis` that others follow.
-    """
-    along = np.moveaxis(values, axis, 0)
-    for before, now in pairwise(along):
-        now += before
-    return values
 
 
 def is_informative(floored: Floats) -> Bools:

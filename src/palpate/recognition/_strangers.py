@@ -32,7 +32,6 @@ from ._evidence import (
     beliefs_after,
     besides_the_best,
     is_informative,
-    summed_up,
 )
 from ._sentences import Promise, promise_of
 
@@ -230,7 +229,7 @@ def episode_state(
     log_posterior, count = beliefs_after(used, floored, log_prior, calibration)
     by_encoding, _ = beliefs_after(used, each, log_prior, calibration)
     wide = used[..., np.newaxis]
-    total = summed_up(np.where(wide, log_distances, 0.0), used.ndim - 1)
+    total = np.where(wide, log_distances, 0.0).cumsum(axis=used.ndim - 1)
     mean = total / np.maximum(count, 1)[..., np.newaxis]
     return EpisodeState(
         log_posterior, by_encoding, model.farther(by_encoding, mean), count
