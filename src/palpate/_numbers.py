@@ -1,5 +1,7 @@
 """Sums of exponentials and the like: small sums, millions of which make a belief."""
 
+import math
+
 import cv2
 import numpy as np
 
@@ -111,6 +113,11 @@ def correlation(images: Array, idle: Array) -> Floats:
         norm = np.linalg.norm(flat) * np.linalg.norm(centred_idle)
         correlations[number] = flat @ centred_idle / norm if norm > 0 else 0.0
     return correlations
+
+
+def units_needed(share: float) -> int:
+    """Return how many units, of which none is wrong, show a share at 95 %."""
+    return math.ceil(math.log(1 - CONFIDENCE) / math.log1p(-share))
 
 
 def upper_bound(n_wrong: float, n_units: int) -> float:

@@ -33,6 +33,6 @@ def about(number: int) -> int:
     return round(number, 2 - len(str(number)))
 
 
-def n_touches_of(n_touches: int) -> str:
+def n_touches_of(n_touches: int | str) -> str:
     """Return a number of touches in words: "1 touch", "5 touches"."""
-    return f"{n_touches} touch{'es' * (n_touches != 1)}"
+    return f"{n_touches} touch{'es' * (str(n_touches) != '1')}"

@@ -9,10 +9,8 @@ import pytest
 
 from palpate import Touches
 from palpate.evaluation import (
-    PROTOCOLS,
     benchmark,
     benchmark_summary,
-    protocol_folds,
     write_benchmark,
 )
 
@@ -24,10 +22,6 @@ def drawn(images=None, **columns):
     if images is None:
         images = np.random.default_rng(0).normal(size=(60, 3, 8))
     return Touches(images, object=NAMES, geometry="none", **columns)
-
-
-def folds_of(touches, protocol, label="object", repeats=2):
-    return protocol_folds(touches, protocol, label, repeats, 0)
 
 
 def entry_of(touches, protocol="blocks", recognisers=("3-NN",), **more):
@@ -221,13 +215,6 @@ def test_the_page_holds_every_table_and_loads_nothing(learnt, tmp_path):
     assert ["  default", "100.0", "0.0", "100.0"] in [line[:4] for line in lines]
 
 
-def test_the_same_seed_draws_the_same_folds():
-    first, again = (folds_of(drawn(), "random")[0] for _ in range(2))
-    assert all((a.test == b.test).all() for a, b in zip(first, again, strict=True))
-    assert len(first[0].test) == 12  # a fifth of each
-    assert (first[0].test != first[1].test).any()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -248,4 +235,3 @@ def test_an_empty_folder_names_the_fix(tmp_path):
     for path in (tmp_path, tmp_path / "none"):
         with pytest.raises(ValueError, match=r"\(\.npz\) or folder.* `Touches\.save`"):
             benchmark(path)
-    assert set(PROTOCOLS) >= {"subjects", "sessions", "halves"}

@@ -170,3 +170,14 @@ def test_sessions_of_an_object_are_counted():
     assert across["least"] == across["median"] == 2
     assert across["asked"] == 360
     assert 0 < across["expected"] <= 1
+
+
+@pytest.mark.slow
+def test_objects_that_alternate_are_all_among_the_touches_looked_at(rng, monkeypatch):
+    monkeypatch.setattr("palpate.recognition._learning.AT_MOST", 150)
+    # Every second touch is of the same object: an even stride would see that alone.
+    images = rng.random((299, 8, 8))
+    images[::2, 2:4] += 1
+    names = np.resize(["bar", "none"], 299)
+    touches = Touches(images, object=names, geometry="array")
+    assert ObjectRecogniser().fit(touches).score(touches[:200]) > 0.95

@@ -522,3 +522,32 @@ def test_scores_of_long_episodes_spread_no_less_than_those_of_shorter_ones(seed)
     spread = ObjectRecogniser().fit(touches).strangers_.high[:, 1]
     assert len(spread) == 12
     assert spread[8:].min() >= spread[7] > 0.5
+
+
+@pytest.mark.parametrize("marks", [2000, 20], ids=["all", "some"])
+@pytest.mark.slow
+def test_distances_kept_and_distances_computed_anew_give_the_same_limits(
+    rng, tmp_path, monkeypatch, marks
+):
+    """A model keeps distances while it learns more; one that was read has none."""
+    monkeypatch.setattr("palpate.recognition._memory.MOST_MARKS", marks)
+    names, patterns = ["ball", "lid", "mug", "pen"], rng.normal(size=(4, 3, 24))
+    images = np.repeat(patterns, 24, axis=0) + 3 * rng.normal(size=(96, 3, 24))
+    labels = np.repeat(names, 24)
+    everything = Touches(images, object=labels, geometry="none")
+    order = np.arange(len(everything)) % 24
+    lids = everything.object == "lid"
+    learnt = ObjectRecogniser().fit(everything[~lids & (order < 16)])
+    steps = [("mug", everything.object == "mug"), ("lid", lids)]
+    for added, rows in [*steps, ("ball", everything.object == "ball")]:
+        more = everything[rows & (order > 15)]
+        read = ObjectRecogniser.load(learnt.save(tmp_path / "model.palpate"))
+        for model in (learnt, read):
+            add = model.extend_object if added in model.classes_ else model.add_object
+            add(added, more)
+        for name in ("usual", "far", "exceeded"):
+            kept, anew = (getattr(model.strangers_, name) for model in (learnt, read))
+            assert_allclose(kept, anew, rtol=1e-7, atol=1e-7)
+    test = everything[(everything.object == "pen") & (order > 15)]
+    beliefs = [model.start().update(test) for model in (learnt, read)]
+    assert beliefs[0].unknown == pytest.approx(beliefs[1].unknown, rel=1e-9)

@@ -13,8 +13,6 @@ from ._evaluate import few_touches as few_touches
 from ._report import explained_episodes as explained_episodes
 from ._report import summary as summary
 from ._report import write_report
-from ._splits import PROTOCOLS as PROTOCOLS
-from ._splits import protocol_folds as protocol_folds
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches
 from ._trial import Plan, calibration_error, davies_bouldin, roc_area

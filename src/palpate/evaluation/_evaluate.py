@@ -16,6 +16,7 @@ import numpy as np
 from .._checks import listed
 from .._parallel import in_parallel
 from .._types import Array, Floats
+from .._words import n_touches_of
 from ..recognition import Evidence, ObjectRecogniser, left_out_groups
 from ..touches import Touches
 from ._comparisons import (
@@ -374,7 +375,7 @@ def _verdict(figures: dict[str, Any]) -> str:
         return "Nothing can be said: no object has as many test touches as asked for."
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
-    after = f"{100 * right:.0f} % right after {_touches(last)}"
+    after = f"{100 * right:.0f} % right after {n_touches_of(last)}"
     beside, k = f"chance is {100 * chance:.0f} %", telling(figures)
     alone = {name: v[k] for name, v in figures["controls"].items() if v and k in v}
     alone.pop("no contact", None)
@@ -393,7 +394,7 @@ def _verdict(figures: dict[str, Any]) -> str:
             )
         if k != last:  # there both get all right
             return (
-                f"Better than no touch after {_touches(k)}, not after {last}: "
+                f"Better than no touch after {n_touches_of(k)}, not after {last}: "
                 f"{100 * accuracy[k]:.0f} % right after {k}, where {beside}; after "
                 f"{last} both are 100 %."
             )
@@ -403,10 +404,6 @@ def _verdict(figures: dict[str, Any]) -> str:
     if _too_many_named(figures):
         good += " with known objects alone"
     return f"{good}: {after}, where {beside}."
-
-
-def _touches(number: str) -> str:
-    return f"{number} touch{'es' * (number != '1')}"
 
 
 def few_touches(numbers: dict[str, int]) -> str:
@@ -465,7 +462,7 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if pair := _confused(int(last), trials):
         true, taken, share = pair
         yield (
-            f"After {last} touch{'es' * (last != '1')} {100 * share:.0f} % of the "
+            f"After {n_touches_of(last)} {100 * share:.0f} % of the "
             f"mistakes are {true} taken for {taken}: touch them where they differ, or "
             "give both one name if nobody needs them apart."
         )

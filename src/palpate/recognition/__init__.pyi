@@ -8,8 +8,6 @@ from ._learning import EmptyTouchError as EmptyTouchError
 from ._memory import Memory as Memory
 from ._memory import left_out_groups as left_out_groups
 from ._model_file import ModelFileError as ModelFileError
-from ._model_file import read_model as read_model
-from ._model_file import write_model as write_model
 from ._presets import PRESETS as PRESETS
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._recogniser import adapt as adapt

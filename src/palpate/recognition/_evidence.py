@@ -147,23 +147,14 @@ def given_prior(prior: Mapping[str, float], classes: Array) -> Floats:
     return log_prior
 
 
-def log_posteriors(
-    floored: Floats, log_prior: Floats, calibration: SequenceCalibration
-) -> Floats:
-    """Return the log posterior after each touch of an episode (nats).
-
-    Of `floored` likelihoods from `with_floor` (..., n_touches, n_objects), in order,
-    and `log_prior` (n_objects,); of the shape of `floored`.
-    """
-    return beliefs_after(is_informative(floored), floored, log_prior, calibration)[0]
-
-
 def beliefs_after(
     used: Bools, floored: Floats, log_prior: Floats, calibration: SequenceCalibration
 ) -> tuple[Floats, Indices]:
     """Return log posteriors after each touch, and the number of those that are `used`.
 
-    `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
+    In nats, of the touches of episodes in order: those that are `used` (...,
+    n_touches), `floored` likelihoods from `with_floor` (..., n_touches, n_objects),
+    perhaps encodings before the objects, and `log_prior` (n_objects,).
     """
     wide = used.reshape(used.shape + (1,) * (floored.ndim - used.ndim))
     total = np.where(wide, floored, 0.0).cumsum(axis=used.ndim - 1)
@@ -187,11 +178,7 @@ def doubts(log_posterior: Floats) -> Floats:
 
     Summed over the other objects, so that it stays exact near 0.
     """
-    return besides_the_best(exp(log_posterior))
-
-
-def besides_the_best(shares: Floats) -> Floats:
-    """Return the sum of shares (..., n_objects) without the largest, which is lost."""
+    shares = exp(log_posterior)
     best = shares.argmax(axis=-1)
     np.put_along_axis(shares, best[..., np.newaxis], 0, axis=-1)
     return np.asarray(shares.sum(axis=-1))

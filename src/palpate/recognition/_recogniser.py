@@ -189,10 +189,9 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         self._check_fitted()
         log_likelihood = self.log_likelihood(self._as_touches(X))
         floored = with_floor(log_likelihood, self.floor_)
-        alone = floored[:, np.newaxis]
-        return _evidence.log_posteriors(
-            alone, self.log_prior(), self.sequence_calibration_
-        )[:, 0]
+        used, how = _evidence.is_informative(floored), self.sequence_calibration_
+        alone = used[:, np.newaxis], floored[:, np.newaxis]
+        return _evidence.beliefs_after(*alone, self.log_prior(), how)[0][:, 0]
 
     def score(
         self,

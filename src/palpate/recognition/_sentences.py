@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from math import ceil, floor, log, log1p
+from math import floor
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from .._checks import listed
 from .._extras import needed
-from .._numbers import CONFIDENCE, upper_bound
 from .._types import Indices
 from .._words import about, n_touches_of, share_of
 
@@ -169,12 +168,6 @@ class Promise(NamedTuple):
             f"{objects} cannot prove an error of {100 * self.level:g} %, "
             f"about {about(self.n_needed)} would."
         )
-
-
-def promise_of(n_units: int, population: str, error: float) -> Promise:
-    """Return what so many units of a population can show at an accepted error."""
-    n_needed = ceil(log(1 - CONFIDENCE) / log1p(-error))
-    return Promise(error, upper_bound(0.0, n_units), n_needed, population, n_units)
 
 
 def draw_belief(
