@@ -32,7 +32,7 @@ from palpate.evaluation import (
 from palpate.evaluation._episodes import Episodes
 from palpate.evaluation._splits import draw_touches as drawn
 from palpate.evaluation._trial import Trial
-from palpate.recognition import stranger_log_shares
+from palpate.recognition._strangers import stranger_log_shares
 
 ERRORS = (0.01, 0.05)
 STRANGERS = (0.0, 0.05, 0.2)

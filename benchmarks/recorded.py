@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from palpate import Touches
 from palpate._durable import write_text
 from palpate.evaluation import Plan, evaluate, roc_area, split_touches
-from palpate.recognition import doubts
+from palpate.recognition._evidence import doubts
 from palpate.studies.corradi2015 import beside
 
 LENGTHS = (1, 3, 5, 10, 15, 20)

@@ -1,9 +1,10 @@
 """Fixtures shared by the whole suite: small drawn touches and the real ones."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,15 @@ def data_folder() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("PALPATE_DATA does not name the folder of real touches")
     return Path(folder)
+
+
+@pytest.fixture
+def reread(tmp_path: Path) -> Callable[[Any], Any]:
+    """Return a function that writes an estimator to a model file, and reads it."""
+    from palpate.recognition._model_file import read_model, write_model
+
+    path = tmp_path / "part.palpate"
+    return lambda part: read_model(write_model(path, part), type(part))
 
 
 @pytest.fixture

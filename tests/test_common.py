@@ -41,7 +41,6 @@ from palpate.images import (
     OrientationRegulariser,
     PressPose,
 )
-from palpate.recognition import read_model, write_model
 
 ENCODERS = [
     CentroidMoments(),
@@ -103,14 +102,12 @@ def test_checked_images_of_any_type_are_transformed_alike(encoder, dtype, touche
 
 
 @image_estimators
-def test_pickle_and_model_file_keep_the_encoding(encoder, touches, tmp_path):
+def test_pickle_and_model_file_keep_the_encoding(encoder, touches, reread):
     fitted = clone(encoder).fit(touches)
     expected = fitted.transform(touches)
     again = pickle.loads(pickle.dumps(fitted))
     assert_array_equal(again.transform(touches), expected)
-    stored = write_model(tmp_path / "e.palpate", fitted)
-    read = read_model(stored, type(fitted))
-    assert_array_equal(read.transform(touches), expected)
+    assert_array_equal(reread(fitted).transform(touches), expected)
 
 
 @image_estimators

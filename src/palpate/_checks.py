@@ -23,6 +23,8 @@ LARGEST_LEVEL = 1e37
 ARRAY_SIDE = 48
 # Text and whole numbers, which are labels without scikit-learn looking at each.
 PLAIN_LABELS = "biuSU"
+# The share of episodes with something that was never learnt, unless the user says.
+STRANGERS = 0.05
 
 
 # Line breaks, and what a terminal would obey: control characters.
@@ -85,6 +87,17 @@ def check_positive(name: str, value: object) -> float:
     if not 0 < number < float("inf"):
         raise ValueError(f"{name} must be positive and finite, got {value}.")
     return number
+
+
+def check_strangers(strangers: object) -> float:
+    """Return the share of strangers, at least 0 and below 1, or explain."""
+    share = check_number("strangers", strangers, low=0, high=1)
+    if share == 1:
+        raise ValueError(
+            "strangers must be below 1, got 1: then nothing could ever be named. Give "
+            "the share of episodes with something that was never learnt."
+        )
+    return share
 
 
 def _as_float(value: Any) -> float:

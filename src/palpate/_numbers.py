@@ -1,5 +1,7 @@
 """Sums of exponentials and the like: small sums, millions of which make a belief."""
 
+import math
+
 import cv2
 import numpy as np
 
@@ -7,6 +9,9 @@ from ._types import Array, Floats, Indices
 
 # OpenCV counts the elements of a row in 32 bits.
 _MOST = 2**31 - 1
+# The log-likelihood of what one touch rules out, where that is allowed.
+_RULED_OUT = -1e6
+CONFIDENCE = 0.95
 
 
 def exp(values: Array, out: Array | None = None) -> Array:
@@ -71,6 +76,24 @@ def without_gaps(log_likelihood: Floats) -> Floats:
     return np.where(is_finite, log_likelihood, np.where(worst < np.inf, worst, 0))
 
 
+def with_floor(log_likelihood: Floats, floor: float) -> Floats:
+    """Return log-likelihoods under which no touch rules an object out.
+
+    Each touch's posterior under equal priors is mixed with the uniform one, so
+    that no object gets less than floor / n_objects from one touch. Shape
+    (..., n_objects), natural logarithms; with `floor=0` only the scale of each
+    touch changes.
+    """
+    if floor == 0:
+        # Finite, so that touches that rule out all objects in turn leave a belief.
+        return np.maximum(log_softmax(log_likelihood, axis=-1), _RULED_OUT)
+    mixed: Floats = log_likelihood - log_likelihood.max(axis=-1, keepdims=True)
+    exp(mixed, out=mixed)
+    mixed *= (1 - floor) / mixed.sum(axis=-1, keepdims=True)
+    mixed += floor / mixed.shape[-1]
+    return log(mixed, out=mixed)
+
+
 def log_loss(logits: Floats, codes: Array, shares: Floats) -> tuple[float, Floats]:
     """Return the log loss of softmax beliefs (nats), and its slope by each logit.
 
@@ -100,3 +123,17 @@ def correlation(images: Array, idle: Array) -> Floats:
         norm = np.linalg.norm(flat) * np.linalg.norm(centred_idle)
         correlations[number] = flat @ centred_idle / norm if norm > 0 else 0.0
     return correlations
+
+
+def units_needed(share: float) -> int:
+    """Return how many units, of which none is wrong, show a share at 95 %."""
+    return math.ceil(math.log(1 - CONFIDENCE) / math.log1p(-share))
+
+
+def upper_bound(n_wrong: float, n_units: int) -> float:
+    """Return the bound at 95 % on a share, of units that were wrong among others."""
+    from scipy.stats import beta
+
+    if n_wrong >= n_units:
+        return 1.0
+    return float(beta.ppf(CONFIDENCE, n_wrong + 1, n_units - n_wrong))

@@ -16,6 +16,7 @@ PLAIN_KINDS = "biufcSUMm"  # of types that files hold as they are, by `dtype.kin
 Label = Literal["object", "category"]
 PresetName = Literal["default", "corradi2015", "liu2014"]
 Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]
+Split = Literal["between", "last", "unseen-objects", "session", "subject"]
 GEOMETRIES = ("dome", "array", "plane", "none")  # how taxels lie
 RGB = ("r", "g", "b")  # channels of a picture in colour
 FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # endings of films

@@ -13,7 +13,6 @@ from palpate.classifiers import (
     KernelRidgeClassifier,
     TouchClassifier,
 )
-from palpate.recognition import read_model, write_model
 
 
 @pytest.fixture
@@ -85,7 +84,7 @@ def test_machine_for_all_parts_learns_what_none_tells_alone(rng):
     assert together.weights_["all together"] == max(together.weights_.values())
 
 
-def test_a_pool_keeps_the_contract_of_touch_classifiers(problem, tmp_path):
+def test_a_pool_keeps_the_contract_of_touch_classifiers(problem, reread):
     X, labels, groups = problem
     pool = EncodingPool({"telling": 2, "noise": 3}).fit(X, labels, groups=groups)
     assert isinstance(pool, TouchClassifier)
@@ -96,7 +95,7 @@ def test_a_pool_keeps_the_contract_of_touch_classifiers(problem, tmp_path):
     rows = np.arange(90)
     learnt = log_softmax(pool.log_likelihood(X), axis=1)
     assert left_out[rows, codes].mean() < learnt[rows, codes].mean()
-    again = read_model(write_model(tmp_path / "p.palpate", pool), EncodingPool)
+    again = reread(pool)
     np.testing.assert_array_equal(again.log_likelihood(X), pool.log_likelihood(X))
 
 

@@ -18,7 +18,6 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
-from palpate.recognition import read_model, write_model
 
 BANK = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
 
@@ -268,9 +267,9 @@ def test_clone_pickle_and_repetition_give_the_same_machine(problem):
     [MKLSVC(kernels=BANK), MKLSVC(approximation="nystroem", kernels=BANK)],
     ids=["exact", "landmarks"],
 )
-def test_a_model_file_keeps_the_machine(problem, machine, tmp_path):
+def test_a_model_file_keeps_the_machine(problem, machine, reread):
     fitted = machine.fit(*problem)
-    again = read_model(write_model(tmp_path / "m.palpate", fitted), MKLSVC)
+    again = reread(fitted)
     assert_array_equal(
         again.predict_proba(problem[0]), fitted.predict_proba(problem[0])
     )

@@ -1,10 +1,12 @@
 """Messages of the library in the words of the verb that was typed."""
 
+from inspect import signature
+
 import numpy as np
 import pytest
 
+from palpate import ObjectRecogniser
 from palpate.library import LibraryError, TouchLibrary
-from palpate.recognition import STRANGERS
 from palpate.touches import Touches
 
 
@@ -74,8 +76,9 @@ def test_units_are_left_out_and_variables_of_the_environment_are_options(
 
 @pytest.mark.parametrize("verb", ["recognise", "evaluate", "live", "serve"])
 def test_the_default_of_strangers_is_that_of_python(palpate, verb):
+    share = signature(ObjectRecogniser.start).parameters["strangers"].default
     help_text = palpate(verb, "-h").stdout.partition("--strangers")[2]
-    assert f"[default: {STRANGERS}]" in help_text[: help_text.index("--", 400)]
+    assert f"[default: {share}]" in help_text[: help_text.index("--", 400)]
 
 
 def test_what_a_file_lacks_is_no_option(palpate, tmp_path):

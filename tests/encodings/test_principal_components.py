@@ -8,7 +8,6 @@ from sklearn.decomposition import KernelPCA as SklearnKernelPCA
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.encodings import KernelPCA, PrincipalShare
-from palpate.recognition import read_model, write_model
 
 
 @parametrize_with_checks([KernelPCA(), KernelPCA(0.9, scaling="paper")])
@@ -158,9 +157,9 @@ def test_touches_alike_at_that_width_are_refused(features):
 
 
 @pytest.mark.parametrize("encoder", [KernelPCA(2), PrincipalShare()], ids=repr)
-def test_a_model_file_keeps_scores_and_their_names(encoder, features, tmp_path):
+def test_a_model_file_keeps_scores_and_their_names(encoder, features, reread):
     scores = encoder.fit_transform(features)
-    again = read_model(write_model(tmp_path / "p.palpate", encoder), type(encoder))
+    again = reread(encoder)
     assert_array_equal(again.transform(features), scores)
     names = encoder.get_feature_names_out().tolist()
     assert again.get_feature_names_out().tolist() == names

@@ -6,19 +6,11 @@ import sys
 
 import numpy as np
 import pytest
-from sklearn.base import clone
-from sklearn.neighbors import KNeighborsClassifier
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
-from sklearn.svm import SVC
 
 from palpate import Touches
 from palpate.evaluation import (
-    PROTOCOLS,
-    SIMPLE,
     benchmark,
     benchmark_summary,
-    protocol_folds,
     write_benchmark,
 )
 
@@ -30,10 +22,6 @@ def drawn(images=None, **columns):
     if images is None:
         images = np.random.default_rng(0).normal(size=(60, 3, 8))
     return Touches(images, object=NAMES, geometry="none", **columns)
-
-
-def folds_of(touches, protocol, label="object", repeats=2):
-    return protocol_folds(touches, protocol, label, repeats, 0)
 
 
 def entry_of(touches, protocol="blocks", recognisers=("3-NN",), **more):
@@ -114,54 +102,6 @@ def test_touches_without_contact_are_scored_apart():
     assert entry_of(drawn())["rows"][0]["no_contact"] is None
 
 
-@pytest.mark.parametrize("channels", [(), (3,)], ids=["grey", "colour"])
-def test_simple_recognisers_are_what_scikit_learn_does(channels):
-    rng = np.random.default_rng(0)
-    shape = (45, 40, 45, *channels)
-    centres = rng.normal(size=(3, *shape[1:]))
-    images = np.repeat(centres, 15, axis=0) * 20 + 60 * rng.normal(size=shape)
-    images[0, :3] = np.nan
-    flat = images[:, ::5, ::5] if channels else images
-    flat = np.nan_to_num(flat).reshape(45, -1)
-    labels, train = np.repeat([0, 1, 2], 15), np.arange(45) % 3 > 0
-    direct = {
-        "taxels SVM": (flat, make_pipeline(StandardScaler(), SVC(C=10))),
-        "roots SVM": (np.sign(flat) * np.sqrt(np.abs(flat)), SVC(C=10)),
-        "3-NN": (flat, KNeighborsClassifier(3)),
-    }
-    for name, (X, classifier) in direct.items():
-        encode, ours = SIMPLE[name]
-        values = encode(images)
-        expected = classifier.fit(X[train], labels[train])
-        ours.fit(values[train], labels[train])
-        # Channels lie side by side, in another order than taxel by taxel.
-        assert sorted(values[1]) == sorted(X[1])
-        assert (ours.predict(values[~train]) == expected.predict(X[~train])).all()
-        if name != "3-NN":
-            # The kernel is summed by another routine: rounding.
-            decided = ours.decision_function(values), expected.decision_function(X)
-            np.testing.assert_allclose(*decided, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("shape", "n_features"),
-    # Blocks of 2 x 2 cells of 8 pixels, 4 histograms of 9 each.
-    [
-        ((10, 10), 3 * 3 * 36),
-        ((64, 32), 7 * 3 * 36),
-        ((160, 120, 3), 3 * 8 * 36),
-    ],
-    ids=["enlarged", "as it is", "colour"],
-)
-def test_hog_has_a_histogram_for_each_cell(shape, n_features):
-    pytest.importorskip("skimage", reason='needs the extra "bench"')
-    images = np.random.default_rng(0).random((2, *shape))
-    features = SIMPLE["HOG SVM"][0](images)
-    assert features.shape == (2, n_features)
-    # Each picture is divided by its maximum.
-    np.testing.assert_allclose(SIMPLE["HOG SVM"][0](7 * images), features, atol=1e-9)
-
-
 def test_an_error_becomes_a_row_and_a_bad_archive_a_reason(tmp_path):
     drawn().save(tmp_path / "deep.npz")
     np.savez(tmp_path / "bad.npz", counts=np.ones(3))
@@ -192,40 +132,6 @@ def test_without_its_package_the_row_says_what_to_install(
     assert f'pip install "palpate[{extra}]"' in row["reason"]
     assert row["accuracy"] is None
     assert nearest["reason"] is None
-
-
-@pytest.mark.parametrize(
-    ("images", "expected"),
-    [
-        (np.full((2, 128, 64), 7, np.uint8), np.full((2, 1, 64, 32), 7.0)),
-        (np.full((2, 3, 8), np.nan), np.zeros((2, 1, 24, 64))),
-        (
-            np.ones((2, 16, 16, 3)) * [1, 2, 3],
-            np.ones((3, 64, 64)) * [[[[1]], [[2]], [[3]]]],
-        ),
-    ],
-    ids=["averaged", "dead", "colour"],
-)
-def test_a_cnn_sees_pictures_of_at_most_64_pixels_a_side(images, expected):
-    pictures = SIMPLE["small CNN"][0](images)
-    assert pictures.dtype == np.float32
-    np.testing.assert_array_equal(pictures, np.broadcast_to(expected, pictures.shape))
-
-
-def test_a_cnn_learns_the_same_each_time_and_leaves_random_numbers_alone():
-    torch = pytest.importorskip("torch", reason='needs the extra "cnn"')
-    touches = marked([[2, 8], [8, 2], [13, 8]], 16, "array")
-    encode, learner = SIMPLE["small CNN"]
-    pictures, train = encode(touches.images), np.arange(60) % 5 == 0
-    state, n_threads = torch.get_rng_state(), torch.get_num_threads()
-    first, second = (
-        clone(learner).fit(pictures[train], NAMES[train]) for _ in range(2)
-    )
-    assert (torch.get_rng_state() == state).all()
-    assert torch.get_num_threads() == n_threads
-    parameters = zip(first.net_.parameters(), second.net_.parameters(), strict=True)
-    assert all(bool((a == b).all()) for a, b in parameters)
-    assert (first.predict(pictures[~train]) == second.predict(pictures[~train])).all()
 
 
 def test_a_cnn_tells_stripes_by_their_direction():
@@ -309,13 +215,6 @@ def test_the_page_holds_every_table_and_loads_nothing(learnt, tmp_path):
     assert ["  default", "100.0", "0.0", "100.0"] in [line[:4] for line in lines]
 
 
-def test_the_same_seed_draws_the_same_folds():
-    first, again = (folds_of(drawn(), "random")[0] for _ in range(2))
-    assert all((a.test == b.test).all() for a, b in zip(first, again, strict=True))
-    assert len(first[0].test) == 12  # a fifth of each
-    assert (first[0].test != first[1].test).any()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -336,4 +235,3 @@ def test_an_empty_folder_names_the_fix(tmp_path):
     for path in (tmp_path, tmp_path / "none"):
         with pytest.raises(ValueError, match=r"\(\.npz\) or folder.* `Touches\.save`"):
             benchmark(path)
-    assert set(PROTOCOLS) >= {"subjects", "sessions", "halves"}

@@ -1,8 +1,13 @@
-"""Nuisance values of touches with channels, and of pads with gaps between them."""
+"""What a recogniser is compared with: nuisance values, and simple recognisers."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from sklearn.base import clone
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import SVC
 
 from palpate import Touches
 from palpate.evaluation import (
@@ -11,7 +16,7 @@ from palpate.evaluation import (
     named_alone,
     without_contact,
 )
-from palpate.evaluation._comparisons import disc_centres, sorted_pixels
+from palpate.evaluation._comparisons import SIMPLE, disc_centres, sorted_pixels
 
 
 @pytest.fixture
@@ -145,3 +150,86 @@ def test_four_touches_of_two_objects_are_split(n_touches, counts, rng):
     shares = named_alone(Touches(images, object=names))
     assert bool(shares) is counts
     assert "disc centre" not in shares
+
+
+@pytest.mark.parametrize("channels", [(), (3,)], ids=["grey", "colour"])
+def test_simple_recognisers_are_what_scikit_learn_does(channels):
+    rng = np.random.default_rng(0)
+    shape = (45, 40, 45, *channels)
+    centres = rng.normal(size=(3, *shape[1:]))
+    images = np.repeat(centres, 15, axis=0) * 20 + 60 * rng.normal(size=shape)
+    images[0, :3] = np.nan
+    flat = images[:, ::5, ::5] if channels else images
+    flat = np.nan_to_num(flat).reshape(45, -1)
+    labels, train = np.repeat([0, 1, 2], 15), np.arange(45) % 3 > 0
+    direct = {
+        "taxels SVM": (flat, make_pipeline(StandardScaler(), SVC(C=10))),
+        "roots SVM": (np.sign(flat) * np.sqrt(np.abs(flat)), SVC(C=10)),
+        "3-NN": (flat, KNeighborsClassifier(3)),
+    }
+    for name, (X, classifier) in direct.items():
+        encode, ours = SIMPLE[name]
+        values = encode(images)
+        expected = classifier.fit(X[train], labels[train])
+        ours.fit(values[train], labels[train])
+        # Channels lie side by side, in another order than taxel by taxel.
+        assert sorted(values[1]) == sorted(X[1])
+        assert (ours.predict(values[~train]) == expected.predict(X[~train])).all()
+        if name != "3-NN":
+            # The kernel is summed by another routine: rounding.
+            decided = ours.decision_function(values), expected.decision_function(X)
+            np.testing.assert_allclose(*decided, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "n_features"),
+    # Blocks of 2 x 2 cells of 8 pixels, 4 histograms of 9 each.
+    [
+        ((10, 10), 3 * 3 * 36),
+        ((64, 32), 7 * 3 * 36),
+        ((160, 120, 3), 3 * 8 * 36),
+    ],
+    ids=["enlarged", "as it is", "colour"],
+)
+def test_hog_has_a_histogram_for_each_cell(shape, n_features):
+    pytest.importorskip("skimage", reason='needs the extra "bench"')
+    images = np.random.default_rng(0).random((2, *shape))
+    features = SIMPLE["HOG SVM"][0](images)
+    assert features.shape == (2, n_features)
+    # Each picture is divided by its maximum.
+    np.testing.assert_allclose(SIMPLE["HOG SVM"][0](7 * images), features, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("images", "expected"),
+    [
+        (np.full((2, 128, 64), 7, np.uint8), np.full((2, 1, 64, 32), 7.0)),
+        (np.full((2, 3, 8), np.nan), np.zeros((2, 1, 24, 64))),
+        (
+            np.ones((2, 16, 16, 3)) * [1, 2, 3],
+            np.ones((3, 64, 64)) * [[[[1]], [[2]], [[3]]]],
+        ),
+    ],
+    ids=["averaged", "dead", "colour"],
+)
+def test_a_cnn_sees_pictures_of_at_most_64_pixels_a_side(images, expected):
+    pictures = SIMPLE["small CNN"][0](images)
+    assert pictures.dtype == np.float32
+    np.testing.assert_array_equal(pictures, np.broadcast_to(expected, pictures.shape))
+
+
+def test_a_cnn_learns_the_same_each_time_and_leaves_random_numbers_alone(rng):
+    torch = pytest.importorskip("torch", reason='needs the extra "cnn"')
+    images, names = rng.random((60, 16, 16)), np.repeat(["a", "b", "c"], 20)
+    images[names == "b", :8] += 1
+    encode, learner = SIMPLE["small CNN"]
+    pictures, train = encode(images), np.arange(60) % 5 == 0
+    state, n_threads = torch.get_rng_state(), torch.get_num_threads()
+    first, second = (
+        clone(learner).fit(pictures[train], names[train]) for _ in range(2)
+    )
+    assert (torch.get_rng_state() == state).all()
+    assert torch.get_num_threads() == n_threads
+    parameters = zip(first.net_.parameters(), second.net_.parameters(), strict=True)
+    assert all(bool((a == b).all()) for a, b in parameters)
+    assert (first.predict(pictures[~train]) == second.predict(pictures[~train])).all()

@@ -213,7 +213,7 @@ def test_objects_with_fewer_touches_are_left_out_at_k():
 
 def test_one_touch_uses_every_test_touch_once():
     figures, trials = evaluate(drawn(0, NAMES), drawn(1, NAMES, noise=3), plan=PLAN)
-    best = trials[0].log_likelihood.argmax(axis=1)
+    best = trials[0].evidence.log_likelihood.argmax(axis=1)
     hits = trials[0].recogniser.classes_[best] == trials[0].fold.test.object
     assert figures["accuracy"]["1"] == pytest.approx(hits.mean())
 

@@ -5,12 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.evaluation import (
-    PROTOCOLS,
-    protocol_folds,
-    split_by_count,
-    split_touches,
-)
+from palpate.evaluation import split_by_count, split_touches
+from palpate.evaluation._splits import PROTOCOLS, protocol_folds
 
 
 @pytest.fixture
@@ -161,6 +157,7 @@ def test_folds_are_named_by_number_session_or_split(recordings):
     assert [name for name, _ in PROTOCOLS["halves"](recordings, 1, 0)] == [
         "second half"
     ]
+    assert set(PROTOCOLS) >= {"subjects", "sessions", "categories"}
     visits = recordings.with_columns(session=np.tile(["mon", "tue"], 16))
     names = [fold.name for fold in split_touches(visits, "session")]
     assert names == ["session mon", "session tue"]
@@ -205,6 +202,16 @@ def test_touches_of_one_press_stay_on_one_side(name):
             sides = [set(is_test[presses == press].tolist()) for press in range(10)]
             assert all(len(side) == 1 for side in sides)
             assert is_test.any()
+
+
+def test_the_same_seed_draws_the_same_folds():
+    touches = row_of(60, object=["a"] * 20 + ["b"] * 20 + ["c"] * 20)
+    first, again = (
+        protocol_folds(touches, "random", "object", 2, 0)[0] for _ in range(2)
+    )
+    assert all((a.test == b.test).all() for a, b in zip(first, again, strict=True))
+    assert len(first[0].test) == 12  # a fifth of each
+    assert (first[0].test != first[1].test).any()
 
 
 def test_two_touches_of_a_label_teach_it_and_one_does_not():

@@ -1,18 +1,16 @@
-"""How evidence adds up, closed cases and the episodes that show it."""
+"""What left-out touches tell: how evidence adds up, and whether turns matter."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
+from palpate._numbers import with_floor
 from palpate.recognition import (
     Evidence,
     Modality,
     ObjectRecogniser,
     SequenceCalibration,
-    as_touches,
-    given_prior,
-    with_floor,
 )
 from palpate.recognition._calibration import (
     LENGTHS,
@@ -20,11 +18,13 @@ from palpate.recognition._calibration import (
     fit_sequence_calibration,
 )
 from palpate.recognition._evidence import (
+    as_touches,
     beliefs_after,
     doubts,
+    given_prior,
     is_informative,
-    log_posteriors,
 )
+from palpate.recognition._learning import what_matters
 from palpate.recognition._memory import blocks_in_order
 
 
@@ -109,6 +109,12 @@ def test_a_thousand_long_episodes_at_most_are_drawn(n_objects, n_each):
     assert np.diff(drawn_objects).max() <= 2
     again = draw_episodes(objects, seed=0)
     assert all(np.array_equal(a, b) for a, b in zip(again, drawn, strict=True))
+
+
+def log_posteriors(floored, prior, calibration):
+    """Return log posteriors after each touch of an episode."""
+    used = is_informative(floored)
+    return beliefs_after(used, floored, prior, calibration)[0]
 
 
 def loss_of(calibration, floored, codes, episodes, prior):
@@ -378,3 +384,25 @@ def test_evidence_taken_apart_is_put_together_again(rng):
     assert {len(array) for part in alone for array in part} == {1}
     for joined, original in zip(Evidence.together(alone), whole, strict=True):
         assert np.array_equal(joined, original)
+
+
+@pytest.mark.parametrize(
+    ("seeing", "blind", "sentence"),
+    [
+        (-0.1, -1.0, "turns matter here: as they come 85 %, blind to turns 38 %"),
+        (-1.0, -0.1, "turns mislead here: as they come 85 %, blind to turns 38 %"),
+        (-0.5, -0.5, "whether turns matter cannot be told here"),
+    ],
+)
+def test_whether_turns_matter_is_said_in_a_sentence(seeing, blind, sentence, rng):
+    own_posteriors = {"levels": seeing + rng.normal(scale=0.1, size=100)}
+    own_posteriors["moments"] = blind + rng.normal(scale=0.1, size=100)
+    own_posteriors["moments"] += (blind - seeing) - (
+        own_posteriors["moments"] - own_posteriors["levels"]
+    ).mean()
+    figures = {
+        "levels": {"log_loss": -seeing, "accuracy": 0.85, "blind_to": []},
+        "moments": {"log_loss": -blind, "accuracy": 0.38, "blind_to": ["turns"]},
+    }
+    assert what_matters("turns", figures, own_posteriors).startswith(sentence)
+    assert what_matters("shifts", figures, own_posteriors) is None

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.classifiers import NearbyTouches
-from palpate.recognition import across_sessions
 
 
 def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
@@ -167,7 +166,18 @@ def needed_gb(labels):
 def test_sessions_of_an_object_are_counted():
     """Each object was met in two sessions, so each touch is tested in another one."""
     days = [drawn(12, 15, seed=day, session=f"day {day}") for day in (1, 2)]
-    across = across_sessions(ObjectRecogniser().fit(Touches.concatenate(days)))
+    across = ObjectRecogniser().fit(Touches.concatenate(days)).across_sessions()
     assert across["least"] == across["median"] == 2
     assert across["asked"] == 360
     assert 0 < across["expected"] <= 1
+
+
+@pytest.mark.slow
+def test_objects_that_alternate_are_all_among_the_touches_looked_at(rng, monkeypatch):
+    monkeypatch.setattr("palpate.recognition._learning.AT_MOST", 150)
+    # Every second touch is of the same object: an even stride would see that alone.
+    images = rng.random((299, 8, 8))
+    images[::2, 2:4] += 1
+    names = np.resize(["bar", "none"], 299)
+    touches = Touches(images, object=names, geometry="array")
+    assert ObjectRecogniser().fit(touches).score(touches[:200]) > 0.95

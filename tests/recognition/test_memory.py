@@ -16,7 +16,6 @@ from palpate.recognition import (
     ObjectRecogniser,
     SequenceCalibration,
     left_out_groups,
-    without_copies,
 )
 
 NAMES = ("ball", "mug", "pen")
@@ -226,22 +225,23 @@ def test_copies_are_left_out_together():
     features[15:] = features[:5] + 1e-3 * rng.normal(size=(5, 5))
     objects = np.repeat(["cup"], 20)
     blocks = np.repeat(np.arange(5), 4)
-    joined = without_copies(features, objects, blocks)
+    joined = memory_of(objects, blocks, features=features).with_copies_together()
     # Touches 15 to 19 are those of 0 to 4, which lie in the first two blocks.
-    assert joined.tolist() == [*blocks[:15], 0, 0, 0, 0, 1]
+    assert joined.blocks.tolist() == [*blocks[:15], 0, 0, 0, 0, 1]
 
 
 def test_a_session_that_is_there_twice_is_cut_into_blocks():
     features = np.tile(np.random.default_rng(0).normal(size=(10, 5)), (2, 1))
     objects, sessions = np.repeat(["cup"], 20), np.repeat([0, 1], 10)
-    joined = without_copies(features, objects, sessions)
-    assert joined.tolist() == 2 * np.repeat(np.arange(2, 7), 2).tolist()
+    joined = memory_of(objects, sessions, features=features).with_copies_together()
+    assert joined.blocks.tolist() == 2 * np.repeat(np.arange(2, 7), 2).tolist()
 
 
 def test_touches_that_are_all_alike_keep_their_blocks():
     features, objects = np.zeros((10, 3)), np.repeat(["cup"], 10)
     blocks = np.repeat(np.arange(5), 2)
-    assert without_copies(features, objects, blocks).tolist() == blocks.tolist()
+    memory = memory_of(objects, blocks, features=features)
+    assert memory.with_copies_together().blocks.tolist() == blocks.tolist()
 
 
 CALLS = {
@@ -449,8 +449,8 @@ def test_exact_copies_are_left_out_together_even_where_most_are_copies():
     features = np.array([[0.0]] * 6 + [[1.0], [2.0]])
     objects, blocks = np.repeat(["cup"], 8), np.repeat(np.arange(4), 2)
     # Of 28 pairs 15 are no distance apart, so that the median is none either.
-    joined = without_copies(features, objects, blocks)
-    assert joined.tolist() == [0, 0, 0, 0, 0, 0, 3, 3]
+    joined = memory_of(objects, blocks, features=features).with_copies_together()
+    assert joined.blocks.tolist() == [0, 0, 0, 0, 0, 0, 3, 3]
 
 
 @pytest.mark.parametrize(("share", "joined"), [(0.0099, True), (0.0101, False)])
@@ -460,11 +460,13 @@ def test_copies_are_nearer_than_a_hundredth_of_the_median_square(share, joined):
     features[20, 19] += np.sqrt(2 * share)
     blocks = np.arange(21) + 5
     objects = np.repeat(["cup"], 21)
-    new_blocks = without_copies(features, objects, blocks)
+    memory = memory_of(objects, blocks, features=features)
+    new_blocks = memory.with_copies_together().blocks
     assert new_blocks.tolist() == [*blocks[:20], 8 if joined else 25]
     # Another object's touches are no copies; one touch alone has none.
     objects[20] = "mug"
-    assert without_copies(features, objects, blocks).tolist() == blocks.tolist()
+    memory = memory_of(objects, blocks, features=features)
+    assert memory.with_copies_together().blocks.tolist() == blocks.tolist()
 
 
 def visits(label="object", **columns):

@@ -8,12 +8,8 @@ import pytest
 from forged_models import forged
 from numpy.testing import assert_array_equal
 
-from palpate.recognition import (
-    ModelFileError,
-    SequenceCalibration,
-    read_model,
-    write_model,
-)
+from palpate.recognition import ModelFileError, SequenceCalibration
+from palpate.recognition._model_file import read_model, write_model
 
 
 @dataclass

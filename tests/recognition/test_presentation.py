@@ -6,7 +6,6 @@ import pytest
 from palpate import Touches
 from palpate.images import repose
 from palpate.recognition import ObjectRecogniser, find_geometry
-from palpate.recognition._learning import what_matters
 
 
 def bars(rng, angles, n_each=30, side=16, place=0.5):
@@ -84,28 +83,6 @@ def test_presets_of_papers_take_no_presentation(preset, rng):
 def test_unknown_presentation_is_refused(rng):
     with pytest.raises(ValueError, match="presentation must be one of 'auto', 'any'"):
         ObjectRecogniser(presentation="upright").fit(two_shapes(rng))
-
-
-@pytest.mark.parametrize(
-    ("seeing", "blind", "sentence"),
-    [
-        (-0.1, -1.0, "turns matter here: as they come 85 %, blind to turns 38 %"),
-        (-1.0, -0.1, "turns mislead here: as they come 85 %, blind to turns 38 %"),
-        (-0.5, -0.5, "whether turns matter cannot be told here"),
-    ],
-)
-def test_whether_turns_matter_is_said_in_a_sentence(seeing, blind, sentence, rng):
-    own_posteriors = {"levels": seeing + rng.normal(scale=0.1, size=100)}
-    own_posteriors["moments"] = blind + rng.normal(scale=0.1, size=100)
-    own_posteriors["moments"] += (blind - seeing) - (
-        own_posteriors["moments"] - own_posteriors["levels"]
-    ).mean()
-    figures = {
-        "levels": {"log_loss": -seeing, "accuracy": 0.85, "blind_to": []},
-        "moments": {"log_loss": -blind, "accuracy": 0.38, "blind_to": ["turns"]},
-    }
-    assert what_matters("turns", figures, own_posteriors).startswith(sentence)
-    assert what_matters("shifts", figures, own_posteriors) is None
 
 
 def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
@@ -197,14 +174,3 @@ def test_dead_taxels_are_no_obstacle(rng):
     dead = Touches(images, object=touches.object)
     learnt = ObjectRecogniser().fit(dead)
     assert np.isfinite(learnt.log_likelihood(dead)).all()
-
-
-@pytest.mark.slow
-def test_objects_that_alternate_are_all_among_the_touches_looked_at(rng, monkeypatch):
-    monkeypatch.setattr("palpate.recognition._learning.AT_MOST", 150)
-    # Every second touch is of the same object: an even stride would see that alone.
-    images = rng.random((299, 8, 8))
-    images[::2, 2:4] += 1
-    names = np.resize(["bar", "none"], 299)
-    touches = Touches(images, object=names, geometry="array")
-    assert ObjectRecogniser().fit(touches).score(touches[:200]) > 0.95

@@ -1,4 +1,4 @@
-"""Recentring: what a session adds, estimated without labels or by linked objects."""
+"""Recentring: what a session adds, estimated without labels."""
 
 import numpy as np
 import pytest
@@ -6,49 +6,8 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.recognition import OTHER_SESSION, ObjectRecogniser, Recentring, adapt
-from palpate.recognition._sessions import (
-    Parts,
-    Taught,
-    session_effects,
-    shift_by_labels,
-)
 
 CENTRES = 4 * np.random.default_rng(9).normal(size=(6, 10))
-
-
-def _chained(rng, n_sessions):
-    """Sessions of four objects, one of which the next session meets too."""
-    codes, sessions = [], []
-    for k in range(n_sessions):
-        codes += [3 * k, 3 * k + 1, 3 * k + 2, 3 * k + 3]
-        sessions += [k] * 4
-    codes, sessions = np.repeat(codes, 2), np.repeat(sessions, 2)
-    objects = rng.normal(size=(codes.max() + 1, 3))
-    added = rng.normal(size=(n_sessions, 3))
-    return codes, sessions, objects[codes], added[sessions]
-
-
-def test_sessions_linked_by_one_object_are_solved_exactly(rng):
-    codes, sessions, objects, added = _chained(rng, 12)
-    effects = session_effects(objects + added, codes, sessions)
-    # Without noise least squares over linked sessions is exact, but for the mean.
-    assert_allclose(effects, added - added.mean(axis=0), atol=1e-9)
-
-
-def test_effects_are_those_of_least_squares_over_all_unknowns(rng):
-    codes, sessions, objects, added = _chained(rng, 5)
-    features = objects + added + rng.normal(size=objects.shape)
-    design = np.hstack([np.eye(codes.max() + 1)[codes], np.eye(5)[sessions]])
-    slow = np.linalg.lstsq(design, features, rcond=None)[0][codes.max() + 1 :]
-    slow = slow[sessions]
-    effects = session_effects(features, codes, sessions)
-    assert_allclose(effects, slow - slow.mean(axis=0), atol=1e-9)
-
-
-def test_sessions_that_share_no_object_add_nothing(rng):
-    codes, sessions = np.repeat([0, 1, 2, 3], 3), np.repeat([0, 0, 1, 1], 3)
-    effects = session_effects(rng.normal(size=(12, 2)), codes, sessions)
-    assert_allclose(effects, 0, atol=1e-9)
 
 
 def _day(offset, seed, objects="abcdef", n_each=1, labels=True):
@@ -153,16 +112,3 @@ def test_beliefs_repeat_an_alarm_until_touches_are_confirmed(learnt, tmp_path):
     belief = recogniser.remount(there).start()
     assert not belief.promise().other_session
     assert not any(OTHER_SESSION in sentence for sentence in belief.why())
-
-
-def test_one_confirmed_touch_tells_no_more_than_places_of_its_object_differ():
-    codes, sides = np.repeat([0, 1, 2], 4), np.tile([1.0, 1, -1, -1], 3)
-    features = 20.0 * codes[:, None] + np.outer(sides, np.ones(5))
-    taught = Taught(features, codes, Parts(np.array([0, 5])))
-    # Of each object two places, whose touches are alike: one of them lies the square
-    # root of 5 from the mean of both, the standard deviation is the root of 20 / 3.
-    assert taught.within == pytest.approx(20 / 3)
-    assert not shift_by_labels(features[:1], codes[:1], taught).any()
-    # Ten from the mean in each value: all is told but the share of the noise.
-    shift = shift_by_labels(features[:1] + 9.0, codes[:1], taught)
-    assert_allclose(shift, -10 * (1 - (20 / 3) / 500))

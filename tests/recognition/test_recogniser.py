@@ -239,32 +239,6 @@ def test_the_stranger_model_follows_added_objects(rng):
     )
 
 
-@pytest.mark.parametrize("marks", [2000, 20], ids=["all", "some"])
-@pytest.mark.slow
-def test_distances_kept_and_distances_computed_anew_give_the_same_limits(
-    rng, tmp_path, monkeypatch, marks
-):
-    """A model keeps distances while it learns more; one that was read has none."""
-    monkeypatch.setattr("palpate.recognition._memory.MOST_MARKS", marks)
-    everything = drawn(rng, names=("ball", "lid", "mug", "pen"), noise=3)
-    order = np.arange(len(everything)) % 24
-    lids = everything.object == "lid"
-    learnt = ObjectRecogniser().fit(everything[~lids & (order < 16)])
-    steps = [("mug", everything.object == "mug"), ("lid", lids)]
-    for added, rows in [*steps, ("ball", everything.object == "ball")]:
-        more = everything[rows & (order > 15)]
-        read = ObjectRecogniser.load(learnt.save(tmp_path / "model.palpate"))
-        for model in (learnt, read):
-            add = model.extend_object if added in model.classes_ else model.add_object
-            add(added, more)
-        for name in ("usual", "far", "exceeded"):
-            kept, anew = (getattr(model.strangers_, name) for model in (learnt, read))
-            assert_allclose(kept, anew, rtol=1e-7, atol=1e-7)
-    test = everything[(everything.object == "pen") & (order > 15)]
-    beliefs = [model.start().update(test) for model in (learnt, read)]
-    assert beliefs[0].unknown == pytest.approx(beliefs[1].unknown, rel=1e-9)
-
-
 def test_rarely_touched_objects_are_not_neglected():
     """Ten touches of one object against sixty of another, in heavy noise."""
     rng = np.random.default_rng(1)

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.classifiers import Drawn, EncodingPool, RehearsedMachine
-from palpate.recognition import ObjectRecogniser, across_sessions, sessions_message
+from palpate.recognition import ObjectRecogniser, sessions_message
 from palpate.recognition._rehearsal import (
     RANGES,
     Ranges,
@@ -19,7 +19,12 @@ from palpate.recognition._rehearsal import (
     _trust_in_one,
     in_another_session,
 )
-from palpate.recognition._sessions import Parts
+from palpate.recognition._sessions import (
+    Parts,
+    Taught,
+    session_effects,
+    shift_by_labels,
+)
 
 SIDE = 14
 
@@ -105,7 +110,7 @@ def test_labels_of_one_group_each_leave_nothing_to_be_asked():
     learnt = ObjectRecogniser().fit(touches, groups=touches.object)
     json.dumps(learnt.summary(), allow_nan=False)
     assert learnt.chosen_["rehearsal"].keys() == {"share", "told_by", "drawn", "trust"}
-    assert "expect less than today" in sessions_message(across_sessions(learnt))
+    assert "expect less than today" in sessions_message(learnt.across_sessions())
 
 
 def test_vectors_are_not_rehearsed():
@@ -186,14 +191,14 @@ def test_every_kind_of_sensor_has_its_ranges():
 
 def test_the_accuracy_to_expect_of_another_day_is_said(both):
     plain, rehearsed = both
-    across = across_sessions(rehearsed)
+    across = rehearsed.across_sessions()
     low, high = across["rehearsed"]
     assert 0 <= low <= high <= 1
     sentence = sessions_message(across)
     assert f"expect about {100 * low:.0f} to {100 * high:.0f} % right" in sentence
     # Nothing was rehearsed: nothing is promised.
-    assert "rehearsed" not in across_sessions(plain)
-    assert "can show how much less" in sessions_message(across_sessions(plain))
+    assert "rehearsed" not in plain.across_sessions()
+    assert "can show how much less" in sessions_message(plain.across_sessions())
 
 
 def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):
@@ -219,7 +224,7 @@ def test_the_accuracy_to_expect_after_confirming_is_said(both):
     rehearsal = both[1].chosen_["rehearsal"]
     low, high = rehearsal["confirmed"]
     assert 0 <= low <= high <= 1
-    words = sessions_message(across_sessions(both[1]))
+    words = sessions_message(both[1].across_sessions())
     ends = dict.fromkeys((f"{100 * low:.0f}", f"{100 * high:.0f}"))  # "100", if alike
     assert f"({' to '.join(ends)} % with one confirmed touch of each)" in words
     there = copy(both[1]).remount(_presses(1, 4)[:3])
@@ -293,3 +298,51 @@ def test_objects_of_one_touch_each_are_not_confirmed():
     drawn = Drawn(np.stack([np.eye(3), np.eye(3) + 1]), np.arange(3))
     same = _and_confirmed(drawn, memory, Parts(np.array([0, 3])))
     assert_array_equal(same.features, drawn.features)
+
+
+def _chained(rng, n_sessions):
+    """Sessions of four objects, one of which the next session meets too."""
+    codes, sessions = [], []
+    for k in range(n_sessions):
+        codes += [3 * k, 3 * k + 1, 3 * k + 2, 3 * k + 3]
+        sessions += [k] * 4
+    codes, sessions = np.repeat(codes, 2), np.repeat(sessions, 2)
+    objects = rng.normal(size=(codes.max() + 1, 3))
+    added = rng.normal(size=(n_sessions, 3))
+    return codes, sessions, objects[codes], added[sessions]
+
+
+def test_sessions_linked_by_one_object_are_solved_exactly(rng):
+    codes, sessions, objects, added = _chained(rng, 12)
+    effects = session_effects(objects + added, codes, sessions)
+    # Without noise least squares over linked sessions is exact, but for the mean.
+    assert_allclose(effects, added - added.mean(axis=0), atol=1e-9)
+
+
+def test_effects_are_those_of_least_squares_over_all_unknowns(rng):
+    codes, sessions, objects, added = _chained(rng, 5)
+    features = objects + added + rng.normal(size=objects.shape)
+    design = np.hstack([np.eye(codes.max() + 1)[codes], np.eye(5)[sessions]])
+    slow = np.linalg.lstsq(design, features, rcond=None)[0][codes.max() + 1 :]
+    slow = slow[sessions]
+    effects = session_effects(features, codes, sessions)
+    assert_allclose(effects, slow - slow.mean(axis=0), atol=1e-9)
+
+
+def test_sessions_that_share_no_object_add_nothing(rng):
+    codes, sessions = np.repeat([0, 1, 2, 3], 3), np.repeat([0, 0, 1, 1], 3)
+    effects = session_effects(rng.normal(size=(12, 2)), codes, sessions)
+    assert_allclose(effects, 0, atol=1e-9)
+
+
+def test_one_confirmed_touch_tells_no_more_than_places_of_its_object_differ():
+    codes, sides = np.repeat([0, 1, 2], 4), np.tile([1.0, 1, -1, -1], 3)
+    features = 20.0 * codes[:, None] + np.outer(sides, np.ones(5))
+    taught = Taught(features, codes, Parts(np.array([0, 5])))
+    # Of each object two places, whose touches are alike: one of them lies the square
+    # root of 5 from the mean of both, the standard deviation is the root of 20 / 3.
+    assert taught.within == pytest.approx(20 / 3)
+    assert not shift_by_labels(features[:1], codes[:1], taught).any()
+    # Ten from the mean in each value: all is told but the share of the noise.
+    shift = shift_by_labels(features[:1] + 9.0, codes[:1], taught)
+    assert_allclose(shift, -10 * (1 - (20 / 3) / 500))

@@ -11,7 +11,6 @@ from palpate import Touches
 from palpate.encodings import ScaledPixels
 from palpate.recognition import (
     ObjectRecogniser,
-    across_sessions,
     adapt,
     sessions_message,
 )
@@ -219,7 +218,7 @@ def test_what_training_sessions_add_is_taken_off_where_that_helps():
     far = -OFFSET[::-1]
     taught = [_session(0, 8, 0, "one"), _session(OFFSET, 8, 1, "two")]
     recogniser = ObjectRecogniser().fit(Touches.concatenate(taught))
-    expected = across_sessions(recogniser)["expected"]
+    expected = recogniser.across_sessions()["expected"]
     recogniser.remount(_session(far, 8, 2, "three", labels=False))
     record = recogniser.chosen_["remount"]
     assert record["centred"]
@@ -232,7 +231,7 @@ def test_objects_of_other_sessions_are_no_sessions_of_one_another():
     # Each session met objects of its own: what a session adds cannot be told.
     parts = [_session(0, 8, 0, "one", "abc"), _session(OFFSET, 8, 1, "two", "def")]
     recogniser = ObjectRecogniser().fit(Touches.concatenate(parts))
-    assert "expected" not in across_sessions(recogniser)
+    assert "expected" not in recogniser.across_sessions()
     features = recogniser.memory_.features
     recogniser.remount(_session(0, 8, 2, "one", "abc", labels=False))
     assert np.array_equal(recogniser.memory_.features, features)
@@ -672,16 +671,16 @@ def test_accuracy_in_another_session_is_measured_on_sessions_left_out(taught):
         )
     )
     learnt = ObjectRecogniser().fit(Touches.concatenate([first, second, third]))
-    across = across_sessions(learnt)
+    across = learnt.across_sessions()
     # a and b were met in three sessions, c in two, d in one: d cannot be tested.
     assert (across["least"], across["median"], across["asked"]) == (1, 2.5, 24)
     assert across["expected"] == 1.0
-    assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
+    assert taught.across_sessions() == {"least": 1, "median": 1.0, "asked": 0}
     without_sessions = replace(taught.memory_, sessions=np.full(72, ""))
     taught.memory_ = without_sessions
-    assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
+    assert taught.across_sessions() == {"least": 1, "median": 1.0, "asked": 0}
     far = [_session(k * 40.0 * np.ones(8), 3, k, f"{k}", "abc") for k in range(2)]
-    lost = across_sessions(ObjectRecogniser().fit(Touches.concatenate(far)))
+    lost = ObjectRecogniser().fit(Touches.concatenate(far)).across_sessions()
     assert lost["expected"] < 0.7  # of three
 
 
@@ -696,7 +695,7 @@ def test_a_session_left_out_chose_nothing_but_the_encoding(monkeypatch):
         return fit(machine, X, y, groups)
 
     monkeypatch.setattr(type(learnt.classifier_), "fit", watched)
-    across_sessions(learnt)
+    learnt.across_sessions()
     memory = learnt.memory_
     assert len(fits) == 2
     for (taught, labels, groups), session in zip(fits, ("one", "two"), strict=True):
@@ -874,7 +873,7 @@ def test_of_very_many_touches_a_part_shows_what_to_expect_of_another_day(monkeyp
     monkeypatch.setattr("palpate.classifiers._touch_classifier.MOST_ANSWERS", 300)
     learnt = ObjectRecogniser(None, encodings={"levels": ScaledPixels()}).fit(touches)
     assert len(learnt.left_out_rows) < len(touches)
-    assert across_sessions(learnt)["expected"] > 0.5
+    assert learnt.across_sessions()["expected"] > 0.5
     assert not learnt.check_mounting(_session(0, 3, 2, "three", labels=False)).changed
     today = _session(OFFSET / 3, 3, 2, "three")
     learnt.remount(_session(OFFSET / 3, 3, 2, "three", labels=False))

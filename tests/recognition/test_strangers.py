@@ -9,16 +9,16 @@ from scipy.special import expit, log_softmax
 from scipy.stats import beta
 
 from palpate import ObjectRecogniser, Touches
-from palpate.recognition import (
-    SequenceCalibration,
-    about,
-    episode_evidence,
-    stranger_log_shares,
-    upper_bound,
-    with_floor,
-)
+from palpate._numbers import upper_bound, with_floor
+from palpate._words import about
+from palpate.recognition import SequenceCalibration
 from palpate.recognition._calibration import LeftOut, draw_episodes, fit_strangers
-from palpate.recognition._strangers import Curve, lowest_so_far
+from palpate.recognition._strangers import (
+    Curve,
+    episode_evidence,
+    lowest_so_far,
+    stranger_log_shares,
+)
 from palpate.simulation import DomeCamera, simulate_presses, simulate_touches
 
 N_EACH = 30
@@ -533,3 +533,32 @@ def test_a_session_that_is_there_twice_makes_no_stranger_of_what_was_taught():
         belief = recogniser.start()
         belief.update(simulate_presses(name, 4, random_state=1))
         assert (belief.best, belief.unknown < 0.2) == (name, True)
+
+
+@pytest.mark.parametrize("marks", [2000, 20], ids=["all", "some"])
+@pytest.mark.slow
+def test_distances_kept_and_distances_computed_anew_give_the_same_limits(
+    rng, tmp_path, monkeypatch, marks
+):
+    """A model keeps distances while it learns more; one that was read has none."""
+    monkeypatch.setattr("palpate.recognition._memory.MOST_MARKS", marks)
+    names, patterns = ["ball", "lid", "mug", "pen"], rng.normal(size=(4, 3, 24))
+    images = np.repeat(patterns, 24, axis=0) + 3 * rng.normal(size=(96, 3, 24))
+    labels = np.repeat(names, 24)
+    everything = Touches(images, object=labels, geometry="none")
+    order = np.arange(len(everything)) % 24
+    lids = everything.object == "lid"
+    learnt = ObjectRecogniser().fit(everything[~lids & (order < 16)])
+    steps = [("mug", everything.object == "mug"), ("lid", lids)]
+    for added, rows in [*steps, ("ball", everything.object == "ball")]:
+        more = everything[rows & (order > 15)]
+        read = ObjectRecogniser.load(learnt.save(tmp_path / "model.palpate"))
+        for model in (learnt, read):
+            add = model.extend_object if added in model.classes_ else model.add_object
+            add(added, more)
+        for name in ("usual", "far", "exceeded"):
+            kept, anew = (getattr(model.strangers_, name) for model in (learnt, read))
+            assert_allclose(kept, anew, rtol=1e-7, atol=1e-7)
+    test = everything[(everything.object == "pen") & (order > 15)]
+    beliefs = [model.start().update(test) for model in (learnt, read)]
+    assert beliefs[0].unknown == pytest.approx(beliefs[1].unknown, rel=1e-9)

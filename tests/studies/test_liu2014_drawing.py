@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.studies.liu2014 import drawing, simulated_presses
+from palpate.studies import liu2014
+from palpate.studies.liu2014 import simulated_presses
 
 pytest.importorskip("matplotlib", reason='pip install "palpate[plot]"')
 
 
 def test_both_bars_are_drawn_under_every_load_and_cover_alike(tiny_plan):
-    figure = drawing.load_and_cover(tiny_plan())
+    figure = liu2014.draw_load_and_cover(tiny_plan())
     lines = np.reshape(figure.axes, (4, 6))
     assert [place.get_title() for place in lines[0, :5]] == [
         "1 kgf", "2 kgf", "3 kgf", "4 kgf", "5 kgf"
@@ -31,7 +32,7 @@ def test_both_bars_are_drawn_under_every_load_and_cover_alike(tiny_plan):
 
 def test_a_disc_is_as_round_as_its_first_frequencies(tiny_plan):
     touches = simulated_presses(tiny_plan(parts=(1, 12)))
-    bar, disc = drawing.boundaries(touches).axes[:2]
+    bar, disc = liu2014.draw_boundaries(touches).axes[:2]
     for place, name in ((bar, "bar10"), (disc, "disc13")):
         line, smooth = (patch.get_xy()[:-1] for patch in place.patches)
         assert place.get_title() == f"{name}: {len(line)}"
@@ -46,7 +47,7 @@ def test_a_disc_is_as_round_as_its_first_frequencies(tiny_plan):
 
 
 def test_the_clean_up_is_drawn_from_the_part_to_three_partitions(tiny_plan):
-    figure = drawing.stages(simulated_presses(tiny_plan()))
+    figure = liu2014.draw_stages(simulated_presses(tiny_plan()))
     lines = np.reshape(figure.axes, (8, 3))
     labels = [place.get_ylabel() for place in lines[:, 0]]
     assert [label[:3] for label in labels] == [f"({letter})" for letter in "abcdefgh"]
@@ -69,7 +70,7 @@ def test_the_papers_figures_stand_beside_ours_as_hollow_marks():
         for scaling in ("z-scored", "raw")
     ]
     other = {**rows[0], "data": "taxel10x10", "ours": 1.0}
-    left, right = np.reshape(drawing.class_sets([*rows, other]).axes, (3, 2)).T
+    left, right = np.reshape(liu2014.draw_class_sets([*rows, other]).axes, (3, 2)).T
     for side in (left, right):
         assert [marks(place, hollow=True) for place in side] == [[43], [63.3], [68.69]]
         # The ends of bars of no height lie on the marks.

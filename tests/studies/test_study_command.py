@@ -56,7 +56,7 @@ def undrawn(monkeypatch):
     """Leave the six pictures of a report empty: `test_liu2014_study` has them drawn."""
     figure = pytest.importorskip("matplotlib.figure").Figure
     for name in PICTURES:
-        place = f"palpate.studies.liu2014.drawing.{name}"
+        place = f"palpate.studies.liu2014.draw_{name}"
         monkeypatch.setattr(place, lambda _: figure())
 
 

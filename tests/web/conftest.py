@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 
-from palpate import ObjectRecogniser, Touches
+from palpate import ObjectRecogniser, Touches, _words
 from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
 from palpate.web import LiveSession, PageServer, _learning, create_app
@@ -286,3 +286,9 @@ def folder(tmp_path, drawn):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(touches.with_columns(category=kinds), session="old")
     return tmp_path / "library"
+
+
+@pytest.fixture
+def figure_of():
+    """How Python rounds shares, which the page has to do alike."""
+    return _words.figure_of

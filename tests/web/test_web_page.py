@@ -710,7 +710,7 @@ def test_a_wrong_name_is_put_right_with_the_touches_just_made(
 def test_a_name_has_a_doubt_beside_it_while_the_sensor_looks_changed(
     page, taught, open_page, drawn, monkeypatch
 ):
-    changed = type("Check", (), {"changed": True})()
+    changed = type("Check", (), {"message": lambda self: "It looks changed."})()
     monkeypatch.setattr(type(taught.recogniser), "check_mounting", lambda *_: changed)
     discs = drawn.images[drawn.object == "disc"]
     with open_page(taught):

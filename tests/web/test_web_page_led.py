@@ -9,7 +9,6 @@ import pytest
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate, write_report
 from palpate.library import TouchLibrary
-from palpate.recognition import figure_of
 from palpate.web import LiveSession
 
 playwright = pytest.importorskip(
@@ -203,7 +202,7 @@ def test_no_line_breaks_between_a_number_and_its_sign(page, taught, open_page, d
 
 
 def test_shares_are_rounded_as_in_reports_and_never_sum_to_more_than_all(
-    page, open_page
+    page, open_page, figure_of
 ):
     rng = np.random.default_rng(0)
     shares = [0, 1e-9, 0.00099, 0.001, 0.0995, 0.1, 0.29, 0.5, 0.9899, 0.99, 0.9995]

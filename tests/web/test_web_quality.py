@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, object_quality, teaching_advice
+from palpate.recognition import ObjectRecogniser, teaching_advice
 from palpate.web import LiveSession
 
 from .conftest import Still, waited
@@ -84,7 +84,7 @@ def quality(drawn):
     names[bars[::2]] = "rod"
     learnt = drawn.with_columns(object=names)[np.flatnonzero(names != "both")]
     recogniser = ObjectRecogniser().fit(learnt)
-    return recogniser, object_quality(recogniser)
+    return recogniser, recogniser.object_quality()
 
 
 def test_left_out_touches_are_counted(quality):
@@ -107,7 +107,7 @@ def test_left_out_touches_are_counted(quality):
 def test_a_model_that_was_read_says_the_same(quality, tmp_path):
     recogniser, qualities = quality
     read = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
-    assert object_quality(read) == qualities
+    assert read.object_quality() == qualities
 
 
 WORST = range(4)
@@ -205,7 +205,7 @@ def test_touches_without_contact_do_not_count(drawn):
     images[:5] = drawn.no_contact  # of the disc
     about = {"no_contact": drawn.no_contact, "geometry": "array"}
     touches = Touches(images, object=learnt.object, **about)
-    bar, disc = object_quality(ObjectRecogniser().fit(touches))
+    bar, disc = ObjectRecogniser().fit(touches).object_quality()
     assert (bar["n_touches"], disc["n_touches"]) == (30, 25)
     assert disc["after_one"] == 1
 

@@ -400,7 +400,7 @@ def test_touches_without_contact_do_not_count_towards_the_mounting(
 
     def check(self, evidence):
         checked.append([*evidence.flags])
-        return SimpleNamespace(changed=True)
+        return SimpleNamespace(message=lambda: "changed")
 
     monkeypatch.setattr(ObjectRecogniser, "check_mounting", check)
     with make_session(sensor=False, library=None, model=model) as session:

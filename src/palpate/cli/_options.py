@@ -67,7 +67,7 @@ def one_of(name: str, values: Callable[[], Iterable[str]]) -> Callable[..., Any]
     return checked
 
 
-def _allowed(name: str) -> Callable[[], Iterable[str]]:
+def allowed(name: str) -> Callable[[], Iterable[str]]:
     """Return what lists the values that a type of `_types.py` allows."""
 
     def values() -> Iterable[str]:
@@ -182,14 +182,14 @@ Preset = Annotated[
     option(
         "--preset",
         '"default", "corradi2015" or "liu2014".',
-        callback=one_of("--preset", _allowed("PresetName")),
+        callback=one_of("--preset", allowed("PresetName")),
     ),
 ]
 Label = Annotated[
     str,
     option(
         'What to recognise: "object" or "category".',
-        callback=one_of("--label", _allowed("Label")),
+        callback=one_of("--label", allowed("Label")),
     ),
 ]
 STRANGERS = 0.05  # as where Python is asked, which is loaded later
@@ -286,7 +286,7 @@ class Learning:
         option(
             "How objects come: any (angle and place), turned (any angle), shifted (any "
             "place), fixed (always the same), or auto: found out.",
-            callback=one_of("--presentation", _allowed("Presentation")),
+            callback=one_of("--presentation", allowed("Presentation")),
         ),
     ] = "auto"
     seed: Seed = 0

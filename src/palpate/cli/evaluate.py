@@ -17,12 +17,6 @@ from ._output import (
 )
 
 
-def _splits() -> tuple[str, ...]:
-    from ..evaluation import SPLITS
-
-    return SPLITS
-
-
 @_options.grouped
 def evaluate(
     train: Annotated[Path, option("Training touches.")],
@@ -32,7 +26,7 @@ def evaluate(
         str | None,
         option(
             "Split --train itself: between, last, unseen-objects, session or subject.",
-            callback=_options.one_of("--split", _splits),
+            callback=_options.one_of("--split", _options.allowed("Split")),
         ),
     ] = None,
     touches: Annotated[str, option("Accuracy after so many touches.")] = "1,5,15,30",

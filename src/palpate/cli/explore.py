@@ -59,10 +59,10 @@ def learn(
     choosing touches needs.
     """
     from ..exploration import explore_to_learn
-    from ..recognition import ObjectRecogniser, check_model_path
+    from ..recognition import ObjectRecogniser
     from ..simulation import DomeCamera
 
-    check_model_path(output)
+    ObjectRecogniser.check_path(output)
     things = find_objects(objects, unit)
     if len(things) < 2:
         raise ValueError("OBJECT must name at least 2 objects to learn. Add another.")

@@ -50,7 +50,7 @@ def learn(
     from .. import recognition
     from ..library import TouchLibrary
 
-    recognition.check_model_path(output)
+    recognition.ObjectRecogniser.check_path(output)
     if extend is not None and pitch_mm is not None:
         raise ValueError(
             f"--pitch-mm must be left out with --extend, got {pitch_mm:g}. Learn all "
@@ -87,7 +87,7 @@ def learn(
         written = recogniser.save(output)
     learnt = recogniser.summary()
     few = [] if extend is not None else _few(training, learnt["label"])
-    across = recognition.across_sessions(recogniser)
+    across = recogniser.across_sessions()
     sentences = learnt["chosen"].get("found", ())
     if not TouchLibrary.is_library(touches):
         how_read = (

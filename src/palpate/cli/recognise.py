@@ -42,7 +42,7 @@ def recognise(
     For example: palpate recognise desk.palpate more/. How often it is right,
     `palpate evaluate` says.
     """
-    from ..recognition import OTHER_MOUNTING, ObjectRecogniser
+    from ..recognition import ObjectRecogniser
 
     _options.in_order(model, touches)
     with stages() as stage, working.started():
@@ -63,7 +63,7 @@ def recognise(
         return
     if check.changed:
         more = " more, with labels" if "remount" in recogniser.chosen_ else ""
-        say(OTHER_MOUNTING.format(f"{more}; see palpate remount"))
+        say(check.message(f"{more}; see palpate remount"))
     for episode in episodes:
         print_episode(episode, explain=explain)
     if recogniser.label == level:

@@ -29,10 +29,10 @@ def remount(
     TOUCHES are the first of the session. Labelled ones are confirmed: they join what
     was learnt. Without labels some ten touches of several objects are enough.
     """
-    from ..recognition import ObjectRecogniser, check_model_path, object_quality
+    from ..recognition import ObjectRecogniser
 
     _options.in_order(model, touches)
-    check_model_path(output)
+    ObjectRecogniser.check_path(output)
     with stages() as stage:
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(_options.model_file(model))
@@ -46,7 +46,8 @@ def remount(
         check = recogniser.check_mounting(session) if same_shape else None
         report = recogniser.remount(session).chosen_["remount"]
         written = recogniser.save(output)
-    weakest = sorted(object_quality(recogniser), key=lambda x: x["after_one"] or 0.0)
+    qualities = recogniser.object_quality()
+    weakest = sorted(qualities, key=lambda x: x["after_one"] or 0.0)
     left = report["confirm"]
     names = [
         quality["name"] for quality in weakest if not left or quality["name"] in left

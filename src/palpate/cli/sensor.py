@@ -278,10 +278,10 @@ def learn_nuisance(
     MODEL need not know the objects of TOUCHES, only the sensor: what differs between
     their sessions is weighed down in the model that is written.
     """
-    from ..recognition import ObjectRecogniser, check_model_path
+    from ..recognition import ObjectRecogniser
 
     in_order(model, touches)
-    check_model_path(output)
+    ObjectRecogniser.check_path(output)
     with stages() as stage:
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model_file(model))

@@ -4,7 +4,6 @@ from . import plots as plots
 from ._benchmark import benchmark
 from ._benchmark import benchmark_summary as benchmark_summary
 from ._benchmark import write_benchmark as write_benchmark
-from ._comparisons import SIMPLE as SIMPLE
 from ._comparisons import brightness as brightness
 from ._comparisons import control_log_likelihood as control_log_likelihood
 from ._comparisons import named_alone as named_alone
@@ -14,10 +13,6 @@ from ._evaluate import few_touches as few_touches
 from ._report import explained_episodes as explained_episodes
 from ._report import summary as summary
 from ._report import write_report
-from ._splits import PROTOCOLS as PROTOCOLS
-from ._splits import SPLITS as SPLITS
-from ._splits import Fold as Fold
-from ._splits import protocol_folds as protocol_folds
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches
 from ._trial import Plan, calibration_error, davies_bouldin, roc_area

@@ -25,6 +25,7 @@ from sklearn.utils import gen_batches
 from .._extras import needed
 from .._numbers import correlation
 from .._types import Array, Bools, Floats
+from .._words import n_touches_of
 from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
 from ..recognition import find_geometry
@@ -168,7 +169,7 @@ def as_good_alone(figures: dict[str, Any]) -> list[str]:
         if len(as_good) < len(right):
             as_good = [k for k in as_good if right[k] < 1]
         if as_good and name != "no contact":
-            after = f"{', '.join(as_good)} touch{'es' * (as_good != ['1'])}"
+            after = n_touches_of(", ".join(as_good))
             sentences.append(
                 f"{name} alone does as well after {after}: the recogniser may have "
                 "learnt the recording, not the objects."

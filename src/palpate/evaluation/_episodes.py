@@ -9,8 +9,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import recognition
+from .._checks import STRANGERS
+from .._numbers import upper_bound, with_floor
 from .._types import Array, Bools, Floats, Indices
+from ..recognition import Belief, Evidence, ObjectRecogniser
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Episodes:
         self,
         error: float,
         refusal: float | None = None,
-        strangers: float = recognition.STRANGERS,
+        strangers: float = STRANGERS,
     ) -> Decisions:
         """Return where each episode stops, as `Belief.decide` would have it."""
         parts = []
@@ -87,12 +89,10 @@ class Episodes:
         of_each = zip(self.objects, self.truth, self.beliefs, self.unknown, strict=True)
         for name, truth, log_posterior, evidence in of_each:
             n_orders, n_touches, _ = log_posterior.shape
-            log_known, log_unknown = recognition.stranger_log_shares(
-                evidence, strangers
-            )
-            doubt = np.exp(log_known) * recognition.doubts(log_posterior)
-            refuse = 1 - np.exp(log_unknown) <= refusal
-            stop = refuse | (doubt + np.exp(log_unknown) <= error)
+            beliefs = log_posterior, evidence, strangers
+            doubt, unknown = Belief.doubt_and_unknown(*beliefs)
+            refuse = 1 - unknown <= refusal
+            stop = refuse | (doubt <= error)
             decided = np.asarray(stop.any(axis=1))
             last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
             rows = np.arange(n_orders)
@@ -127,32 +127,34 @@ class Scores:
 
 
 def run_episodes(
-    recogniser: recognition.ObjectRecogniser,
+    recogniser: ObjectRecogniser,
     log_likelihood: Floats,
     objects: Array,
     labels: Array | None,
     n_orders: int,
     seed: int,
-    evidence: recognition.Evidence | None = None,
+    evidence: Evidence | None = None,
+    *,
+    calibrated: bool = True,
 ) -> Episodes:
     """Recognise each object's touches in `n_orders` random orders, and singly.
 
-    Of `evidence` comes what tells strangers; without it all encodings agree.
+    Of `evidence` comes what tells strangers; without it all encodings agree. Unless
+    `calibrated`, touches of one episode add up in full.
     """
-    rng = np.random.default_rng(seed)
-    floored = recognition.with_floor(log_likelihood, recogniser.floor_)
-    classes = recogniser.classes_.tolist()
-    prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
-    model = recogniser.strangers_
-    each = log_likelihood[:, np.newaxis].repeat(len(model.weights), axis=1)
+    rng, model = np.random.default_rng(seed), recogniser.belief_model()
+    if not calibrated:
+        model = model.uncalibrated()
+    floored, classes = with_floor(log_likelihood, model.floor), model.classes.tolist()
+    n_encodings = len(model.strangers.weights)
+    each = log_likelihood[:, np.newaxis].repeat(n_encodings, axis=1)
     distances = np.full(log_likelihood.shape, np.nan)
     if evidence is not None:
         each, distances = evidence.by_encoding, evidence.log_distances
-    each = recognition.with_floor(each, recogniser.floor_)
+    each = with_floor(each, model.floor)
 
     def after_each(rows: Array) -> tuple[Floats, Floats]:
-        tables = floored[rows], each[rows], distances[rows]
-        return recognition.episode_evidence(*tables, prior, calibration, model)
+        return model.after_each(floored[rows], each[rows], distances[rows])
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
     first = [rows[0] for rows in of_each]
@@ -214,7 +216,7 @@ class Decisions:
             if rows.any():
                 shares.append(1 - self.right[rows].mean())
         n_objects, wrong = len(shares), float(np.sum(shares))
-        bound = recognition.upper_bound(wrong, n_objects)
+        bound = upper_bound(wrong, n_objects)
         return {
             "error": error,
             "refusal": refusal,
@@ -229,7 +231,7 @@ class Decisions:
             "n_objects": n_objects,
             "bound": bound,
             "verified": bound <= error,
-            "can_be_verified": recognition.upper_bound(0, n_objects) <= error,
+            "can_be_verified": upper_bound(0, n_objects) <= error,
         }
 
 

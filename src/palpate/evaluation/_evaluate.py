@@ -16,12 +16,8 @@ import numpy as np
 from .._checks import listed
 from .._parallel import in_parallel
 from .._types import Array, Floats
-from ..recognition import (
-    Evidence,
-    ObjectRecogniser,
-    SequenceCalibration,
-    left_out_groups,
-)
+from .._words import n_touches_of
+from ..recognition import Evidence, ObjectRecogniser, left_out_groups
 from ..touches import Touches
 from ._comparisons import (
     CONTROLS,
@@ -181,21 +177,17 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     timing = _timed(recogniser, test)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
-    rows = evidence.log_likelihood
-    args = (rows, objects, labels, plan.orders, plan.seed, evidence)
-    plain = copy(recogniser)
-    plain.sequence_calibration_ = SequenceCalibration()
+    of_test = evidence.log_likelihood, objects, labels, plan.orders, plan.seed
     flagged = Counter(filter(None, evidence.flags))
     trial = Trial(
         replace(fold, train=train, test=test),
         recogniser,
-        rows,
-        run_episodes(recogniser, *args),
+        evidence,
+        run_episodes(recogniser, *of_test, evidence),
+        run_episodes(recogniser, *of_test, calibrated=False),
         seconds={**seconds, **timing},
-        evidence=evidence,
         confirmed=confirmed,
-        uncalibrated=run_episodes(plain, *args[:-1]),
-        flags={flag: n / len(rows) for flag, n in sorted(flagged.items())},
+        flags={flag: n / len(test) for flag, n in sorted(flagged.items())},
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
@@ -324,9 +316,10 @@ def _controls(
             continue
         learnt = in_train[even], taught[even], groups[even]
         result[name] = curve(control_log_likelihood(*learnt, in_test))
-    idle = without_contact(test)
-    any_idle = idle is not None and idle.any()
-    result["no contact"] = curve(trial.log_likelihood[idle], idle) if any_idle else None
+    result["no contact"] = None
+    if (idle := without_contact(test)) is not None and idle.any():
+        rows = trial.evidence.log_likelihood[idle]
+        result["no contact"] = curve(rows, idle)
     return result
 
 
@@ -397,7 +390,7 @@ def _verdict(figures: dict[str, Any]) -> str:
         return "Nothing can be said: no object has as many test touches as asked for."
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
-    after = f"{100 * right:.0f} % right after {_touches(last)}"
+    after = f"{100 * right:.0f} % right after {n_touches_of(last)}"
     beside, k = f"chance is {100 * chance:.0f} %", telling(figures)
     alone = {name: v[k] for name, v in figures["controls"].items() if v and k in v}
     alone.pop("no contact", None)
@@ -416,7 +409,7 @@ def _verdict(figures: dict[str, Any]) -> str:
             )
         if k != last:  # there both get all right
             return (
-                f"Better than no touch after {_touches(k)}, not after {last}: "
+                f"Better than no touch after {n_touches_of(k)}, not after {last}: "
                 f"{100 * accuracy[k]:.0f} % right after {k}, where {beside}; after "
                 f"{last} both are 100 %."
             )
@@ -426,10 +419,6 @@ def _verdict(figures: dict[str, Any]) -> str:
     if _too_many_named(figures):
         good += " with known objects alone"
     return f"{good}: {after}, where {beside}."
-
-
-def _touches(number: str) -> str:
-    return f"{number} touch{'es' * (number != '1')}"
 
 
 def few_touches(numbers: dict[str, int]) -> str:
@@ -488,7 +477,7 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     if pair := _confused(int(last), trials):
         true, taken, share = pair
         yield (
-            f"After {last} touch{'es' * (last != '1')} {100 * share:.0f} % of the "
+            f"After {n_touches_of(last)} {100 * share:.0f} % of the "
             f"mistakes are {true} taken for {taken}: touch them where they differ, or "
             "give both one name if nobody needs them apart."
         )

@@ -6,14 +6,13 @@ stand the training touches that it resembles.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
-from math import ceil, log, log1p
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._durable import write_text
-from .._numbers import evenly_spaced
+from .._numbers import evenly_spaced, units_needed
 from .._page import (
     as_shown,
     check_report_path,
@@ -23,7 +22,8 @@ from .._page import (
     worded,
 )
 from .._types import Bools, Indices
-from ..recognition import Evidence, about, sessions_message
+from .._words import about, n_touches_of
+from ..recognition import Evidence, sessions_message
 from ..touches import Touches
 from . import plots
 from ._comparisons import as_good_alone
@@ -64,9 +64,9 @@ class Explained(NamedTuple):
     @property
     def evidence(self) -> Evidence:
         """What they told, in the session in which they were asked."""
-        of_test = self.trial.evidence
-        if self.is_stranger or of_test is None:
+        if self.is_stranger:
             return self.trial.recogniser.evidence(self.touches)
+        of_test = self.trial.evidence
         return Evidence.together([*map(of_test.of_touch, self.rows.tolist())])
 
 
@@ -254,10 +254,10 @@ def _bound(figures: dict[str, Any]) -> str:
             f"{counts}; {aside}of new objects like these {n_objects} at most "
             f"{as_text(decision['bound'], 100)} % would be (95 % confidence)."
         )
-    n_needed = ceil(log(0.05) / log1p(-error))
+    n_needed = about(units_needed(error))
     return (
         f"{counts}; {aside}{n_objects} named object{'s' * (n_objects != 1)} cannot "
-        f"prove an error of {100 * error:g} %, about {about(n_needed)} would."
+        f"prove an error of {100 * error:g} %, about {n_needed} would."
     )
 
 
@@ -277,8 +277,8 @@ def _other_day(figures: dict[str, Any]) -> str:
         how = f"Each {split} was left out of learning in turn"
     used = figures["remount"]
     return (
-        f"{how}: {as_text(accuracy[k], 100)} % right after {k} "
-        f"touch{'es' * (k != '1')}{f' (remount {used})' * (used != 'none')} is what "
+        f"{how}: {as_text(accuracy[k], 100)} % right after "
+        f"{n_touches_of(k)}{f' (remount {used})' * (used != 'none')} is what "
         f"to expect of another {split or 'session'}."
     )
 
@@ -380,7 +380,7 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     )
     none = "No learnt label was ever taken for another."
     return (
-        f"<h2>What is taken for what, after {k} touch{'es' * (k > 1)}</h2>"
+        f"<h2>What is taken for what, after {n_touches_of(k)}</h2>"
         + plots.confusion_plot(confusion, names)
         + _lines(_strangers_answers(figures))
         + "<h2>Most confused pairs</h2>"

@@ -8,16 +8,16 @@ stay on one side: touches of one press (columns `press`, `episode`, `squeeze` or
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from .._checks import check_count, check_option
-from .._types import Array, Bools, Indices
+from .._types import Array, Bools, Indices, Split
 from ..touches import Touches
 
 VISITS = ("session", "subject")
-SPLITS = ("between", "last", "unseen-objects", *VISITS)
+SPLITS = get_args(Split)
 N_RUNS = 5
 # More people or sessions than this are asked several at a time.
 MOST_FOLDS = 20

@@ -13,16 +13,15 @@ from numpy.typing import ArrayLike
 from scipy.stats import mannwhitneyu
 from sklearn.utils import check_X_y
 
-from .._checks import check_count, check_number, check_option
-from .._types import Floats, Indices, Label, Presentation, PresetName
-from ..recognition import (
-    PRESETS,
+from .._checks import (
     STRANGERS,
-    Evidence,
-    ObjectRecogniser,
-    across_sessions,
+    check_count,
+    check_number,
+    check_option,
     check_strangers,
 )
+from .._types import Floats, Indices, Label, Presentation, PresetName
+from ..recognition import PRESETS, Evidence, ObjectRecogniser
 from ..touches import Touches
 from ._episodes import Decisions, Episodes, Scores, answers_of
 from ._splits import VISITS, Fold
@@ -119,18 +118,15 @@ class Trial:
         The touches that taught and those that were asked.
     recogniser : ObjectRecogniser
         Learnt from `fold.train`.
-    log_likelihood : ndarray of shape (n_test_touches, n_labels)
-        Of each test touch by itself.
-    episodes : Episodes
-        Of the test touches: many orders of each object's, and each alone.
+    evidence : Evidence
+        All that the test touches told, each in its session.
+    episodes, uncalibrated : Episodes
+        Of the test touches: many orders of each object's, and each alone; and as they
+        would be if touches of one episode added up in full.
     seconds : dict
         To learn; per touch to encode and to recognise.
-    evidence : Evidence or None
-        All that the test touches told, each in its session.
     confirmed : Touches or None
         Touches of the test session that were confirmed, where some were.
-    uncalibrated : Episodes or None
-        `episodes` as they would be if touches of one episode added up in full.
     unknown : Touches or None
         Touches of unknown objects, where there are any.
     unknown_episodes : Episodes or None
@@ -143,12 +139,11 @@ class Trial:
 
     fold: Fold
     recogniser: ObjectRecogniser
-    log_likelihood: Floats
+    evidence: Evidence
     episodes: Episodes
+    uncalibrated: Episodes
     seconds: dict[str, float]
-    evidence: Evidence | None = None
     confirmed: Touches | None = None
-    uncalibrated: Episodes | None = None
     unknown: Touches | None = None
     unknown_episodes: Episodes | None = None
     flags: dict[str, float] = field(default_factory=dict)
@@ -195,7 +190,7 @@ def figures_of(
         "left_out": list(trials[0].fold.left_out),
         "elsewhere": split in VISITS or all(t.fold.elsewhere for t in trials),
         "remount": plan.remount,
-        "sessions": across_sessions(first),
+        "sessions": first.across_sessions(),
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
         "n_test_touches": sum(len(t.fold.test) for t in trials),
         "chance": 1 / len(first.classes_),
@@ -257,12 +252,10 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     enough = [t.episodes.objects_after(k) for t in trials]
     figures["n_objects"][key] = len(set().union(*enough))
     figures["log_loss"][key] = float(np.mean(together(of_folds, "log_loss")))
-    before = [t.uncalibrated.scores(k) for t in trials if t.uncalibrated is not None]
-    there = [scores for scores in before if scores is not None]
-    for name, ends in {"ece": of_folds, "ece_before": there}.items():
-        if ends:
-            both = together(ends, "confidence"), together(ends, "hit")
-            figures[name][key] = calibration_error(*both)
+    before = [s for t in trials if (s := t.uncalibrated.scores(k)) is not None]
+    for name, ends in {"ece": of_folds, "ece_before": before}.items():
+        both = together(ends, "confidence"), together(ends, "hit")
+        figures[name][key] = calibration_error(*both)
 
 
 def _categories_right(trials: Sequence[Trial], plan: Plan) -> dict[str, float]:

@@ -13,11 +13,10 @@ from scipy.special import logsumexp
 from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
-from ..recognition import Evidence, as_touches
+from ..recognition import Evidence
 from ..touches import Touches
 from ._place_filter import advice, out_of_frames
-from ._record import History, TouchRecord
-from ._record import as_touches as touches_of
+from ._record import History, TouchRecord, as_touches
 from ._surface import AZIMUTHS, HEIGHTS, contacts_of, directions
 from ._touch_map import BeliefOfPlaces
 
@@ -140,7 +139,8 @@ class PlaceBelief(BeliefOfPlaces):
             return self.update_from_record(touch)
         tips, ways, middles = self._contacts(touch)
         if evidence is None:
-            evidence = self._evidence_of(as_touches(touch))
+            assert isinstance(touch, Touches)
+            evidence = self._evidence_of(touch)
         if self.map.use_pictures:
             log_pictures = log_softmax(evidence.log_likelihood, axis=1)
             pictures = self.map.picture_evidence(log_pictures, evidence.features, -ways)
@@ -156,7 +156,7 @@ class PlaceBelief(BeliefOfPlaces):
         ValueError where it passes far from the object; the belief is then unchanged.
         """
         if record.touched:
-            return self.update(touches_of([record]))
+            return self.update(as_touches([record]))
         tip, way = np.asarray(record.position_mm) - self.centre_mm, record.direction
         if record.outcome in _CONTACTS:
             forces = np.array([record.force_n])

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from scipy.special import logsumexp
 
-from .._checks import check_count, check_number, check_positive
+from .._checks import STRANGERS, check_count, check_number, check_positive
 from .._numbers import log_softmax
 from .._types import Bools, Floats, Indices
-from ..recognition import STRANGERS, ObjectRecogniser, given_prior
+from ..recognition import ObjectRecogniser
 from ..simulation import DomeCamera, SimObject
 from ..touches import Touches
 from ._place_belief import PlaceBelief
@@ -281,8 +281,7 @@ class SurfaceMap:
         centre_mm : tuple of float, default=(0, 0, 0)
             Where the middle of the object is assumed, in the frame of the arm.
         """
-        classes = self.recogniser.classes_
-        log_prior = None if prior is None else given_prior(prior, classes)
+        log_prior = self.recogniser.belief_model().log_prior_of(prior)
         return PlaceBelief(self, centre_mm, log_prior, strangers)
 
     def start_before(

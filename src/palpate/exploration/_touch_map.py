@@ -28,18 +28,14 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from .._checks import check_count
-from .._numbers import exp, log_softmax
+from .._checks import STRANGERS, check_count
+from .._numbers import exp, log_softmax, with_floor
 from .._types import Array, Floats, Indices
 from ..recognition import (
-    STRANGERS,
     Belief,
     Evidence,
     ObjectRecogniser,
     SequenceCalibration,
-    as_touches,
-    given_prior,
-    with_floor,
 )
 from ..touches import Touches
 from ._record import places_of
@@ -219,8 +215,7 @@ class TouchMap:
         prior, strangers : optional
             As in `ObjectRecogniser.start`.
         """
-        classes = self.recogniser.classes_
-        log_prior = None if prior is None else given_prior(prior, classes)
+        log_prior = self.recogniser.belief_model().log_prior_of(prior)
         return PlacedBelief(self, log_prior, strangers)
 
     @property
@@ -376,7 +371,8 @@ class PlacedBelief(BeliefOfPlaces):
             They are no `Touches`.
         """
         where = places_of(touch, places, self._map.n_turns)
-        evidence = self._evidence_of(as_touches(touch))
+        assert isinstance(touch, Touches)
+        evidence = self._evidence_of(touch)
         ratio = self._map.placed_ratio(evidence.features, where)
         # Places of touches that say nothing say nothing either.
         ratio[~evidence.log_likelihood.any(axis=1)] = 0.0

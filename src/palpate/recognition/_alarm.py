@@ -23,7 +23,6 @@ from .._types import Floats, Indices
 from ..images import DomeCrop
 from ..touches import Touches
 from ._calibration import left_out_log_likelihood
-from ._contact import NO_CONTACT
 from ._evidence import Evidence
 from ._learnt import AnyEncoder, Learnt, wrapped
 from ._sentences import OTHER_SESSION
@@ -44,12 +43,6 @@ NEIGHBOURS = 2
 ADDED, ADDED_LOOKS = 3.0, 0.1
 # A rim that lies this share of its radius off where it was has moved.
 RIM_MOVED = 0.03
-
-OTHER_MOUNTING = (
-    "This does not look like the sensor, mounting or light that was learnt with, or "
-    f"not like things it knows. {OTHER_SESSION} Take the baseline anew, or get used to "
-    "it with a few touches{}."
-)
 
 
 @dataclass(frozen=True)
@@ -74,6 +67,19 @@ class MountingCheck:
     usual: float
     reasons: list[str]
 
+    def message(self, more: str = "") -> str:
+        """Return what that means and what to do, "" where nothing has changed.
+
+        `more` follows the advice to get used to it with a few touches.
+        """
+        if not self.changed:
+            return ""
+        return (
+            "This does not look like the sensor, mounting or light that was learnt "
+            f"with, or not like things it knows. {OTHER_SESSION} Take the baseline "
+            f"anew, or get used to it with a few touches{more}."
+        )
+
 
 def check_mounting(
     learnt: Learnt, evidence: Evidence, rim: list[str], seed: int
@@ -82,7 +88,7 @@ def check_mounting(
 
     Of what was seen of the `rim`; see `ObjectRecogniser.check_mounting`.
     """
-    counts = np.array([flag != NO_CONTACT for flag in evidence.flags])
+    counts = evidence.shows_contact
     if not counts.any():
         return MountingCheck(False, -np.inf, np.inf, [*rim, "Nothing was touched."])
     usual, n_touches = _Usual.of(learnt), int(counts.sum())

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_count, check_number, check_option
-from .._numbers import log_softmax
+from .._checks import (
+    STRANGERS,
+    check_count,
+    check_number,
+    check_option,
+    check_strangers,
+)
+from .._numbers import log_softmax, with_floor
 from .._types import Array, Floats
+from .._words import n_touches_of, share_of
 from ..touches import Touches
 from . import _evidence, _strangers
-from ._contact import NO_CONTACT
-from ._evidence import Evidence
-from ._memory import UNKNOWN, Memory, nearest_touches
+from ._evidence import NO_CONTACT, Evidence
+from ._memory import UNKNOWN, Memory
 from ._sentences import (
     OTHER_SESSION,
     Promise,
     belief_in_html,
     draw_belief,
     is_counted,
-    n_touches_of,
     sentence_of,
-    share_of,
 )
 from ._user_parts import Modality
 
@@ -36,8 +40,6 @@ if TYPE_CHECKING:
 Costs = Mapping[str, Mapping[str, float]]
 Level = Literal["object", "category", "any"]
 LEVELS = ("object", "category", "any")
-# The share of episodes with something that was never learnt, unless the user says.
-STRANGERS = 0.05
 # More touches are said not to tell after as many as an object was taught with, at most
 # so many, where so many times as many would decide nothing.
 _ENOUGH, _MANY_TIMES = 20, 1000
@@ -75,6 +77,27 @@ class BeliefModel:
     memory: Memory
     other_session: bool = False
     uses_no_contact: bool = False
+
+    def log_prior_of(self, prior: Mapping[str, float] | None) -> Floats:
+        """Return the log prior (nats), of the probability of each object if given."""
+        if prior is None:
+            return self.log_prior
+        return _evidence.given_prior(prior, self.classes)
+
+    def uncalibrated(self) -> Self:
+        """Return this as if touches of one episode added up in full."""
+        return replace(self, sequence_calibration=_evidence.SequenceCalibration())
+
+    def after_each(
+        self, floored: Floats, each: Floats, log_distances: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return log posteriors and the evidence for a stranger after each touch.
+
+        Of many episodes at once, see `episode_evidence`.
+        """
+        tables = floored, each, log_distances
+        how = self.log_prior, self.sequence_calibration, self.strangers
+        return _strangers.episode_evidence(*tables, *how)
 
 
 class Belief:
@@ -191,7 +214,7 @@ class Belief:
         else:
             _evidence.check_every_touch("by_encoding", each)
         together = np.concatenate([rows[:, np.newaxis], each], axis=1)
-        together = _evidence.with_floor(together, model.floor)
+        together = with_floor(together, model.floor)
         floored, each = together[:, 0], together[:, 1:]
         if model.uses_no_contact:
             flags = ["" if flag == NO_CONTACT else flag for flag in flags]
@@ -295,6 +318,15 @@ class Belief:
         log_known, log_unknown = self._log_known_and_unknown()
         known_doubt = float(_evidence.doubts(self.log_posterior))
         return float(np.exp(log_known) * known_doubt + np.exp(log_unknown))
+
+    @staticmethod
+    def doubt_and_unknown(
+        log_posterior: Floats, unknown_evidence: Floats, strangers: float
+    ) -> tuple[Floats, Floats]:
+        """Return `doubt` and `unknown` of many beliefs at once, shape (...,) each."""
+        shares = _strangers.stranger_log_shares(unknown_evidence, strangers)
+        of_learnt, unknown = map(np.exp, shares)
+        return of_learnt * _evidence.doubts(log_posterior) + unknown, unknown
 
     @property
     def unknown(self) -> float:
@@ -617,7 +649,7 @@ class Belief:
         nats = weight * (floored[:, best] - floored[:, rival])
         moved = np.argsort(-np.abs(nats), kind="stable")[:n_touches]
         features = np.stack(self._features)[moved]
-        nearest = nearest_touches(self._model.memory, features, n_nearest)
+        nearest = self._model.memory.most_like(features, n_nearest)
         return [
             {
                 "touch": int(k) + 1,
@@ -656,17 +688,6 @@ class Belief:
         shares = self._most_probable()
         n_more = len(self._model.classes) - len(shares)
         return belief_in_html(shares, self.unknown, n_more, self.reason())
-
-
-def check_strangers(strangers: object) -> float:
-    """Return the share of strangers, at least 0 and below 1, or explain."""
-    share = check_number("strangers", strangers, low=0, high=1)
-    if share == 1:
-        raise ValueError(
-            "strangers must be below 1, got 1: then nothing could ever be named. Give "
-            "the share of episodes with something that was never learnt."
-        )
-    return share
 
 
 def _check_share(name: str, share: object) -> float:

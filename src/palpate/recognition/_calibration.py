@@ -18,10 +18,10 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from sklearn.isotonic import isotonic_regression
 
-from .._numbers import evenly_spaced, log_loss, log_softmax, without_gaps
+from .._numbers import evenly_spaced, log_loss, log_softmax, with_floor, without_gaps
 from .._types import Array, Floats, Indices
 from ..classifiers import TouchClassifier
-from ._evidence import SequenceCalibration, is_informative, with_floor
+from ._evidence import SequenceCalibration, is_informative
 from ._memory import rows_of_each
 from ._strangers import (
     FLAT,

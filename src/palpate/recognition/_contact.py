@@ -24,8 +24,8 @@ from ._encoder import (
     in_batches,
     living,
 )
+from ._evidence import NO_CONTACT
 
-NO_CONTACT = "no contact"
 TURNED = "turned or shifted"
 
 # Cameras: correlation with the no-contact frame, both cut about their rims. Of the

@@ -250,13 +250,7 @@ class TouchEncoder(Encoder, BaseEstimator):
             values = cleaned
             for number, step in enumerate(steps):
                 before = values
-                if isinstance(step, StandardScaler):
-                    # Its own checks take as long as an encoding does.
-                    values = (before - step.mean_) / step.scale_
-                elif (number or checked) and isinstance(step, _TAKES_CHECKED):
-                    values = step.transform_checked(before)
-                else:
-                    values = step.transform(before)
+                values = _transformed(step, before, checked=checked or number > 0)
                 if isinstance(step, PrincipalShare):
                     unexplained[:, column] = step.unexplained(before, values)
             parts.append(np.asarray(values, dtype=np.float64))
@@ -389,14 +383,15 @@ def in_batches(values: Any) -> Iterator[Any]:
         yield values[start : start + BATCH]
 
 
-def _transformed(step: Any, values: Array) -> Array:
-    """Return what a step makes of values, which it does not check again."""
-    transform = step.transform
-    if isinstance(step, ImageEstimator):
-        transform = step.transform_checked
-    elif isinstance(step, StandardScaler):
-        # Its own checks take as long as an encoding does.
+def _transformed(step: Any, values: Array, *, checked: bool = True) -> Array:
+    """Return what a step makes of values, which it does not check again if `checked`.
+
+    A scaler never does: its own checks take as long as an encoding does.
+    """
+    if isinstance(step, StandardScaler):
         return np.asarray((values - step.mean_) / step.scale_)
+    takes_checked = checked and isinstance(step, _TAKES_CHECKED)
+    transform = step.transform_checked if takes_checked else step.transform
     if len(values) <= BATCH:
         return np.asarray(transform(values))
     return np.concatenate([transform(batch) for batch in in_batches(values)])

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import as_array, check_positive
-from .._numbers import exp, log, log_softmax
+from .._numbers import exp, log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
 
+NO_CONTACT = "no contact"
 _LEAST_LOG_PRIOR = -27.7
-_RULED_OUT = -1e6
 
 
 class Evidence(NamedTuple):
@@ -49,6 +49,11 @@ class Evidence(NamedTuple):
     by_encoding: Floats
     log_distances: Floats
     looks: Floats
+
+    @property
+    def shows_contact(self) -> Bools:
+        """Which touches show contact, shape (n_touches,)."""
+        return np.array([flag != NO_CONTACT for flag in self.flags], dtype=bool)
 
     @classmethod
     def together(cls, parts: Sequence[Evidence]) -> Evidence:
@@ -142,59 +147,21 @@ def given_prior(prior: Mapping[str, float], classes: Array) -> Floats:
     return log_prior
 
 
-def with_floor(log_likelihood: Floats, floor: float) -> Floats:
-    """Return log-likelihoods under which no touch rules an object out.
-
-    Each touch's posterior under equal priors is mixed with the uniform one, so
-    that no object gets less than floor / n_objects from one touch. Shape
-    (..., n_objects), natural logarithms; with `floor=0` only the scale of each
-    touch changes.
-    """
-    if floor == 0:
-        # Finite, so that touches that rule out all objects in turn leave a belief.
-        return np.maximum(log_softmax(log_likelihood, axis=-1), _RULED_OUT)
-    mixed: Floats = log_likelihood - log_likelihood.max(axis=-1, keepdims=True)
-    exp(mixed, out=mixed)
-    mixed *= (1 - floor) / mixed.sum(axis=-1, keepdims=True)
-    mixed += floor / mixed.shape[-1]
-    return log(mixed, out=mixed)
-
-
-def log_posteriors(
-    floored: Floats, log_prior: Floats, calibration: SequenceCalibration
-) -> Floats:
-    """Return the log posterior after each touch of an episode (nats).
-
-    Of `floored` likelihoods from `with_floor` (..., n_touches, n_objects), in order,
-    and `log_prior` (n_objects,); of the shape of `floored`.
-    """
-    return beliefs_after(is_informative(floored), floored, log_prior, calibration)[0]
-
-
 def beliefs_after(
     used: Bools, floored: Floats, log_prior: Floats, calibration: SequenceCalibration
 ) -> tuple[Floats, Indices]:
     """Return log posteriors after each touch, and the number of those that are `used`.
 
-    `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
+    In nats, of the touches of episodes in order: those that are `used` (...,
+    n_touches), `floored` likelihoods from `with_floor` (..., n_touches, n_objects),
+    perhaps encodings before the objects, and `log_prior` (n_objects,).
     """
     wide = used.reshape(used.shape + (1,) * (floored.ndim - used.ndim))
-    total = summed_up(np.where(wide, floored, 0.0), used.ndim - 1)
+    total = np.where(wide, floored, 0.0).cumsum(axis=used.ndim - 1)
     count = used.cumsum(axis=-1)
     total *= calibration.weight(count).reshape(wide.shape)
     total += log_prior
     return log_softmax(total, axis=-1), count
-
-
-def summed_up(values: Floats, axis: int) -> Floats:
-    """Write the sums so far over the values; faster than `np.cumsum` but for the last.
-
-    Along an `axis` that others follow.
-    """
-    along = np.moveaxis(values, axis, 0)
-    for before, now in pairwise(along):
-        now += before
-    return values
 
 
 def is_informative(floored: Floats) -> Bools:
@@ -211,11 +178,7 @@ def doubts(log_posterior: Floats) -> Floats:
 
     Summed over the other objects, so that it stays exact near 0.
     """
-    return besides_the_best(exp(log_posterior))
-
-
-def besides_the_best(shares: Floats) -> Floats:
-    """Return the sum of shares (..., n_objects) without the largest, which is lost."""
+    shares = exp(log_posterior)
     best = shares.argmax(axis=-1)
     np.put_along_axis(shares, best[..., np.newaxis], 0, axis=-1)
     return np.asarray(shares.sum(axis=-1))

@@ -21,7 +21,7 @@ from .._checks import (
     check_targets,
     unmasked,
 )
-from .._numbers import log_softmax, without_gaps
+from .._numbers import log_softmax, with_floor, without_gaps
 from .._parallel import on_one_thread
 from .._types import Array, Bools, Floats, Indices, Label, Presentation, PresetName
 from ..classifiers import EncodingPool, TouchClassifier
@@ -50,7 +50,7 @@ from ._learnt import Learnt, RemountedEncoder
 from ._memory import Memory, Nearest
 from ._presets import PRESENTATIONS, Preset, find_preset, resolved_preset
 from ._rehearsal import rehearsal_message, rehearse
-from ._remounting import remounted, without_nuisance
+from ._remounting import across_sessions, remounted, without_nuisance
 from ._strangers import StrangerModel
 from ._user_parts import Encoding, Modality
 
@@ -125,9 +125,9 @@ class Learner(BaseEstimator):
             encoder, contact, chosen, encoding = learn_encoding(
                 preset, touches, labels, blocks, self.presentation
             )
-            if groups is None:
-                blocks = _memory.without_copies(encoding.features, objects, blocks)
             memory = memory_of(touches, encoding, labels, objects, blocks)
+            if groups is None:
+                memory = memory.with_copies_together()
             later.encoder_, later.contact_, later.chosen_ = encoder, contact, chosen
             later.classifier_ = preset.classifier(encoder).fit(
                 memory.features, memory.labels, groups=memory.blocks
@@ -317,6 +317,18 @@ class Learner(BaseEstimator):
         self.serve(learnt)
         return n_differences
 
+    def across_sessions(self) -> dict[str, Any]:
+        """Return what the training touches say of another day, as plain values.
+
+        `sessions` per object (least and median), `asked` (touches of objects that
+        another session met too) and, where there are any, `expected`: the accuracy
+        after one touch of a session that told nothing but the encoding. `rehearsed`:
+        between what accuracies it was in rehearsed sessions, where those were drawn;
+        `confirmed`: in these with one touch of each object confirmed, before it joins
+        the training touches.
+        """
+        return across_sessions(self.learnt(), self.chosen_.get("rehearsal", {}))
+
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches, each with its block left out.
 
@@ -428,8 +440,8 @@ class Learner(BaseEstimator):
             objects = checked.object
         encoding = encoded(self.encoder_, self.contact_, checked)
         blocks = _memory.blocks_in_order(labels, checked.order)
-        blocks = _memory.without_copies(encoding.features, labels, blocks)
-        return memory_of(checked, encoding, labels, objects, blocks)
+        memory = memory_of(checked, encoding, labels, labels, blocks)
+        return replace(memory.with_copies_together(), objects=objects)
 
     def _validated_input(self, X: Any, y: Any) -> tuple[Any, Any]:
         """Return what `fit` is given; feature vectors as touches without geometry."""
@@ -499,7 +511,7 @@ class Learner(BaseEstimator):
             left_out = left_out_log_likelihood(self.classifier_)
             left_out = self._contact_only(left_out, memory.nothing[rows])
             self.sequence_calibration_ = fit_sequence_calibration(
-                _evidence.with_floor(left_out, self.floor_),
+                with_floor(left_out, self.floor_),
                 np.searchsorted(self.classes_, memory.labels[rows]),
                 self._episodes_to_come(memory, memory.blocks[rows]),
                 self._log_prior(memory),

@@ -11,13 +11,14 @@ import numpy as np
 from sklearn.base import clone
 
 from .._checks import listed
+from .._numbers import with_floor
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, learns_by_landmarks
 from ..images import NoLivingTaxelError
 from ..touches import Touches, TouchSource
-from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
+from ._contact import ContactCheck, encoded_and_flagged
 from ._encoder import Encoder, TouchEncoder, find_geometry
-from ._evidence import with_floor
+from ._evidence import NO_CONTACT
 from ._memory import Memory, rows_of_each
 from ._model_file import state_digest
 from ._presets import PRESENTATIONS, Preset

@@ -125,6 +125,27 @@ class Memory:
         """What tells distances to these touches."""
         return Nearest(self)
 
+    def most_like(self, features: Floats, count: int) -> list[list[dict[str, Any]]]:
+        """Return the touches nearest to each; none where features hold NaN.
+
+        Distances are told in units of the median among up to `N_PAIRED` of these
+        touches; where most pairs of them are alike, among pairs that differ.
+        """
+        squared = pdist(self.features[:: -(-len(self) // N_PAIRED)], "sqeuclidean")
+        if squared.any() and not np.median(squared):
+            squared = squared[squared > 0]
+        unit = float(np.sqrt(np.median(squared))) if squared.any() else 1.0
+        nearest: list[list[dict[str, Any]]] = []
+        for vector in features:
+            distances = np.linalg.norm(self.features - vector, axis=1)
+            finite = np.isfinite(vector).all()
+            rows = np.argsort(distances, kind="stable")[:count] if finite else ()
+            near = [(str(self.objects[k]), int(k), float(distances[k])) for k in rows]
+            nearest.append(
+                [{"object": n, "row": k, "distance": d / unit} for n, k, d in near]
+            )
+        return nearest
+
     @cached_property
     def block_distances(self) -> tuple[Indices, Floats]:
         """How far each touch is from other blocks of its recording, (n_touches,) each.
@@ -164,11 +185,37 @@ class Memory:
             name: np.concatenate([getattr(self, name), getattr(later, name)])
             for name in _COLUMNS
         }
-        again = np.isin(rows["objects"], np.intersect1d(self.objects, other.objects))
-        rows["blocks"][again] = without_copies(
-            rows["features"][again], rows["objects"][again], rows["blocks"][again]
-        )
-        return replace(self, **rows, sensor=self.sensor or other.sensor)
+        both = replace(self, **rows, sensor=self.sensor or other.sensor)
+        met_again = np.intersect1d(self.objects, other.objects)
+        return both.with_copies_together(np.isin(both.objects, met_again))
+
+    def with_copies_together(self, which: Bools | None = None) -> Self:
+        """Return this with nearly the same touches of an object in one block.
+
+        Copies, and frames of one press, would be met in training while they are left
+        out. Touches nearer to each other than `COPY` of their object's median squared
+        distance all go to the first one's block: of all touches, or of `which`. Where
+        that is one block for all, as of a session that is there twice, it is cut anew.
+        """
+        blocks, last = self.blocks.copy(), self.blocks.max(initial=0)
+        among = np.arange(len(self)) if which is None else np.flatnonzero(which)
+        for rows in (among[part] for part in rows_of_each(self.objects[among])):
+            if len(rows) < 2:
+                continue
+            copies = _copies(self.features[rows])
+            n_touches, touch = connected_components(copies, directed=False)
+            if n_touches == len(rows):
+                continue
+            first = np.full(n_touches, last)
+            np.minimum.at(first, touch, self.blocks[rows])
+            if len(np.unique(first)) > 1:
+                blocks[rows] = first[touch]
+                continue
+            several = len(np.unique(self.blocks[rows])) > 1
+            if several and 2 * np.bincount(touch).max() <= len(rows):
+                n_blocks = min(N_BLOCKS, n_touches)
+                blocks[rows] = blocks.max() + 1 + touch * n_blocks // n_touches
+        return replace(self, blocks=blocks)
 
     def plus_once(self, other: Self) -> Self:
         """Return both as `plus` does, of touches without an id that are in both one.
@@ -308,31 +355,6 @@ class Nearest:
         return np.where(np.isfinite(least), 0.5 * np.log(least), np.nan)
 
 
-def nearest_touches(
-    memory: Memory, features: Floats, count: int
-) -> list[list[dict[str, Any]]]:
-    """Return the training touches nearest to each; none where features hold NaN.
-
-    Distances are told in units of the median among up to `N_PAIRED` training touches;
-    where most pairs of these are alike, among pairs that differ.
-    """
-    sampled = memory.features[:: -(-len(memory) // N_PAIRED)]
-    squared = pdist(sampled, "sqeuclidean")
-    if squared.any() and not np.median(squared):
-        squared = squared[squared > 0]
-    unit = float(np.sqrt(np.median(squared))) if squared.any() else 1.0
-    nearest: list[list[dict[str, Any]]] = []
-    for vector in features:
-        distance = np.linalg.norm(memory.features - vector, axis=1)
-        finite = np.isfinite(vector).all()
-        rows = np.argsort(distance, kind="stable")[:count] if finite else ()
-        near = [(str(memory.objects[k]), int(k), float(distance[k])) for k in rows]
-        nearest.append(
-            [{"object": name, "row": k, "distance": d / unit} for name, k, d in near]
-        )
-    return nearest
-
-
 def rows_of_each(values: Array) -> list[Indices]:
     """Return the rows of each value that occurs, the values sorted."""
     codes, counts = np.unique(values, return_inverse=True, return_counts=True)[1:]
@@ -451,33 +473,6 @@ def n_met(objects: Array, visits: Array) -> Indices:
     """Return in how many visits each object was met, the objects sorted as texts."""
     pairs = np.stack([objects.astype(str), visits.astype(str)])
     return np.unique(np.unique(pairs, axis=1)[0], return_counts=True)[1]
-
-
-def without_copies(features: Floats, objects: Array, blocks: Indices) -> Indices:
-    """Return blocks of which no two hold nearly the same touch of an object.
-
-    Copies, and frames of one press, would be met in training while they are left out.
-    Touches of `features` (n_touches, n_features) nearer to each other than `COPY` of
-    their object's median squared distance all go to the first one's block. Where that
-    is one block for all, as of a session that is there twice, new blocks are cut.
-    """
-    joined, last = blocks.copy(), blocks.max(initial=0)
-    for rows in rows_of_each(objects):
-        if len(rows) < 2:
-            continue
-        n_touches, which = connected_components(_copies(features[rows]), directed=False)
-        if n_touches == len(rows):
-            continue
-        first = np.full(n_touches, last)
-        np.minimum.at(first, which, blocks[rows])
-        if len(np.unique(first)) > 1:
-            joined[rows] = first[which]
-            continue
-        several = len(np.unique(blocks[rows])) > 1
-        if several and 2 * np.bincount(which).max() <= len(rows):
-            n_blocks = min(N_BLOCKS, n_touches)
-            joined[rows] = joined.max() + 1 + which * n_blocks // n_touches
-    return joined
 
 
 def _copies(features: Floats) -> csr_array:

@@ -14,6 +14,8 @@ from sklearn.base import ClassifierMixin
 from sklearn.metrics import accuracy_score, confusion_matrix
 from sklearn.utils import Tags
 
+from .._checks import STRANGERS, listed
+from .._numbers import with_floor
 from .._parallel import opencv_on_one_thread, results_of
 from .._types import Array, Floats, Label, Presentation, PresetName
 from ..classifiers import EncodingPool, KernelRidgeClassifier
@@ -21,15 +23,20 @@ from ..images import Poses
 from ..touches import Touches
 from . import _evidence, _memory
 from ._alarm import MountingCheck, check_mounting, rim_moved
-from ._belief import STRANGERS, Belief, BeliefModel, Level
-from ._contact import NO_CONTACT, encoded_and_flagged
+from ._belief import Belief, BeliefModel, Level
+from ._contact import encoded_and_flagged
 from ._encoder import BATCH
 from ._episode import Episode
-from ._evidence import Evidence
+from ._evidence import NO_CONTACT, Evidence
 from ._learner import Learner, n_axes
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
-from ._model_file import ModelFileError, read_model, write_model
-from ._sentences import draw_confusion
+from ._model_file import (
+    ModelFileError,
+    check_model_path,
+    read_model,
+    write_model,
+)
+from ._sentences import N_JUDGED, draw_confusion, few_objects_warning
 from ._user_parts import Encoding, UserEncoding, user_encodings
 
 if TYPE_CHECKING:
@@ -37,6 +44,10 @@ if TYPE_CHECKING:
 
 # Touches of one task; a multiple of the encoder's batches, for the same results.
 SHARD = 4 * BATCH
+# Draws of touches that tell how well an object is known.
+N_DRAWN = 40
+# With so few touches of an object names are least sure: docs/explanation/page.md.
+FEW_TOUCHES = 10
 
 
 class ObjectRecogniser(ClassifierMixin, Learner):
@@ -177,11 +188,10 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         """Return the log belief after each touch alone, (n_touches, n_objects)."""
         self._check_fitted()
         log_likelihood = self.log_likelihood(self._as_touches(X))
-        floored = _evidence.with_floor(log_likelihood, self.floor_)
-        alone = floored[:, np.newaxis]
-        return _evidence.log_posteriors(
-            alone, self.log_prior(), self.sequence_calibration_
-        )[:, 0]
+        floored = with_floor(log_likelihood, self.floor_)
+        used, how = _evidence.is_informative(floored), self.sequence_calibration_
+        alone = used[:, np.newaxis], floored[:, np.newaxis]
+        return _evidence.beliefs_after(*alone, self.log_prior(), how)[0][:, 0]
 
     def score(
         self,
@@ -248,9 +258,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
             a drawer: it is always one of the learnt objects.
         """
         model = self.belief_model()
-        log_prior = (
-            None if prior is None else _evidence.given_prior(prior, model.classes)
-        )
+        log_prior = model.log_prior_of(prior)
         # It goes on by what was learnt when it began, whatever is learnt meanwhile.
         return Belief(model, copy(self).evidence, log_prior, strangers)
 
@@ -345,6 +353,48 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         counts = confusion_matrix(truth, best, labels=columns)
         return draw_confusion(counts, self._names(), ax)
 
+    def object_quality(self) -> list[dict[str, Any]]:
+        """Return how often left-out touches of each object are recognised.
+
+        By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of
+        right answers after one touch and after eight drawn ones, None where there are
+        not so many; `taken_for`, the most frequent wrong answer to one touch, or None.
+        """
+        log_likelihood = with_floor(self.left_out_log_likelihood(), self.floor_)
+        labels, names = self.memory_.labels[self.left_out_rows], self._names()
+        with_contact = self.uses_no_contact_ | ~self.memory_.nothing[self.left_out_rows]
+        rng, result = np.random.default_rng(0), []
+        for code, name in enumerate(names):
+            rows = np.flatnonzero((labels == self.classes_[code]) & with_contact)
+            best = log_likelihood[rows].argmax(axis=1)
+            answers = np.bincount(best, minlength=len(names))
+            right, answers[code] = answers[code], 0
+            drawn = rng.permuted(np.tile(rows, (N_DRAWN, 1)), axis=1)[:, :N_JUDGED]
+            best = log_likelihood[drawn].sum(axis=1).argmax(axis=1)
+            after_eight = float(np.mean(best == code))
+            result.append(
+                {
+                    "name": name,
+                    "n_touches": len(rows),
+                    "after_one": float(right / len(rows)) if len(rows) else None,
+                    "after_eight": after_eight if len(rows) >= N_JUDGED else None,
+                    "taken_for": names[answers.argmax()] if answers.any() else None,
+                }
+            )
+        return result
+
+    def limits_message(self) -> str:
+        """Return what a name is worth where few objects, or touches, were learnt."""
+        names, counts = np.unique(self.memory_.labels.astype(str), return_counts=True)
+        sentences = few_objects_warning(len(names), self.label)
+        few = names[counts < FEW_TOUCHES].tolist()
+        if few:
+            sentences.append(
+                f"Of {listed(few, 3)} it learnt fewer than {FEW_TOUCHES} touches: a "
+                "wrong name may look certain."
+            )
+        return " ".join(sentences)
+
     def save(self, path: str | Path) -> Path:
         """Write the recogniser to a `.palpate` file, all or nothing."""
         self._check_fitted()
@@ -394,6 +444,11 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
+
+    @staticmethod
+    def check_path(path: str | Path) -> Path:
+        """Return `path` if `save` can write there, or explain (`ModelFileError`)."""
+        return check_model_path(path)
 
     def _user_encodings(self) -> dict[str, UserEncoding]:
         """Return the encodings of the user's own that are in use, as learnt."""

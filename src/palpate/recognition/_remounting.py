@@ -16,14 +16,15 @@ import numpy as np
 from scipy.special import softmax
 from sklearn.base import clone
 
+from .._checks import STRANGERS
 from .._numbers import log_softmax
 from .._parallel import on_one_thread
 from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
 from . import _sessions
-from ._belief import STRANGERS, Belief
+from ._belief import Belief
 from ._calibration import left_out_log_likelihood
-from ._contact import NO_CONTACT, ContactCheck
+from ._contact import ContactCheck
 from ._evidence import Evidence
 from ._learning import encoded, memory_of
 from ._learnt import Learnt, RemountedEncoder, wrapped
@@ -209,16 +210,11 @@ def without_nuisance(learnt: Learnt, new: Touches) -> tuple[Learnt, int]:
     return _weighed_down(learnt, differences), len(differences)
 
 
-def across_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
-    """Return what the training touches say of another day, as plain values.
+def across_sessions(learnt: Learnt, rehearsal: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what training touches say of another day, and what was rehearsed.
 
-    `sessions` per object (least and median), `asked` (touches of objects that another
-    session met too) and, where there are any, `expected`: the accuracy after one touch
-    of a session that told nothing but the encoding. `rehearsed`: between what
-    accuracies it was in rehearsed sessions, where those were drawn; `confirmed`: in
-    these with one touch of each object confirmed, before it joins the training touches.
+    See `ObjectRecogniser.across_sessions`.
     """
-    learnt = recogniser.learnt()
     memory = learnt.memory
     per_object = np.maximum(_n_sessions(memory.objects, memory.sessions), 1)
     met_elsewhere, median = _met_elsewhere(memory), float(np.median(per_object))
@@ -228,7 +224,6 @@ def across_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
         right = _right_elsewhere(learnt, met_elsewhere)
         if len(right):
             result["expected"] = float(right.mean())
-    rehearsal = recogniser.chosen_.get("rehearsal", {})
     if "expected" in rehearsal:
         result["rehearsed"] = list(rehearsal["expected"])
     if "confirmed" in rehearsal:
@@ -468,8 +463,7 @@ class Recentring:
         It is that of all touches of the episode, as what the session adds is known now.
         """
         seen = self._as_learnt.evidence(touch)
-        counts = np.array([flag != NO_CONTACT for flag in seen.flags], dtype=bool)
-        counts |= self._as_learnt.uses_no_contact_
+        counts = seen.shows_contact | self._as_learnt.uses_no_contact_
         taken_for = softmax(seen.log_likelihood[counts], axis=1)
         self._sums = self._sums.plus(
             SessionSums.of(seen.features[counts], taken_for, self._taught)

@@ -12,23 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from math import ceil, floor, log, log1p
+from math import floor
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.stats import beta
 
 from .._checks import listed
 from .._extras import needed
 from .._types import Indices
-from ._evidence import with_floor
+from .._words import about, n_touches_of, share_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ._recogniser import ObjectRecogniser
-
-CONFIDENCE = 0.95
 NOTHING = "nothing I know"
 # With so few objects 70 % of things never taught are named: docs/explanation/page.md.
 _FEW_OBJECTS = 5
@@ -41,44 +37,12 @@ OTHER_SESSION = (
 _MOST_LIKELY, _MOST_NAMED = 0.9, 3
 # Of more objects a picture has no names.
 MOST_LABELLED = 30
-# Touches of a draw, draws of each object, objects that an advice names at most.
-_N_JUDGED, _N_DRAWN, _N_NAMED = 8, 40, 4
+# Touches of a draw, objects that an advice names at most.
+N_JUDGED, _N_NAMED = 8, 4
 # An object that is right after one touch, or eight, less often than this wants more.
 _RIGHT_AFTER_ONE, _RIGHT_AFTER_EIGHT = 0.5, 0.9
-# With so few touches of an object names are least sure: docs/explanation/page.md.
-_FEW_TOUCHES = 10
 # What stands for a stranger.
 _NOTHING, _GREY = "nothing learnt", "#888888"
-
-
-def share_of(probability: float) -> str:
-    """Return a probability as people read it, rounded down.
-
-    What has not reached a limit never reads as if it had, nor 100 % unless certain.
-    """
-    if probability > 0.999:
-        return "over 99.9 %"
-    if probability < 0.01:
-        return "under 1 %"
-    steps = 10 if probability >= 0.99 else 1
-    # 0.29 is 29 %, though 100 times it is a little less.
-    return f"{floor(100 * steps * probability + 1e-9) / steps:g} %"
-
-
-def figure_of(share: float) -> str:
-    """Return a share for a table: rounded down, so that none sum to more than 100 %."""
-    if 0.999 < share < 1:
-        return ">99.9 %"
-    if 0 < share < 0.001:
-        return "<0.1 %"
-    steps = 1 if 0.1 <= share < 0.99 else 10
-    digits = int(steps > 1 and 0 < share < 1)
-    return f"{floor(100 * steps * share + 1e-9) / steps:.{digits}f} %"
-
-
-def n_touches_of(n_touches: int) -> str:
-    """Return a number of touches in words: "1 touch", "5 touches"."""
-    return f"{n_touches} touch{'es' * (n_touches != 1)}"
 
 
 def sentence_of(
@@ -206,24 +170,6 @@ class Promise(NamedTuple):
         )
 
 
-def promise_of(n_units: int, population: str, error: float) -> Promise:
-    """Return what so many units of a population can show at an accepted error."""
-    n_needed = ceil(log(1 - CONFIDENCE) / log1p(-error))
-    return Promise(error, upper_bound(0.0, n_units), n_needed, population, n_units)
-
-
-def about(number: int) -> int:
-    """Return a number rounded to two figures, for people."""
-    return round(number, 2 - len(str(number)))
-
-
-def upper_bound(n_wrong: float, n_units: int) -> float:
-    """Return the bound at 95 % on a share, of units that were wrong among others."""
-    if n_wrong >= n_units:
-        return 1.0
-    return float(beta.ppf(CONFIDENCE, n_wrong + 1, n_units - n_wrong))
-
-
 def draw_belief(
     shares: Mapping[str, float], unknown: float, title: str, ax: Axes | None
 ) -> Axes:
@@ -308,51 +254,6 @@ def _axes(what: str, ax: Axes | None, size: tuple[float, float]) -> Axes:
     return ax or pyplot.subplots(figsize=size, layout="constrained")[1]
 
 
-def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
-    """Return how often left-out touches of each object are recognised.
-
-    By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of right
-    answers after one touch and after eight drawn ones, None where there are not so
-    many; `taken_for`, the most frequent wrong answer to one touch, or None.
-    """
-    memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
-    log_likelihood = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
-    left_out = recogniser.left_out_rows
-    with_contact = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
-    labels = memory.labels[left_out]
-    rng, result = np.random.default_rng(0), []
-    for code, name in enumerate(names):
-        rows = np.flatnonzero((labels == recogniser.classes_[code]) & with_contact)
-        answers = np.bincount(log_likelihood[rows].argmax(axis=1), minlength=len(names))
-        right, answers[code] = answers[code], 0
-        drawn = rng.permuted(np.tile(rows, (_N_DRAWN, 1)), axis=1)[:, :_N_JUDGED]
-        best = log_likelihood[drawn].sum(axis=1).argmax(axis=1)
-        after_eight = float(np.mean(best == code)) if len(rows) >= _N_JUDGED else None
-        result.append(
-            {
-                "name": name,
-                "n_touches": len(rows),
-                "after_one": float(right / len(rows)) if len(rows) else None,
-                "after_eight": after_eight,
-                "taken_for": names[answers.argmax()] if answers.any() else None,
-            }
-        )
-    return result
-
-
-def limits_message(recogniser: ObjectRecogniser) -> str:
-    """Return what a name is worth where few objects, or touches, were learnt, or ""."""
-    names, counts = np.unique(recogniser.memory_.labels.astype(str), return_counts=True)
-    sentences = few_objects_warning(len(names), recogniser.label)
-    few = names[counts < _FEW_TOUCHES].tolist()
-    if few:
-        sentences.append(
-            f"Of {listed(few, 3)} it learnt fewer than {_FEW_TOUCHES} "
-            "touches: a wrong name may look certain."
-        )
-    return " ".join(sentences)
-
-
 def teaching_advice(qualities: list[dict[str, Any]]) -> list[str]:
     """Return what to teach next, in sentences, of what `object_quality` returned.
 
@@ -377,6 +278,6 @@ def teaching_advice(qualities: list[dict[str, Any]]) -> list[str]:
     if few:
         names = listed(few, _N_NAMED)
         sentences.append(
-            f"Fewer than {_N_JUDGED} touches with contact cannot be judged: {names}."
+            f"Fewer than {N_JUDGED} touches with contact cannot be judged: {names}."
         )
     return sentences

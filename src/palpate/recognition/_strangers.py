@@ -25,16 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_expit
 
-from .._numbers import exp, log
+from .._numbers import exp, log, units_needed, upper_bound
 from .._types import Array, Bools, Floats, Indices
 from ._evidence import (
     SequenceCalibration,
     beliefs_after,
-    besides_the_best,
+    doubts,
     is_informative,
-    summed_up,
 )
-from ._sentences import Promise, promise_of
+from ._sentences import Promise
 
 # Of a smaller logarithm the probability would be 0; below the least score, logarithms
 # are rounding.
@@ -164,7 +163,9 @@ class StrangerModel:
 
     def promise(self, error: float) -> Promise:
         """Return what can be shown at an accepted error."""
-        return promise_of(self.n_units, self.population, error)
+        n_units, n_needed = self.n_units, units_needed(error)
+        bound = upper_bound(0.0, n_units)
+        return Promise(error, bound, n_needed, self.population, n_units)
 
 
 def stranger_log_shares(evidence: Floats, strangers: float) -> tuple[Floats, Floats]:
@@ -230,7 +231,7 @@ def episode_state(
     log_posterior, count = beliefs_after(used, floored, log_prior, calibration)
     by_encoding, _ = beliefs_after(used, each, log_prior, calibration)
     wide = used[..., np.newaxis]
-    total = summed_up(np.where(wide, log_distances, 0.0), used.ndim - 1)
+    total = np.where(wide, log_distances, 0.0).cumsum(axis=used.ndim - 1)
     mean = total / np.maximum(count, 1)[..., np.newaxis]
     return EpisodeState(
         log_posterior, by_encoding, model.farther(by_encoding, mean), count
@@ -258,7 +259,7 @@ def track_of(
     """Return the track of episodes of `truth` among `names` (n_objects,)."""
     score = model.score(state.by_encoding, state.farther, state.n_informative)
     best = names[state.log_posterior.argmax(axis=-1)]
-    level = log_level(score, besides_the_best(exp(state.log_posterior)))
+    level = log_level(score, doubts(state.log_posterior))
     level = np.where(state.n_informative > 0, level, np.inf)
     return Track(level, score, best, best == truth, state.n_informative)
 

@@ -19,6 +19,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array
 
 from .._checks import check_number
+from .._numbers import with_floor
 from .._types import Array, Floats
 from ..classifiers import FromProbabilities, KernelRidgeClassifier
 from ._calibration import (
@@ -26,7 +27,6 @@ from ._calibration import (
     fit_sequence_calibration,
     left_out_log_likelihood,
 )
-from ._evidence import with_floor
 
 # What a user may give as one encoding: a transformer, or several, one after the other.
 Encoding = Any

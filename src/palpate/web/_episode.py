@@ -19,16 +19,13 @@ from typing import Any
 import numpy as np
 
 from .._types import Array, Floats
+from .._words import figure_of, share_of
 from ..exploration import PlaceBelief, SurfaceMap, TouchRecord
 from ..recognition import (
     Belief,
     Episode,
     Evidence,
     ObjectRecogniser,
-    figure_of,
-    limits_message,
-    nearest_touches,
-    share_of,
     touch_note,
 )
 from ..simulation import SensorPose
@@ -112,7 +109,7 @@ class LiveEpisode:
         self.episode: Episode | None = None
         if recogniser is not None:
             self.episode = recogniser.episode(**accepted, level="any")
-        self.limits = "" if recogniser is None else limits_message(recogniser)
+        self.limits = "" if recogniser is None else recogniser.limits_message()
         self.by_place = False
         self.touches: list[LiveTouch] = []
         self.images: list[Array | None] = []
@@ -216,7 +213,7 @@ class LiveEpisode:
         self, recogniser: ObjectRecogniser, evidence: Evidence
     ) -> list[dict[str, Any]]:
         memory = recogniser.memory_
-        (near,) = nearest_touches(memory, evidence.features, _NEAREST)
+        (near,) = memory.most_like(evidence.features, _NEAREST)
         ids = [str(memory.touch_ids[near_touch["row"]]) for near_touch in near]
         return [
             {

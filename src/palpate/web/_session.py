@@ -13,20 +13,11 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from .._checks import check_number
+from .._checks import STRANGERS, check_number, check_strangers
 from .._durable import replacing
 from .._types import Array
 from ..exploration import SurfaceMap
-from ..recognition import (
-    NO_CONTACT,
-    OTHER_MOUNTING,
-    STRANGERS,
-    Evidence,
-    ObjectRecogniser,
-    check_strangers,
-    object_quality,
-    teaching_advice,
-)
+from ..recognition import Evidence, ObjectRecogniser, teaching_advice
 from ..sensors import (
     ContactError,
     DetectedTouch,
@@ -553,7 +544,7 @@ class LiveSession:
     def _use(self, recogniser: ObjectRecogniser | None) -> None:
         """Recognise with another model from the next touch on."""
         ids = set() if self.teacher is None else self.teacher.known_ids()
-        quality = [] if recogniser is None else object_quality(recogniser)
+        quality = [] if recogniser is None else recogniser.object_quality()
         with self._lock:
             self.recogniser, self._stored_ids = recogniser, ids
             self._top_view = None if recogniser is None else self._view_of(recogniser)
@@ -670,11 +661,9 @@ class LiveSession:
         """After every ten contacts, tell whether the sensor is as it was."""
         with self._lock:
             recogniser, evidence = self.recogniser, self.episode.evidence
-            if (
-                recogniser is None
-                or evidence is None
-                or evidence.flags[0] == NO_CONTACT
-            ):
+            if recogniser is None or evidence is None:
+                return
+            if not evidence.shows_contact[0]:
                 return
             latest = [*self._contact_evidence, evidence][-3 * LOOK_EVERY :]
             self._contact_evidence = latest
@@ -682,7 +671,7 @@ class LiveSession:
             if self._n_contacts % LOOK_EVERY:
                 return
         check = recogniser.check_mounting(Evidence.together(latest))
-        self.alarm = OTHER_MOUNTING.format("") if check.changed else ""
+        self.alarm = check.message()
         self._notify_state()
 
     def _learn_again(self, changes: Sequence[tuple[str, str]] = ()) -> None:

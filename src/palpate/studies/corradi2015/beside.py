@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..._types import Bools, Floats, Label
 from ...datasets import where
-from ...evaluation import Fold, Plan, evaluate, split_touches
+from ...evaluation import Plan, evaluate, split_touches
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
 from .. import Row, labels, row, spread
@@ -71,7 +71,7 @@ def sight(
     rng = np.random.default_rng(protocol.seed)
     right: dict[str, dict[int, list[float]]] = {sense: {} for sense in SENSES}
     for fold in split_touches(both, SPLIT_FOR[protocol.label]):
-        for sense, k, hits in _fused(fold, seen, protocol, rng):
+        for sense, k, hits in _fused(fold.train, fold.test, seen, protocol, rng):
             right[sense].setdefault(k, []).append(float(np.mean(hits)))
     return {
         sense: {k: np.array(shares) for k, shares in curve.items()}
@@ -197,24 +197,28 @@ def _row(
 
 
 def _fused(
-    fold: Fold, seen: Photographs, protocol: Plan, rng: np.random.Generator
+    train: Touches,
+    test: Touches,
+    seen: Photographs,
+    protocol: Plan,
+    rng: np.random.Generator,
 ) -> Iterator[tuple[str, int, list[bool]]]:
     """Yield sense, number of touches and what was right, object by object."""
     kinds = {
         name: kind
-        for part in (fold.train, fold.test)
+        for part in (train, test)
         for name, kind in zip(labels(part), labels(part, protocol.label), strict=True)
     }
     kind_of = np.array([kinds[name] for name in seen.object])
     # Objects: half of the photographs; categories: those of the known objects.
-    learnt = np.isin(seen.object, labels(fold.train))
+    learnt = np.isin(seen.object, labels(train))
     if protocol.label == "object":
         learnt = np.arange(len(kind_of)) % 2 == 0
-    recogniser = ObjectRecogniser(label=protocol.label).fit(fold.train)
+    recogniser = ObjectRecogniser(label=protocol.label).fit(train)
     recogniser.learn_modality("sight", seen.words[learnt], kind_of[learnt])
-    rows = recogniser.log_likelihood(fold.test)
-    for name in np.unique(labels(fold.test)):
-        members = np.flatnonzero(fold.test.object == name)
+    rows = recogniser.log_likelihood(test)
+    for name in np.unique(labels(test)):
+        members = np.flatnonzero(test.object == name)
         pool = np.flatnonzero((seen.object == name) & ~learnt)
         hits: dict[tuple[str, int], list[bool]] = {}
         for _ in range(protocol.orders):

@@ -15,6 +15,7 @@ import numpy as np
 from sklearn.decomposition import PCA
 
 from ..._types import Bools, Floats, Label, PresetName
+from ..._words import n_touches_of
 from ...classifiers import KernelDensityBayes
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
@@ -273,7 +274,7 @@ def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list
 
 
 def after_touches(table: str, recogniser: str, k: int) -> str:
-    return f"{table}, {recogniser}, {k} touch{'es' if k != 1 else ''}"
+    return f"{table}, {recogniser}, {n_touches_of(k)}"
 
 
 def accuracy(answered: Iterable[Answered]) -> Floats:

@@ -18,10 +18,10 @@ from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from sklearn.mixture import GaussianMixture
 
+from ..._numbers import with_floor
 from ..._types import Array, Floats
 from ...classifiers import KernelDensityBayes
 from ...evaluation import control_log_likelihood
-from ...recognition import with_floor
 from .. import Codes, fitted
 
 # Share of the training touches that choose the number of clusters.

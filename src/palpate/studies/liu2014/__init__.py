@@ -6,16 +6,30 @@ presses, and real presses of another array where they are at hand.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ... import studies as shared
-from .. import Figures, Row, Table, Work, recorded_touches
-from . import drawing
-from .drawing import CURVES
+from ..._types import Floats
+from ...encodings import outer_boundary
+from ...evaluation import plots
+from ...images import ArrayCleanUp
+from ...simulation import find_parts
+from ...touches import Touches
+from .. import Figures, Row, Table, Work, labels, recorded_touches
 from .methods import condition_jobs, run_jobs, study_jobs
-from .plan import REAL, Liu2014Plan, reposed_presses, simulated_presses
+from .plan import (
+    CLASS_SETS,
+    PAPER_LOAD_KGF,
+    REAL,
+    Liu2014Plan,
+    reposed_presses,
+    simulated_presses,
+)
 
 PLAN = Liu2014Plan
 TITLE = "One press of a pressure array: Liu et al. (2014) beside ours"
@@ -40,6 +54,25 @@ CAPTIONS = {
     "sets. Hollow marks are the paper's, where its text gives them.",
 }
 DATA_NAMES = {"simulated": "simulated", "taxel10x10": "real"}
+STAGES_SHOWN, WAVES_KEPT = 3, 3  # what a picture has room for
+LEVELS, LINE = "cividis", plots.COLOURS[1]
+# Encoding, scaling, name, colour and line of the curves over load and cover.
+CURVES = (
+    ("FD+GE", "z-scored", "FD+GE, z-scored", plots.OURS, "o-"),
+    ("FD+GE", "raw", "FD+GE, raw", plots.OURS, "o--"),
+    ("sorted pixels", "z-scored", "sorted pixels", plots.CONTROLS[0], "s:"),
+    ("raw pixels", "z-scored", "raw pixels", plots.CONTROLS[3], "s:"),
+)
+_OVERLAP = (
+    ("in_pieces", "presses in several pieces", plots.CONTROLS[0]),
+    ("overlap", "overlap with the true face", plots.OURS),
+)
+_FEATURES = {"Fig. 12": "descriptors", "Fig. 13": "geometry", "Fig. 14": "both"}
+_MARKS = "os^D"
+_STAGES: dict[str, dict[str, Any]] = {
+    **{stage: {"output": stage} for stage in ("resized", "gamma", "filtered")},
+    **{f"binary {n} x {n}": {"n_partitions": n} for n in (1, 2, 3)},
+}
 
 
 def measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str, Any]:
@@ -134,13 +167,157 @@ def pictures(result: dict[str, Any]) -> Figures:
     plan, rows = Liu2014Plan(**result["plan"]), result["rows"]
     touches = simulated_presses(plan)
     return {
-        "load-cover": drawing.load_and_cover(plan),
-        "conditions": drawing.conditions(rows),
-        "parts": drawing.parts(touches),
-        "stages": drawing.stages(touches),
-        "boundaries": drawing.boundaries(touches),
-        "features": drawing.class_sets(rows),
+        "load-cover": draw_load_and_cover(plan),
+        "conditions": draw_conditions(rows),
+        "parts": draw_parts(touches),
+        "stages": draw_stages(touches),
+        "boundaries": draw_boundaries(touches),
+        "features": draw_class_sets(rows),
     }
+
+
+def draw_load_and_cover(plan: Liu2014Plan) -> Any:
+    """Draw Figs 5 and 6: both bars under every load and cover, levels alike by line."""
+    bars, covers = replace(plan, parts=(1, 2)), Liu2014Plan.covers_mm
+    loads = {f"{load:g} kgf": (load,) for load in Liu2014Plan.loads_kgf}
+    sides = loads, {f"{mm:g} mm": (PAPER_LOAD_KGF, mm) for mm in covers}
+    figure, axes = _images(4, len(covers), 0.8)
+    for number, line in enumerate(axes):
+        side, bar = sides[number // 2], number % 2
+        line[0].set_ylabel(("bar10", "bar35")[bar], fontsize=9)
+        touches = [simulated_presses(bars, *how) for how in side.values()]
+        presses = [pressed.images[[bar * plan.n_presses]] for pressed in touches]
+        look = {"cmap": LEVELS, "vmin": 0, "vmax": max(map(np.max, presses))}
+        for place, title, press in zip(line, side, presses, strict=False):
+            place.imshow(press[0], extent=(0, 1, 1, 0), **look)
+            binary = ArrayCleanUp().fit_transform(press)[0]
+            middles = (np.arange(len(binary)) + 0.5) / len(binary)
+            place.contour(middles, middles, binary, [0.5], colors=LINE)
+            place.set_title("" if bar else title, fontsize=9)
+    return figure
+
+
+def draw_parts(touches: Touches) -> Any:
+    """Draw Fig. 9: every part's first press, with its edges where it really lay."""
+    figure, axes = _images(-(-len(_firsts(touches)) // 3), 3, 1.5)
+    for place, (row, name) in zip(axes.ravel(), _firsts(touches), strict=False):
+        place.set_title(name, fontsize=9)
+        place.imshow(touches.images[row], cmap=LEVELS)
+        for edge in _edges(touches, row):
+            place.plot(*edge, color="white", lw=1, scalex=False, scaley=False)
+    return figure
+
+
+def draw_stages(touches: Touches) -> Any:
+    """Draw Fig. 10, (a) to (h): a part, its image, and each step of the clean-up."""
+    firsts = _firsts(touches)
+    spaced = np.linspace(0, len(firsts) - 1, min(STAGES_SHOWN, len(firsts))).round()
+    figure, axes = _images(8, len(spaced), 1.1)
+    for line, at in zip(axes.T, spaced.astype(int), strict=True):
+        row, name = firsts[at]
+        press = touches.images[[row]]
+        chain = {"raw": press[0]}
+        for stage, how in _STAGES.items():
+            (chain[stage],) = ArrayCleanUp(**how).fit_transform(press)
+        line[0].imshow(touches.images[row], alpha=0)
+        line[0].autoscale(False)
+        line[0].set_title(name, fontsize=9)
+        for number, edge in enumerate(_edges(touches, row)):
+            line[0].fill(*edge, color="white" if number else plots.CONTROLS[3])
+        for place, (stage, image) in zip(line[1:], chain.items(), strict=True):
+            place.imshow(image, cmap="gray" if "binary" in stage else LEVELS)
+    for number, stage in enumerate(("part", *chain)):
+        axes[number, 0].set_ylabel(f"({'abcdefgh'[number]}) {stage}", fontsize=9)
+    return figure
+
+
+def draw_boundaries(touches: Touches) -> Any:
+    """Draw Fig. 11: the outline of every part's first press, and its slow waves."""
+    figure, axes = _images(-(-len(_firsts(touches)) // 3), 3, 1.5)
+    for place, (row, name) in zip(axes.ravel(), _firsts(touches), strict=False):
+        (binary,) = ArrayCleanUp().fit_transform(touches.images[[row]])
+        points = outer_boundary(binary)
+        waves = np.fft.fft(points, axis=0)
+        waves[np.abs(np.fft.fftfreq(len(points), 1 / len(points))) > WAVES_KEPT] = 0
+        place.imshow(binary, cmap="gray", vmin=-3, vmax=1)
+        place.autoscale(False)
+        place.fill(*points.T, fill=False, ec=plots.OURS, lw=2)
+        place.fill(*np.fft.ifft(waves, axis=0).real.T, fill=False, ec=LINE, lw=1.2)
+        place.set_title(f"{name}: {len(points)}", fontsize=9)
+    return figure
+
+
+def draw_class_sets(rows: Sequence[Row]) -> Any:
+    """Draw Figs 12 to 14 of rows of simulated presses, the paper's figures hollow."""
+    simulated = shared.held(rows, data="simulated")
+    scalings = shared.unique(row["features"] for row in simulated)
+    figure, axes = plots.panels(3, len(scalings), (4.9, 7.2), sharey=True)
+    for line, (table, what) in zip(axes, _FEATURES.items(), strict=True):
+        for place, scaling in zip(line, scalings, strict=True):
+            place.set_title(f"{table}: {what}, {scaling}", fontsize=9)
+            place.set(ylim=(0, 104), xlabel="descriptors")
+            of_table = shared.held(simulated, table=table, features=scaling)
+            for at, name in enumerate(CLASS_SETS):
+                of_class_set = shared.held(of_table, classes=name)
+                at_counts = [{**row, "n": row["n"] or at} for row in of_class_set]
+                look = {"color": plots.COLOURS[at], "marker": _MARKS[at], "lw": 1.3}
+                _curve(place, at_counts, "n", label=name, **look)
+                beside = [(r["n"], r["paper"]) for r in at_counts if r["paper"]]
+                place.plot(*zip(*beside, strict=True), mfc="none", ms=9, ls="", **look)
+        line[0].set_ylabel("3-NN right, %")
+    for place in axes[1]:
+        place.set(xticks=[], xlabel="")
+    axes[0, 0].plot([], "o", mfc="none", mec=plots.INK, ms=9, label="the paper's")
+    look = {"loc": "outside lower center", "ncols": 2, "fontsize": 9, "frameon": False}
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), **look)
+    return figure
+
+
+def draw_conditions(rows: Sequence[Row]) -> Any:
+    """Draw the scores, and how images fall apart, that belong to Figs 5 and 6."""
+    figure, axes = plots.panels(2, 2, (4.9, 5.2), sharex="col", sharey="row")
+    sides = (("Fig. 5", "load_kgf", "load, kgf"), ("Fig. 6", "cover_mm", "cover, mm"))
+    for (above, below), (table, key, label) in zip(axes.T, sides, strict=True):
+        of_table = shared.held(rows, table=table)
+        for encoding, scaling, name, colour, style in CURVES:
+            curve = shared.held(of_table, encoding=encoding, features=scaling)
+            _curve(above, curve, key, label=name, color=colour, fmt=style, lw=1.3)
+        ours = shared.held(of_table, encoding="FD+GE")
+        for entry, name, colour in _OVERLAP:
+            points = np.array(shared.different(ours, key, entry)).reshape(-1, 2).T
+            below.plot(*points, "o-", ms=4, lw=1.3, color=colour, label=name)
+        below.set_xlabel(label)
+    axes[0, 0].set(ylabel="3-NN right, %", ylim=(0, 101))
+    axes[1, 0].set(ylabel="presses or pixels, %", ylim=(0, 101))
+    for place in axes[:, 1]:
+        place.legend(frameon=False, fontsize=8, loc="best")
+    return figure
+
+
+def _curve(place: Any, rows: Sequence[Row], key: str, **look: Any) -> None:
+    x, y = [row[key] for row in rows], [row["ours"] for row in rows]
+    place.errorbar(x, y, [r["sd"] or 0.0 for r in rows], ms=4, capsize=2, **look)
+
+
+def _firsts(touches: Touches) -> list[tuple[int, str]]:
+    """Return the first row of every part, and its name."""
+    names = labels(touches).tolist()
+    return [(names.index(name), name) for name in shared.unique(names)]
+
+
+def _edges(touches: Touches, row: int) -> list[Floats]:
+    """Return the closed edges of a touch's part in taxels, each (column, row)."""
+    n_rows, n_cols = touches.images.shape[1:]
+    (part,) = find_parts(int(touches.columns["part"][row]))
+    x, y = touches.columns["position_mm"][row].tolist()
+    loops = part.placed(x, y, float(touches.columns["angle_deg"][row]))
+    pitch, middle = float(touches.whole["set_pitch_mm"]), [[n_cols - 1], [n_rows - 1]]
+    return [np.vstack([o, o[:1]]).T / pitch + np.array(middle) / 2 for o in loops]
+
+
+def _images(n_rows: int, n_columns: int, side: float) -> tuple[Any, Any]:
+    size = (side * n_columns, side * n_rows + 0.3)
+    return plots.panels(n_rows, n_columns, size, pictures=True)
 
 
 def introduction(result: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from ..._types import Label
 from ...datasets import where
 from ...evaluation import Plan as EvaluationPlan
 from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
-from ...recognition import MountingCheck, ObjectRecogniser
+from ...recognition import ObjectRecogniser
 from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
 from .. import Figures, Plan, Row, Table, Work, coded
@@ -204,14 +204,18 @@ def _alarm(plan: SessionsPlan, data: str, touches: Touches) -> list[Row]:
         rng = np.random.default_rng(plan.seed)
         taught, same = split_by_count(fold.train, n_taught, plan.seed)
         recogniser = ObjectRecogniser(random_state=plan.seed).fit(taught)
-        checks: list[list[MountingCheck]] = [[], []]
-        for side, touches_of_side in zip(checks, (same, fold.test), strict=True):
-            for _ in range(plan.draws):
-                ten = rng.permutation(len(touches_of_side))[:N_ALARM_TOUCHES]
-                side.append(recogniser.check_mounting(touches_of_side[ten]))
+        checks = [
+            [
+                recogniser.check_mounting(
+                    side[rng.permutation(len(side))[:N_ALARM_TOUCHES]]
+                )
+                for _ in range(plan.draws)
+            ]
+            for side in (same, fold.test)
+        ]
         rates["area"].append(roc_area(*([c.distance for c in side] for side in checks)))
-        for name, side in zip(("false alarms", "caught"), checks, strict=True):
-            rates[name].append(float(np.mean([check.changed for check in side])))
+        for name, of_side in zip(("false alarms", "caught"), checks, strict=True):
+            rates[name].append(float(np.mean([check.changed for check in of_side])))
     return [
         _row(data, f"{ALARM}: {name}", N_ALARM_TOUCHES, shares)
         for name, shares in rates.items()
