@@ -12,7 +12,6 @@ from palpate.classifiers import (
     EncodingPool,
     KernelDensityBayes,
     KernelRidgeClassifier,
-    learns_by_landmarks,
 )
 
 MOST_ANSWERS = "palpate.classifiers._touch_classifier.MOST_ANSWERS"
@@ -159,6 +158,7 @@ def test_all_of_few_answers_are_left_out():
 
 
 def test_landmarks_are_for_many_touches_or_many_targets():
+    learns_by_landmarks = KernelRidgeClassifier.learns_by_landmarks
     assert not learns_by_landmarks(10_000, 2000)
     assert learns_by_landmarks(10_001, 2)
     assert learns_by_landmarks(8000, 4000)

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
-from palpate.classifiers import NearbyTouches
+from palpate.classifiers import EncodingPool
 from palpate.recognition import across_sessions
 
 
@@ -58,7 +58,7 @@ def test_a_file_of_very_many_objects_answers_as_before_it_was_saved(
     tmp_path, n_objects, n_each
 ):
     model = learnt(n_objects, n_each)
-    is_nearby = isinstance(machine_of(model), NearbyTouches)
+    is_nearby = isinstance(machine_of(model), EncodingPool.MACHINES[1])
     assert is_nearby == (n_objects > 500)
     assert len(model.left_out_rows) < n_objects * n_each
     again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))

@@ -57,13 +57,6 @@ MAX_TOUCHES, _MOST_TARGETS = 10_000, 20_000_000
 _GROWS_FROM, _GROWS_TO, _GROWTH = 500, 5000, 1 / 8
 
 
-def learns_by_landmarks(
-    n_touches: int, n_labels: int, max_touches: int = MAX_TOUCHES
-) -> bool:
-    """Return whether some of so many touches stand for all."""
-    return n_touches > max_touches or n_touches * n_labels > _MOST_TARGETS
-
-
 class _Summed(NamedTuple):
     """Touches (n_touches, n_features) and labels, and what landmarks learnt of them."""
 
@@ -167,6 +160,13 @@ class KernelRidgeClassifier(BayesRule):
         self.max_touches = max_touches
         self.n_landmarks = n_landmarks
 
+    @staticmethod
+    def learns_by_landmarks(
+        n_touches: int, n_labels: int, max_touches: int = MAX_TOUCHES
+    ) -> bool:
+        """Return whether some of so many touches stand for all."""
+        return n_touches > max_touches or n_touches * n_labels > _MOST_TARGETS
+
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Choose width, ridge and temperature on left-out groups; learn from all.
 
@@ -250,7 +250,7 @@ class KernelRidgeClassifier(BayesRule):
         at_most = check_count("max_touches", self.max_touches, at_least=2)
         self.left_out_rows_ = rows = rows_left_out(codes, group)
         start = USUAL_SHAPE
-        if learns_by_landmarks(len(touches), n_labels, at_most):
+        if self.learns_by_landmarks(len(touches), n_labels, at_most):
             left_out = self._learn_by_landmarks(touches, codes, group)
         else:
             self._summed: _Summed | None = None

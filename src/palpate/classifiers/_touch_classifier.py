@@ -274,20 +274,6 @@ class FromProbabilities(BayesRule):
         return result
 
 
-def as_touch_classifier(classifier: Any) -> TouchClassifier:
-    """Return a classifier, not learnt, that a belief can be built on, or explain."""
-    required = [name for name in vars(TouchClassifier) if not name.startswith("_")]
-    if not isinstance(classifier, type):
-        if all(hasattr(type(classifier), name) for name in required):
-            return clone(classifier)  # type: ignore[no-any-return]
-        if hasattr(classifier, "predict_proba"):
-            return FromProbabilities(classifier)
-    raise TypeError(
-        "classifier must be a TouchClassifier or have predict_proba, got "
-        f"{classifier!r}. Give an instance, or wrap it in CalibratedClassifierCV."
-    )
-
-
 def labelled_touches(
     estimator: BaseEstimator, X: ArrayLike, y: ArrayLike, *, reset: bool = True
 ) -> tuple[Floats, Array]:
