@@ -1,7 +1,7 @@
 """Fixtures shared by the whole suite: small drawn touches and the real ones."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -29,6 +29,18 @@ def data_folder() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("PALPATE_DATA does not name the folder of real touches")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def disc_mask() -> Callable[[int, int], NDArray[np.bool_]]:
+    """Return what gives the pixel centres within half the shorter side of a frame."""
+
+    def mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
+        row, col = np.indices((n_rows, n_cols))
+        away = np.hypot(row - (n_rows - 1) / 2, col - (n_cols - 1) / 2)
+        return np.asarray(away <= min(n_rows, n_cols) / 2)
+
+    return mask
 
 
 @pytest.fixture

@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
-from .._image_estimator import ImageEstimator
+from .._image_estimator import ImageEstimator, central_moments, inscribed_mask
 from .._types import Array, Complexes, Floats, Indices
-from ..images import central_moments, inscribed_mask
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
 _HIGHEST_ORDER = 20

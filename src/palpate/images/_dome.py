@@ -20,10 +20,9 @@ from numpy.typing import ArrayLike
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_number, check_option, check_positive
-from .._image_estimator import ImageEstimator
+from .._checks import check_count, check_number, check_option
+from .._image_estimator import ImageEstimator, inscribed_mask
 from .._types import Array, Floats, Singles
-from ._orientation import inscribed_mask
 from ._rim import Circle, Rims, as_images, rims_near, spread, typical_rim
 
 N_SAFE = 512  # images are spread over all; more change a quantile little
@@ -160,6 +159,27 @@ class DomeCrop(ImageEstimator):
             images = images.astype(np.float64, copy=False)
         return self._cut(images, self._rims(images))
 
+    def cut(self, X: ArrayLike, rims: Rims) -> Singles:
+        """Do what `transform` does, about rims that were found in these very images."""
+        images = self._images(X)
+        if len(rims) != len(images):
+            raise ValueError(
+                f"rims must be as many as images, got {len(rims)} for {len(images)}. "
+                "Use the rims found in these very images."
+            )
+        return self._cut(images, rims)
+
+    @staticmethod
+    def standardise(discs: ArrayLike) -> Singles:
+        """Bring square discs to mean 0 and variance 1; flat ones and outsides to 0."""
+        images = as_images(discs)
+        rows, cols = images.shape[1:]
+        if rows != cols:
+            raise ValueError(
+                f"discs must be square, got {rows} x {cols}. Crop them first."
+            )
+        return _standardise(images, np.zeros(images.shape, np.float32))
+
     def _cut(self, images: Array, rims: Rims) -> Singles:
         unseen = np.flatnonzero(~rims.visible)
         if self.missing == "refuse" and len(unseen):
@@ -278,31 +298,6 @@ class DerivativeMagnitude(ImageEstimator):
         if self.region == "disc":
             magnitude *= inscribed_mask(*magnitude.shape[1:])
         return magnitude
-
-
-def crop_discs(images: ArrayLike, rims: Rims, radius: float, size: int) -> Singles:
-    """Return the disc of `radius` pixels about each rim, (n_touches, size, size).
-
-    Zero outside; where the disc leaves the frame, the frame's edge is repeated.
-    """
-    checked = as_images(images)
-    if len(rims) != len(checked):
-        raise ValueError(
-            f"rims must be as many as images, got {len(rims)} for {len(checked)}. "
-            "Use the rims found in these very images."
-        )
-    return _crop(
-        checked, rims, check_positive("radius", radius), check_count("size", size)
-    )
-
-
-def standardise_discs(discs: ArrayLike) -> Singles:
-    """Bring each square disc to mean 0 and variance 1; flat discs and outsides to 0."""
-    images = as_images(discs)
-    rows, cols = images.shape[1:]
-    if rows != cols:
-        raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
-    return _standardise(images, np.zeros(images.shape, np.float32))
 
 
 def _crop(images: Array, rims: Rims, radius: float, size: int) -> Singles:

@@ -118,8 +118,9 @@ def find_rims(
     images : array-like of shape (n_touches, n_rows, n_cols)
         Grey levels of any integer or float type, without NaN.
     near : Circle, optional
-        Radii are held within about a per cent of its own, centres anywhere within
-        half a radius; a touch's rim does not depend on the others then.
+        One found in another image, such as `find_rims(frames)[0]`. Radii are held
+        within about a per cent of its own, centres anywhere within half a radius; a
+        touch's rim does not depend on the others then.
     no_contact : array-like of shape (n_rows, n_cols), optional
         The no-contact frame, to learn `near` from. With neither, `near` is the
         `typical_rim` of the touches, so the radius comes from all of them.
