@@ -22,8 +22,9 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_number, check_option
 from .._image_estimator import ImageEstimator, inscribed_mask
+from .._numbers import evenly_rounded
 from .._types import Array, Floats, Singles
-from ._rim import Circle, Rims, as_images, rims_near, spread, typical_rim
+from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
 N_SAFE = 512  # images are spread over all; more change a quantile little
 SAFE_SHARE = 0.02  # of the images may reach beyond the disc
@@ -105,7 +106,7 @@ class DomeCrop(ImageEstimator):
         """
         images = as_images(X)
         self._learn_rim(images, no_contact)
-        self._learn_disc(self._rims(images[spread(len(images), N_SAFE)]))
+        self._learn_disc(self._rims(images[evenly_rounded(len(images), N_SAFE)]))
         return self
 
     def fit_transform(
@@ -115,7 +116,7 @@ class DomeCrop(ImageEstimator):
         images = as_images(X)
         self._learn_rim(images, **fixed)
         rims = self._rims(images)
-        self._learn_disc(rims[spread(len(images), N_SAFE)])
+        self._learn_disc(rims[evenly_rounded(len(images), N_SAFE)])
         return self._cut(images, rims)
 
     def _learn_rim(self, images: Array, no_contact: ArrayLike | None = None) -> None:

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_finite, check_image_shape, check_levels, check_positive
+from .._numbers import evenly_rounded
 from .._parallel import opencv_on_one_thread
-from .._types import Array, Bools, Floats, Indices
+from .._types import Array, Bools, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -164,7 +165,7 @@ def typical_rim(
     if no_contact is not None:
         alone = _find(as_images(np.asarray(no_contact)[np.newaxis])[0], None)
         idle = alone if alone.visible else None
-    rims = rims_near(checked[spread(len(checked), N_TYPICAL)], idle)
+    rims = rims_near(checked[evenly_rounded(len(checked), N_TYPICAL)], idle)
     seen = rims[rims.visible]
     if idle is not None:
         if not len(seen):
@@ -179,11 +180,6 @@ def typical_rim(
     if stray > 0.15 * radius or uneven > 0.02 * radius:
         return None
     return Circle(row, col, radius, True, float(np.median(seen.score)))
-
-
-def spread(n_images: int, most: int) -> Indices:
-    """Return at most so many rows of images, evenly spread over all."""
-    return np.linspace(0, n_images - 1, min(n_images, most)).round().astype(np.intp)
 
 
 def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:

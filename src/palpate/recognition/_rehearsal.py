@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from .._numbers import log_softmax
+from .._numbers import evenly_rounded, log_softmax
 from .._types import Array, Floats, Indices
 from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..touches import Touches, TouchSource
@@ -253,8 +253,7 @@ def _rows(memory: Memory) -> Indices:
         good = np.arange(len(memory))
     at_most = min(N_TOUCHES, -(-SEEN_AGAIN * len(memory) // N_SESSIONS))
     rows = good[shown_rows(memory.labels[good], at_most)]
-    spread = np.linspace(0, len(rows) - 1, min(at_most, len(rows)))
-    return rows[spread.round().astype(np.intp)]
+    return rows[evenly_rounded(len(rows), at_most)]
 
 
 def draw_sessions(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._numbers import log_softmax
+from .._numbers import evenly_rounded, log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool
 
@@ -90,7 +90,7 @@ def rehearsed(
         names = np.tile(drawn_codes[is_asked], invented.shape[1])
         invented = invented.reshape(2, -1, of_drawn.shape[3])
         n_each = min(n_ordinary, len(names))
-        sampled, others = (_spread(n, n_each) for n in (n_ordinary, len(names)))
+        sampled, others = (evenly_rounded(n, n_each) for n in (n_ordinary, len(names)))
         left_out = np.concatenate([left_out[:, sampled], invented[:, others]], axis=1)
         label_codes = np.concatenate([label_codes[sampled], names[others]])
     finite = np.isfinite(left_out).all(axis=(0, 2))
@@ -104,10 +104,6 @@ def rehearsed(
     if share:
         pool = pool.beside(weighed, weighing, share, codes[rows])
     return Rehearsal(pool, share, right)
-
-
-def _spread(n_all: int, n_some: int) -> Indices:
-    return np.linspace(0, n_all - 1, n_some).round().astype(np.intp)
 
 
 def _answers_of_drawn(
@@ -171,5 +167,5 @@ def _thinned(rows: Indices, y: Array) -> Indices:
         of_label = rows[y[rows] == name]
         count = len(of_label)
         n_kept = min(count, max(4, round(count * _AT_MOST / len(rows))))
-        kept.append(of_label[_spread(count, n_kept)])
+        kept.append(of_label[evenly_rounded(count, n_kept)])
     return np.sort(np.concatenate(kept))
