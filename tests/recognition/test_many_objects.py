@@ -101,10 +101,9 @@ def test_an_object_added_after_loading_is_recognised_as_if_before(
 def test_sums_that_do_not_fit_are_refused(tmp_path, monkeypatch):
     model = learnt(12, 30)
     machine = machine_of(model)
-    regression = copy(machine._summed.regression)
+    regression = copy(machine._summed)
     regression._by_label = regression._by_label[:, 1:]
-    summed = machine._summed._replace(regression=regression)
-    monkeypatch.setattr(machine, "_summed", summed)
+    monkeypatch.setattr(machine, "_summed", regression)
     path = model.save(tmp_path / "m.palpate")
     with pytest.raises(ValueError, match="sums of labels have shape"):
         ObjectRecogniser.load(path)
