@@ -116,21 +116,6 @@ def test_an_empty_image_is_encoded_by_zeros(touches):
     assert_array_equal(features[-1], 0)
 
 
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({"order": -1}, "order must be at least 0"),
-        ({"order": 21}, "order must be at most 20"),
-        ({"width": 0}, "width must be positive"),
-        ({"normalise": "max"}, "normalise must be one of"),
-        ({"centre_power": -1}, "centre_power must be positive"),
-    ],
-)
-def test_bad_parameters_are_refused_at_fit(params, message, touches):
-    with pytest.raises(ValueError, match=message):
-        CentroidMoments(**params).fit(touches)
-
-
 @pytest.mark.realdata
 @pytest.mark.parametrize(("canvas", "least"), [((16, 16), 0.98), ((10, 10), 0.96)])
 def test_real_presses_are_told_apart_in_any_pose(canvas, least, data_folder, rng):

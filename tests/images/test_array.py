@@ -240,23 +240,6 @@ def test_clean_up_fills_or_refuses_dead_taxels(touches):
         ArrayCleanUp(dead="refuse").fit(holed)
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"output": "edges"}, ValueError, "output must be one of"),
-        ({"gamma": 0}, ValueError, "gamma must be positive"),
-        ({"n_sd": -1}, ValueError, "n_sd must be positive"),
-        ({"n_partitions": 11}, ValueError, "at most 10.*Upsample"),
-        ({"n_partitions": 0}, ValueError, "at least 1"),
-        ({"n_partitions": 1.5}, TypeError, "integer"),
-        ({"min_contrast": 2}, ValueError, "between 0 and 1"),
-    ],
-)
-def test_bad_parameters_are_refused_at_fit(options, error, message, touches):
-    with pytest.raises(error, match=message):
-        ArrayCleanUp((10, 10), **options).fit(touches)
-
-
 def test_lists_of_unequal_lengths_are_refused():
     with pytest.raises(ValueError, match=r"one array of shape .*unequal lengths\. Bri"):
         resized([[[1, 2], [3]]])

@@ -235,21 +235,6 @@ def test_model_file_and_pickle_keep_the_crop(rng, tmp_path):
     np.testing.assert_array_equal(again.transform(images), crop.transform(images))
 
 
-@pytest.mark.parametrize(
-    ("params", "kind", "message"),
-    [
-        ({"missing": "guess"}, ValueError, "missing must be one of"),
-        ({"output": "raw"}, ValueError, "output must be one of"),
-        ({"margin": 0.6}, ValueError, "margin must be finite and between"),
-        ({"size": 0}, ValueError, "size must be at least 1"),
-        ({"size": 12.5}, TypeError, "size must be an integer"),
-    ],
-)
-def test_wrong_parameters_are_refused(params, kind, message):
-    with pytest.raises(kind, match=message):
-        DomeCrop(**params).fit(np.ones((2, 50, 50)))
-
-
 def test_wrong_images_are_refused(rng):
     images = domes(rng)
     crop = DomeCrop().fit(images)
