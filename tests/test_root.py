@@ -5,6 +5,7 @@ import os
 import stat
 from contextlib import nullcontext
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,7 +14,7 @@ from palpate._checks import check_number, check_positive
 from palpate._durable import PARTIAL, replacing, write_text
 from palpate._extras import install, needed
 from palpate._image_estimator import central_moments, inscribed_mask
-from palpate._numbers import correlation, exp
+from palpate._numbers import correlation, exp, otsu_thresholds
 from palpate._parallel import in_parallel
 
 
@@ -194,3 +195,32 @@ def test_an_image_without_mass_has_its_middle_in_the_middle():
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (9, 9), (10, 10), (4, 7)])
 def test_the_mask_is_of_pixel_centres_within_half_the_shorter_side(shape, disc_mask):
     assert_array_equal(inscribed_mask(*shape), disc_mask(*shape))
+
+
+def test_otsu_splits_as_opencv_does(rng):
+    images = rng.integers(0, 256, (40, 33, 33), dtype=np.uint8)
+    images[20:] //= 16
+    for image, threshold in zip(
+        images, otsu_thresholds(images.reshape(40, -1)), strict=True
+    ):
+        expected, _ = cv2.threshold(image, 0, 255, cv2.THRESH_OTSU)
+        assert_array_equal(image > threshold, image > expected)
+
+
+def test_otsu_beats_every_other_threshold(rng):
+    image = rng.normal(size=(6, 6))
+    (best,) = otsu_thresholds(image.reshape(1, -1))
+
+    def between(threshold):
+        high = image > threshold
+        share = high.mean()
+        return share * (1 - share) * (image[high].mean() - image[~high].mean()) ** 2
+
+    others = [between(level) for level in np.sort(image.ravel())[:-1]]
+    assert_allclose(between(best), max(others))
+
+
+def test_otsu_follows_a_change_of_scale(touches):
+    rows = touches.reshape(12, -1)
+    assert_allclose(otsu_thresholds(3 * rows + 10), 3 * otsu_thresholds(rows) + 10)
+    assert np.isnan(otsu_thresholds(np.full((1, 81), 40.0))).all()

@@ -7,6 +7,8 @@ from ._types import Array, Floats, Indices
 
 # OpenCV counts the elements of a row in 32 bits.
 _MOST = 2**31 - 1
+# Interpolation leaves rounding of this relative size in what should be constant.
+_ROUNDING = 1e-12
 
 
 def exp(values: Array, out: Array | None = None) -> Array:
@@ -94,3 +96,27 @@ def correlation(images: Array, idle: Array) -> Floats:
         norm = np.linalg.norm(flat) * np.linalg.norm(centred_idle)
         correlations[number] = flat @ centred_idle / norm if norm > 0 else 0.0
     return correlations
+
+
+def otsu_thresholds(levels: Array) -> Floats:
+    """Return the threshold of most variance between classes of each row of levels.
+
+    The middle of the best gap between levels (the lowest of equals), NaN for a constant
+    row. N. Otsu, IEEE SMC 9(1), 1979. doi:10.1109/TSMC.1979.4310076
+    """
+    ordered = np.sort(levels.astype(np.float64, copy=False), axis=1)
+    n_rows, n_levels = ordered.shape
+    if n_levels < 2:
+        return np.full(n_rows, np.nan)
+    below = np.arange(1, n_levels)
+    total = np.cumsum(ordered - ordered.mean(axis=1, keepdims=True), axis=1)[:, :-1]
+    # Between-class variance, up to a factor, for a cut after each sorted level.
+    between = total**2 / (below * (n_levels - below))
+    gap = np.diff(ordered, axis=1)
+    size = np.abs(ordered[:, [0, -1]]).max(axis=1, keepdims=True)
+    between[gap <= _ROUNDING * size] = -1.0
+    best = between.max(axis=1, keepdims=True)
+    cut = (between >= best * (1 - _ROUNDING)).argmax(axis=1)
+    row = np.arange(n_rows)
+    threshold = (ordered[row, cut] + ordered[row, cut + 1]) / 2
+    return np.where(best[:, 0] < 0, np.nan, threshold)

@@ -6,11 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
-from palpate.images import (
-    ArrayCleanUp,
-    fill_dead_taxels,
-    otsu_threshold,
-)
+from palpate.images import ArrayCleanUp, fill_dead_taxels
 
 
 def resized(images, shape=(33, 33)):
@@ -106,35 +102,8 @@ def test_noise_filter_does_nothing_to_a_mostly_empty_image(touches):
     assert_array_equal(filtered(sparse), sparse)
 
 
-def test_otsu_splits_as_opencv_does(rng):
-    images = rng.integers(0, 256, (40, 33, 33), dtype=np.uint8)
-    images[20:] //= 16
-    for image, threshold in zip(images, otsu_threshold(images), strict=True):
-        expected, _ = cv2.threshold(image, 0, 255, cv2.THRESH_OTSU)
-        assert_array_equal(image > threshold, image > expected)
-
-
-def test_otsu_beats_every_other_threshold(rng):
-    image = rng.normal(size=(6, 6))
-    (best,) = otsu_threshold(image[np.newaxis])
-
-    def between(threshold):
-        high = image > threshold
-        share = high.mean()
-        return share * (1 - share) * (image[high].mean() - image[~high].mean()) ** 2
-
-    others = [between(level) for level in np.sort(image.ravel())[:-1]]
-    assert_allclose(between(best), max(others))
-
-
-def test_otsu_follows_a_change_of_scale(touches):
-    thresholds = otsu_threshold(touches)
-    assert_allclose(otsu_threshold(3 * touches + 10), 3 * thresholds + 10)
-
-
-def test_constant_image_has_no_threshold_and_no_foreground():
+def test_constant_image_has_no_foreground():
     constant = np.full((1, 9, 9), 40.0)
-    assert np.isnan(otsu_threshold(constant)).all()
     assert not binarised(constant, 3).any()
 
 

@@ -2,7 +2,6 @@
 
 from ._array import ArrayCleanUp, ChannelMean, fill_dead_taxels
 from ._array import NoLivingTaxelError as NoLivingTaxelError
-from ._array import otsu_threshold as otsu_threshold
 from ._calibration import TaxelCalibration
 from ._dome import DerivativeMagnitude, DomeCrop
 from ._orientation import OrientationRegulariser, repose
