@@ -32,6 +32,18 @@ def data_folder() -> Path:
     return Path(folder)
 
 
+@pytest.fixture(scope="session")
+def disc_mask() -> Callable[[int, int], NDArray[np.bool_]]:
+    """Return what gives the pixel centres within half the shorter side of a frame."""
+
+    def mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
+        row, col = np.indices((n_rows, n_cols))
+        away = np.hypot(row - (n_rows - 1) / 2, col - (n_cols - 1) / 2)
+        return np.asarray(away <= min(n_rows, n_cols) / 2)
+
+    return mask
+
+
 @pytest.fixture
 def reread(tmp_path: Path) -> Callable[[Any], Any]:
     """Return a function that writes an estimator to a model file, and reads it."""

@@ -47,6 +47,7 @@ ENCODERS = [
     EdgeHistograms(),
     FourierDescriptors(),
     ShapeGeometry(),
+    ShapeGeometry("outer"),
     TaxelVector(),
     EncodingUnion([ShapeGeometry(), ZernikeMoments(order=4)]),
     EncodingUnion([ShapeGeometry(), ZernikeMoments(order=4)], balanced=True),
@@ -145,6 +146,78 @@ def test_text_and_empty_sets_are_refused(encoder):
             clone(encoder).fit(odd)
     with pytest.raises(ValueError, match="at least one touch"):
         clone(encoder).fit(np.zeros((0, 4, 4)))
+
+
+@pytest.mark.parametrize(
+    ("encoder", "error", "message"),
+    [
+        (ArrayCleanUp(output="edges"), ValueError, "output must be one of"),
+        (ArrayCleanUp(gamma=0), ValueError, "gamma must be positive"),
+        (ArrayCleanUp(n_sd=-1), ValueError, "n_sd must be positive"),
+        (ArrayCleanUp((10, 10), n_partitions=11), ValueError, "at most 10.*Upsample"),
+        (ArrayCleanUp(n_partitions=0), ValueError, "n_partitions .* at least 1"),
+        (ArrayCleanUp(n_partitions=1.5), TypeError, "n_partitions .*integer"),
+        (ArrayCleanUp(min_contrast=2), ValueError, "between 0 and 1"),
+        (CentroidMoments(-1), ValueError, "order must be at least 0"),
+        (CentroidMoments(21), ValueError, "order must be at most 20"),
+        (CentroidMoments(width=0), ValueError, "width must be positive"),
+        (CentroidMoments(normalise="max"), ValueError, "normalise must be one of"),
+        (CentroidMoments(centre_power=-1), ValueError, "centre_power must be positive"),
+        (DomeCrop(missing="guess"), ValueError, "missing must be one of"),
+        (DomeCrop(output="raw"), ValueError, "output must be one of"),
+        (DomeCrop(margin=0.6), ValueError, "margin must be finite and between"),
+        (DomeCrop(size=0), ValueError, "size must be at least 1"),
+        (DomeCrop(size=12.5), TypeError, "size must be an integer"),
+        (EdgeHistograms(0), ValueError, "n_orientations must be at least 1"),
+        (EdgeHistograms(cell=17), ValueError, "cell must be at most 16, got 17"),
+        (FourierDescriptors(0), ValueError, "n must be at least 1"),
+        (FourierDescriptors(2.5), TypeError, "n must be an integer"),
+        (FourierDescriptors(resample=2), ValueError, "resample must be at least 3"),
+        (GridLevels(0), ValueError, "cells must be at least 1, got 0"),
+        (GridLevels(blur=-1), ValueError, "blur must be finite and between 0"),
+        (GridLevels(root="no"), ValueError, "root must be .* False, True, got 'no'"),
+        (HuMoments(8), ValueError, "at most 7, got 8"),
+        (OrientationRegulariser(2), ValueError, "min_anisotropy must be .*between 0"),
+        (PadShapes([1, 2, 3, 4]), ValueError, r"shape \(n_pads, 4\).* shape \(4,\)"),
+        (PadShapes([[0, 0, 2.5, 1]]), ValueError, "must be integers .* got float64"),
+        (PadShapes([[0, 0, 4, 4], [5, 5, 6, 5]]), ValueError, r"got \[5, 5, 6, 5\]"),
+        (PadShapes(np.empty((0, 4), int)), ValueError, "got none"),
+        (RingPatterns(17), ValueError, "n_rings must be at most 16, got 17"),
+        (RingPatterns(radii=()), ValueError, "at least one radius, got none"),
+        (RingPatterns(radii=(2, 30)), ValueError, "radii must be .* 25, got 30"),
+        (RingPatterns(n_points=3), ValueError, "n_points must be .* got 3"),
+        (RingQuantiles(n_quantiles=1.5), TypeError, "n_quantiles must be an integer"),
+        (ShapeGeometry("inner"), ValueError, "edges must be one of 'all', 'outer'"),
+        (ZernikeMoments(-1), ValueError, "order must be at least 0, got -1"),
+        (ZernikeMoments(101), ValueError, "order must be at most 100, got 101"),
+        (ZernikeMoments(2.5), TypeError, "order must be an integer, got float"),
+        (ZernikeMoments(0, drop_constant=True), ValueError, "at least 1, got 0"),
+        (ZernikeMoments(method="fast"), ValueError, "method must be .*'exact', 'sam"),
+        (ZernikeMoments(output="real"), ValueError, "output must be one of 'abs'"),
+        (ZernikeMoments(weight="n"), ValueError, r"weight must be one of 'n\+1'"),
+        (ZernikeMoments(disc="outer"), ValueError, "disc must be one of 'inscribed'"),
+        (ZernikeMoments(radius=0), ValueError, "radius must be positive"),
+        (ZernikeMoments(radius=np.nan), ValueError, "radius must be .* and finite"),
+        (ZernikeMoments(centre=5.0), ValueError, r"centre must be a pair \(row, col\)"),
+        (ZernikeMoments(centre=(1, 2, 3)), ValueError, r"centre must be a pair \(row"),
+        (ZernikeMoments(centre=(np.inf, 2)), ValueError, r"centre\[0\] must be finite"),
+        (ZernikeMoments(centre=(50, 4)), ValueError, "10 x 10 frame in it"),
+        (
+            ZernikeMoments(method="sample", radius=0.3),
+            ValueError,
+            r"centre \(4.5, 4.5\) and radius 0.3",
+        ),
+        (
+            ZernikeMoments(output="noll", repeat_negative=True),
+            ValueError,
+            "repeat_negative must be False",
+        ),
+        (ZernikePCA(output="complex"), ValueError, "output must be one of 'abs', 'nol"),
+    ],
+)
+def test_bad_parameters_are_refused_at_fit(encoder, error, message, touches):
+    with pytest.raises(error, match=message):
+        encoder.fit(touches)
 
 
 def changes_of(encoder, before, after):

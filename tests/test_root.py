@@ -5,6 +5,7 @@ import os
 import stat
 from contextlib import nullcontext
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,7 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from palpate._checks import check_number, check_positive
 from palpate._durable import PARTIAL, replacing, write_text
 from palpate._extras import install, needed
-from palpate._numbers import correlation, exp
+from palpate._image_estimator import central_moments, inscribed_mask
+from palpate._numbers import correlation, exp, otsu_thresholds
 from palpate._parallel import in_parallel
 
 
@@ -167,3 +169,58 @@ def test_correlation_is_that_of_statistics():
     expected = np.corrcoef(images[:3].reshape(3, -1))[1]
     assert correlations == pytest.approx([*expected, 0])
     assert correlation(images, images[3]).tolist() == [0, 0, 0, 0]
+
+
+def test_central_moments_are_their_definition(rng):
+    image = rng.uniform(size=(5, 7))
+    moments = central_moments(image[np.newaxis])
+    x, y = np.meshgrid(np.arange(7) - 3.0, np.arange(5) - 2.0)
+    middle_x, middle_y = (
+        (image * x).sum() / image.sum(),
+        (image * y).sum() / image.sum(),
+    )
+    assert_allclose([moments.x[0], moments.y[0]], [middle_x, middle_y])
+    for p in range(4):
+        for q in range(4):
+            direct = (image * (x - middle_x) ** p * (y - middle_y) ** q).sum()
+            # Sums of 35 numbers of at most 27 * 8.
+            assert_allclose(moments.mu[0, q, p], direct, atol=1e-11)
+
+
+def test_an_image_without_mass_has_its_middle_in_the_middle():
+    moments = central_moments(np.zeros((1, 4, 6)))
+    assert (moments.mass[0], moments.x[0], moments.y[0]) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (9, 9), (10, 10), (4, 7)])
+def test_the_mask_is_of_pixel_centres_within_half_the_shorter_side(shape, disc_mask):
+    assert_array_equal(inscribed_mask(*shape), disc_mask(*shape))
+
+
+def test_otsu_splits_as_opencv_does(rng):
+    images = rng.integers(0, 256, (40, 33, 33), dtype=np.uint8)
+    images[20:] //= 16
+    for image, threshold in zip(
+        images, otsu_thresholds(images.reshape(40, -1)), strict=True
+    ):
+        expected, _ = cv2.threshold(image, 0, 255, cv2.THRESH_OTSU)
+        assert_array_equal(image > threshold, image > expected)
+
+
+def test_otsu_beats_every_other_threshold(rng):
+    image = rng.normal(size=(6, 6))
+    (best,) = otsu_thresholds(image.reshape(1, -1))
+
+    def between(threshold):
+        high = image > threshold
+        share = high.mean()
+        return share * (1 - share) * (image[high].mean() - image[~high].mean()) ** 2
+
+    others = [between(level) for level in np.sort(image.ravel())[:-1]]
+    assert_allclose(between(best), max(others))
+
+
+def test_otsu_follows_a_change_of_scale(touches):
+    rows = touches.reshape(12, -1)
+    assert_allclose(otsu_thresholds(3 * rows + 10), 3 * otsu_thresholds(rows) + 10)
+    assert np.isnan(otsu_thresholds(np.full((1, 81), 40.0))).all()

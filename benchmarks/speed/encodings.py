@@ -23,11 +23,12 @@ import numpy as np
 from joblib import cpu_count
 
 from palpate._extras import missing
+from palpate._image_estimator import inscribed_mask
 from palpate._types import Array, Bools, Floats, Singles
 from palpate.encodings import HuMoments, ZernikeMoments, encoder_named
 from palpate.encodings._named import ENCODINGS
 from palpate.encodings._zernike_tables import zernike_degrees, zernike_values
-from palpate.images import DomeCrop, crop_discs, inscribed_mask, standardise_discs
+from palpate.images import DomeCrop
 
 from . import (
     N_COLS,
@@ -196,18 +197,17 @@ def _stages(
 ) -> tuple[dict[str, float], Singles]:
     """Return milliseconds of each stage before the encoding, and the discs."""
     images = np.stack([_decoded(picture) for picture in pictures])
-    crop = DomeCrop(_SIZE).fit(images)
+    crop = DomeCrop(_SIZE, output="grey").fit(images)
     rims = crop.rims(images)
-    radius, size = crop.disc_radius_, crop.size_
-    discs = crop_discs(images, rims, radius, size)
+    discs = crop.cut(images, rims)
     stages: dict[str, Callable[[int], object]] = {
         "decoding": lambda i: _decoded(pictures[i]),
         "rim finding": lambda i: crop.rims(images[i : i + 1]),
-        "cropping": lambda i: crop_discs(images[[i]], rims[i : i + 1], radius, size),
-        "standardising": lambda i: standardise_discs(discs[i : i + 1]),
+        "cropping": lambda i: crop.cut(images[[i]], rims[i : i + 1]),
+        "standardising": lambda i: DomeCrop.standardise(discs[i : i + 1]),
     }
     times = {name: _each(stage, seconds) for name, stage in stages.items()}
-    return times, standardise_discs(discs)
+    return times, DomeCrop.standardise(discs)
 
 
 def _decoded(picture: Picture) -> Array:

@@ -140,11 +140,6 @@ def is_plain(X: object, n_axes: int) -> TypeGuard[Floats]:
     )
 
 
-def are_plain_vectors(X: object, n_features: int) -> TypeGuard[Floats]:
-    """Whether `X` is plain and has the shape (n_touches, n_features)."""
-    return is_plain(X, n_axes=2) and X.shape[1] == n_features
-
-
 def listed(names: Sequence[str], most: int) -> str:
     """Return the first names, and how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""

@@ -1,19 +1,27 @@
-"""Base of every estimator of images: its tags, its image size, and its checks."""
+"""Base of every estimator of images: its tags, its image size, and its checks.
+
+And what several of them look at: the disc inscribed in a frame, and central moments.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial, wraps
+from dataclasses import dataclass
+from functools import lru_cache, partial, wraps
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import pascal
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from ._checks import check_finite, check_image_shape, check_levels
-from ._types import Array
+from ._checks import check_finite, check_image_shape, check_images, check_levels
+from ._types import Array, Bools, Floats
+
+_ORDER = 3  # third moments tell one end of an axis from the other
+_BINOMIAL = pascal(_ORDER + 1, kind="lower").astype(float)
 
 
 class ImageEstimator(TransformerMixin, BaseEstimator):
@@ -173,3 +181,56 @@ def _by_channel(transform: Callable[[Any, Array], Array]) -> Any:
         return by_channel(partial(transform, self), images)
 
     return transform_checked
+
+
+@dataclass(frozen=True)
+class CentralMoments:
+    """Moments of images about each image's own centroid (`x`, `y`).
+
+    The centroid is in pixels from the middle of the frame, 0 where the `mass` (sum of
+    levels) is; `mu[:, q, p]` sums level * (x - centroid)^p * (y - centroid)^q.
+    """
+
+    mass: Floats
+    x: Floats
+    y: Floats
+    mu: Floats
+
+
+def central_moments(images: ArrayLike) -> CentralMoments:
+    """Return the central moments of images to order 3 along x and y."""
+    checked = check_images(images)
+    n_rows, n_cols = checked.shape[1:]
+    raw = _powers(n_rows).T @ checked @ _powers(n_cols)  # about the frame's middle
+    mass = raw[:, 0, 0]
+    safe = np.where(mass == 0, 1.0, mass)
+    x = np.where(mass == 0, 0.0, raw[:, 0, 1] / safe)
+    y = np.where(mass == 0, 0.0, raw[:, 1, 0] / safe)
+    mu = _shift(y) @ raw @ _shift(x).transpose(0, 2, 1)
+    return CentralMoments(mass, x, y, mu)
+
+
+@lru_cache(maxsize=16)
+def inscribed_mask(n_rows: int, n_cols: int) -> Bools:
+    """Return a mask of the frame's inscribed disc; it is shared, so read-only."""
+    row = np.arange(n_rows) - (n_rows - 1) / 2
+    col = np.arange(n_cols) - (n_cols - 1) / 2
+    squared = row[:, np.newaxis] ** 2 + col**2
+    inside: Bools = squared <= (min(n_rows, n_cols) / 2) ** 2
+    inside.flags.writeable = False
+    return inside
+
+
+@lru_cache(maxsize=16)
+def _powers(n: int) -> Floats:
+    """Return 1, x, x^2, x^3 of pixel centres from the middle, (n, 4)."""
+    from_middle = np.arange(n) - (n - 1) / 2
+    return (from_middle[:, None] ** np.arange(_ORDER + 1)).astype(np.float64)
+
+
+def _shift(centre: Floats) -> Floats:
+    """Matrices that turn moments about the middle into moments about `centre`."""
+    order = np.arange(_ORDER + 1)
+    gap = order[:, None] - order
+    powers = (-centre[:, None, None]) ** np.maximum(gap, 0)
+    return np.where(gap >= 0, _BINOMIAL * powers, 0.0)

@@ -12,6 +12,8 @@ _MOST = 2**31 - 1
 # The log-likelihood of what one touch rules out, where that is allowed.
 _RULED_OUT = -1e6
 CONFIDENCE = 0.95
+# Interpolation leaves rounding of this relative size in what should be constant.
+_ROUNDING = 1e-12
 
 
 def exp(values: Array, out: Array | None = None) -> Array:
@@ -20,36 +22,40 @@ def exp(values: Array, out: Array | None = None) -> Array:
     `np.exp` within two units in the last place. OpenCV's takes a fifth of the time
     where numpy has no vector code for it (processors without AVX-512).
     """
-    if not (
-        0 < values.size <= _MOST
-        and values.flags.c_contiguous
-        and values.dtype in (np.float64, np.float32)
-        and (out is None or out is values)
-    ):
-        return np.asarray(np.exp(values, out=out))
-    flat = values.reshape(1, -1)
-    quick = cv2.exp(flat, dst=None if out is None else flat)
-    return np.asarray(quick).reshape(values.shape)
+    if _suits_opencv(values, out):
+        flat = values.reshape(1, -1)
+        quick = cv2.exp(flat, dst=None if out is None else flat)
+        return np.asarray(quick).reshape(values.shape)
+    return np.asarray(np.exp(values, out=out))
 
 
 def log(values: Array, out: Array | None = None) -> Array:
     """Return natural logarithms, of 0 minus infinity; as `exp`, a third of the time."""
-    if not (
+    if _suits_opencv(values, out):
+        flat = values.reshape(1, -1)
+        quick = cv2.log(flat, dst=None if out is None else flat)
+        return np.asarray(quick).reshape(values.shape)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(values, out=out))
+
+
+def _suits_opencv(values: Array, out: Array | None) -> bool:
+    return (
         0 < values.size <= _MOST
         and values.flags.c_contiguous
         and values.dtype in (np.float64, np.float32)
         and (out is None or out is values)
-    ):
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(values, out=out))
-    flat = values.reshape(1, -1)
-    quick = cv2.log(flat, dst=None if out is None else flat)
-    return np.asarray(quick).reshape(values.shape)
+    )
 
 
 def evenly_spaced(n: int, count: int) -> Indices:
     """Return at most `count` of `n` indices, evenly spaced from first to last."""
     return np.unique(np.linspace(0, n - 1, count).astype(np.intp))
+
+
+def evenly_rounded(n: int, most: int) -> Indices:
+    """Return at most so many of `n` indices, each nearest to its even place."""
+    return np.linspace(0, n - 1, min(n, most)).round().astype(np.intp)
 
 
 def log_softmax(values: Array, axis: int = -1) -> Floats:
@@ -137,3 +143,27 @@ def upper_bound(n_wrong: float, n_units: int) -> float:
     if n_wrong >= n_units:
         return 1.0
     return float(beta.ppf(CONFIDENCE, n_wrong + 1, n_units - n_wrong))
+
+
+def otsu_thresholds(levels: Array) -> Floats:
+    """Return the threshold of most variance between classes of each row of levels.
+
+    The middle of the best gap between levels (the lowest of equals), NaN for a constant
+    row. N. Otsu, IEEE SMC 9(1), 1979. doi:10.1109/TSMC.1979.4310076
+    """
+    ordered = np.sort(levels.astype(np.float64, copy=False), axis=1)
+    n_rows, n_levels = ordered.shape
+    if n_levels < 2:
+        return np.full(n_rows, np.nan)
+    below = np.arange(1, n_levels)
+    total = np.cumsum(ordered - ordered.mean(axis=1, keepdims=True), axis=1)[:, :-1]
+    # Between-class variance, up to a factor, for a cut after each sorted level.
+    between = total**2 / (below * (n_levels - below))
+    gap = np.diff(ordered, axis=1)
+    size = np.abs(ordered[:, [0, -1]]).max(axis=1, keepdims=True)
+    between[gap <= _ROUNDING * size] = -1.0
+    best = between.max(axis=1, keepdims=True)
+    cut = (between >= best * (1 - _ROUNDING)).argmax(axis=1)
+    row = np.arange(n_rows)
+    threshold = (ordered[row, cut] + ordered[row, cut + 1]) / 2
+    return np.where(best[:, 0] < 0, np.nan, threshold)

@@ -12,7 +12,6 @@ from palpate.classifiers import (
     EncodingPool,
     KernelDensityBayes,
     KernelRidgeClassifier,
-    learns_by_landmarks,
 )
 
 MOST_ANSWERS = "palpate.classifiers._touch_classifier.MOST_ANSWERS"
@@ -29,14 +28,11 @@ def drawn(n_labels, n_each, seed=0):
     return X, labels, np.arange(len(X)) // 2
 
 
-def refitted_from_scratch(machine, X, labels, groups):
+def refitted_from_scratch(machine, X, labels):
     """The same landmarks and mean, all sums made anew."""
-    other = KernelRidgeClassifier(**SETTINGS)
-    other.__dict__.update(machine.__dict__)
-    codes = np.searchsorted(machine.classes_, labels)
-    before = machine._summed.regression
-    regression = type(before)(before._landmarks, machine.ridge_)
-    return regression.learn(X - machine.mean_, codes, len(machine.classes_))
+    before, codes = machine._summed, np.searchsorted(machine.classes_, labels)
+    regression = type(before)(before._landmarks, machine.mean_, machine.ridge_)
+    return regression.learn((X, codes, machine.classes_))
 
 
 @pytest.mark.parametrize("change", ["add", "extend", "forget", "both"])
@@ -50,32 +46,30 @@ def test_changes_are_learnt_by_what_they_add_to_the_sums(change):
         first[:] = True
     machine = KernelRidgeClassifier(**SETTINGS)
     machine.fit(X[first], labels[first], groups=groups[first])
-    before = machine._summed.regression
+    before = machine._summed
     rows = np.flatnonzero(first)
     if change in ("add", "extend", "both"):
         rows = np.concatenate([rows, np.flatnonzero(~first)])
     if change in ("forget", "both"):
         rows = rows[labels[rows] != "object 07"]
     machine.refit(X[rows], labels[rows], groups=groups[rows])
-    again = machine._summed.regression
+    again = machine._summed
     assert again._landmarks is before._landmarks
-    slow = refitted_from_scratch(machine, X[rows], labels[rows], groups[rows])
+    slow = refitted_from_scratch(machine, X[rows], labels[rows])
     assert_allclose(again.coefficients(), slow.coefficients(), atol=2e-4)
     lower = np.tril(again._products)
     assert_allclose(lower, np.tril(slow._products), atol=1e-9)
-    answers = X[rows] - machine.mean_, np.searchsorted(machine.classes_, labels[rows])
-    left_out = slow.left_out(
-        slow.coefficients(), *answers, groups[rows], machine.left_out_rows
-    )
+    which = groups[rows], machine.left_out_rows
+    left_out = slow.left_out(slow.coefficients(), *which)
     assert_allclose(machine.left_out_scores_, left_out, atol=1e-4)
 
 
 def test_other_touches_are_learnt_from_the_beginning():
     X, labels, groups = drawn(10, 12)
     machine = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
-    before = machine._summed.regression._landmarks
+    before = machine._summed._landmarks
     machine.refit(X[::-1], labels[::-1], groups=groups)
-    assert machine._summed.regression._landmarks is not before
+    assert machine._summed._landmarks is not before
     many, names, others = drawn(14, 12)
     machine.refit(many, names, groups=others)
     assert len(machine.classes_) == 14
@@ -100,7 +94,7 @@ def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
     machine.fit(X, labels, groups=groups)
     single = machine.coefficients_.dtype == np.float32
     assert single == (n_landmarks == 20)
-    regression = machine._summed.regression
+    regression = machine._summed
     codes = np.searchsorted(machine.classes_, labels)
     kernel = regression._landmarks.kernel(X - machine.mean_)
     features = np.linalg.solve(regression._root, kernel.T).T
@@ -159,6 +153,7 @@ def test_all_of_few_answers_are_left_out():
 
 
 def test_landmarks_are_for_many_touches_or_many_targets():
+    learns_by_landmarks = KernelRidgeClassifier.learns_by_landmarks
     assert not learns_by_landmarks(10_000, 2000)
     assert learns_by_landmarks(10_001, 2)
     assert learns_by_landmarks(8000, 4000)

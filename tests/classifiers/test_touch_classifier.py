@@ -10,16 +10,17 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import (
     MKLSVC,
+    EncodingPool,
     FromProbabilities,
     GaussianKernel,
     KernelDensityBayes,
     KernelDensityNaiveBayes,
     KernelRidgeClassifier,
-    NearbyTouches,
     OnePerLabelSVC,
     TouchClassifier,
 )
 
+_, NearbyTouches, _ = EncodingPool.MACHINES
 CLASSIFIERS = [
     KernelRidgeClassifier(),
     KernelDensityBayes(),

@@ -9,7 +9,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
-from palpate.encodings import CentroidMoments, sorted_taxels
+from palpate.encodings import CentroidMoments
 from palpate.images import repose
 
 
@@ -116,30 +116,6 @@ def test_an_empty_image_is_encoded_by_zeros(touches):
     assert_array_equal(features[-1], 0)
 
 
-def test_sorted_taxels_know_no_geometry(touches, rng):
-    shuffled = rng.permuted(touches.reshape(12, -1), axis=1).reshape(touches.shape)
-    assert_array_equal(sorted_taxels(shuffled), sorted_taxels(touches))
-    assert (np.diff(sorted_taxels(touches), axis=1) <= 0).all()
-    normalised = sorted_taxels(np.abs(touches), normalise=True)
-    assert_allclose(normalised.sum(axis=1), 1)
-    assert_array_equal(sorted_taxels(np.zeros((1, 2, 2)), normalise=True), 0)
-
-
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({"order": -1}, "order must be at least 0"),
-        ({"order": 21}, "order must be at most 20"),
-        ({"width": 0}, "width must be positive"),
-        ({"normalise": "max"}, "normalise must be one of"),
-        ({"centre_power": -1}, "centre_power must be positive"),
-    ],
-)
-def test_bad_parameters_are_refused_at_fit(params, message, touches):
-    with pytest.raises(ValueError, match=message):
-        CentroidMoments(**params).fit(touches)
-
-
 @pytest.mark.realdata
 @pytest.mark.parametrize(("canvas", "least"), [((16, 16), 0.98), ((10, 10), 0.96)])
 def test_real_presses_are_told_apart_in_any_pose(canvas, least, data_folder, rng):
@@ -161,5 +137,6 @@ def test_real_presses_are_told_apart_in_any_pose(canvas, least, data_folder, rng
 
     # Means of ten runs: moments 0.994 and 0.985, control 0.86 and 0.82.
     assert accuracy(CentroidMoments().fit_transform(posed)) > least
-    assert accuracy(sorted_taxels(posed, normalise=True)) < 0.93
-    assert accuracy(posed.reshape(n, -1)) < 0.6
+    flat = posed.reshape(n, -1)
+    assert accuracy(np.sort(flat / np.abs(flat).sum(axis=1, keepdims=True))) < 0.93
+    assert accuracy(flat) < 0.6

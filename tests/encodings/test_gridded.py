@@ -201,34 +201,6 @@ def test_hand_of_six_pads_without_load_is_zeros():
     assert_allclose(features, 0)
 
 
-@pytest.mark.parametrize(
-    ("encoder", "error", "message"),
-    [
-        (GridLevels(0), ValueError, "cells must be at least 1, got 0"),
-        (GridLevels(blur=-1), ValueError, "blur must be finite and between 0"),
-        (
-            GridLevels(root="no"),
-            ValueError,
-            "root must be one of False, True, got 'no'",
-        ),
-        (EdgeHistograms(0), ValueError, "n_orientations must be at least 1"),
-        (EdgeHistograms(cell=17), ValueError, "cell must be at most 16, got 17"),
-        (RingPatterns(17), ValueError, "n_rings must be at most 16, got 17"),
-        (RingPatterns(radii=()), ValueError, "at least one radius, got none"),
-        (RingPatterns(radii=(2, 30)), ValueError, "radii must be .* 25, got 30"),
-        (RingPatterns(n_points=3), ValueError, "n_points must be .* got 3"),
-        (RingQuantiles(n_quantiles=1.5), TypeError, "n_quantiles must be an integer"),
-        (PadShapes([1, 2, 3, 4]), ValueError, r"shape \(n_pads, 4\).* shape \(4,\)"),
-        (PadShapes([[0, 0, 2.5, 1]]), ValueError, "must be integers .* got float64"),
-        (PadShapes([[0, 0, 4, 4], [5, 5, 6, 5]]), ValueError, r"got \[5, 5, 6, 5\]"),
-        (PadShapes(np.empty((0, 4), int)), ValueError, "got none"),
-    ],
-)
-def test_bad_parameters_are_refused_at_fit(encoder, error, message, touches):
-    with pytest.raises(error, match=message):
-        encoder.fit(touches)
-
-
 LIGHTS = np.array([[-1.0, 0.0], [0.5, 0.87], [0.5, -0.87]])
 
 

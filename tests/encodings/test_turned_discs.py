@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import affine_transform
 
 from palpate.encodings import RingQuantiles, encoder_named
-from palpate.images import DomeCrop, crop_discs, standardise_discs
+from palpate.images import DomeCrop
 
 SIZE = 300
 
@@ -40,7 +40,8 @@ def test_turned_pictures_keep_their_magnitudes_after_cropping(data_folder, rng):
     paths = sorted((data_folder / "bathtip" / "originals").glob("*/*/*.jpg"))
     chosen = [str(paths[i]) for i in rng.choice(len(paths), 6, replace=False)]
     images = np.stack([cv2.imread(path, cv2.IMREAD_GRAYSCALE) for path in chosen])
-    rims = DomeCrop(SIZE).fit(images).rims(images)
+    crop = DomeCrop(SIZE).fit(images)
+    rims = crop.rims(images)
     turned = []
     for image, rim, angle in zip(images, rims, rng.uniform(0, 6.28, 6), strict=True):
         turn = np.array(
@@ -49,11 +50,8 @@ def test_turned_pictures_keep_their_magnitudes_after_cropping(data_folder, rng):
         centre = np.array([rim.row, rim.col])
         offset = centre - turn @ centre
         turned.append(affine_transform(image.astype(float), turn, offset))
-    # A radius of 195 pixels stays in the frame whatever the angle.
-    straight, around = (
-        standardise_discs(crop_discs(pictures, rims, 195, SIZE))
-        for pictures in (images, np.stack(turned))
-    )
+    crop.disc_radius_ = 195  # pixels; that stays in the frame whatever the angle
+    straight, around = (crop.cut(shown, rims) for shown in (images, np.stack(turned)))
     # Cropping keeps or drops whole cells: one cell less, and the rim cuts kept ones.
     encoder = encoder_named("zernike", radius=SIZE / 2 - 1).fit(straight)
     moved = change(encoder.transform(straight), encoder.transform(around))

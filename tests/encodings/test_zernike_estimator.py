@@ -155,37 +155,3 @@ def test_nan_and_infinity_are_refused(level, place, dtype, order, touches):
 def test_sums_beyond_float64_are_refused():
     with pytest.raises(ValueError, match="Divide them by a constant"):
         ZernikeMoments().fit_transform(np.full((1, 10, 10), 1e308))
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"order": -1}, ValueError, "order must be at least 0, got -1"),
-        ({"order": 101}, ValueError, "order must be at most 100, got 101"),
-        ({"order": 2.5}, TypeError, "order must be an integer, got float"),
-        ({"order": 0, "drop_constant": True}, ValueError, "at least 1, got 0"),
-        ({"method": "fast"}, ValueError, "method must be one of 'exact', 'sample'"),
-        ({"output": "real"}, ValueError, "output must be one of 'abs'"),
-        ({"weight": "n"}, ValueError, r"weight must be one of 'n\+1'"),
-        ({"disc": "outer"}, ValueError, "disc must be one of 'inscribed'"),
-        ({"radius": 0}, ValueError, "radius must be positive"),
-        ({"radius": np.nan}, ValueError, "radius must be positive and finite"),
-        ({"centre": 5.0}, ValueError, r"centre must be a pair \(row, col\)"),
-        ({"centre": (1, 2, 3)}, ValueError, r"centre must be a pair \(row, col\)"),
-        ({"centre": (np.inf, 2)}, ValueError, r"centre\[0\] must be finite"),
-        ({"centre": (50, 4)}, ValueError, "10 x 10 frame in it"),
-        (
-            {"method": "sample", "radius": 0.3},
-            ValueError,
-            r"centre \(4.5, 4.5\) and radius 0.3",
-        ),
-        (
-            {"output": "noll", "repeat_negative": True},
-            ValueError,
-            "repeat_negative must be False",
-        ),
-    ],
-)
-def test_bad_parameters_are_refused(options, error, message, touches):
-    with pytest.raises(error, match=message):
-        ZernikeMoments(**options).fit(touches)

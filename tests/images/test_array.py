@@ -6,11 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
-from palpate.images import (
-    ArrayCleanUp,
-    fill_dead_taxels,
-    otsu_threshold,
-)
+from palpate.images import ArrayCleanUp, fill_dead_taxels
 
 
 def resized(images, shape=(33, 33)):
@@ -106,35 +102,8 @@ def test_noise_filter_does_nothing_to_a_mostly_empty_image(touches):
     assert_array_equal(filtered(sparse), sparse)
 
 
-def test_otsu_splits_as_opencv_does(rng):
-    images = rng.integers(0, 256, (40, 33, 33), dtype=np.uint8)
-    images[20:] //= 16
-    for image, threshold in zip(images, otsu_threshold(images), strict=True):
-        expected, _ = cv2.threshold(image, 0, 255, cv2.THRESH_OTSU)
-        assert_array_equal(image > threshold, image > expected)
-
-
-def test_otsu_beats_every_other_threshold(rng):
-    image = rng.normal(size=(6, 6))
-    (best,) = otsu_threshold(image[np.newaxis])
-
-    def between(threshold):
-        high = image > threshold
-        share = high.mean()
-        return share * (1 - share) * (image[high].mean() - image[~high].mean()) ** 2
-
-    others = [between(level) for level in np.sort(image.ravel())[:-1]]
-    assert_allclose(between(best), max(others))
-
-
-def test_otsu_follows_a_change_of_scale(touches):
-    thresholds = otsu_threshold(touches)
-    assert_allclose(otsu_threshold(3 * touches + 10), 3 * thresholds + 10)
-
-
-def test_constant_image_has_no_threshold_and_no_foreground():
+def test_constant_image_has_no_foreground():
     constant = np.full((1, 9, 9), 40.0)
-    assert np.isnan(otsu_threshold(constant)).all()
     assert not binarised(constant, 3).any()
 
 
@@ -238,23 +207,6 @@ def test_clean_up_fills_or_refuses_dead_taxels(touches):
     assert np.isfinite(cleaned).all()
     with pytest.raises(ValueError, match="no dead taxels"):
         ArrayCleanUp(dead="refuse").fit(holed)
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"output": "edges"}, ValueError, "output must be one of"),
-        ({"gamma": 0}, ValueError, "gamma must be positive"),
-        ({"n_sd": -1}, ValueError, "n_sd must be positive"),
-        ({"n_partitions": 11}, ValueError, "at most 10.*Upsample"),
-        ({"n_partitions": 0}, ValueError, "at least 1"),
-        ({"n_partitions": 1.5}, TypeError, "integer"),
-        ({"min_contrast": 2}, ValueError, "between 0 and 1"),
-    ],
-)
-def test_bad_parameters_are_refused_at_fit(options, error, message, touches):
-    with pytest.raises(error, match=message):
-        ArrayCleanUp((10, 10), **options).fit(touches)
 
 
 def test_lists_of_unequal_lengths_are_refused():

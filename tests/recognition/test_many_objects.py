@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
-from palpate.classifiers import NearbyTouches
+from palpate.classifiers import EncodingPool
 
 
 def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
@@ -57,7 +57,7 @@ def test_a_file_of_very_many_objects_answers_as_before_it_was_saved(
     tmp_path, n_objects, n_each
 ):
     model = learnt(n_objects, n_each)
-    is_nearby = isinstance(machine_of(model), NearbyTouches)
+    is_nearby = isinstance(machine_of(model), EncodingPool.MACHINES[1])
     assert is_nearby == (n_objects > 500)
     assert len(model.left_out_rows) < n_objects * n_each
     again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
@@ -100,10 +100,9 @@ def test_an_object_added_after_loading_is_recognised_as_if_before(
 def test_sums_that_do_not_fit_are_refused(tmp_path, monkeypatch):
     model = learnt(12, 30)
     machine = machine_of(model)
-    regression = copy(machine._summed.regression)
+    regression = copy(machine._summed)
     regression._by_label = regression._by_label[:, 1:]
-    summed = machine._summed._replace(regression=regression)
-    monkeypatch.setattr(machine, "_summed", summed)
+    monkeypatch.setattr(machine, "_summed", regression)
     path = model.save(tmp_path / "m.palpate")
     with pytest.raises(ValueError, match="sums of labels have shape"):
         ObjectRecogniser.load(path)

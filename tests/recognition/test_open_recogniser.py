@@ -12,7 +12,11 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.svm import LinearSVC
 
 from palpate import Touches
-from palpate.classifiers import BayesRule, EncodingPool, KernelRidgeClassifier
+from palpate.classifiers import (
+    EncodingPool,
+    KernelDensityBayes,
+    KernelRidgeClassifier,
+)
 from palpate.recognition import ModelFileError, ObjectRecogniser
 
 
@@ -98,7 +102,7 @@ def test_another_classifier_takes_the_place_of_the_pool(touches):
     assert isinstance(ours.classifier_, KernelRidgeClassifier)
 
 
-class NearestMean(BayesRule):
+class NearestMean(KernelDensityBayes):
     """A classifier of the user's own that keeps the protocol by its base."""
 
     def fit(self, X, y, groups=None):

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.classifiers import Drawn, EncodingPool, RehearsedMachine
+from palpate.classifiers import EncodingPool
 from palpate.recognition import ObjectRecogniser, sessions_message
 from palpate.recognition._rehearsal import (
     RANGES,
@@ -19,6 +19,7 @@ from palpate.recognition._rehearsal import (
     _trust_in_one,
     in_another_session,
 )
+from palpate.recognition._rehearsed import Drawn
 from palpate.recognition._sessions import (
     Parts,
     Taught,
@@ -63,7 +64,7 @@ def test_rehearsal_is_the_default_and_reports_what_was_drawn(both):
         "rehearsed sessions" in sentence for sentence in rehearsed.chosen_["found"]
     )
     kinds = {type(m) for m in rehearsed.classifier_.machines_.values()}
-    assert (kinds == {RehearsedMachine}) == (record["share"] > 0)
+    assert (kinds == {EncodingPool.MACHINES[2]}) == (record["share"] > 0)
 
 
 def test_rehearsal_leaves_encoding_and_memory_as_they_are(both):

@@ -8,9 +8,9 @@ weights of least log loss: a logarithmic opinion pool.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from copy import copy
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from .._checks import as_groups, check_count, check_squarable
 from .._numbers import log_loss, log_softmax, without_gaps
 from .._types import Array, Floats, Indices
 from . import _touch_classifier
-from ._kernel_ridge import KernelRidgeClassifier, learns_by_landmarks
+from ._kernel_ridge import KernelRidgeClassifier
 from ._nearby import NearbyTouches
 from ._ridge import fair_shares
 from ._touch_classifier import BayesRule, Groups, TouchClassifier, labelled_touches
@@ -36,6 +36,79 @@ _LEAST = -30.0
 _MANY_ANSWERS = 1_000_000
 # With fewer landmarks for each label, they cannot tell labels apart.
 LANDMARKS_EACH = 4
+
+
+class RehearsedMachine(BayesRule):
+    """Two machines of the same features: of these as they are, and weighed down.
+
+    Parameters
+    ----------
+    plain, rehearsed : TouchClassifier
+        Machines that have learnt the same touches, the second one after `weighing`.
+    weighing : ndarray of shape (n_features, n_features)
+        What features are multiplied by, to weigh down how sessions differ.
+    share : float
+        What the second one's log posterior counts, above 0; the first one's counts the
+        rest.
+    """
+
+    def __init__(
+        self,
+        plain: TouchClassifier,
+        rehearsed: TouchClassifier,
+        weighing: Floats,
+        share: float = 0.5,
+    ) -> None:
+        self.plain = plain
+        self.rehearsed = rehearsed
+        self.weighing = weighing
+        self.share = share
+
+    @property
+    def classes_(self) -> Array:  # type: ignore[override]
+        """The labels, sorted, (n_classes,)."""
+        return self.plain.classes_
+
+    @property
+    def takes_weights(self) -> bool:  # type: ignore[override]
+        """Whether both machines take what each touch counts."""
+        return _take_weights((self.plain, self.rehearsed))
+
+    def refit(
+        self, X: ArrayLike, y: ArrayLike, groups: Groups = None, **more: Any
+    ) -> Self:
+        """Let both machines learn other touches with the choices they made."""
+        touches = np.asarray(X, dtype=np.float64)
+        self.plain = copy(self.plain).refit(touches, y, groups, **more)
+        weighed = touches @ self.weighing
+        self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups, **more)
+        return self
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats)."""
+        return self.log_likelihood_checked(np.asarray(X, dtype=np.float64))
+
+    def log_likelihood_checked(self, touches: Floats) -> Floats:
+        """Do what `log_likelihood` does."""
+        rehearsed = self.rehearsed.log_likelihood_checked(touches @ self.weighing)
+        if self.share == 1:
+            return rehearsed
+        return self._both(self.plain.log_likelihood_checked(touches), rehearsed)
+
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of training touches, their groups left out."""
+        rehearsed = log_softmax(self.rehearsed.left_out_log_likelihood())
+        if self.share == 1:
+            return rehearsed
+        return self._both(log_softmax(self.plain.left_out_log_likelihood()), rehearsed)
+
+    @property
+    def left_out_rows(self) -> Indices:
+        """Which training touches these are, (n_left_out,)."""
+        return self.plain.left_out_rows
+
+    def _both(self, plain: Floats, rehearsed: Floats) -> Floats:
+        return np.asarray((1 - self.share) * plain + self.share * rehearsed)
 
 
 class EncodingPool(BayesRule):
@@ -83,6 +156,8 @@ class EncodingPool(BayesRule):
     array(['mug'], dtype='<U3')
     """
 
+    # The kinds of machines that a pool has, unless the user gives one.
+    MACHINES: ClassVar = (KernelRidgeClassifier, NearbyTouches, RehearsedMachine)
     classes_: Array
 
     def __init__(
@@ -131,16 +206,59 @@ class EncodingPool(BayesRule):
         posteriors = self.left_out_posteriors()
         step = -(-codes.size * self.classes_.size // _MANY_ANSWERS)
         sampled = np.sort(np.argsort(codes, kind="stable")[::step])
-        weights = pool_weights(posteriors[:, sampled], codes[sampled])
+        weights = self.best_weights(posteriors[:, sampled], codes[sampled])
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
         self.left_out_ = self.pooled(posteriors)
         return self
 
+    @staticmethod
+    def best_weights(left_out: Floats, codes: Array) -> Floats:
+        """Return the weights of least log loss, shape (n_machines,), at least 0.
+
+        Of log posteriors (n_machines, n_touches, n_classes) of touches left out, and
+        the column of each touch's own label (n_touches,). See `EncodingPool`.
+        """
+        n_machines, n_touches = left_out.shape[:2]
+        usual = 1 / n_machines
+        shares = n_touches * fair_shares(codes)
+
+        def loss(weights: Floats) -> tuple[float, Floats]:
+            value, pull = log_loss(np.tensordot(weights, left_out, 1), codes, shares)
+            away = (weights - usual) / usual
+            slope = np.tensordot(left_out, pull, 2)
+            return value + (away**2).sum() / 2, slope + away / usual
+
+        start, bounds = np.full(n_machines, usual), [(0, None)] * n_machines
+        solution: Any = minimize(
+            loss, start, jac=True, bounds=bounds, method="L-BFGS-B"
+        )
+        return np.asarray(solution.x)
+
+    def beside(
+        self, other: Self, weighing: Floats, share: float, codes: Indices
+    ) -> Self:
+        """Return a pool whose machines answer together with those of another one.
+
+        Of the other one, which learnt the same touches multiplied by `weighing`
+        (n_features, n_features), answers count a share. `codes` are the columns of the
+        labels of touches left out, which weigh the machines anew.
+        """
+        both = copy(self)
+        cuts = np.cumsum([0, *self.parts.values()])
+        blocks = {
+            name: np.ascontiguousarray(weighing[start:end, start:end])
+            for name, start, end in zip(self.parts, cuts[:-1], cuts[1:], strict=True)
+        } | {TOGETHER: weighing}
+        both.machines_ = {
+            name: RehearsedMachine(machine, other.machines_[name], blocks[name], share)
+            for name, machine in self.machines_.items()
+        }
+        return both.weighed_by(codes)
+
     @property
     def takes_weights(self) -> bool:  # type: ignore[override]
         """Whether every machine takes what each touch counts."""
-        machines = self.machines_.values()
-        return all(getattr(machine, "takes_weights", False) for machine in machines)
+        return _take_weights(self.machines_.values())
 
     def refit(
         self,
@@ -158,7 +276,10 @@ class EncodingPool(BayesRule):
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
         check_squarable(touches)
-        more = weights_if_any(weights, keep_shape)
+        # Machines of the user's may take neither.
+        more: dict[str, Any] = {}
+        if weights is not None or keep_shape:
+            more = {"weights": weights, "keep_shape": keep_shape}
         with config_context(assume_finite=True):  # as was just found
             self.machines_ = {
                 name: copy(self.machines_[name]).refit(part, labels, groups, **more)
@@ -252,35 +373,10 @@ def _machine_for(n_touches: int, n_labels: int) -> TouchClassifier:
     """Return what learns a part, unless the user says: ridge regression if it can."""
     machine = KernelRidgeClassifier(max_choice_touches=800)
     few = machine.n_landmarks < LANDMARKS_EACH * n_labels
-    if few and learns_by_landmarks(n_touches, n_labels):
+    if few and machine.learns_by_landmarks(n_touches, n_labels):
         return NearbyTouches()
     return machine
 
 
-def weights_if_any(weights: Floats | None, keep_shape: bool) -> dict[str, Any]:
-    """Return what `refit` is given beside touches, of machines that may not take it."""
-    if weights is None and not keep_shape:
-        return {}
-    return {"weights": weights, "keep_shape": keep_shape}
-
-
-def pool_weights(left_out: Floats, codes: Array) -> Floats:
-    """Return the weights of least log loss, shape (n_machines,), at least 0.
-
-    Of log posteriors (n_machines, n_touches, n_classes) of touches left out, and the
-    column of each touch's own label (n_touches,). See `EncodingPool`.
-    """
-    n_machines, n_touches = left_out.shape[:2]
-    usual = 1 / n_machines
-    shares = n_touches * fair_shares(codes)
-
-    def loss(weights: Floats) -> tuple[float, Floats]:
-        value, pull = log_loss(np.tensordot(weights, left_out, 1), codes, shares)
-        away = (weights - usual) / usual
-        slope = np.tensordot(left_out, pull, 2)
-        return value + (away**2).sum() / 2, slope + away / usual
-
-    start = np.full(n_machines, usual)
-    bounds = [(0, None)] * n_machines
-    solution: Any = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B")
-    return np.asarray(solution.x)
+def _take_weights(machines: Iterable[TouchClassifier]) -> bool:
+    return all(getattr(machine, "takes_weights", False) for machine in machines)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from copy import copy
 from functools import cache
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -23,9 +23,10 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import as_groups, check_count, check_positive, check_squarable
 from .._numbers import exp, log_softmax
-from .._types import Array, Floats, Indices
+from .._types import Array, Floats
 from ._landmarks import LandmarkRegression, Landmarks, Sums
 from ._ridge import (
+    GROWTH,
     USUAL_SHAPE,
     USUAL_TEMPERATURE,
     GrowingInverse,
@@ -53,24 +54,8 @@ _SHAPED_BY, _SHAPED_ANSWERS = 2000, 500_000
 # landmarks.
 MAX_TOUCHES, _MOST_TARGETS = 10_000, 20_000_000
 # From so many touches to so many, learning a few more costs a few columns; in memory 4
-# bytes for each pair. As many more as this share of them are learnt so.
-_GROWS_FROM, _GROWS_TO, _GROWTH = 500, 5000, 1 / 8
-
-
-def learns_by_landmarks(
-    n_touches: int, n_labels: int, max_touches: int = MAX_TOUCHES
-) -> bool:
-    """Return whether some of so many touches stand for all."""
-    return n_touches > max_touches or n_touches * n_labels > _MOST_TARGETS
-
-
-class _Summed(NamedTuple):
-    """Touches (n_touches, n_features) and labels, and what landmarks learnt of them."""
-
-    touches: Floats
-    codes: Indices
-    classes: Array
-    regression: LandmarkRegression
+# bytes for each pair.
+_GROWS_FROM, _GROWS_TO = 500, 5000
 
 
 class KernelRidgeClassifier(BayesRule):
@@ -167,6 +152,13 @@ class KernelRidgeClassifier(BayesRule):
         self.max_touches = max_touches
         self.n_landmarks = n_landmarks
 
+    @staticmethod
+    def learns_by_landmarks(
+        n_touches: int, n_labels: int, max_touches: int = MAX_TOUCHES
+    ) -> bool:
+        """Return whether some of so many touches stand for all."""
+        return n_touches > max_touches or n_touches * n_labels > _MOST_TARGETS
+
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Choose width, ridge and temperature on left-out groups; learn from all.
 
@@ -250,10 +242,10 @@ class KernelRidgeClassifier(BayesRule):
         at_most = check_count("max_touches", self.max_touches, at_least=2)
         self.left_out_rows_ = rows = rows_left_out(codes, group)
         start = USUAL_SHAPE
-        if learns_by_landmarks(len(touches), n_labels, at_most):
+        if self.learns_by_landmarks(len(touches), n_labels, at_most):
             left_out = self._learn_by_landmarks(touches, codes, group)
         else:
-            self._summed: _Summed | None = None
+            self._summed: LandmarkRegression | None = None
             ridges = self.ridge_ / weights
             grown = self._grown(touches, codes, ridges)
             left_out = self._learn_from_all(touches, codes, group, ridges, grown)
@@ -306,56 +298,25 @@ class KernelRidgeClassifier(BayesRule):
     def _learn_by_landmarks(self, touches: Floats, codes: Array, group: Array) -> Array:
         """Let some touches stand for all; return left-out scores of some."""
         self._inverse = None
-        summed = self._summed_again(touches, codes)
+        taught = touches, codes, self.classes_
+        before: LandmarkRegression | None = self.__dict__.get("_summed")
+        summed = before and before.again(taught)
         if summed is None:
             n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
             self.mean_ = touches.mean(axis=0)
-            centred = touches - self.mean_
-            self.touches_ = centred[_thin(codes, min(n_landmarks, len(codes)))]
-            regression = LandmarkRegression(self._landmarks(), self.ridge_)
-            regression.learn(centred, codes, len(self.classes_))
-            summed = _Summed(touches, codes, self.classes_, regression)
+            chosen = _thin(codes, min(n_landmarks, len(codes)))
+            self.touches_ = touches[chosen] - self.mean_
+            summed = self._regression().learn(taught)
         self._summed = summed
-        coefficients = summed.regression.coefficients()
-        self.coefficients_ = coefficients
-        centred, rows = touches - self.mean_, self.left_out_rows_
-        return summed.regression.left_out(coefficients, centred, codes, group, rows)
-
-    def _summed_again(self, touches: Floats, codes: Array) -> _Summed | None:
-        """Return the regression with some labels gone and other touches at the end.
-
-        None where they are other touches, or landmarks would have to change.
-        """
-        before: _Summed | None = self.__dict__.get("_summed")
-        if before is None:
-            return None
-        labels = before.classes[before.codes]
-        kept = np.isin(labels, self.classes_)
-        n_kept = int(kept.sum())
-        most = _GROWTH * before.regression.n_first
-        if not 0 <= len(touches) - n_kept <= most or len(kept) - n_kept > most:
-            return None
-        if not (
-            np.array_equal(self.classes_[codes[:n_kept]], labels[kept])
-            and np.array_equal(touches[:n_kept], before.touches[kept])
-        ):
-            return None
-        stay = np.isin(before.classes, self.classes_)
-        regression = before.regression.changed(
-            (before.touches[~kept] - self.mean_, before.codes[~kept]),
-            stay,
-            np.searchsorted(self.classes_, before.classes[stay]),
-            (touches[n_kept:] - self.mean_, codes[n_kept:]),
-            len(self.classes_),
-        )
-        return _Summed(touches, codes, self.classes_, regression)
+        self.coefficients_ = summed.coefficients()
+        return summed.left_out(self.coefficients_, group, self.left_out_rows_)
 
     def _grown(
         self, touches: Floats, codes: Array, ridges: Floats
     ) -> GrowingInverse | None:
         """Return the inverse with a few touches more than it has, None of others."""
         inverse: GrowingInverse | None = self.__dict__.get("_inverse")
-        if inverse is None or len(touches) > (1 + _GROWTH) * inverse.n_first:
+        if inverse is None or len(touches) > (1 + GROWTH) * inverse.n_first:
             return None
         centred, labels = touches - self.mean_, self.classes_[codes]
         if not inverse.begins(centred, labels, ridges):
@@ -418,12 +379,12 @@ class KernelRidgeClassifier(BayesRule):
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""
-        summed: _Summed | None = self.__dict__.get("_summed")
+        summed: LandmarkRegression | None = self.__dict__.get("_summed")
         if summed is None:
             return self
         other = copy(self)
         other.left_out_scores_ = self.left_out_scores_.astype(np.float32)
-        other.sums_ = summed.regression.sums()
+        other.sums_ = summed.sums()
         return other
 
     def resume(self, X: ArrayLike, y: ArrayLike) -> None:
@@ -437,14 +398,14 @@ class KernelRidgeClassifier(BayesRule):
         sums: Sums | None = self.__dict__.pop("sums_", None)
         if sums is None:
             return
-        touches, codes = np.asarray(X), np.searchsorted(self.classes_, y)
-        regression = LandmarkRegression(self._landmarks(), self.ridge_)
-        regression.resumed(sums, self.coefficients_.dtype)
-        self._summed = _Summed(touches, codes, self.classes_, regression)
+        taught = np.asarray(X), np.searchsorted(self.classes_, y), self.classes_
+        dtype = self.coefficients_.dtype
+        self._summed = self._regression().resumed(sums, dtype, taught)
 
-    def _landmarks(self) -> Landmarks:
+    def _regression(self) -> LandmarkRegression:
         squares = np.einsum("ij,ij->i", self.touches_, self.touches_)
-        return Landmarks(self.touches_, squares, self.width_ / self.unit_)
+        landmarks = Landmarks(self.touches_, squares, self.width_ / self.unit_)
+        return LandmarkRegression(landmarks, self.mean_, self.ridge_)
 
     def refit(
         self,

@@ -27,8 +27,8 @@ from scipy.linalg.blas import dsyrk
 
 from .._numbers import exp
 from .._parallel import results_of
-from .._types import Array, Bools, Floats, Indices
-from ._ridge import group_members
+from .._types import Array, Floats, Indices
+from ._ridge import GROWTH, group_members
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
 TOUCHES_AT_ONCE, TOUCHES_A_TASK = 2000, 20_000
@@ -45,6 +45,8 @@ N_COMPARED, SAME_SCORE = 500, 1e-5
 # Touches at first; products of their kernels with the landmarks, row by row up to the
 # diagonal, (n_marks * (n_marks + 1) / 2,); and sums of kernels, (n_labels, n_marks).
 Sums = tuple[int, Floats, Floats]
+# Touches (n_touches, n_features), the column of each one's label, and all labels.
+Taught = tuple[Floats, Indices, Array]
 
 
 @dataclass(frozen=True)
@@ -79,30 +81,29 @@ class Landmarks:
 class LandmarkRegression:
     """The regression of labels on the landmarks' kernels, of answers 1 and 0.
 
-    `ridge` is added to the diagonal of the products of features; `n_first` touches the
-    landmarks were chosen of.
+    The landmarks are touches less their `mean`; `ridge` is added to the diagonal of the
+    products of features.
     """
 
-    n_first: int
+    _n_first: int  # touches that the landmarks were chosen of
+    _taught: Taught
 
-    def __init__(self, landmarks: Landmarks, ridge: float) -> None:
-        self._landmarks, self._ridge = landmarks, ridge
+    def __init__(self, landmarks: Landmarks, mean: Floats, ridge: float) -> None:
+        self._landmarks, self._mean, self._ridge = landmarks, mean, ridge
         self._root = landmarks.root()
 
-    def learn(self, centred: Floats, codes: Indices, n_labels: int) -> Self:
-        """Learn touches (n_touches, n_features) less the mean, and their labels' codes.
-
-        In tasks of blocks, wherever `joblib.parallel_config` says.
-        """
+    def learn(self, taught: Taught) -> Self:
+        """Learn touches in tasks of blocks, wherever `joblib.parallel_config` says."""
+        touches, codes, classes = self._taught = taught
         n_marks = len(self._root)
         self._products = np.zeros((n_marks, n_marks))
-        self._by_label = np.zeros((n_labels, n_marks))
-        self.n_first = len(centred)
-        self._take_in(centred, codes, 1.0)
-        self._plain = self._as_short_as_exact(self._solved(), centred)
+        self._by_label = np.zeros((len(classes), n_marks))
+        self._n_first = len(touches)
+        self._take_in(touches, codes, 1.0)
+        self._plain = self._as_short_as_exact(self._solved())
         return self
 
-    def _take_in(self, centred: Floats, codes: Indices, sign: float) -> None:
+    def _take_in(self, touches: Floats, codes: Indices, sign: float) -> None:
         """Take touches into the sums (sign 1), or out of them (-1)."""
         order = np.argsort(codes, kind="stable")  # few labels in each block
         share = max(-(-len(order) // _LEAST_TASKS), TOUCHES_AT_ONCE)
@@ -111,7 +112,7 @@ class LandmarkRegression:
         parts = results_of(
             partial(_sums, self._landmarks),
             len(tasks),
-            lambda n: (centred[tasks[n]], codes[tasks[n]]),
+            lambda n: (touches[tasks[n]] - self._mean, codes[tasks[n]]),
         )
         for products, present, by_label in parts:
             self._products += sign * products
@@ -132,14 +133,15 @@ class LandmarkRegression:
         """Return what later touches join, for a model file."""
         n_marks = len(self._root)
         lower = self._products[np.tril_indices(n_marks)]
-        return self.n_first, lower, self._by_label
+        return self._n_first, lower, self._by_label
 
-    def resumed(self, sums: Sums, dtype: np.dtype[Any]) -> Self:
+    def resumed(self, sums: Sums, dtype: np.dtype[Any], taught: Taught) -> Self:
         """Take up sums of a model file, or raise ValueError where they do not fit.
 
         Coefficients follow with the next touches.
         """
-        self.n_first, lower, self._by_label = sums
+        self._n_first, lower, self._by_label = sums
+        self._taught = taught
         n_marks = len(self._root)
         if lower.size != n_marks * (n_marks + 1) // 2 or not np.isfinite(lower).all():
             raise ValueError(f"sums of {lower.size} products are not of {n_marks}")
@@ -150,34 +152,42 @@ class LandmarkRegression:
         self._plain = np.empty((n_marks, 0), dtype=dtype)
         return self
 
-    def _as_short_as_exact(self, coefficients: Floats, centred: Floats) -> Array:
+    def _as_short_as_exact(self, coefficients: Floats) -> Array:
         """Return coefficients in single precision where scores stay the same."""
-        kernel = self._landmarks.kernel(centred[:: -(-len(centred) // N_COMPARED)])
+        touches = self._taught[0]
+        compared = touches[:: -(-len(touches) // N_COMPARED)] - self._mean
+        kernel = self._landmarks.kernel(compared)
         single = coefficients.astype(np.float32)
         differences = kernel.astype(np.float32) @ single - kernel @ coefficients
         return single if np.abs(differences).max() < SAME_SCORE else coefficients
 
-    def changed(
-        self,
-        gone: tuple[Floats, Indices],
-        stay: Bools,
-        places: Indices,
-        new: tuple[Floats, Indices],
-        n_labels: int,
-    ) -> Self:
-        """Return what is learnt without some touches and labels, and with others.
+    def again(self, taught: Taught) -> Self | None:
+        """Return what is learnt with some labels gone and other touches at the end.
 
-        Of `gone` touches and their codes; then which labels `stay`, at which `places`
-        of `n_labels`; then `new` touches and their codes among these.
+        None where they are other touches, or landmarks would have to change.
         """
+        touches, codes, classes = taught
+        before, before_codes, before_classes = self._taught
+        labels = before_classes[before_codes]
+        kept = np.isin(labels, classes)
+        n_kept, most = int(kept.sum()), GROWTH * self._n_first
+        if not 0 <= len(touches) - n_kept <= most or len(kept) - n_kept > most:
+            return None
+        if not (
+            np.array_equal(classes[codes[:n_kept]], labels[kept])
+            and np.array_equal(touches[:n_kept], before[kept])
+        ):
+            return None
         other = copy(self)
+        other._taught = taught
         other._products = self._products.copy()
         other._by_label = self._by_label.copy()
-        other._take_in(*gone, -1.0)
-        by_label = np.zeros((n_labels, len(self._root)))
-        by_label[places] = other._by_label[stay]
+        other._take_in(before[~kept], before_codes[~kept], -1.0)
+        stay = np.isin(before_classes, classes)
+        by_label = np.zeros((len(classes), len(self._root)))
+        by_label[np.searchsorted(classes, before_classes[stay])] = other._by_label[stay]
         other._by_label = by_label
-        other._take_in(*new, 1.0)
+        other._take_in(touches[n_kept:], codes[n_kept:], 1.0)
         other._plain = other._solved().astype(self._plain.dtype)
         return other
 
@@ -196,20 +206,14 @@ class LandmarkRegression:
         share = (of_mean / self._plain.shape[1]).astype(self._plain.dtype)
         return np.asarray(self._plain - share[:, np.newaxis])
 
-    def left_out(
-        self,
-        coefficients: Array,
-        centred: Floats,
-        codes: Indices,
-        group: Indices,
-        rows: Indices,
-    ) -> Array:
+    def left_out(self, coefficients: Array, group: Indices, rows: Indices) -> Array:
         """Return scores (n_rows, n_labels) of some touches, their groups never learnt.
 
         With features F and residuals r of a group, and Q = (F_all^T F_all + ridge
         I)^-1, its answer is target - (I - F Q F^T)^-1 r.
         """
-        n_labels, dtype = coefficients.shape[1], coefficients.dtype
+        learnt, codes, classes = self._taught
+        n_labels, dtype = len(classes), coefficients.dtype
         place = np.full(len(codes), -1)
         place[rows] = np.arange(len(rows))
         scores = np.zeros((len(rows), n_labels), dtype=dtype)
@@ -219,7 +223,7 @@ class LandmarkRegression:
         groups.sort(key=len)
         for batch in _batches(groups, min(TOUCHES_AT_ONCE, len(self._root))):
             touches = np.concatenate(batch)
-            kernel = self._landmarks.kernel(centred[touches])
+            kernel = self._landmarks.kernel(learnt[touches] - self._mean)
             residual = -1 / n_labels - kernel.astype(dtype) @ coefficients
             residual[np.arange(len(touches)), codes[touches]] += 1
             features = solve_triangular(self._root, kernel.T, lower=True).T

@@ -80,13 +80,6 @@ class NearbyTouches(BayesRule):
         Log posterior of training touches, each with its group left out.
     left_out_rows_ : ndarray of shape (n_left_out,)
         Which training touches these are, as given to `fit`.
-
-    Examples
-    --------
-    >>> from palpate.classifiers import NearbyTouches
-    >>> X, y = [[0.0], [0.1], [1.0], [1.1]], ["pen", "pen", "mug", "mug"]
-    >>> NearbyTouches().fit(X, y).predict([[0.9]])
-    array(['mug'], dtype='<U3')
     """
 
     width_: float

@@ -24,6 +24,8 @@ from scipy.optimize import minimize
 from .._numbers import log_loss
 from .._types import Array, Floats, Indices
 
+# As many touches more as this share of the first ones are learnt by what they add.
+GROWTH = 1 / 8
 # The inverse's root is kept in so many strips, none longer than its last row: together
 # little more than the half below its diagonal.
 _N_STRIPS = 16

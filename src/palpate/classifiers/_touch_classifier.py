@@ -15,10 +15,10 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import (
     PLAIN_LABELS,
-    are_plain_vectors,
     as_groups,
     check_label_kinds,
     check_targets,
+    is_plain,
 )
 from .._numbers import evenly_spaced, log_softmax
 from .._types import Array, Floats, Indices
@@ -274,20 +274,6 @@ class FromProbabilities(BayesRule):
         return result
 
 
-def as_touch_classifier(classifier: Any) -> TouchClassifier:
-    """Return a classifier, not learnt, that a belief can be built on, or explain."""
-    required = [name for name in vars(TouchClassifier) if not name.startswith("_")]
-    if not isinstance(classifier, type):
-        if all(hasattr(type(classifier), name) for name in required):
-            return clone(classifier)  # type: ignore[no-any-return]
-        if hasattr(classifier, "predict_proba"):
-            return FromProbabilities(classifier)
-    raise TypeError(
-        "classifier must be a TouchClassifier or have predict_proba, got "
-        f"{classifier!r}. Give an instance, or wrap it in CalibratedClassifierCV."
-    )
-
-
 def labelled_touches(
     estimator: BaseEstimator, X: ArrayLike, y: ArrayLike, *, reset: bool = True
 ) -> tuple[Floats, Array]:
@@ -320,7 +306,7 @@ def _is_as_in_fit(estimator: BaseEstimator, X: object) -> TypeGuard[Floats]:
     """Whether `X` is plain, of as many features as were learnt, which had no names."""
     n_features = getattr(estimator, "n_features_in_", -1)
     named = hasattr(estimator, "feature_names_in_")
-    return not named and are_plain_vectors(X, n_features)
+    return not named and is_plain(X, n_axes=2) and X.shape[1] == n_features
 
 
 def rows_left_out(codes: Array, groups: Indices) -> Indices:

@@ -2,7 +2,6 @@
 
 from ._edges_and_rings import EdgeHistograms, RingPatterns, RingQuantiles
 from ._moments import CentroidMoments, HuMoments, PadShapes
-from ._moments import sorted_taxels as sorted_taxels
 from ._named import EncodingUnion, RootScaler, encoder_named
 from ._onnx import OnnxEncoding
 from ._pixels import (
@@ -14,7 +13,6 @@ from ._pixels import (
 )
 from ._principal import KernelPCA, OrientedPCA, PrincipalShare, ZernikePCA
 from ._shape import FourierDescriptors, ShapeGeometry
-from ._shape import outer_boundary as outer_boundary
 from ._zernike import ZernikeMoments
 
 __all__ = [

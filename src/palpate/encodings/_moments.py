@@ -3,7 +3,7 @@
 Patterns of `CentroidMoments` are Gauss-Laguerre functions, waves around the centroid
 under a Gaussian window whose width is tied to the array. They are orthonormal on the
 plane; turning a press only turns the phase of its complex moments, so their magnitudes
-stay. `sorted_taxels` is the control: what can be told without any geometry.
+stay.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_images, check_option, check_positive
-from .._image_estimator import ImageEstimator
+from .._checks import check_count, check_option, check_positive
+from .._image_estimator import ImageEstimator, central_moments, inscribed_mask
 from .._types import Array, Complexes, Floats, Indices
-from ..images import central_moments, inscribed_mask
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
 _HIGHEST_ORDER = 20
@@ -136,14 +135,6 @@ class CentroidMoments(ImageEstimator):
         """Return "moment<n>,<m>" for each moment."""
         check_is_fitted(self)
         return self._columns_named(f"moment{n},{m}" for n, m in self.degrees_)
-
-
-def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
-    """Return each image's levels, largest first, (n_touches, n_rows * n_cols)."""
-    checked = check_images(images)
-    if normalise:
-        checked = checked / size_of(checked, "total")[:, None, None]
-    return np.sort(checked.reshape(len(checked), -1), axis=1)[:, ::-1]
 
 
 def size_of(images: Floats, normalise: str | None) -> Floats:

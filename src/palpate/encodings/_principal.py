@@ -31,7 +31,6 @@ from sklearn.decomposition import PCA
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import (
-    are_plain_vectors,
     check_count,
     check_number,
     check_option,
@@ -234,13 +233,9 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the scores, shape (n_touches, n_kept)."""
-        if not hasattr(self, "components_"):
-            check_is_fitted(self)
-        if are_plain_vectors(X, len(self.mean_)):
-            return self.transform_checked(X)
-        return self.transform_checked(
-            validate_data(self, X, dtype=np.float64, reset=False)
-        )
+        check_is_fitted(self)
+        features = validate_data(self, X, dtype=np.float64, reset=False)
+        return self.transform_checked(features)
 
     def transform_checked(self, features: Floats) -> Floats:
         """Do what `transform` does, for a caller that has checked the features."""

@@ -119,7 +119,7 @@ class FourierDescriptors(ImageEstimator):
         shapes = images != 0
         descriptors = np.zeros((len(shapes), self.n))
         for row, shape in zip(descriptors, shapes, strict=True):
-            outline = outer_boundary(shape)
+            outline = self.outline(shape)
             if self.resample is not None and len(outline) > 2:
                 # Points equally spaced along the closed outline.
                 n_points = self.resample
@@ -139,21 +139,24 @@ class FourierDescriptors(ImageEstimator):
                 row[: len(relative)] = relative
         return descriptors
 
+    @staticmethod
+    def outline(shape: Bools) -> Floats:
+        """Return the largest component's outer boundary as a closed walk, (n, 2).
+
+        Of a binary image (n_rows, n_cols); points are (column, row).
+        """
+        pixels = shape.astype(np.uint8)
+        n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(pixels)
+        if n_labels == 1:
+            return np.empty((0, 2))
+        largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+        mask = (labels == largest).astype(np.uint8)
+        walks, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        return np.asarray(walks[0].reshape(-1, 2).astype(np.float64))
+
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "fourier1" to "fourier<n>"."""
         return self._columns_named(f"fourier{i + 1}" for i in range(self.n))
-
-
-def outer_boundary(shape: Bools) -> Floats:
-    """The largest component's outer boundary (column, row) as a closed walk, (n, 2)."""
-    pixels = shape.astype(np.uint8)
-    n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(pixels)
-    if n_labels == 1:
-        return np.empty((0, 2))
-    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-    mask = (labels == largest).astype(np.uint8)
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.asarray(outlines[0].reshape(-1, 2).astype(np.float64))
 
 
 def _mean(values: Array, inside: Bools) -> Floats:

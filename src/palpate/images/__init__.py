@@ -2,18 +2,11 @@
 
 from ._array import ArrayCleanUp, ChannelMean, fill_dead_taxels
 from ._array import NoLivingTaxelError as NoLivingTaxelError
-from ._array import otsu_threshold as otsu_threshold
 from ._calibration import TaxelCalibration
 from ._dome import DerivativeMagnitude, DomeCrop
-from ._dome import crop_discs as crop_discs
-from ._dome import standardise_discs as standardise_discs
 from ._orientation import OrientationRegulariser, repose
-from ._orientation import central_moments as central_moments
-from ._orientation import inscribed_mask as inscribed_mask
 from ._press_pose import Poses as Poses
 from ._press_pose import PressPose
-from ._rim import Circle as Circle
-from ._rim import Rims as Rims
 from ._rim import find_rims
 from ._rim import typical_rim as typical_rim
 

@@ -22,11 +22,10 @@ from sklearn.utils import Tags
 from .. import _checks
 from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator
+from .._numbers import otsu_thresholds
 from .._types import Array, Bools, Floats
 
 _OUTPUTS = ("resized", "gamma", "filtered", "binary")
-# Interpolation leaves rounding of this relative size in what should be constant.
-_ROUNDING = 1e-12
 
 
 class NoLivingTaxelError(ValueError):
@@ -155,16 +154,6 @@ def filter_noise(images: Floats, n_sd: float) -> Floats:
     return np.where(images < mean - width * spread, 0.0, images)
 
 
-def otsu_threshold(images: ArrayLike) -> Floats:
-    """Return each image's threshold of most variance between classes, (n_touches,).
-
-    The middle of the best gap between grey levels (the lowest of equals), NaN for a
-    constant image. N. Otsu, IEEE SMC 9(1), 1979. doi:10.1109/TSMC.1979.4310076
-    """
-    checked = check_images(images)
-    return _threshold_rows(checked.reshape(len(checked), -1))
-
-
 def binarise(images: Floats, n_partitions: int, *, min_contrast: float = 0.0) -> Bools:
     """Threshold each of n x n partitions of each image by its own Otsu threshold.
 
@@ -179,7 +168,7 @@ def binarise(images: Floats, n_partitions: int, *, min_contrast: float = 0.0) ->
             f"n_partitions must be at most {min(images.shape[1:])}, the shorter side "
             f"of the images, got {n_parts}. Upsample the images first."
         )
-    whole = otsu_threshold(images)
+    whole = otsu_thresholds(images.reshape(len(images), -1))
     span = np.ptp(images, axis=(1, 2))
     binary = np.empty(images.shape, dtype=bool)
     for rows in np.array_split(np.arange(images.shape[1]), n_parts):
@@ -202,7 +191,7 @@ def _resize_matrix(n_in: int, n_out: int) -> Floats:
 
 def _binarise_block(block: Floats, whole: Floats, least_span: Floats) -> Bools:
     flat = block.reshape(len(block), -1)
-    threshold = _threshold_rows(flat)
+    threshold = otsu_thresholds(flat)
     constant = np.isnan(threshold) | (np.ptp(flat, axis=1) <= least_span)
     # Comparisons with NaN are false: an image without a threshold is background.
     level_is_high = flat.mean(axis=1) > whole
@@ -210,26 +199,6 @@ def _binarise_block(block: Floats, whole: Floats, least_span: Floats) -> Bools:
         constant[:, None], level_is_high[:, None], flat > threshold[:, None]
     )
     return foreground.reshape(block.shape)
-
-
-def _threshold_rows(levels: Floats) -> Floats:
-    """Otsu's threshold of each row of `levels`, NaN for constant rows."""
-    ordered = np.sort(levels, axis=1)
-    n_rows, n_levels = ordered.shape
-    if n_levels < 2:
-        return np.full(n_rows, np.nan)
-    below = np.arange(1, n_levels)
-    total = np.cumsum(ordered - ordered.mean(axis=1, keepdims=True), axis=1)[:, :-1]
-    # Between-class variance, up to a factor, for a cut after each sorted level.
-    between = total**2 / (below * (n_levels - below))
-    gap = np.diff(ordered, axis=1)
-    size = np.abs(ordered[:, [0, -1]]).max(axis=1, keepdims=True)
-    between[gap <= _ROUNDING * size] = -1.0
-    best = between.max(axis=1, keepdims=True)
-    cut = (between >= best * (1 - _ROUNDING)).argmax(axis=1)
-    row = np.arange(n_rows)
-    threshold = (ordered[row, cut] + ordered[row, cut + 1]) / 2
-    return np.where(best[:, 0] < 0, np.nan, threshold)
 
 
 def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:

@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_number, check_option, check_positive
-from .._image_estimator import ImageEstimator
+from .._checks import check_count, check_number, check_option
+from .._image_estimator import ImageEstimator, inscribed_mask
+from .._numbers import evenly_rounded
 from .._types import Array, Floats, Singles
-from ._orientation import inscribed_mask
-from ._rim import Circle, Rims, as_images, rims_near, spread, typical_rim
+from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
 N_SAFE = 512  # images are spread over all; more change a quantile little
 SAFE_SHARE = 0.02  # of the images may reach beyond the disc
@@ -106,7 +106,7 @@ class DomeCrop(ImageEstimator):
         """
         images = as_images(X)
         self._learn_rim(images, no_contact)
-        self._learn_disc(self._rims(images[spread(len(images), N_SAFE)]))
+        self._learn_disc(self._rims(images[evenly_rounded(len(images), N_SAFE)]))
         return self
 
     def fit_transform(
@@ -116,7 +116,7 @@ class DomeCrop(ImageEstimator):
         images = as_images(X)
         self._learn_rim(images, **fixed)
         rims = self._rims(images)
-        self._learn_disc(rims[spread(len(images), N_SAFE)])
+        self._learn_disc(rims[evenly_rounded(len(images), N_SAFE)])
         return self._cut(images, rims)
 
     def _learn_rim(self, images: Array, no_contact: ArrayLike | None = None) -> None:
@@ -159,6 +159,27 @@ class DomeCrop(ImageEstimator):
         if images.dtype != np.uint8:
             images = images.astype(np.float64, copy=False)
         return self._cut(images, self._rims(images))
+
+    def cut(self, X: ArrayLike, rims: Rims) -> Singles:
+        """Do what `transform` does, about rims that were found in these very images."""
+        images = self._images(X)
+        if len(rims) != len(images):
+            raise ValueError(
+                f"rims must be as many as images, got {len(rims)} for {len(images)}. "
+                "Use the rims found in these very images."
+            )
+        return self._cut(images, rims)
+
+    @staticmethod
+    def standardise(discs: ArrayLike) -> Singles:
+        """Bring square discs to mean 0 and variance 1; flat ones and outsides to 0."""
+        images = as_images(discs)
+        rows, cols = images.shape[1:]
+        if rows != cols:
+            raise ValueError(
+                f"discs must be square, got {rows} x {cols}. Crop them first."
+            )
+        return _standardise(images, np.zeros(images.shape, np.float32))
 
     def _cut(self, images: Array, rims: Rims) -> Singles:
         unseen = np.flatnonzero(~rims.visible)
@@ -278,31 +299,6 @@ class DerivativeMagnitude(ImageEstimator):
         if self.region == "disc":
             magnitude *= inscribed_mask(*magnitude.shape[1:])
         return magnitude
-
-
-def crop_discs(images: ArrayLike, rims: Rims, radius: float, size: int) -> Singles:
-    """Return the disc of `radius` pixels about each rim, (n_touches, size, size).
-
-    Zero outside; where the disc leaves the frame, the frame's edge is repeated.
-    """
-    checked = as_images(images)
-    if len(rims) != len(checked):
-        raise ValueError(
-            f"rims must be as many as images, got {len(rims)} for {len(checked)}. "
-            "Use the rims found in these very images."
-        )
-    return _crop(
-        checked, rims, check_positive("radius", radius), check_count("size", size)
-    )
-
-
-def standardise_discs(discs: ArrayLike) -> Singles:
-    """Bring each square disc to mean 0 and variance 1; flat discs and outsides to 0."""
-    images = as_images(discs)
-    rows, cols = images.shape[1:]
-    if rows != cols:
-        raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
-    return _standardise(images, np.zeros(images.shape, np.float32))
 
 
 def _crop(images: Array, rims: Rims, radius: float, size: int) -> Singles:

@@ -8,78 +8,20 @@ turns from the column axis towards the row axis: clockwise as displayed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import pascal
 
 from .._checks import check_count, check_images, check_number, check_option
-from .._image_estimator import ImageEstimator
-from .._types import Array, Bools, Floats, Indices
+from .._image_estimator import ImageEstimator, central_moments, inscribed_mask
+from .._types import Array, Floats, Indices
 
-ORDER = 3  # third moments tell one end of an axis from the other
-_BINOMIAL = pascal(ORDER + 1, kind="lower").astype(float)
 MIN_ANISOTROPY = 0.02  # below, noise turns a round press
 # Rounding of the second moments, as a share of their sum.
 _ROUNDING = 1e-9
 # Pixels of output worked on at a time; bounds the memory of the coordinates.
 _BLOCK = 1 << 18
-
-
-@dataclass(frozen=True)
-class CentralMoments:
-    """Moments of images about each image's own centroid (`x`, `y`).
-
-    The centroid is in pixels from the middle of the frame, 0 where the `mass` (sum of
-    levels) is; `mu[:, q, p]` sums level * (x - centroid)^p * (y - centroid)^q.
-    """
-
-    mass: Floats
-    x: Floats
-    y: Floats
-    mu: Floats
-
-
-def central_moments(images: ArrayLike) -> CentralMoments:
-    """Return the central moments of images to order 3 along x and y."""
-    checked = check_images(images)
-    n_rows, n_cols = checked.shape[1:]
-    raw = _powers(n_rows).T @ checked @ _powers(n_cols)  # about the frame's middle
-    mass = raw[:, 0, 0]
-    safe = np.where(mass == 0, 1.0, mass)
-    x = np.where(mass == 0, 0.0, raw[:, 0, 1] / safe)
-    y = np.where(mass == 0, 0.0, raw[:, 1, 0] / safe)
-    mu = _shift(y) @ raw @ _shift(x).transpose(0, 2, 1)
-    return CentralMoments(mass, x, y, mu)
-
-
-@lru_cache(maxsize=16)
-def inscribed_mask(n_rows: int, n_cols: int) -> Bools:
-    """Return a mask of the frame's inscribed disc; it is shared, so read-only."""
-    row = np.arange(n_rows) - (n_rows - 1) / 2
-    col = np.arange(n_cols) - (n_cols - 1) / 2
-    squared = row[:, np.newaxis] ** 2 + col**2
-    inside: Bools = squared <= (min(n_rows, n_cols) / 2) ** 2
-    inside.flags.writeable = False
-    return inside
-
-
-@lru_cache(maxsize=16)
-def _powers(n: int) -> Floats:
-    """Return 1, x, x^2, x^3 of pixel centres from the middle, (n, 4)."""
-    from_middle = np.arange(n) - (n - 1) / 2
-    return (from_middle[:, None] ** np.arange(ORDER + 1)).astype(np.float64)
-
-
-def _shift(centre: Floats) -> Floats:
-    """Matrices that turn moments about the middle into moments about `centre`."""
-    order = np.arange(ORDER + 1)
-    gap = order[:, None] - order
-    powers = (-centre[:, None, None]) ** np.maximum(gap, 0)
-    return np.where(gap >= 0, _BINOMIAL * powers, 0.0)
 
 
 class OrientationRegulariser(ImageEstimator):

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_finite, check_image_shape, check_levels, check_positive
+from .._numbers import evenly_rounded
 from .._parallel import opencv_on_one_thread
-from .._types import Array, Bools, Floats, Indices
+from .._types import Array, Bools, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -118,8 +119,9 @@ def find_rims(
     images : array-like of shape (n_touches, n_rows, n_cols)
         Grey levels of any integer or float type, without NaN.
     near : Circle, optional
-        Radii are held within about a per cent of its own, centres anywhere within
-        half a radius; a touch's rim does not depend on the others then.
+        One found in another image, such as `find_rims(frames)[0]`. Radii are held
+        within about a per cent of its own, centres anywhere within half a radius; a
+        touch's rim does not depend on the others then.
     no_contact : array-like of shape (n_rows, n_cols), optional
         The no-contact frame, to learn `near` from. With neither, `near` is the
         `typical_rim` of the touches, so the radius comes from all of them.
@@ -163,7 +165,7 @@ def typical_rim(
     if no_contact is not None:
         alone = _find(as_images(np.asarray(no_contact)[np.newaxis])[0], None)
         idle = alone if alone.visible else None
-    rims = rims_near(checked[spread(len(checked), N_TYPICAL)], idle)
+    rims = rims_near(checked[evenly_rounded(len(checked), N_TYPICAL)], idle)
     seen = rims[rims.visible]
     if idle is not None:
         if not len(seen):
@@ -178,11 +180,6 @@ def typical_rim(
     if stray > 0.15 * radius or uneven > 0.02 * radius:
         return None
     return Circle(row, col, radius, True, float(np.median(seen.score)))
-
-
-def spread(n_images: int, most: int) -> Indices:
-    """Return at most so many rows of images, evenly spread over all."""
-    return np.linspace(0, n_images - 1, min(n_images, most)).round().astype(np.intp)
 
 
 def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:

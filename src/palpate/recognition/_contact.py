@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from .._numbers import correlation, evenly_spaced
+from .._numbers import correlation, evenly_spaced, otsu_thresholds
 from .._types import LAYOUT, Array, Bools, Floats
-from ..images import DomeCrop, otsu_threshold
+from ..images import DomeCrop
 from ..touches import Touches
 from ._encoder import (
     BATCH,
@@ -260,7 +260,7 @@ def _is_double(change: Floats) -> bool:
     """Whether the change has a second region, apart from the largest."""
     if min(change.shape) < LEAST_SIDE or not change.any():
         return False
-    inside = (change > otsu_threshold(change[np.newaxis])[0]).astype(np.uint8)
+    inside = (change > otsu_thresholds(change.reshape(1, -1))).astype(np.uint8)
     areas = cv2.connectedComponentsWithStats(inside, connectivity=8)[2][1:, -1]
     areas = np.sort(areas)[::-1]
     return len(areas) > 1 and bool(areas[1] >= SECOND_REGION * areas[0])

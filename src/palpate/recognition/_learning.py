@@ -13,7 +13,7 @@ from sklearn.base import clone
 from .._checks import listed
 from .._numbers import with_floor
 from .._types import Array, Bools, Floats, Indices
-from ..classifiers import EncodingPool, learns_by_landmarks
+from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..images import NoLivingTaxelError
 from ..touches import Touches, TouchSource
 from ._contact import ContactCheck, encoded_and_flagged
@@ -57,7 +57,7 @@ class Encoded:
 def refuse_too_large(labels: Array, max_memory_gb: float) -> None:
     """Refuse labels (n_touches,) of more objects and touches than memory is for."""
     n_touches, n_labels = len(labels), len(np.unique(labels))
-    if learns_by_landmarks(n_touches, n_labels):
+    if KernelRidgeClassifier.learns_by_landmarks(n_touches, n_labels):
         by_label, by_touch = _LABEL_BYTES * n_labels, _TOUCH_BYTES * n_touches
         needed_gb = (by_label + by_touch + _LANDMARK_BYTES) / 1e9
     else:

@@ -21,7 +21,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from .._checks import check_label_kinds
 from .._types import Array, Bools, Floats, Indices
-from ..classifiers import learns_by_landmarks
+from ..classifiers import KernelRidgeClassifier
 from ..touches import Touches, TouchSource
 from ._evidence import as_touches
 from ._sessions import N_LOOKS
@@ -100,7 +100,7 @@ class Memory:
         Neither distances nor posteriors change by more than a thousandth of a nat.
         """
         values = {column.name: getattr(self, column.name) for column in fields(self)}
-        if learns_by_landmarks(len(self), len(self.classes)):
+        if KernelRidgeClassifier.learns_by_landmarks(len(self), len(self.classes)):
             values |= {n: values[n].astype(np.float32) for n in ("features", "looks")}
         return values
 

@@ -30,13 +30,7 @@ from .. import __version__, classifiers, encodings, images
 from .._checks import nearest_path
 from .._durable import replacing
 from .._types import Array
-from ..classifiers import (
-    EncodingPool,
-    KernelRidgeClassifier,
-    NearbyTouches,
-    RehearsedMachine,
-)
-from ..encodings import OnnxEncoding
+from ..classifiers import EncodingPool
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
 from ._evidence import SequenceCalibration
@@ -53,20 +47,17 @@ READ, _MANY_TEXTS = (4, 5, FORMAT), 1000
 Tensors = dict[str, Array]
 
 _OWN = (
+    *EncodingPool.MACHINES,
     ContactCheck,
     Curve,
     Memory,
     Modality,
-    NearbyTouches,
-    RehearsedMachine,
     RemountedEncoder,
     SequenceCalibration,
     StrangerModel,
     TouchEncoder,
     UserEncoding,
 )
-# What has less, or more, in a file than in memory.
-_STORED = (EncodingPool, KernelRidgeClassifier, NearbyTouches, OnnxEncoding)
 _SUBPACKAGES = (classifiers, encodings, images)
 _PUBLIC = {
     name: getattr(subpackage, name)
@@ -348,7 +339,7 @@ def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         return value.stored(), {}
     if is_dataclass(value):
         return {f.name: getattr(value, f.name) for f in fields(value)}, {}
-    if isinstance(value, _STORED):
+    if hasattr(value, "stored"):  # less, or more, in a file than in memory
         value = value.stored()
     learnt = {
         name: item

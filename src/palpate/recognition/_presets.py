@@ -10,7 +10,7 @@ from sklearn.preprocessing import StandardScaler
 
 from .. import classifiers
 from .._checks import check_option
-from ..classifiers import as_touch_classifier
+from ..classifiers import FromProbabilities, TouchClassifier
 from ..encodings import (
     CentroidMoments,
     EdgeHistograms,
@@ -96,7 +96,7 @@ def resolved_preset(
             f"paper's, got {', '.join(from_user)}. Use the preset 'default', or None."
         )
     if classifier is not None:
-        learns = as_touch_classifier(classifier)
+        learns = _touch_classifier(classifier)
         preset = replace(preset, classifier=lambda encoder: clone(learns))
     if not from_user:
         return preset
@@ -106,6 +106,20 @@ def resolved_preset(
         return {name: _joined(recipe, from_user) for name, recipe in recipes.items()}
 
     return replace(preset, encoders=encoders)
+
+
+def _touch_classifier(classifier: Any) -> TouchClassifier:
+    """Return a classifier, not learnt, that a belief can be built on, or explain."""
+    required = [name for name in vars(TouchClassifier) if not name.startswith("_")]
+    if not isinstance(classifier, type):
+        if all(hasattr(type(classifier), name) for name in required):
+            return clone(classifier)  # type: ignore[no-any-return]
+        if hasattr(classifier, "predict_proba"):
+            return FromProbabilities(classifier)
+    raise TypeError(
+        "classifier must be a TouchClassifier or have predict_proba, got "
+        f"{classifier!r}. Give an instance, or wrap it in CalibratedClassifierCV."
+    )
 
 
 def _joined(

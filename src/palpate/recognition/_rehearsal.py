@@ -2,7 +2,7 @@
 
 Some training touches are seen again as in invented sessions, each of which changes all
 of them alike. How their features differ is weighed down for a second set of machines;
-how far those count is found out (`classifiers.rehearsed`).
+how far those count is found out (`_rehearsed.py`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from .._numbers import log_softmax
+from .._numbers import evenly_rounded, log_softmax
 from .._types import Array, Floats, Indices
-from ..classifiers import Drawn, EncodingPool, halves, learns_by_landmarks, rehearsed
+from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..touches import Touches, TouchSource
 from . import _sessions
 from ._encoder import Encoder, TouchEncoder
 from ._learning import shown_rows, touches_of
 from ._memory import Memory
+from ._rehearsed import Drawn, halves, rehearsed
 
 # At most so many touches are seen again in so many invented sessions, of few as many as
 # make this many times the training touches: encoding them is what rehearsal costs.
@@ -81,7 +82,8 @@ def rehearse(
     Of what `pool` learnt as `memory` of `touches`.
     """
     ranges = _seen_by(encoder, RANGES[geometry])
-    if ranges is None or learns_by_landmarks(len(memory), len(memory.classes)):
+    n_touches, n_labels = len(memory), len(memory.classes)
+    if ranges is None or KernelRidgeClassifier.learns_by_landmarks(n_touches, n_labels):
         unknown = "how sessions change vectors is not known"
         why = "too much was taught at once" if ranges else unknown
         return pool, {"share": 0.0, "why": why}
@@ -251,8 +253,7 @@ def _rows(memory: Memory) -> Indices:
         good = np.arange(len(memory))
     at_most = min(N_TOUCHES, -(-SEEN_AGAIN * len(memory) // N_SESSIONS))
     rows = good[shown_rows(memory.labels[good], at_most)]
-    spread = np.linspace(0, len(rows) - 1, min(at_most, len(rows)))
-    return rows[spread.round().astype(np.intp)]
+    return rows[evenly_rounded(len(rows), at_most)]
 
 
 def draw_sessions(

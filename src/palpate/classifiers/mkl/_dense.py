@@ -29,25 +29,16 @@ class DenseKernels:
     """Kernels (n_problems, n_kernels, n_touches, n_touches) of a batch, contiguous.
 
     `labels` (n_problems, n_touches) are +1, -1, or 0 for no part; `means` (n_problems,
-    n_kernels, n_touches) are those of the rows that `centred` took out. Values may be
-    given times the `sides`, +1 or -1, of both touches; where these are the labels, no
-    step has to multiply by labels.
+    n_kernels, n_touches) are those of the rows that `centred` took out.
     """
 
     crowded = False
 
     def __init__(
-        self,
-        kernels: Floats,
-        labels: Floats,
-        means: Floats | None = None,
-        sides: Floats | None = None,
+        self, kernels: Floats, labels: Floats, means: Floats | None = None
     ) -> None:
         self.kernels, self.labels, self.means = kernels, labels, means
-        self.sides = np.ones_like(labels) if sides is None else sides
         self.n_kernels = int(kernels.shape[1])
-        self.signs = self.sides * labels
-        self._signed = bool((self.signs == 1).all())
 
     @classmethod
     def centred(cls, kernels: Floats, labels: Floats) -> Self:
@@ -69,8 +60,7 @@ class DenseKernels:
 
     def view(self, task: Task, point: Point) -> View:
         forces = self._times(point.alpha)
-        if not self._signed:
-            forces *= self.signs[:, None, :]
+        forces *= self.labels[:, None, :]
         energies = 0.5 * (forces @ point.alpha[:, :, None])[:, :, 0]
         weights = task.weights(point)
         square = np.vecdot(weights, energies)
@@ -88,7 +78,7 @@ class DenseKernels:
 
     def decisions(self, solution: Solution) -> Floats:
         """Return the decisions about all touches, also where the label is 0."""
-        pulled = self._times(solution.alpha) * self.sides[:, None, :]
+        pulled = self._times(solution.alpha)
         return weighted(solution.weights, pulled) + solution.bias[:, None]
 
     def true_bias(self, solution: Solution) -> Floats:
@@ -101,16 +91,15 @@ class DenseKernels:
 
     def with_labels(self, labels: Floats) -> Self:
         """Return the same kernels with some labels set to 0."""
-        return type(self)(self.kernels, labels, self.means, self.sides)
+        return type(self)(self.kernels, labels, self.means)
 
     def take(self, keep: Array) -> Self:
         means = None if self.means is None else self.means[keep]
-        labels, sides = self.labels[keep], self.sides[keep]
-        return type(self)(self.kernels[keep], labels, means, sides)
+        return type(self)(self.kernels[keep], self.labels[keep], means)
 
     def _times(self, alpha: Floats) -> Floats:
-        """Return K_k Y a times the sides, (n_problems, n_kernels, n_touches)."""
-        signed = alpha if self._signed else self.signs * alpha
+        """Return K_k Y a, (n_problems, n_kernels, n_touches)."""
+        signed = self.labels * alpha
         n_problems, n_kernels, n, _ = self.kernels.shape
         stacked = self.kernels.reshape(n_problems, n_kernels * n, n)
         return (stacked @ signed[:, :, None]).reshape(n_problems, n_kernels, n)
@@ -123,8 +112,7 @@ class DenseKernels:
         n_problems, n_kernels, n, _ = self.kernels.shape
         flat = self.kernels.reshape(n_problems, n_kernels, n * n)
         matrix = (weights[:, None, :] @ flat).reshape(n_problems, n, n)
-        if not self._signed:
-            matrix *= self.signs[:, :, None] * self.signs[:, None, :]
+        matrix *= self.labels[:, :, None] * self.labels[:, None, :]
         matrix += root.transpose(0, 2, 1) @ root
         matrix.reshape(n_problems, -1)[:, :: n + 1] += diagonal
         factors = _factors(matrix)

@@ -31,8 +31,6 @@ _CONSTANT = 1e-12
 # Share of the trace by which eigenvalues may miss zero, and of the largest entry by
 # which a matrix may miss symmetry, for rounding: of doubles, and of less.
 _ROUNDING, _COARSE_ROUNDING = 1e-8, 1e-5
-# Of so many touches a multiplication less in each step is felt.
-_SMALL = 100
 
 
 @dataclass(frozen=True)
@@ -191,12 +189,8 @@ class DenseBank(ABC):
     normalize: str | None
 
     @abstractmethod
-    def blocks(self, index: Array, sides: Floats | None = None) -> Floats:
-        """Return scaled kernels by rows of `index`, (n_rows, n_kernels, n, n).
-
-        Touches with one place in a row have one of the `sides` (n,), by which both
-        touches of a value multiply it.
-        """
+    def blocks(self, index: Array) -> Floats:
+        """Return scaled kernels by rows of `index`, (n_rows, n_kernels, n, n)."""
 
     def batch_size(self, n_touches: int) -> int:
         """How many problems of that size to hold at a time."""
@@ -207,16 +201,7 @@ class DenseBank(ABC):
         """Return the kernels among the touches of each row of `index`."""
         if self.normalize != "trace":
             return DenseKernels.centred(self.blocks(index), labels)
-        # No kernel has a large constant part.
-        small = labels.shape[1] <= _SMALL
-        if small and labels.all() and (labels == labels[0]).all():
-            return DenseKernels(self.blocks(index, labels[0]), labels, sides=labels)
-        return DenseKernels(self.blocks(index), labels)
-
-    def _factors(self, sides: Floats | None) -> Floats:
-        """Return what values are multiplied by, (n_kernels, 1, 1) or (.., n, n)."""
-        signs = 1.0 if sides is None else np.outer(sides, sides)
-        return self.scales[:, None, None] * signs
+        return DenseKernels(self.blocks(index), labels)  # no large constant part
 
     def machines(
         self, system: DenseKernels, index: Array, solution: Solution
@@ -248,10 +233,10 @@ class FeatureBank(DenseBank):
             mean /= len(touches) ** 2
         self.scales = kernel_scales(diagonals, mean, normalize)
 
-    def blocks(self, index: Array, sides: Floats | None = None) -> Floats:
+    def blocks(self, index: Array) -> Floats:
         chosen = self.centred[index]
         stack = kernel_stack(self.kernels, chosen, chosen, self.mean)
-        stack *= self._factors(sides)
+        stack *= self.scales[:, None, None]
         return stack
 
 
@@ -292,20 +277,19 @@ class GivenBank(DenseBank):
                         "eigenvalues at zero."
                     )
 
-    def blocks(self, index: Array, sides: Floats | None = None) -> Floats:
+    def blocks(self, index: Array) -> Floats:
         (n_rows, n), n_kernels = index.shape, len(self.scales)
         pairs = self._values.reshape(-1, n_kernels)
         blocks = np.empty((n_rows, n_kernels, n * n))
         places = (index[:, :, None] * self.n_touches + index[:, None, :]).reshape(
             n_rows, n * n
         )
-        factors = self._factors(sides).reshape(n_kernels, -1)
         taken = np.empty((n * n, n_kernels))
         for block, there in zip(blocks, places, strict=True):
             # OpenCV takes a third of the time of numpy's copy.
             pairs.take(there, axis=0, out=taken, mode="clip")
             cv2.transpose(taken, dst=block)
-            block *= factors
+            block *= self.scales[:, None]
         return blocks.reshape(n_rows, n_kernels, n, n)
 
 

@@ -183,8 +183,7 @@ class SingleKernelMachines:
         n_problems, n_kernels, n, _ = self._system.kernels.shape
         flat = self._system.kernels.reshape(n_problems, n_kernels, n * n)
         summed = (full[:, None, :] @ flat).reshape(n_problems, 1, n, n)
-        rest = self._system.labels, None, self._system.sides
-        self._solve(DenseKernels(summed, *rest))
+        self._solve(DenseKernels(summed, self._system.labels))
         alpha = self._alpha[self._rows]
         energies = _view(self._system, alpha, self._bias[self._rows], full)[2].energies
         values = alpha.sum(axis=1) - (full * energies).sum(axis=1)
@@ -228,8 +227,7 @@ def _guess(
     n_problems, n = labels.shape
     free = state == 1
     bound = np.where(state == 2, C, 0.0)
-    signs = system.signs
-    signed = system.kernels[:, 0] * signs[:, :, None] * signs[:, None, :]
+    signed = system.kernels[:, 0] * labels[:, :, None] * labels[:, None, :]
     matrix = np.zeros((n_problems, n + 1, n + 1))
     both = free[:, :, None] & free[:, None, :]
     matrix[:, :n, :n] = np.where(both, signed, 0)

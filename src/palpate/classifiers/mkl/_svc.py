@@ -17,7 +17,6 @@ from sklearn.utils.validation import (
     check_consistent_length,
     check_is_fitted,
     column_or_1d,
-    validate_data,
 )
 
 from ... import _checks
@@ -30,6 +29,7 @@ from ..._checks import (
 )
 from ..._parallel import on_one_thread
 from ..._types import Array, Floats
+from .._touch_classifier import as_touches, labelled_touches
 from . import _kernels, _pairs
 from ._kernels import (
     DenseBank,
@@ -265,8 +265,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         if self._is_given():
             touches = check_given(X, (self.n_features_in_, self.weights_.shape[1]))
         else:
-            touches = validate_data(self, X, dtype=np.float64, reset=False)
-            check_squarable(touches)
+            touches = check_squarable(as_touches(self, X))
         return self._decisions(touches)
 
     def predict(self, X: ArrayLike) -> Array:
@@ -345,16 +344,14 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return FeatureBank(kernels, touches, self.normalize)
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Floats, Array]:
+        if not self._is_given():
+            touches, labels = labelled_touches(self, X, y)
+            return check_squarable(touches), labels
         _checks.check_label_kinds(y)
-        if self._is_given():
-            touches = check_given(X)
-            labels = np.asarray(column_or_1d(y, warn=True))
-            check_consistent_length(touches, labels)
-            self.n_features_in_ = len(touches)
-        else:
-            touches, labels = validate_data(self, X, y, dtype=np.float64)
-            check_squarable(touches)
+        touches, labels = check_given(X), np.asarray(column_or_1d(y, warn=True))
+        check_consistent_length(touches, labels)
         check_targets(labels)
+        self.n_features_in_ = len(touches)
         return touches, labels
 
     def _store(self, bank: Bank, machines: PairMachines) -> None:

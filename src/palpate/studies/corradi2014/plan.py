@@ -10,13 +10,9 @@ from numpy.typing import NDArray
 
 from ..._types import Singles
 from ...images import (
-    Circle,
     DerivativeMagnitude,
     DomeCrop,
-    Rims,
-    crop_discs,
     repose,
-    standardise_discs,
 )
 from ...simulation import OBJECT_SETS, TacTipPins, simulate_touches
 from ...touches import Touches
@@ -198,7 +194,7 @@ def recorded_shapes(
 def variants(discs: Images) -> dict[str, Images]:
     """Return standardised discs and their standardised derivatives."""
     steepness = DerivativeMagnitude().fit_transform(discs)
-    return {"image": discs, "derivative": standardise_discs(steepness)}
+    return {"image": discs, "derivative": DomeCrop.standardise(steepness)}
 
 
 def near_duplicates(discs: Images) -> float:
@@ -218,6 +214,5 @@ def rim_discs(touches: Touches) -> Images:
 
 def _frame_discs(images: NDArray[Any]) -> Images:
     """Pins have no rim: the disc is the one inscribed in the frame."""
-    circle = Circle.inscribed((images.shape[1], images.shape[2]))
-    rims = Rims.of([circle] * len(images))
-    return standardise_discs(crop_discs(images, rims, circle.radius, SIZE))
+    blank = np.zeros_like(images[:1])
+    return DomeCrop(SIZE).fit(blank).transform(images)

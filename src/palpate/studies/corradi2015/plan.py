@@ -17,7 +17,7 @@ from sklearn.base import clone
 
 from ..._types import Bools, Floats, Singles
 from ...evaluation import brightness, without_contact
-from ...images import DomeCrop, Rims, crop_discs, standardise_discs
+from ...images import DomeCrop
 from ...recognition import PRESETS
 from ...simulation import HOUSEHOLD, OBJECT_SETS, simulate_touches
 from ...touches import Touches
@@ -157,15 +157,14 @@ class Encoder:
         # Without a frame of no contact, the median disc.
         if touches.no_contact is None:
             shown = self.crop.transform(touches.images)
-            discs = standardise_discs(np.median(shown, axis=0)[np.newaxis])
+            discs = DomeCrop.standardise(np.median(shown, axis=0)[np.newaxis])
         else:
-            frame = np.asarray(touches.no_contact)[np.newaxis]
-            discs = self._discs(frame, self.crop.rims(frame))
+            discs = self.crop.transform(np.asarray(touches.no_contact)[np.newaxis])
         self.idle_disc = discs[0]
 
     def __call__(self, touches: Touches) -> Encoded:
         rims = self.crop.rims(touches.images)
-        discs = self._discs(touches.images, rims)
+        discs = self.crop.cut(touches.images, rims)
         features = {"Zernike": self.moments.fit(discs).transform(discs)}
         if self.bags:
             features["polar Fourier"] = polar_fourier(discs)
@@ -175,10 +174,6 @@ class Encoder:
         features["brightness"] = brightness(touches)
         names, codes = np.unique(labels(touches), return_inverse=True)
         return Encoded(names, codes, features, without_contact(touches))
-
-    def _discs(self, images: NDArray[Any], rims: Rims) -> Singles:
-        discs = crop_discs(images, rims, self.crop.disc_radius_, self.crop.size_)
-        return standardise_discs(discs)
 
 
 def polar_fourier(discs: Singles) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ... import studies as shared
 from ..._types import Floats
-from ...encodings import outer_boundary
+from ...encodings import FourierDescriptors
 from ...evaluation import plots
 from ...images import ArrayCleanUp
 from ...simulation import find_parts
@@ -236,7 +236,7 @@ def draw_boundaries(touches: Touches) -> Any:
     figure, axes = _images(-(-len(_firsts(touches)) // 3), 3, 1.5)
     for place, (row, name) in zip(axes.ravel(), _firsts(touches), strict=False):
         (binary,) = ArrayCleanUp().fit_transform(touches.images[[row]])
-        points = outer_boundary(binary)
+        points = FourierDescriptors.outline(binary)
         waves = np.fft.fft(points, axis=0)
         waves[np.abs(np.fft.fftfreq(len(points), 1 / len(points))) > WAVES_KEPT] = 0
         place.imshow(binary, cmap="gray", vmin=-3, vmax=1)

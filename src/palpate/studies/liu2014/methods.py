@@ -28,7 +28,7 @@ from sklearn.svm import SVC
 
 from ..._types import Floats
 from ...classifiers import MKLSVC
-from ...encodings import CentroidMoments, KernelPCA, sorted_taxels
+from ...encodings import CentroidMoments, KernelPCA
 from ...touches import Touches
 from .. import Codes, Row, Work, coded, fitted, spread
 from . import plan as stated
@@ -405,8 +405,11 @@ def _jobs(row: Row, features: Floats, codes: Codes, method: Method) -> Iterator[
 
 
 def _pixels(touches: Touches) -> dict[str, Floats]:
-    flat = touches.images.reshape(len(touches), -1)
-    return {
-        "sorted pixels": sorted_taxels(touches.images, normalise=True),
-        "raw pixels": flat.astype(np.float64),
-    }
+    """Return pixels as they are, and what of them tells without any geometry."""
+    flat = touches.images.reshape(len(touches), -1).astype(np.float64)
+    # By the largest level first, so that no sum over- or underflows.
+    top = np.abs(flat).max(axis=1, keepdims=True)
+    relative = flat / np.where(top > 0, top, 1)
+    size = top * np.abs(relative).sum(axis=1, keepdims=True)
+    shares = flat / np.where(size > 0, size, 1)
+    return {"sorted pixels": np.sort(shares, axis=1)[:, ::-1], "raw pixels": flat}

@@ -1,4 +1,4 @@
-"""Machines that know other sessions from rehearsal, beside those that do not.
+"""How far machines that know invented sessions count beside those that do not.
 
 How a session changes touches is invented, and weighed down in the features before a
 second machine learns them. How far it is to be trusted beside the first is told by
@@ -9,112 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from .._numbers import log_softmax
+from .._numbers import evenly_rounded, log_softmax
 from .._types import Array, Bools, Floats, Indices
-from ._encoding_pool import TOGETHER, EncodingPool, pool_weights, weights_if_any
-from ._touch_classifier import BayesRule, Groups, TouchClassifier
+from ..classifiers import EncodingPool
 
 # A smaller share changes next to nothing, and would double the work of each touch.
 LEAST_SHARE = 0.1
 # Machines that are asked about invented sessions learn at most so many touches.
 _AT_MOST = 500
-
-
-class RehearsedMachine(BayesRule):
-    """Two machines of the same features: of these as they are, and weighed down.
-
-    Parameters
-    ----------
-    plain, rehearsed : TouchClassifier
-        Machines that have learnt the same touches, the second one after `weighing`.
-    weighing : ndarray of shape (n_features, n_features)
-        What features are multiplied by, to weigh down how sessions differ.
-    share : float
-        What the second one's log posterior counts; the first one's counts the rest.
-    """
-
-    def __init__(
-        self,
-        plain: TouchClassifier,
-        rehearsed: TouchClassifier,
-        weighing: Floats,
-        share: float = 0.5,
-    ) -> None:
-        self.plain = plain
-        self.rehearsed = rehearsed
-        self.weighing = weighing
-        self.share = share
-
-    @property
-    def classes_(self) -> Array:  # type: ignore[override]
-        """The labels, sorted, (n_classes,)."""
-        return self.plain.classes_
-
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
-        """Let both machines choose and learn; see `TouchClassifier.fit`."""
-        touches = np.asarray(X, dtype=np.float64)
-        self.plain.fit(touches, y, groups)
-        self.rehearsed.fit(touches @ self.weighing, y, groups)
-        return self
-
-    @property
-    def takes_weights(self) -> bool:  # type: ignore[override]
-        """Whether both machines take what each touch counts."""
-        both = self.plain, self.rehearsed
-        return all(getattr(machine, "takes_weights", False) for machine in both)
-
-    def refit(
-        self,
-        X: ArrayLike,
-        y: ArrayLike,
-        groups: Groups = None,
-        weights: Floats | None = None,
-        keep_shape: bool = False,
-    ) -> Self:
-        """Let both machines learn other touches with the choices they made."""
-        touches = np.asarray(X, dtype=np.float64)
-        more = weights_if_any(weights, keep_shape)
-        self.plain = copy(self.plain).refit(touches, y, groups, **more)
-        weighed = touches @ self.weighing
-        self.rehearsed = copy(self.rehearsed).refit(weighed, y, groups, **more)
-        return self
-
-    def log_likelihood(self, X: ArrayLike) -> Floats:
-        """Return log p(touch | object) up to a constant per touch (nats)."""
-        touches = np.asarray(X, dtype=np.float64)
-        rehearsed = self.rehearsed.log_likelihood(touches @ self.weighing)
-        if self.share == 1:
-            return rehearsed
-        return self._both(self.plain.log_likelihood(touches), rehearsed)
-
-    def log_likelihood_checked(self, touches: Floats) -> Floats:
-        """Do what `log_likelihood` does, but for a constant of each touch."""
-        share, weighed = self.share, touches @ self.weighing
-        if share == 1:
-            return self.rehearsed.log_likelihood_checked(weighed)
-        plain = self.plain.log_likelihood_checked(touches)
-        rehearsed = self.rehearsed.log_likelihood_checked(weighed)
-        return np.asarray((1 - share) * plain + share * rehearsed)
-
-    def left_out_log_likelihood(self) -> Floats:
-        """Return `log_likelihood` of training touches, their groups left out."""
-        plain = self.plain.left_out_log_likelihood()
-        return self._both(plain, self.rehearsed.left_out_log_likelihood())
-
-    @property
-    def left_out_rows(self) -> Indices:
-        """Which training touches these are, (n_left_out,)."""
-        return self.plain.left_out_rows
-
-    def _both(self, plain: Floats, rehearsed: Floats) -> Floats:
-        return _mixed(
-            log_softmax(plain, axis=1), log_softmax(rehearsed, axis=1), self.share
-        )
 
 
 class Rehearsal(NamedTuple):
@@ -168,7 +74,7 @@ def rehearsed(
     Notes
     -----
     The share is that of the weights of least log loss; a priori both count alike, with
-    a standard deviation as large (`pool_weights`).
+    a standard deviation as large (`EncodingPool.best_weights`).
     """
     weighed = EncodingPool(pool.parts, pool.machine, together=pool.together)
     weighed.fit(X @ weighing, y, groups=groups)
@@ -184,49 +90,20 @@ def rehearsed(
         names = np.tile(drawn_codes[is_asked], invented.shape[1])
         invented = invented.reshape(2, -1, of_drawn.shape[3])
         n_each = min(n_ordinary, len(names))
-        sampled, others = (_spread(n, n_each) for n in (n_ordinary, len(names)))
+        sampled, others = (evenly_rounded(n, n_each) for n in (n_ordinary, len(names)))
         left_out = np.concatenate([left_out[:, sampled], invented[:, others]], axis=1)
         label_codes = np.concatenate([label_codes[sampled], names[others]])
     finite = np.isfinite(left_out).all(axis=(0, 2))
-    weights = pool_weights(np.maximum(left_out[:, finite], -30.0), label_codes[finite])
+    bounded = np.maximum(left_out[:, finite], -30.0)
+    weights = EncodingPool.best_weights(bounded, label_codes[finite])
     share = float(weights[1] / max(weights.sum(), 1e-12))
     if share < LEAST_SHARE:
         share = 0.0
-    mixed = _mixed(of_drawn[0], of_drawn[1], share)
+    mixed = (1 - share) * of_drawn[0] + share * of_drawn[1]
     right = (mixed.argmax(axis=-1) == drawn_codes)[:, is_asked].mean(axis=1)
-    if share == 0:
-        return Rehearsal(pool, share, right)
-    return Rehearsal(
-        _twins(pool, weighed, weighing, share, of=codes[rows]), share, right
-    )
-
-
-def _mixed(plain: Floats, rehearsed: Floats, share: float) -> Floats:
-    """Return log posteriors of which one counts a share; one of 0 says nothing."""
-    if share in (0, 1):
-        return rehearsed if share else plain
-    return np.asarray((1 - share) * plain + share * rehearsed)
-
-
-def _spread(n_all: int, n_some: int) -> Indices:
-    return np.linspace(0, n_all - 1, n_some).round().astype(np.intp)
-
-
-def _twins(
-    pool: EncodingPool, weighed: EncodingPool, weighing: Floats, share: float, of: Array
-) -> EncodingPool:
-    """Return a pool of both kinds of machines, weighed anew by touches left out."""
-    both = copy(pool)
-    cuts = np.cumsum([0, *pool.parts.values()])
-    blocks = {
-        name: np.ascontiguousarray(weighing[start:end, start:end])
-        for name, start, end in zip(pool.parts, cuts[:-1], cuts[1:], strict=True)
-    } | {TOGETHER: weighing}
-    both.machines_ = {
-        name: RehearsedMachine(machine, weighed.machines_[name], blocks[name], share)
-        for name, machine in pool.machines_.items()
-    }
-    return both.weighed_by(of)
+    if share:
+        pool = pool.beside(weighed, weighing, share, codes[rows])
+    return Rehearsal(pool, share, right)
 
 
 def _answers_of_drawn(
@@ -290,5 +167,5 @@ def _thinned(rows: Indices, y: Array) -> Indices:
         of_label = rows[y[rows] == name]
         count = len(of_label)
         n_kept = min(count, max(4, round(count * _AT_MOST / len(rows))))
-        kept.append(of_label[_spread(count, n_kept)])
+        kept.append(of_label[evenly_rounded(count, n_kept)])
     return np.sort(np.concatenate(kept))
