@@ -75,6 +75,15 @@ def test_other_touches_are_learnt_from_the_beginning():
     assert len(machine.classes_) == 14
 
 
+def test_fitting_again_with_other_parameters_is_fitting_anew():
+    X, labels, groups = drawn(10, 12)
+    again = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
+    again.set_params(ridges=[10.0]).fit(X, labels, groups=groups)
+    anew = KernelRidgeClassifier(**SETTINGS | {"ridges": [10.0]})
+    anew.fit(X, labels, groups=groups)
+    assert_array_equal(again.log_likelihood(X), anew.log_likelihood(X))
+
+
 def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
     X, labels, groups = drawn(10, 30)
     whole = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)

@@ -225,7 +225,7 @@ def test_what_is_no_touch_is_refused(bag, tmp_path):
 def test_the_package_that_reads_a_dataset_is_named(tmp_path, monkeypatch):
     (tmp_path / "robot" / "meta").mkdir(parents=True)
     (tmp_path / "robot" / "meta" / "info.json").touch()
-    monkeypatch.setattr("palpate.library._bags.entry_points", lambda group: [])
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [])
     with pytest.raises(LibraryError, match="install what reads it, plugs/lerobot"):
         read_bag(tmp_path / "robot")
 

@@ -180,6 +180,7 @@ class KernelRidgeClassifier(BayesRule):
             )
         self._choose(touches, codes, group)
         self._inverse: GrowingInverse | None = None
+        self._summed: LandmarkRegression | None = None
         self._learn(touches, codes, group, np.ones(len(touches)))
         return self
 
@@ -245,7 +246,7 @@ class KernelRidgeClassifier(BayesRule):
         if self.learns_by_landmarks(len(touches), n_labels, at_most):
             left_out = self._learn_by_landmarks(touches, codes, group)
         else:
-            self._summed: LandmarkRegression | None = None
+            self._summed = None
             ridges = self.ridge_ / weights
             grown = self._grown(touches, codes, ridges)
             left_out = self._learn_from_all(touches, codes, group, ridges, grown)

@@ -231,9 +231,11 @@ def _remounted(
     recognisers = {s: copy(recogniser) for s in of_sessions}
     for s, rows in of_sessions.items():
         recognisers[s].remount(test[rows[:number]].without(*labels))
-    told = [recognisers[s].evidence(test[rows]) for s, rows in of_sessions.items()]
+    evidence = Evidence.together(
+        [recognisers[s].evidence(test[rows]) for s, rows in of_sessions.items()]
+    )
     tested = test[np.concatenate([*of_sessions.values()])]
-    return recognisers, tested, Evidence.together(told), None
+    return recognisers, tested, evidence, None
 
 
 def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:

@@ -21,7 +21,7 @@ import hashlib
 import threading
 from functools import cache, partial
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib import metadata
 from io import BytesIO
 from math import inf
 from pathlib import Path
@@ -122,7 +122,9 @@ def _readers(path: Path) -> list[Any]:
     Entry points of the group `palpate.recordings`: modules with `is_dataset(path)` and
     `read(path, topic, object, max_bytes)`.
     """
-    plugged = [point.load() for point in entry_points(group="palpate.recordings")]
+    plugged = [
+        point.load() for point in metadata.entry_points(group="palpate.recordings")
+    ]
     if not plugged and (path / "meta" / "info.json").is_file():
         raise LibraryError(
             f"{path} looks like a LeRobotDataset: install what reads it, plugs/lerobot."
