@@ -20,8 +20,7 @@ import bz2
 import hashlib
 import threading
 from functools import cache, partial
-from importlib import import_module
-from importlib import metadata
+from importlib import import_module, metadata
 from io import BytesIO
 from math import inf
 from pathlib import Path
