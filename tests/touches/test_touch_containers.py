@@ -321,6 +321,26 @@ def test_each_line_is_a_touch(csv):
     assert touches.geometry is None
 
 
+@pytest.mark.parametrize(
+    ("names", "n_taxels"),
+    [
+        ("object,t0,t1,humidity,t2", 3),
+        ("0,1,2,object,humidity", 3),
+        ("palm,t1,t2,t3,object,humidity", 3),
+        ("palm,thumb1,index1,object,humidity", 4),  # not numbered through
+        ("x0,y0,x1,y1,humidity", 5),
+        ("a,b,c,d,humidity", 5),
+    ],
+)
+def test_beside_numbered_taxels_other_numbers_are_columns(csv, names, n_taxels):
+    values = {name: str(n) for n, name in enumerate(names.split(","))}
+    row = ",".join("mug" if name == "object" else n for name, n in values.items())
+    touches = Touches.load(csv(f"{names}\n{row}\n{row}\n"))
+    assert touches.images.shape == (2, 1, n_taxels)
+    if n_taxels == 3:
+        assert touches.columns["humidity"].tolist() == [float(values["humidity"])] * 2
+
+
 def test_without_a_shape_a_table_has_no_geometry(csv):
     touches = Touches.load(csv("1;2;3\n4;5;6\n"))
     assert_array_equal(touches.images, [[[1, 2, 3]], [[4, 5, 6]]])

@@ -2,8 +2,9 @@
 
 Of a CSV file by itself, or a data frame, each row is a touch: the columns that
 `Touches` knows by name (`object`, `session`, `force_n`, `x_mm`...), or that hold text,
-are columns; all other numbers are taxels, in their order. Of a folder of CSV or `.npy`
-files each file is a touch, its lines the rows of taxels.
+are columns; all other numbers are taxels, in their order. Where taxels are numbered
+(t0, t1, t2...), numbers of a name without one are columns too. Of a folder of CSV or
+`.npy` files each file is a touch, its lines the rows of taxels.
 """
 
 import csv
@@ -38,6 +39,7 @@ def table_arrays(
     Of a taxel with `channels` these follow each other.
     """
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
+    named |= _beside_numbered([name for name in table if name not in named])
     columns = {name: table[name] for name in named}
     if not (taxels := [column for name, column in table.items() if name not in named]):
         raise TouchesError(
@@ -67,6 +69,15 @@ def table_arrays(
     if shape is None:  # the places of taxels in a table say nothing
         columns["geometry"] = np.array("none")
     return {"images": images, **columns}
+
+
+def _beside_numbered(names: Sequence[str]) -> set[str]:
+    """Return which are no taxels: beside numbered ones (t0, t1...) those without."""
+    stems = {name: name.rstrip("0123456789") for name in names}
+    numbered = [stem for name, stem in stems.items() if stem != name]
+    if len(numbered) < 2 or len(set(numbered)) > 1:
+        return set()
+    return {name for name, stem in stems.items() if stem == name}
 
 
 def csv_arrays(
