@@ -242,7 +242,9 @@ def spread_parts(folder: Path) -> dict[str, Any]:
     landmarks = Landmarks(marks, (marks**2).sum(axis=1), 0.5 / (2 * N_FEATURES))
     return {
         "encoding": lambda: _learning.encoded(learnt.encoder, learnt.contact, source),
-        "sums": lambda: LandmarkRegression(landmarks, 0.03).learn(vectors, codes, 10),
+        "sums": lambda: LandmarkRegression(landmarks, np.zeros(N_FEATURES), 0.03).learn(
+            (vectors, codes, np.arange(10))
+        ),
     }
 
 

@@ -150,7 +150,7 @@ def altered(touches: Touches) -> dict[str, object]:
 
 def moved(touches: Touches) -> dict[str, object]:
     """Learn 50 objects before the camera jumped and test after, and the reverse."""
-    results = beside.moved(touches, lengths=LENGTHS, orders=N_ORDERS)
+    results = beside.moved(touches, Plan(touches=LENGTHS, orders=N_ORDERS))
     result: dict[str, object] = {}
     for direction, figures in results.items():
         result[direction] = {"accuracy": figures["accuracy"], "n": figures["n_objects"]}
@@ -162,9 +162,8 @@ def sight(touches: Touches, photographs: beside.Photographs) -> dict[str, object
     """Measure touch, a photograph, and both; 50 objects, then unseen categories."""
     result: dict[str, object] = {}
     for label in beside.SPLIT_FOR:
-        right = beside.sight(
-            touches, photographs, label, lengths=LENGTHS, orders=N_ORDERS
-        )
+        plan = Plan(label=label, touches=LENGTHS, orders=N_ORDERS)
+        right = beside.sight(touches, photographs, plan)
         result[label] = {
             sense: {str(k): float(shares.mean()) for k, shares in curve.items()}
             for sense, curve in right.items()

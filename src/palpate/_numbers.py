@@ -1,4 +1,7 @@
-"""Sums of exponentials and the like: small sums, millions of which make a belief."""
+"""Sums of exponentials, the floor and the like, millions of which make a belief.
+
+And other numbers that several subpackages ask for: bounds on shares, thresholds.
+"""
 
 import math
 

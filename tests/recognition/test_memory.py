@@ -305,6 +305,9 @@ def test_units_are_objects_or_objects_in_a_session():
     assert visits.units == (6, "these objects in other sessions")
     one_each = memory_of(labels, np.arange(12) // 4)
     assert one_each.units[0] == 3
+    # "c" is of one recording, of which there are blocks.
+    in_blocks = memory_of(labels, [0, 0, 1, 1] * 2 + [2, 3, 4, 5])
+    assert in_blocks.units == (5, "these objects in other sessions")
 
 
 def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():

@@ -189,6 +189,14 @@ def test_an_encoding_of_foreign_code_is_given_again(alone, tmp_path):
     ObjectRecogniser.load(path, encodings=encodings | {"means": [Means(2.0), PCA(2)]})
 
 
+def test_foreign_code_may_call_something_stored(touches, tmp_path):
+    named = type("Named", (Means,), {"stored": "in a cupboard"})
+    learnt = ObjectRecogniser(encodings={"means": named()}).fit(touches)
+    path = learnt.save(tmp_path / "m.palpate")
+    again = ObjectRecogniser.load(path, encodings={"means": named()})
+    assert_array_equal(again.predict_proba(touches), learnt.predict_proba(touches))
+
+
 @pytest.mark.parametrize(
     ("encodings", "message"),
     [

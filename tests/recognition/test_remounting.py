@@ -278,8 +278,9 @@ def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
     assert alarms[1] >= 38
 
 
+@pytest.mark.parametrize("preset", ["default", "liu2014"])
 @pytest.mark.parametrize("taught_with", [True, False])
-def test_a_baseline_that_comes_or_goes_raises_no_alarm(taught_with):
+def test_a_baseline_that_comes_or_goes_raises_no_alarm(taught_with, preset):
     rest = np.full((10, 10), 900, dtype=np.uint16)
     names = ["bar10", "disc13", "square13"]
 
@@ -289,24 +290,41 @@ def test_a_baseline_that_comes_or_goes_raises_no_alarm(taught_with):
         images = parts.images + rest
         return Touches(images, object=parts.object, geometry="array", **whole)
 
-    recogniser = ObjectRecogniser().fit(pressed(12, 0, with_rest=taught_with))
+    recogniser = ObjectRecogniser(preset).fit(pressed(12, 0, with_rest=taught_with))
     for with_rest in (True, False):
         new = pressed(4, 1, with_rest=with_rest).without("object")
         assert not recogniser.check_mounting(new).changed
 
 
-def test_a_dome_that_was_taught_with_a_frame_of_no_contact_is_asked_without(tmp_path):
-    def touched(n, seed):
-        camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
-        names = ["ball", "box", "pen"]
-        return simulate_touches(names, n, camera, drift=False, random_state=seed)
+def touched(n_each, seed, side=48):
+    """Touches by a dome's camera of so many pixels, with the frame of no contact."""
+    camera = DomeCamera(image_shape=(side, side), n_nodes=24)
+    names = ["ball", "box", "pen"]
+    return simulate_touches(names, n_each, camera, drift=False, random_state=seed)
 
-    recogniser = ObjectRecogniser().fit(touched(12, 0))
+
+@pytest.mark.parametrize("taught_with", [True, False])
+def test_a_dome_is_asked_with_and_without_a_frame_of_no_contact(taught_with, tmp_path):
+    taught, new = touched(12, 0), touched(4, 1).without("object")
+    recogniser = ObjectRecogniser().fit(
+        taught if taught_with else taught.without("no_contact")
+    )
     again = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
-    new = touched(4, 1).without("object")
     for model in (recogniser, again):
         for touches in (new, new.without("no_contact")):
             assert not model.check_mounting(touches).changed
+
+
+@pytest.mark.parametrize("remounted_with", [True, False])
+def test_a_remounted_dome_is_asked_with_and_without_a_frame_of_no_contact(
+    remounted_with,
+):
+    new = touched(8, 1, side=64).without("object", "category")
+    bare = new.without("no_contact")
+    recogniser = ObjectRecogniser().fit(touched(12, 0))
+    recogniser.remount((new if remounted_with else bare)[:12])
+    for touches in (new[12:], bare[12:]):
+        assert not recogniser.check_mounting(touches).changed
 
 
 def test_a_remounting_that_fails_leaves_the_recogniser_as_it_was(taught):

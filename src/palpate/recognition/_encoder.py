@@ -98,6 +98,8 @@ class TouchEncoder(Encoder, BaseEstimator):
         The frame of no contact, where images are looked at as they are.
     rest_ : ndarray of shape (n_rows, n_cols), or None
         The frame of no contact in grey, where images are cleaned up.
+    with_rest_ : bool
+        Whether there was one; True in older model files, which do not tell.
     still_ : ndarray of the shape of a touch, or None
         The level of each taxel in half of the training touches, where images are
         looked at as they are; NaN where it changes from touch to touch of every object.
@@ -108,6 +110,7 @@ class TouchEncoder(Encoder, BaseEstimator):
     image_shape_: tuple[int, ...]
     baseline_: Array | None = None
     rest_: Array | None = None
+    with_rest_: bool = True
     still_: Array | None = None
     reach_: float = 0.0
 
@@ -125,6 +128,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         self.image_shape_ = touches.images.shape[1:]
         self.pads_, self.channels_ = touches.pads, touches.channels
         self.clean_up_ = self.baseline_ = self.rest_ = self.still_ = None
+        self.with_rest_ = touches.no_contact is not None
         if self.clean_up is None:
             self.still_ = _still(touches)
             self.reach_ = float(np.nanmax(touches.images)) - np.nanmin(touches.images)
@@ -262,7 +266,7 @@ class TouchEncoder(Encoder, BaseEstimator):
             parts = [self.look(batch, broken) for batch in in_batches(touches)]
             return np.concatenate(parts)
         rest = self._idle(touches, broken)
-        if self.clean_up_ is None and self.baseline_ is None:
+        if not self.with_rest_ or (self.clean_up_ is None and self.baseline_ is None):
             rest = None  # as in what it learnt
         elif rest is None and self.baseline_ is not None:
             rest = grey(self.baseline_[np.newaxis])[0]
@@ -288,8 +292,12 @@ class TouchEncoder(Encoder, BaseEstimator):
         other = copy(self)
         other.image_shape_ = touches.images.shape[1:]
         if self.clean_up_ is not None:
-            images = grey(self.living(touches.images))
-            other.clean_up_ = self.clean_up_.moved(images, self._idle(touches))
+            images, idle = grey(self.living(touches.images)), self._idle(touches)
+            other.clean_up_ = self.clean_up_.moved(images, idle)
+            if idle is not None:
+                other.rest_ = idle
+            elif other.image_shape_ != tuple(self.image_shape_):
+                other.with_rest_ = False  # there is none of that size
         return other
 
     def stuck(self, touches: Touches) -> Bools | None:

@@ -164,14 +164,17 @@ class Memory:
         """How many things are left out independently, and what they stand for.
 
         Objects, whose blocks go wrong together; where whole sessions or persons are
-        left out, each object in each of them.
+        left out, each object in each of them. What no other object was met in is a
+        block of a recording, however many such an object has.
         """
         pairs = np.stack([self.objects.astype(str), self.blocks.astype(str)])
-        met = np.unique(pairs, axis=1)
-        n_objects, n_blocks = (len(np.unique(names)) for names in met)
-        if len(met[0]) > n_blocks:
-            return len(met[0]), "these objects in other sessions"
-        return n_objects, "these objects, recorded as when they were learnt"
+        objects, blocks = np.unique(pairs, axis=1)
+        _, block, n_met = np.unique(blocks, return_inverse=True, return_counts=True)
+        is_visit = n_met[block] > 1
+        n_units = int(is_visit.sum()) + len(np.unique(objects[~is_visit]))
+        if is_visit.any():
+            return n_units, "these objects in other sessions"
+        return n_units, "these objects, recorded as when they were learnt"
 
     def plus(self, other: Self) -> Self:
         """Return both, the other one last, its blocks numbered after these.

@@ -339,7 +339,8 @@ def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         return value.stored(), {}
     if is_dataclass(value):
         return {f.name: getattr(value, f.name) for f in fields(value)}, {}
-    if hasattr(value, "stored"):  # less, or more, in a file than in memory
+    # Less, or more, in a file than in memory; in foreign code the name says nothing.
+    if _is_known(value) and hasattr(value, "stored"):
         value = value.stored()
     learnt = {
         name: item

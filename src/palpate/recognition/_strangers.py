@@ -32,6 +32,7 @@ from ._evidence import (
     beliefs_after,
     doubts,
     is_informative,
+    summed_up,
 )
 from ._sentences import Promise
 
@@ -231,7 +232,7 @@ def episode_state(
     log_posterior, count = beliefs_after(used, floored, log_prior, calibration)
     by_encoding, _ = beliefs_after(used, each, log_prior, calibration)
     wide = used[..., np.newaxis]
-    total = np.where(wide, log_distances, 0.0).cumsum(axis=used.ndim - 1)
+    total = summed_up(np.where(wide, log_distances, 0.0), used.ndim - 1)
     mean = total / np.maximum(count, 1)[..., np.newaxis]
     return EpisodeState(
         log_posterior, by_encoding, model.farther(by_encoding, mean), count
