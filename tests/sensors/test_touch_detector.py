@@ -367,3 +367,24 @@ def test_a_stream_without_a_touch_says_what_did_not_change():
     images = np.stack([REST + level for level in (0, 1, 0, 1)]).astype(np.uint8)
     with pytest.raises(SensorError, match=r"got 4 frames .*changed by 2 for 2 frames"):
         TouchDetector().touches_in(Touches(images, no_contact=REST))
+
+
+def test_a_frame_of_nan_alone_is_neither_rest_nor_contact():
+    rest = np.full((4, 4), 100, np.float32)
+    nothing = np.full((4, 4), np.nan, np.float32)
+    detector = TouchDetector()
+    # One failed reading among ten made a baseline of NaN, from which nothing differs.
+    detector.take_baseline([rest] * 4 + [nothing] + [rest] * 5)
+    assert_array_equal(detector.baseline, rest)
+    press = [rest, rest + 30, rest + 40, nothing, rest + 40, rest + 30, rest]
+    results = [detector.update(Frame(x, i / 10, i)) for i, x in enumerate(press)]
+    (touch,) = [touch for touch in results if touch is not None]
+    assert (touch.change, touch.n_frames) == (40, 4)
+
+
+def test_a_baseline_of_nan_alone_is_refused():
+    detector = TouchDetector(REST)
+    nothing = [np.full((4, 4), np.nan, np.float32)] * 8
+    with pytest.raises(SensorError, match="frames with numbers or more, got 2 among"):
+        detector.take_baseline([*nothing, *[REST] * 2], force=True)
+    assert_array_equal(detector.baseline, REST)

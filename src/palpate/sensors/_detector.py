@@ -37,6 +37,7 @@ _STEADY_NOISES = 3.0
 _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 8.0, 8.0, 4
 _LEAST_NOISES, _N_LIMITS = 3.0, 60
 _MAX_PIXELS = 50_000_000  # of a film
+_LEAST_REST = 3  # frames of a baseline
 _REST_FRAMES = 10  # of a film, taken for touching nothing
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
@@ -166,14 +167,25 @@ class TouchDetector:
         ContactError
             Something touches the sensor, or the frames are not steady; of the first
             baseline of an array, neighbouring taxels read far above all others.
+        SensorError
+            Fewer than 3 frames hold a number.
+
+        Frames of NaN alone, as of a reading that failed, are left out.
         """
-        check_count("the number of frames", len(frames), at_least=3)
+        check_count("the number of frames", len(frames), at_least=_LEAST_REST)
         if self.touching and not force:
             raise ContactError(
                 "Something touches the sensor. Lift it and take the baseline again; "
                 "if nothing touches it, take it anyway (force)."
             )
         stack = np.stack(frames).astype(np.float64)
+        stack = stack[~np.isnan(stack.reshape(len(stack), -1)).all(axis=1)]
+        if len(stack) < _LEAST_REST:
+            raise SensorError(
+                f"A baseline must be of {_LEAST_REST} frames with numbers or more, got "
+                f"{len(stack)} among {len(frames)}: the others are NaN alone. Look at "
+                "the sensor and its cable."
+            )
         if not force and _moving(stack, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
@@ -209,7 +221,10 @@ class TouchDetector:
                 f"Frames must be of {at_rest} like the frame of no contact, got {now}. "
                 "Give one of this sensor, or take the baseline again."
             )
-        self.change = _rms(_small(frame.image) - self._small_baseline)
+        small = _small(frame.image)
+        if np.isnan(small).all():  # a reading that failed, neither rest nor contact
+            return None
+        self.change = _rms(small - self._small_baseline)
         now_s = frame.time_s
         if not self.touching:
             if self.change <= self.begin:
