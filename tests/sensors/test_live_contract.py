@@ -586,16 +586,24 @@ def test_a_driver_may_read_into_the_same_memory_again():
     assert [frame.image[0, 0] for frame in frames] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("level", [300, -1, np.nan])
-def test_a_frame_that_its_type_cannot_hold_is_refused_and_counted(level):
+@pytest.mark.parametrize(
+    ("level", "dtype", "message"),
+    [
+        (300, np.uint8, "hold 300 to 300, which its dtype uint8 cannot"),
+        (-1, np.uint8, "hold -1 to -1, which"),
+        (np.nan, np.uint8, "hold nan to nan, which"),
+        (np.inf, np.float32, "hold infinity; NaN marks a dead taxel"),
+    ],
+)
+def test_a_frame_that_its_type_cannot_hold_is_refused(level, dtype, message):
     class Wide(Counting):
         def _grab(self):
             super()._grab()
             return [np.full((2, 3), level)]
 
     sensor = Wide()
-    sensor.dtype = np.dtype(np.uint8)
-    with sensor, pytest.raises(SensorError, match=f"hold {level}.* dtype uint8 cannot"):
+    sensor.dtype = np.dtype(dtype)
+    with sensor, pytest.raises(SensorError, match=message):
         sensor.read_next(0.2)
     assert sensor.n_frames == 0
     assert sensor.n_dropped > 0
