@@ -388,3 +388,18 @@ def test_a_baseline_of_nan_alone_is_refused():
     with pytest.raises(SensorError, match="frames with numbers or more, got 2 among"):
         detector.take_baseline([*nothing, *[REST] * 2], force=True)
     assert_array_equal(detector.baseline, REST)
+
+
+@pytest.mark.parametrize(("dtype", "noise"), [(np.float32, 1.0), (np.uint16, 4.0)])
+@pytest.mark.parametrize("n_pressed", [0, 25])  # at first
+def test_noise_beyond_the_steps_of_a_given_baseline_is_learnt(
+    dtype, noise, n_pressed, rng
+):
+    rest = np.full((8, 8), 100, dtype)
+    levels = [*[60.0] * n_pressed, *[0.0] * 25, *[60.0] * 5, *[0.0] * 5]
+    images = [rng.normal(100 + x, noise, (8, 8)).round(1).astype(dtype) for x in levels]
+    # It was one touch without an end: neither was ever as near as a step.
+    touches = TouchDetector().touches_in(Touches(images, no_contact=rest))
+    assert len(touches) == 1 + (n_pressed > 0)
+    assert touches.columns["time_s"][-1] == n_pressed + 25
+    assert touches.columns["duration_s"][-1] == 5

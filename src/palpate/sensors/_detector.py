@@ -228,6 +228,7 @@ class TouchDetector:
         now_s = frame.time_s
         if not self.touching:
             if self.change <= self.begin:
+                self._rested = True
                 self._learn_noise(frame.image)
                 # How far rest is from the baseline, over about half a second.
                 if self._idle_since_s > now_s:
@@ -247,6 +248,9 @@ class TouchDetector:
             self._recent.append((self.change, frame.image))
         if abs(self.change - self._calm_change) > max(3 * self.noise, self.end):
             self._calm_since_s, self._calm_change = frame.time_s, self.change
+        if self._is_rest_after_all(frame.image):
+            ended = self._ended(now_s)
+            return ended if self._peak > self.begin else None
         return None
 
     def touches_in(
@@ -370,6 +374,8 @@ class TouchDetector:
         self._calm_since_s, self._calm_change = 0.0, 0.0
         self._still: Floats | None = None
         self._steps: list[float] = []
+        self._rested = False
+        self._changes: list[float] = []
 
     def _learn_noise(self, image: Array) -> None:
         """Learn the noise from frames at rest, of a baseline that came without it.
@@ -384,6 +390,23 @@ class TouchDetector:
         self._still = still
         if len(self._steps) == _NOISE_STEPS:
             self.noise = float(np.median(self._steps))
+
+    def _is_rest_after_all(self, image: Array) -> bool:
+        """Tell whether the latest frames are noise of rest, which is then learnt.
+
+        Of a baseline that came without its noise, noise beyond the steps of the
+        sensor's numbers would be a touch that never ends.
+        """
+        if self._rested or self.noise or self._begin is not None:
+            return False
+        self._changes.append(self.change)
+        self._learn_noise(image)
+        if len(self._steps) < _NOISE_STEPS:
+            return False
+        self._rested = max(self._changes) <= self.begin
+        if not self._rested:
+            self.noise, self._steps, self._changes = 0.0, [], []
+        return self._rested
 
     def _least(self, image: Array | None) -> float:
         whole = image is not None and image.dtype.kind in "iu"
