@@ -369,6 +369,30 @@ def test_a_name_with_blanks_is_recorded_and_written(palpate, replay, tmp_path):
     assert Touches.load(tmp_path / "cup.npz").object.tolist() == ["tea cup"] * 2
 
 
+@pytest.mark.parametrize("name", [" ", "unknown", "x" * 100])
+def test_a_name_that_cannot_be_kept_is_refused_before_anything_is_done(
+    palpate, replay, tmp_path, name
+):
+    words = ["record", name, *replay, "--library", tmp_path / "l"]
+    assert palpate.refusal(*words).startswith("palpate: The name of an object must")
+    assert not (tmp_path / "l").exists()
+
+
+def test_a_report_of_a_sensor_that_reads_nothing_is_written(
+    palpate, tmp_path, monkeypatch
+):
+    nothing = np.full((1, 6, 6), np.nan, np.float32)
+    monkeypatch.setattr(ReplaySensor, "_with_noise", lambda self, image: nothing[0])
+    Touches(np.ones((3, 6, 6), np.float32), geometry="array").save(tmp_path / "t.npz")
+    sensor = ["--sensor", f"replay:{tmp_path / 't.npz'}", "--rate", "200"]
+    words = ["sensor", "check", *sensor, "--seconds", "0.5"]
+    result = palpate(*words, "--report", tmp_path / "r.html")
+    assert result.returncode == 1
+    assert result.stderr == ""
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "rest, nothing but NaN" in page
+
+
 def test_a_model_learnt_of_a_library_knows_its_touches_and_sensor(
     palpate, recording, tmp_path
 ):

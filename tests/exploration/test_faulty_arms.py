@@ -4,6 +4,7 @@ No force above what is promised goes untold, and no arm is said to be out that i
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import faulty_arms
 import numpy as np
@@ -216,6 +217,28 @@ def test_an_arm_that_cannot_go_back_on_its_way_is_not_said_to_be_out(kind):
         assert (stopped in record.message) == (kind is HeldAndNotStopped)
         assert record.peak_force_n > GUARD.limit_n
         assert not record.retracted
+
+
+def test_an_arm_that_says_nan_for_its_place_is_never_told_to_go_back_by_nan():
+    class Lost(FaultyArm):
+        ways_mm = ()
+
+        def read_pose(self):
+            pose = super().read_pose()
+            nowhere = SimpleNamespace(position_mm=[np.nan] * 3)
+            return nowhere if self.peak_n else pose
+
+        def retract(self, way_mm):
+            self.ways_mm += (way_mm,)
+            super().retract(way_mm)
+
+    arm = Lost()
+    record = guarded_touch(arm, arm, SensorPose((0, 0, 100), (0, 0, -1)), GUARD)
+    assert (record.outcome, record.retracted) == ("robot error", False)
+    assert arm.stopped
+    assert not arm.inside
+    assert arm.ways_mm
+    assert np.isfinite(arm.ways_mm).all()
 
 
 def test_whatever_is_raised_on_the_way_out_the_arm_is_stopped():

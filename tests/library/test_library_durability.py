@@ -133,6 +133,27 @@ def test_what_is_in_the_log_alone_is_there(tmp_path):
         assert library.check().ok
 
 
+def test_no_touch_is_acknowledged_into_a_database_that_is_gone(tmp_path):
+    folder, away = tmp_path / "library", tmp_path / "away"
+    with TouchLibrary.open(folder, create=True) as library:
+        (key,) = library.add(press_of(1, 1))
+        folder.rename(away)
+        for change in (
+            lambda: library.add(press_of(2, 1)),
+            lambda: library.retract(key, reason="wet"),
+        ):
+            with pytest.raises(LibraryError, match="was removed or replaced since"):
+                change()
+        TouchLibrary.open(folder, create=True).close()  # another one in its place
+        with pytest.raises(LibraryError, match="was removed or replaced since"):
+            library.add(press_of(2, 1))
+        shutil.rmtree(folder)
+        away.rename(folder)
+        library.add(press_of(2, 1))
+        assert len(library) == 2
+    assert check_library(folder).ok
+
+
 def test_a_disk_that_fills_while_touches_are_added_is_reported(tmp_path):
     """SQLite's own limit on pages fails in the same way as a full disk."""
     touches, n_stored = press_of(1, 600, 40), []

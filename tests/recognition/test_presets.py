@@ -117,3 +117,15 @@ def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():
     )
     middle = Touches(ChannelMean().fit_transform(test.images), geometry="dome")
     assert without.score(middle, test.object) < 0.75
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_taxel_that_is_dead_at_rest_too_is_filled(preset, presses):
+    images = presses.images.astype(np.float32)
+    rest = np.zeros(images.shape[1:], np.float32)
+    images[:, 9, 9] = rest[9, 9] = np.nan
+    taught = Touches(
+        images, object=presses.object, no_contact=rest, geometry=presses.geometry
+    )
+    model = ObjectRecogniser(preset).fit(taught)
+    assert model.classes_.tolist() == np.unique(presses.object).tolist()

@@ -570,3 +570,40 @@ def test_a_calibrated_sensor_gives_frames_in_its_unit():
 )
 def test_three_channels_are_colours_and_others_are_numbered(shape, names):
     assert channels_of(shape) == names
+
+
+def test_a_driver_may_read_into_the_same_memory_again():
+    class Buffered(Counting):
+        buffer = np.zeros((4, 3), np.int32)
+
+        def _grab(self):
+            self.buffer[:] = super()._grab()[0][0, 0]
+            return [self.buffer[:2]]
+
+    with Buffered(period_s=0.02) as sensor:
+        frames = [sensor.read_next() for _ in range(3)]
+        sensor.read()
+    assert [frame.image[0, 0] for frame in frames] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("level", "dtype", "message"),
+    [
+        (300, np.uint8, "hold 300 to 300, which its dtype uint8 cannot"),
+        (-1, np.uint8, "hold -1 to -1, which"),
+        (np.nan, np.uint8, "hold nan to nan, which"),
+        (np.inf, np.float32, "hold infinity; NaN marks a dead taxel"),
+    ],
+)
+def test_a_frame_that_its_type_cannot_hold_is_refused(level, dtype, message):
+    class Wide(Counting):
+        def _grab(self):
+            super()._grab()
+            return [np.full((2, 3), level)]
+
+    sensor = Wide()
+    sensor.dtype = np.dtype(dtype)
+    with sensor, pytest.raises(SensorError, match=message):
+        sensor.read_next(0.2)
+    assert sensor.n_frames == 0
+    assert sensor.n_dropped > 0

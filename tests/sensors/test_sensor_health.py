@@ -65,6 +65,16 @@ def test_taxels_that_are_nan_are_dead(rng):
     assert [finding[:10] for finding in report["findings"]] == ["100 taxels"]
 
 
+def test_a_reading_that_failed_makes_no_taxel_dead(rng):
+    images, times = frames(rng, dtype=np.float32)
+    images[[3, 100]] = np.nan
+    report = health(as_frames(images, times))
+    (finding,) = report["findings"]
+    assert finding.startswith(f"2 of {len(images)} frames are NaN alone")
+    assert report["dead"] == []
+    assert np.isfinite(report["figures"]["noise"])
+
+
 def test_hot_and_saturated_taxels_are_told_apart(rng):
     images, times = frames(rng, dtype=np.uint8)
     images[:, 1, 1] = 255

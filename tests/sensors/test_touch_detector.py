@@ -367,3 +367,39 @@ def test_a_stream_without_a_touch_says_what_did_not_change():
     images = np.stack([REST + level for level in (0, 1, 0, 1)]).astype(np.uint8)
     with pytest.raises(SensorError, match=r"got 4 frames .*changed by 2 for 2 frames"):
         TouchDetector().touches_in(Touches(images, no_contact=REST))
+
+
+def test_a_frame_of_nan_alone_is_neither_rest_nor_contact():
+    rest = np.full((4, 4), 100, np.float32)
+    nothing = np.full((4, 4), np.nan, np.float32)
+    detector = TouchDetector()
+    # One failed reading among ten made a baseline of NaN, from which nothing differs.
+    detector.take_baseline([rest] * 4 + [nothing] + [rest] * 5)
+    assert_array_equal(detector.baseline, rest)
+    press = [rest, rest + 30, rest + 40, nothing, rest + 40, rest + 30, rest]
+    results = [detector.update(Frame(x, i / 10, i)) for i, x in enumerate(press)]
+    (touch,) = [touch for touch in results if touch is not None]
+    assert (touch.change, touch.n_frames) == (40, 4)
+
+
+def test_a_baseline_of_nan_alone_is_refused():
+    detector = TouchDetector(REST)
+    nothing = [np.full((4, 4), np.nan, np.float32)] * 8
+    with pytest.raises(SensorError, match="frames with numbers or more, got 2 among"):
+        detector.take_baseline([*nothing, *[REST] * 2], force=True)
+    assert_array_equal(detector.baseline, REST)
+
+
+@pytest.mark.parametrize(("dtype", "noise"), [(np.float32, 1.0), (np.uint16, 4.0)])
+@pytest.mark.parametrize("n_pressed", [0, 25])  # at first
+def test_noise_beyond_the_steps_of_a_given_baseline_is_learnt(
+    dtype, noise, n_pressed, rng
+):
+    rest = np.full((8, 8), 100, dtype)
+    levels = [*[60.0] * n_pressed, *[0.0] * 25, *[60.0] * 5, *[0.0] * 5]
+    images = [rng.normal(100 + x, noise, (8, 8)).round(1).astype(dtype) for x in levels]
+    # It was one touch without an end: neither was ever as near as a step.
+    touches = TouchDetector().touches_in(Touches(images, no_contact=rest))
+    assert len(touches) == 1 + (n_pressed > 0)
+    assert touches.columns["time_s"][-1] == n_pressed + 25
+    assert touches.columns["duration_s"][-1] == 5

@@ -164,6 +164,14 @@ def test_a_baseline_is_of_ten_frames_that_come(watch):
     assert watch._detected.empty()
 
 
+def test_a_slow_sensor_gets_its_baseline_too(hand, monkeypatch):
+    grab = hand._grab
+    monkeypatch.setattr(hand, "_grab", lambda: time.sleep(0.1) or grab())
+    with LiveSession(hand) as session:
+        session.watch.take_baseline(timeout_s=0.5)  # ten frames take a second
+        assert session.baseline is not None
+
+
 def test_two_who_ask_at_once_both_get_a_baseline(hand):
     taken = []
     with LiveSession(hand) as session:

@@ -48,10 +48,11 @@ def record(
 ) -> None:
     """Record touches of one object; each is on the disk as soon as it is counted."""
     from .._checks import check_count
-    from ..web import LiveSession
+    from ..web import LiveSession, checked_name
 
     check_count("sessions", sessions)
     _check_touches(touches, sessions)
+    name = checked_name(name)  # as it is kept
     if session_name is not None and (sessions > 1 or changed):
         raise typer.BadParameter(
             "--session names one session: leave --sessions and --changed out."
@@ -60,7 +61,6 @@ def record(
         raise typer.BadParameter(f"--output must end in .npz, got {output.name!r}.")
     check_folder_of(output)
     chosen = options.open(sensor)
-    name = " ".join(name.split())  # as it is kept
     with LiveSession(chosen, library=library, summary=summary) as session:
         need_baseline(session)
         assert session.teacher is not None

@@ -316,11 +316,13 @@ def _page(
     pictures = ""
     for name, image in maps.items():
         shown = as_shown(image[None], channels)[0]
+        levels = "nothing but NaN"
+        if not np.isnan(image).all():
+            levels = f"{np.nanmin(image):.3g} (dark) to {np.nanmax(image):.3g}"
         pictures += (
             f"<figure style='margin:0'><img alt='{name} of each taxel' width=240 "
             f"style='image-rendering:pixelated' src='{png_address(shown, 240)}'>"
-            f"<figcaption class=note>{name}, {np.nanmin(image):.3g} (dark) to "
-            f"{np.nanmax(image):.3g}</figcaption></figure>"
+            f"<figcaption class=note>{name}, {levels}</figcaption></figure>"
         )
     title = f"{health['sensor']}: {'well' if health['ok'] else 'look at it'}"
     colour = "#1d7a46" if health["ok"] else "#b3261e"

@@ -316,7 +316,10 @@ class _Approach:
             raise interrupt
 
     def _here(self) -> Floats:
-        return np.asarray(self.robot.read_pose().position_mm)
+        here = np.asarray(self.robot.read_pose().position_mm, dtype=np.float64)
+        if not np.isfinite(here).all():  # of a pose that is no SensorPose
+            raise _Fault(f"The arm says that it is at {here} mm.", "robot error")
+        return here
 
     def _inward_mm(self, here: Floats) -> float:
         """Return how far inward of its start a place lies.

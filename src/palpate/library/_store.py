@@ -154,6 +154,7 @@ class Store:
         self._turn, self._busy = threading.Condition(), False
         self._explained = _Explained(self.path)
         self._count: int | None = None
+        self._inode: int | None = None  # of the database, once it is open
         self._is_alone = alone  # locks out even a second connection of this program
         is_there = self.path.is_file() and self.path.stat().st_size > 0
         if create and name == FILE_NAME and not is_there and self._counts():
@@ -380,12 +381,22 @@ class Store:
         with self._explained:
             self._connection.execute("BEGIN IMMEDIATE")
             try:
+                self._refuse_moved()
                 yield
                 self._connection.execute("COMMIT")
             except BaseException:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise
+
+    def _refuse_moved(self) -> None:
+        """Refuse to write what nobody would find: SQLite looks only without a WAL."""
+        if self._inode is None or _inode_of(self.path) == self._inode:
+            return
+        raise LibraryError(
+            f"{self.path} must be the file that was opened, but it was removed or "
+            "replaced since. Put it back, or open the library again."
+        )
 
     def _open(
         self, create: bool, *, mode: str = "rwc", locking: str = "NORMAL"
@@ -401,6 +412,7 @@ class Store:
             )
         try:
             self._prepare(create, locking)
+            self._inode = _inode_of(self.path)
         except BaseException:
             self._connection.close()
             raise
@@ -484,6 +496,13 @@ class Store:
                 if time.monotonic() > until_s:
                     raise
                 time.sleep(0.01)
+
+
+def _inode_of(path: Path) -> int | None:
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return None
 
 
 def chained(chain: bytes, digests: Sequence[bytes]) -> bytes:

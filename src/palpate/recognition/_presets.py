@@ -30,7 +30,7 @@ from ..encodings import (
 )
 from ..images import ArrayCleanUp, ChannelMean, DomeCrop
 from ..touches import Touches
-from ._encoder import TouchEncoder, find_geometry
+from ._encoder import TouchEncoder, find_geometry, living
 from ._user_parts import Encoding, UserEncoding, user_encodings
 
 # With fewer taxels on a side, gradients along rings have too few places.
@@ -211,7 +211,9 @@ def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
 def _plane_encodings(touches: Touches) -> dict[str, list[Any]]:
     """Encodings of an array, a gel or pins, whose picture is looked at as it is."""
     idle = touches.no_contact
-    baseline = "median" if idle is None else idle
+    baseline: Any = "median"
+    if idle is not None:  # as the touches are looked at: without dead taxels
+        baseline = living(idle[None], touches.pads)[0]
     principal = PrincipalShare(KEPT_SHARE)
     levels = {
         "levels": GridLevels(baseline=baseline),

@@ -365,11 +365,13 @@ class LiveSensor(ABC):
         full = reading if isinstance(reading, Reading) else Reading(reading)
         now_s = time.monotonic()
         taken_s = now_s if full.time_s is None else min(full.time_s, now_s)
-        image = np.ascontiguousarray(full.image, dtype=self.dtype)
-        if image.shape != self.image_shape:
+        arrived = np.asarray(full.image)
+        if wrong := _broken_promise(arrived, self.image_shape, self.dtype):
             self._count_missed(1)
-            self.lost = f"its frames are {image.shape}, it promised {self.image_shape}"
+            self.lost = wrong
             return
+        # A copy: drivers read their next frame into the same memory.
+        image = np.array(arrived, dtype=self.dtype, order="C")
         image.flags.writeable = False
         self.lost = ""
         about = full.device_time_s, dict(full.columns)
@@ -399,6 +401,19 @@ class LiveSensor(ABC):
             f"{self.name} gave no frame in {timeout_s:g} s. "
             "Check its cable and that it is switched on."
         )
+
+
+def _broken_promise(image: Array, shape: tuple[int, ...], dtype: np.dtype[Any]) -> str:
+    """Return how a frame is not what a driver promised, or nothing."""
+    if image.shape != shape:
+        return f"its frames are {image.shape}, it promised {shape}"
+    if dtype.kind in "iu" and image.dtype != dtype:
+        low, high, limits = image.min(), image.max(), np.iinfo(dtype)
+        if not (low >= limits.min and high <= limits.max):  # NaN is in no limits
+            return f"its frames hold {low} to {high}, which its dtype {dtype} cannot"
+    if dtype.kind == "f" and np.isinf(image.astype(dtype, copy=False)).any():
+        return "its frames hold infinity; NaN marks a dead taxel"
+    return ""
 
 
 def channels_of(image_shape: Sequence[int]) -> tuple[str, ...] | None:

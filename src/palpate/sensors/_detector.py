@@ -37,6 +37,7 @@ _STEADY_NOISES = 3.0
 _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 8.0, 8.0, 4
 _LEAST_NOISES, _N_LIMITS = 3.0, 60
 _MAX_PIXELS = 50_000_000  # of a film
+_LEAST_REST = 3  # frames of a baseline
 _REST_FRAMES = 10  # of a film, taken for touching nothing
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
@@ -166,14 +167,25 @@ class TouchDetector:
         ContactError
             Something touches the sensor, or the frames are not steady; of the first
             baseline of an array, neighbouring taxels read far above all others.
+        SensorError
+            Fewer than 3 frames hold a number.
+
+        Frames of NaN alone, as of a reading that failed, are left out.
         """
-        check_count("the number of frames", len(frames), at_least=3)
+        check_count("the number of frames", len(frames), at_least=_LEAST_REST)
         if self.touching and not force:
             raise ContactError(
                 "Something touches the sensor. Lift it and take the baseline again; "
                 "if nothing touches it, take it anyway (force)."
             )
         stack = np.stack(frames).astype(np.float64)
+        stack = stack[~np.isnan(stack.reshape(len(stack), -1)).all(axis=1)]
+        if len(stack) < _LEAST_REST:
+            raise SensorError(
+                f"A baseline must be of {_LEAST_REST} frames with numbers or more, got "
+                f"{len(stack)} among {len(frames)}: the others are NaN alone. Look at "
+                "the sensor and its cable."
+            )
         if not force and _moving(stack, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
@@ -209,10 +221,14 @@ class TouchDetector:
                 f"Frames must be of {at_rest} like the frame of no contact, got {now}. "
                 "Give one of this sensor, or take the baseline again."
             )
-        self.change = _rms(_small(frame.image) - self._small_baseline)
+        small = _small(frame.image)
+        if np.isnan(small).all():  # a reading that failed, neither rest nor contact
+            return None
+        self.change = _rms(small - self._small_baseline)
         now_s = frame.time_s
         if not self.touching:
             if self.change <= self.begin:
+                self._rested = True
                 self._learn_noise(frame.image)
                 # How far rest is from the baseline, over about half a second.
                 if self._idle_since_s > now_s:
@@ -232,6 +248,9 @@ class TouchDetector:
             self._recent.append((self.change, frame.image))
         if abs(self.change - self._calm_change) > max(3 * self.noise, self.end):
             self._calm_since_s, self._calm_change = frame.time_s, self.change
+        if self._is_rest_after_all(frame.image):
+            ended = self._ended(now_s)
+            return ended if self._peak > self.begin else None
         return None
 
     def touches_in(
@@ -355,6 +374,8 @@ class TouchDetector:
         self._calm_since_s, self._calm_change = 0.0, 0.0
         self._still: Floats | None = None
         self._steps: list[float] = []
+        self._rested = False
+        self._changes: list[float] = []
 
     def _learn_noise(self, image: Array) -> None:
         """Learn the noise from frames at rest, of a baseline that came without it.
@@ -369,6 +390,23 @@ class TouchDetector:
         self._still = still
         if len(self._steps) == _NOISE_STEPS:
             self.noise = float(np.median(self._steps))
+
+    def _is_rest_after_all(self, image: Array) -> bool:
+        """Tell whether the latest frames are noise of rest, which is then learnt.
+
+        Of a baseline that came without its noise, noise beyond the steps of the
+        sensor's numbers would be a touch that never ends.
+        """
+        if self._rested or self.noise or self._begin is not None:
+            return False
+        self._changes.append(self.change)
+        self._learn_noise(image)
+        if len(self._steps) < _NOISE_STEPS:
+            return False
+        self._rested = max(self._changes) <= self.begin
+        if not self._rested:
+            self.noise, self._steps, self._changes = 0.0, [], []
+        return self._rested
 
     def _least(self, image: Array | None) -> float:
         whole = image is not None and image.dtype.kind in "iu"

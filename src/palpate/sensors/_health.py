@@ -156,12 +156,22 @@ def sensor_health(
         )
     stack = np.stack([frame.image for frame in frames])
     is_array = stack.ndim == 3 and stack[0].size <= MOST_TAXELS
-    detector, findings = TouchDetector(), []
+    detector = TouchDetector()
+    findings: list[str] = []
+    is_empty = np.isnan(stack.reshape(len(stack), -1)).all(axis=1)
+    if is_empty.any() and (~is_empty).sum() >= 2 * _PARTS:
+        findings.append(
+            f"{is_empty.sum()} of {len(stack)} frames are NaN alone: readings that "
+            "failed. Look at its cable and its driver."
+        )
+        stack = stack[~is_empty]
     detector.step = max(step, 1.0) if stack.dtype.kind in "iu" else step
     try:
         detector.take_baseline(list(stack[:_REST]))
     except ContactError as error:
         findings.append(str(error))
+    except SensorError:  # nothing but NaN: all taxels are named below
+        pass
     n_touched = sum(detector.update(frame) is not None for frame in frames)
     rest, noise = stack.mean(axis=0, dtype=np.float64), _noise(stack)
     parts = np.array_split(stack, _PARTS)

@@ -204,6 +204,7 @@ class SensorWatch:
     ) -> None:
         """Take the baseline, the frame of touching nothing, from the next frames.
 
+        Waits at most `timeout_s` (seconds) for each of them.
         With `ask_press` touches are then only tried, the last one is `press`, until
         `end_press` or `undo_baseline`.
         """
@@ -211,15 +212,21 @@ class SensorWatch:
         if not self.detector.touching or force:
             with self._taking:  # one after the other
                 self._resting = frames
-                deadline = time.monotonic() + timeout_s
+                n_frames, deadline = 0, time.monotonic() + timeout_s
                 while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
                     time.sleep(0.01)
+                    if len(frames) > n_frames:
+                        n_frames, deadline = len(frames), time.monotonic() + timeout_s
                 self._resting = None
         else:  # is refused with the reason
             frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
         if len(frames) < _BASELINE_FRAMES:
-            name, why = self.sensor.name, self.sensor.lost
-            raise SensorError(f"{name} gave too few frames for a baseline. {why}")
+            why = self.sensor.lost or "Check that it is switched on."
+            raise SensorError(
+                f"{self.sensor.name} gave too few frames for a baseline: "
+                f"{len(frames)} of {_BASELINE_FRAMES}, then none for {timeout_s:g} s. "
+                f"{why}"
+            )
         with self._lock:
             self.detector.step = self.sensor.step
             self.detector.take_baseline(frames, force=force)
