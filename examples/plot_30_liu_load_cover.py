@@ -9,6 +9,6 @@ the outline that the clean-up finds: 1 kgf is too little for the long bar, and 3
 both. Nothing is distorted at 5 kgf, since the simulated metal does not slip or bend.
 """
 
-from palpate.studies.liu2014 import Liu2014Plan, drawing
+from palpate.studies import liu2014
 
-figure = drawing.load_and_cover(Liu2014Plan())
+figure = liu2014.draw_load_and_cover(liu2014.Liu2014Plan())

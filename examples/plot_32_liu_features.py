@@ -10,8 +10,7 @@ geometry; raw, the area outvotes the descriptors. Two runs of cross-validation h
 on the page of the study, which says what was tried to explain the difference.
 """
 
-from palpate.studies import run_study
-from palpate.studies.liu2014 import drawing
+from palpate.studies import liu2014, run_study
 
 less = {"protocol": "nested", "loads_kgf": (), "covers_mm": ()}
 result = run_study("liu2014", quick=True, **less)
@@ -19,4 +18,4 @@ for row in result["rows"]:
     if row["data"] == "simulated" and row["paper"] and row["table"].startswith("Fig"):
         name = f"{row['name']}, {row['features']}"
         print(f"{name}: {row['ours']:.1f} %, in the paper {row['paper']:g} %")
-figure = drawing.class_sets(result["rows"])
+figure = liu2014.draw_class_sets(result["rows"])
