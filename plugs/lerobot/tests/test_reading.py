@@ -19,7 +19,8 @@ palpate_lerobot = pytest.importorskip("palpate_lerobot")
 def plugged(monkeypatch):
     """As if the package were installed: its entry point is found."""
     point = SimpleNamespace(load=lambda: palpate_lerobot)
-    monkeypatch.setattr("palpate.library._bags.entry_points", lambda group: [point])
+    points = SimpleNamespace(entry_points=lambda group: [point])
+    monkeypatch.setattr("palpate.library._bags.metadata", points)
 
 
 @pytest.fixture
