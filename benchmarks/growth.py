@@ -240,11 +240,11 @@ def spread_parts(folder: Path) -> dict[str, Any]:
     codes = np.arange(len(vectors)) % 10
     marks = vectors[:: len(vectors) // 2000]
     landmarks = Landmarks(marks, (marks**2).sum(axis=1), 0.5 / (2 * N_FEATURES))
+    how = landmarks, np.zeros(N_FEATURES), 0.03
+    taught = vectors, codes, np.arange(10)
     return {
         "encoding": lambda: _learning.encoded(learnt.encoder, learnt.contact, source),
-        "sums": lambda: LandmarkRegression(landmarks, np.zeros(N_FEATURES), 0.03).learn(
-            (vectors, codes, np.arange(10))
-        ),
+        "sums": lambda: LandmarkRegression(*how).learn(taught),
     }
 
 

@@ -115,6 +115,19 @@ def test_the_gallery_is_large_enough_and_each_program_short():
         assert ("os.environ" in text) == ("needs recorded touches" in text), path.name
 
 
+@pytest.mark.parametrize("folder", ["benchmarks", "examples", "plugs"])
+def test_what_programs_outside_the_package_import_is_there(folder):
+    nodes = (
+        node
+        for path in (ROOT / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom) and not node.level
+    )
+    for node in nodes:
+        if node.module.partition(".")[0] == "palpate":
+            exec(ast.unparse(node), {})
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path, tmp_path):

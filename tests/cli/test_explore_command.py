@@ -265,9 +265,9 @@ def test_a_strategy_without_a_way_is_no_informative_touch(learnt):
 def test_the_belief_is_drawn_from_above(palpate, model, tmp_path):
     pytest.importorskip("matplotlib")
     words = ("explore", "recognise", model, "box", "--max-touches", 1)
-    result = palpate(*words, "--picture", "above.png", cwd=tmp_path)
+    result = palpate(*words, "--picture", "above.PNG", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert (tmp_path / "above.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "above.PNG").read_bytes().startswith(b"\x89PNG")
     (tmp_path / "m.npz").unlink()
     bare = palpate.refusal(
         *words, "--strategy", "random", "--picture", "no.png", cwd=tmp_path

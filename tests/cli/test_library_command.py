@@ -246,6 +246,8 @@ def test_what_is_extended_stays_as_it_is(palpate, tmp_path):
         refused = palpate(*words, option, value)
         assert refused.returncode == 1
         assert f"{option} must be {usual} as the model has it" in refused.stderr
+    refused = palpate(*words, "--floor", "0.05")
+    assert "--floor must be left out with --extend, got 0.05." in refused.stderr
     refused = palpate(*words, "--pitch-mm", "2")
     assert "--pitch-mm must be left out with --extend, got 2" in refused.stderr
 

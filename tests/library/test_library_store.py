@@ -224,7 +224,7 @@ def test_pictures_are_kept_as_the_bytes_they_came_in(tmp_path, rng, colour):
         touches = Touches.load(tmp_path / ending, colour=colour)
         paths = sorted((tmp_path / ending / "mug").iterdir())
         with TouchLibrary.open(tmp_path / f"lab {ending}", create=True) as library:
-            # StoredTouches, put together and labelled, each keeps its own.
+            # Picked, put together and labelled, each keeps its own file.
             mixed = Touches.concatenate([touches[[3, 1]], touches[:1]])
             library.add(mixed.with_columns(press=[0, 1, 2]))
             library.add(touches[2].with_columns(press=[3]))

@@ -91,6 +91,26 @@ def test_an_infinite_force_leaves_the_touches_beside_it_as_they_are(library, cup
     assert_array_equal(library.touches().columns["force_n"], force)
 
 
+def test_what_is_infinite_beside_a_touch_does_not_change_its_id(library, cups):
+    infinite = {"force_n": np.ones(6), "time_s": np.arange(6.0)}
+    infinite["force_n"][0] = infinite["time_s"][1] = np.inf
+    touches = cups.with_columns(**infinite)
+    ids = library.add(touches)
+    assert [library.add(touch)[0] for touch in touches] == ids
+    assert len(library.list()) == 6
+
+
+def test_a_selection_of_which_some_have_no_object_is_refused_at_once(library, cups):
+    library.add(cups)
+    library.add(cups.without("object").with_columns(session=["bare"] * 6))
+    with pytest.raises(LibraryError, match='filter "object is not null"'):
+        library.select()
+    assert library.select("object is null").object is None
+    labelled = library.select("object is not null")
+    library.rename_object("cup", "beaker")
+    assert {*labelled.object} == {"cup", "pen"}
+
+
 def test_objects_are_counted_with_their_episodes(library, cups):
     library.add(cups)
     assert library.objects() == [("cup", "vessel", 3, 2), ("pen", "tool", 3, 2)]

@@ -139,7 +139,7 @@ def recognise(
     from ..recognition import ObjectRecogniser
 
     if picture is not None:
-        if picture.suffix != ".png":
+        if picture.suffix.lower() != ".png":
             raise ValueError(f"--picture must end in .png, got {picture.name!r}.")
         _options.check_folder_of(picture)
         needed("matplotlib", "plot", "--picture")

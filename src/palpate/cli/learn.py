@@ -133,9 +133,10 @@ def _refuse_others(
         value = getattr(how, name)
         kept = getattr(recogniser, "random_state" if name == "seed" else name)
         if value != kept:
+            as_kept = "" if kept is None else f"{kept!r} as the model has it, or "
             raise ValueError(
-                f"--{name} must be {kept!r} as the model has it, or left out with "
-                f"--extend, got {value!r}. Learn anew for another."
+                f"--{name} must be {as_kept}left out with --extend, got {value!r}. "
+                "Learn anew for another."
             )
 
 

@@ -9,7 +9,7 @@ that it may have had before are looked for as well.
 import time
 from collections.abc import Iterator
 from functools import partial
-from itertools import pairwise, product
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +24,12 @@ from ._content import (
     IDENTITY,
     Column,
     earlier_cell,
-    holds_infinity,
     identity,
     image_digest,
     packed_rows,
     packs_well,
     plain_cells,
+    runs_alike,
     stored_image,
     wide_identities,
 )
@@ -219,16 +219,13 @@ def add_touches(
     ids: list[str] = []
     n_bytes = max(1, touches.images[0].nbytes)
     step = max(1, min(_TOUCHES_AT_ONCE, _BYTES_AT_ONCE // n_bytes))
-    # Columns that hold infinity stand beside the rows, out of reach of filters.
-    changes = np.flatnonzero(np.diff(holds_infinity(touches))) + 1
-    starts = sorted({*range(0, len(touches), step), *changes.tolist()})
     recording = _recording(touches, sensor)
     try:
         with Progress(len(touches), "Adding touches", progress) as bar:
-            for start, end in pairwise([*starts, len(touches)]):
-                part = touches[start:end]
-                batch = _batch(part, recording)
-                keys = store.write(partial(_store_batch, store, batch))
+            for start in range(0, len(touches), step):
+                part = touches[start : start + step]
+                batches = [_batch(alike, recording) for alike in runs_alike(part)]
+                keys = store.write(partial(_store_batches, store, batches))
                 ids += [key.hex() for key in keys]
                 bar.advance(len(part))
     except LibraryError as error:
@@ -286,6 +283,10 @@ def _batch(touches: Touches, recording: Recording) -> Batch:
     )
 
 
+def _store_batches(store: Store, batches: list[Batch]) -> list[bytes]:
+    return [key for batch in batches for key in _store_batch(store, batch)]
+
+
 def _store_batch(store: Store, batch: Batch) -> list[bytes]:
     """Store touches that are not in the library yet, within a job; return all ids."""
     _refuse_other_channels(store, batch.recording)
@@ -322,7 +323,8 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
     too but for former names and cells that were empty or numbers, and both have one
     name.
     """
-    present = {row.label: find_object(store, row.label) for row in batch.rows}
+    labels = {row.label for row in batch.rows}
+    present = {label: find_object(store, label) for label in labels}
     now = {name: match[1] if match else name for name, match in present.items()}
     names = Names(store)
     ids = [row.key for row in batch.rows]
@@ -349,7 +351,7 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
 def _earlier(row: StoredTouch, names: list[str | None]) -> Iterator[dict[str, Any]]:
     """Return what may have set a touch apart from others when it was first added."""
     pairs = zip(CELLS, row.cells, strict=True)
-    now = {n: cell for n, cell in pairs if n in IDENTITY and cell is not None}
+    now = {n: cell for n, cell in pairs if cell is not None and n in IDENTITY}
     forms = [
         names if name == "object" else list(dict.fromkeys([cell, earlier_cell(cell)]))
         for name, cell in now.items()

@@ -16,13 +16,14 @@ import json
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
 
-from .._types import PLAIN_KINDS, RGB, Array, Bools
+from .._types import PLAIN_KINDS, RGB, Array
 from ..touches import Touches, TouchesError, decode_bytes
 from ._store import LibraryError
 
@@ -285,13 +286,20 @@ def _fits_cells(array: Array) -> bool:
     return kind != "u" or array.dtype.itemsize < 8 or int(array.max()) < 2**63
 
 
-def holds_infinity(touches: Touches) -> Bools:
-    """Tell which touches hold infinity in a column that would else fit cells."""
-    there = np.zeros(len(touches), dtype=bool)
+def runs_alike(touches: Touches) -> list[Touches]:
+    """Return touches in parts, each infinite in the same columns throughout.
+
+    A column that holds infinity stands beside the rows, out of reach of filters.
+    """
+    changes = np.zeros(len(touches) - 1, dtype=bool)
     for array in touches.columns.values():
         if array.dtype.kind == "f" and prod(array.shape[1:]) <= WIDE:
-            there |= np.isinf(array).reshape(len(array), -1).any(axis=1)
-    return there
+            there = np.isinf(array).reshape(len(array), -1).any(axis=1)
+            changes |= np.diff(there)
+    if not changes.any():
+        return [touches]
+    cuts = [0, *(np.flatnonzero(changes) + 1), len(touches)]
+    return [touches[start:end] for start, end in pairwise(cuts)]
 
 
 def plain_cells(name: str, array: Array) -> list[Any]:

@@ -355,7 +355,9 @@ class TouchLibrary:
         `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`; `damaged`
         is as for `touches`.
         """
-        return Selection(self._tables, self._numbers(where, damaged))
+        selection = Selection(self._tables, self._numbers(where, damaged))
+        _ = selection.columns  # refused here, where the filter can be mended
+        return selection
 
     def _numbers(self, where: str | None, damaged: str = "raise") -> Numbers:
         """Return the numbers of the touches that meet a filter, in the order added."""

@@ -347,17 +347,20 @@ def new_rows(
     images: Sequence[Image],
     added_s: float,
 ) -> list[StoredTouch]:
-    """Return rows to be written, of plain values and of the digests of images."""
+    """Return rows to be written, of plain values and of the digests of images.
+
+    `write_rows` digests what they are kept as: those stored already need none.
+    """
     in_cells = {c.name for c in layout if c.shape == () and c.name in CELLS}
-    names = [name if name in in_cells else "" for name in CELLS]
+    names: list[Any] = [name if name in in_cells else None for name in CELLS]
+    others = [c.name for c in layout if not c.wide and c.name not in in_cells]
     wide = wide_identities(layout, [image.more for image in images])
     rows = []
-    for values, digest, stored, part in zip(plain, digests, images, wide, strict=True):
-        cells = tuple([values.get(name) if name else None for name in names])
-        extra = {n: value for n, value in values.items() if n not in in_cells}
-        key, text = identity(digest, values, part), canonical(extra) if extra else None
-        belongs = 0, key, cells[0], None, 0, 0, added_s
-        held = digest, stored.digest(), b"", None, text, cells
+    for values, digest, part in zip(plain, digests, wide, strict=True):
+        cells = tuple(map(values.get, names))
+        text = canonical({n: values[n] for n in others}) if others else None
+        belongs = 0, identity(digest, values, part), cells[0], None, 0, 0, added_s
+        held = digest, b"", b"", None, text, cells
         rows.append(StoredTouch(*belongs, *held))
     return rows
 
@@ -382,7 +385,8 @@ def write_rows(
     named = [(n, {"name": n}) for n in sorted(labels)]
     objects = {n: store.get_or_insert("objects", row, "name") for n, row in named}
     rows, digests = [], []
-    for number, row in zip(taken, batch.rows, strict=True):
+    for number, new, image in zip(taken, batch.rows, batch.images, strict=True):
+        row = new._replace(content=image.digest())
         digests.append(_row_digest(row, layout_text, described["digest"]))
         belongs = objects.get(row.label or ""), layout, recording, row.added_s
         held = row.image, row.content, digests[-1], row.extra, *row.cells[1:]

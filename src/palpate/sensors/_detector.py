@@ -168,9 +168,8 @@ class TouchDetector:
             Something touches the sensor, or the frames are not steady; of the first
             baseline of an array, neighbouring taxels read far above all others.
         SensorError
-            Fewer than 3 frames hold a number.
-
-        Frames of NaN alone, as of a reading that failed, are left out.
+            Fewer than 3 frames hold a number; frames of NaN alone, as of a reading
+            that failed, are left out.
         """
         check_count("the number of frames", len(frames), at_least=_LEAST_REST)
         if self.touching and not force:
