@@ -14,7 +14,7 @@ from palpate.web._request_guard import (
     cookie_name,
     most_waiting,
 )
-from palpate.web._teaching import checked_name
+from palpate.web._teaching import teachable_name
 
 
 @pytest.fixture
@@ -287,11 +287,11 @@ def test_the_oldest_of_each_kind_gives_way(monkeypatch):
 )
 def test_names_that_name_nothing_are_refused(name):
     with pytest.raises(ValueError, match="The name of an object must"):
-        checked_name(name)
+        teachable_name(name)
 
 
 def test_blanks_in_names_are_tidied():
-    assert checked_name("  red \t mug ") == "red mug"
-    assert checked_name("a" * 80) == "a" * 80
+    assert teachable_name("  red \t mug ") == "red mug"
+    assert teachable_name("a" * 80) == "a" * 80
     for name in ("C++", "☕", "7", "+", "می\u200cخواهم"):
-        assert checked_name(name) == name
+        assert teachable_name(name) == name

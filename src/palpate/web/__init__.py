@@ -9,6 +9,6 @@ from ._ros import RosPublisher as RosPublisher
 from ._serving import PageServer as PageServer
 from ._serving import create_app
 from ._session import LiveSession
-from ._teaching import checked_name as checked_name
+from ._teaching import teachable_name as teachable_name
 
 __all__ = ["LiveSession", "create_app"]

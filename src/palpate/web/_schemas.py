@@ -15,7 +15,7 @@ Numbers = Annotated[list[float] | None, Query(min_length=3, max_length=3)]
 Name = Annotated[
     str, Field(min_length=1, max_length=LONGEST_NAME, description="Object's name.")
 ]
-# What is wrong with a new name says `checked_name`, in one sentence.
+# What is wrong with a new name says `teachable_name`, in one sentence.
 NewName = Annotated[
     str, Field(max_length=1000, description="Object's name, 1 to 80 printed characters")
 ]

@@ -14,8 +14,14 @@ import numpy as np
 
 from .._checks import check_count, did_you_mean
 from .._types import Array
-from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
-from ..library import checked_name as library_name
+from ..library import (
+    LibraryError,
+    SensorDescription,
+    TouchLibrary,
+    TouchRow,
+    checked_name,
+    quoted,
+)
 from ..sensors import LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
@@ -132,7 +138,7 @@ class Teacher:
                 "There is no sensor here whose touches could be stored. Post them "
                 "(teach/touch), or start again with a `sensor`."
             )
-        lesson = Lesson(checked_name(name), wanted)
+        lesson = Lesson(teachable_name(name), wanted)
         self.end()
         self._lessons += 1
         self.lesson = lesson
@@ -182,7 +188,7 @@ class Teacher:
 
         What is not `posted` is of the lesson under way.
         """
-        tidy = checked_name(name)
+        tidy = teachable_name(name)
         touch = Touches(
             image[np.newaxis],
             object=[tidy],
@@ -309,7 +315,7 @@ class Teacher:
 
     def move(self, ids: Sequence[str], name: str) -> str:
         """Let touches be of another object, which can be undone; return what to say."""
-        tidy = checked_name(name)
+        tidy = teachable_name(name)
         rows = [row for row in self._present(ids) if row.object != tidy]
         if not rows:
             raise ValueError(f"The touch is of {tidy} already. Choose another object.")
@@ -377,7 +383,7 @@ class Teacher:
         Refused where the model has learnt it, from elsewhere, and the library has too
         few touches of it to learn it by its new name.
         """
-        tidy = checked_name(new)
+        tidy = teachable_name(new)
         rows, size = self._rows(old), self.image_shape()
         n_usable = sum(row.image_shape == size for row in rows)
         if learnt and not merge and n_usable < LEAST_TOUCHES:
@@ -515,12 +521,12 @@ def _counted(rows: Sequence[TouchRow]) -> str:
     return "1 touch" if len(rows) == 1 else f"{len(rows)} touches"
 
 
-def checked_name(name: str) -> str:
+def teachable_name(name: str) -> str:
     """Return the name of an object without blanks at its ends, or explain."""
     tidy = " ".join(name.split())
     if not tidy:
         raise ValueError("The name of an object must not be blank. Give one.")
-    tidy = library_name(tidy)
+    tidy = checked_name(tidy)
     if len(tidy) > LONGEST_NAME:
         raise ValueError(
             f"The name of an object must have at most {LONGEST_NAME} characters, got "
