@@ -1,11 +1,12 @@
 """A belief with places: contacts and misses move it as geometry says."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from faulty_arms import Undecided
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.exploration import (
@@ -312,6 +313,18 @@ def test_choosing_is_the_same_after_the_same_history(surface_map):
     gains = strategy.expected_gain(belief, history)
     assert np.isfinite(gains).all()
     assert gains.shape == (6 * 16,)
+
+
+def test_what_precedes_an_attempt_that_is_refused_is_taken_in_once(surface_map):
+    _, history, stand = _touched(surface_map, "mug", 3)
+    strategy = InformativeTouch(surface_map, stand.hemisphere)
+    far = replace(history[-1], position_mm=(0.0, 0.0, 5000.0))
+    for _ in range(2):
+        with pytest.raises(ValueError, match="Is it another unit"):
+            strategy.expected_gain(None, [*history[:2], far])
+    again = InformativeTouch(surface_map, stand.hemisphere)
+    gain = again.expected_gain(None, history)
+    assert_array_equal(strategy.expected_gain(None, history), gain)
 
 
 def test_the_next_touch_is_where_what_may_stand_there_differs(recogniser, taught):

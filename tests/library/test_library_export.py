@@ -447,6 +447,17 @@ def test_what_is_not_touches_is_refused_in_one_sentence(
         Touches.load(tmp_path / "odd.parquet")
 
 
+@pytest.mark.parametrize("name", ["image", "force_n"])
+def test_two_columns_of_one_name_are_refused(tmp_path, name):
+    columns = {"image": [[[1.0]]], "force_n": [1.0]}
+    arrays = [pa.array(column) for column in (*columns.values(), columns[name])]
+    table = pa.Table.from_arrays(arrays, names=[*columns, name])
+    _written(tmp_path / "odd.parquet", table)
+    for read in (Touches.load, ParquetTouches):
+        with pytest.raises(TouchesError, match=f"got '{name}' twice. Rename one"):
+            read(tmp_path / "odd.parquet")
+
+
 def test_damaged_and_empty_files_are_refused(library, tmp_path):
     library.add(_presses(1))
     path = tmp_path / "some.parquet"

@@ -136,6 +136,22 @@ def test_a_sensor_can_be_disconnected_while_it_connects():
     assert sensor.closed == 1
 
 
+def test_a_sensor_that_two_threads_connect_is_opened_once():
+    class Slow(Counting):
+        def _open(self):
+            super()._open()
+            opening.set()
+            self._stop.wait(0.2)
+
+    opening, sensor = Event(), Slow()
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(sensor.connect)
+        assert opening.wait(5.0)
+        assert pool.submit(sensor.connect).result(5.0) is first.result(5.0) is sensor
+    assert sensor.opened == 1
+    sensor.disconnect()
+
+
 def test_a_lost_device_is_found_again():
     sensor = Counting(fails={3, 4, 5})
     sensor.retry_s = 0.01

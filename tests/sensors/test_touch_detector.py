@@ -403,3 +403,13 @@ def test_noise_beyond_the_steps_of_a_given_baseline_is_learnt(
     assert len(touches) == 1 + (n_pressed > 0)
     assert touches.columns["time_s"][-1] == n_pressed + 25
     assert touches.columns["duration_s"][-1] == 5
+
+
+def test_readings_that_are_given_again_and_again_do_not_hide_the_noise(rng):
+    """A driver that is asked ten times as often as its device measures."""
+    levels = np.repeat([0.0, 60.0, 0.0], [20, 5, 5])
+    readings = rng.normal(100 + levels[:, None, None], 1.0, (30, 8, 8))
+    images = np.repeat(readings, 10, axis=0)
+    touches = TouchDetector().touches_in(Touches(images))
+    assert touches.columns["time_s"].tolist() == [200]
+    assert touches.columns["duration_s"].tolist() == [50]

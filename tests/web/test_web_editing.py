@@ -110,6 +110,30 @@ def test_a_journal_that_is_torn_or_foreign_costs_nothing_but_the_undo(folder):
         assert session.to_dict()["library"]["undoable"] == 0
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        {"action": {"kind": "moved", "object": ["disc"], "ids": []}},
+        {"action": {"kind": "taught", "object": "disc", "ids": "abc"}},
+        {"action": {"kind": "taught", "object": "disc", "ids": [7]}},
+        {"lesson": {"name": 3, "wanted": 5, "ids": []}},
+        {"lesson": {"name": "disc", "wanted": "many", "ids": []}},
+        {"lesson": {"name": "disc", "wanted": 5, "ids": [None]}},
+    ],
+)
+def test_a_line_of_a_journal_with_odd_values_is_left_out(folder, line):
+    with (folder / "page.jsonl").open("a", encoding="utf-8") as journal:
+        journal.write(json.dumps(line) + "\n")
+    with LiveSession(library=folder) as session:
+        assert session.teacher.journal.interrupted is None
+        assert session.to_dict()["library"]["undoable"] == 0
+        session.post_lesson(
+            "disc",
+            session.teacher.library.image(session.teacher.newest("disc", 1)[0].id),
+        )
+        assert session.undo() == "disc"
+
+
 def test_a_touch_that_is_not_there_is_named(folder, connected):
     with connected(LiveSession(library=folder)) as client:
         key = client.get("/api/objects/touches?object=disc").json()[0]["id"]

@@ -373,14 +373,16 @@ class InformativeTouch:
         """Return the belief over places after `history`."""
         n_seen = len(self._seen)
         if n_seen > len(history) or any(map(is_not, self._seen, history)):
-            self._placed, n_seen = self._begun(), 0
+            self._placed, self._seen, n_seen = self._begun(), (), 0
         records = history[n_seen:]
         if isinstance(self._placed, PlaceBelief):
-            for record in records:
+            for n_taken, record in enumerate(records, n_seen + 1):
                 self._placed.update_from_record(record)
+                # At once: a later one may be refused, and none is taken in twice.
+                self._seen = [*history[:n_taken]]
         elif any(record.touched for record in records):
             self._placed.update(as_touches(records))
-        self._seen = list(history)
+        self._seen = [*history]
         return self._placed
 
     def __repr__(self) -> str:

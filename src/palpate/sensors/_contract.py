@@ -185,6 +185,7 @@ class LiveSensor(ABC):
         self._queue: deque[Frame] = deque()
         self._arrived = threading.Condition()
         self._stop = threading.Event()
+        self._connecting = threading.Lock()
         self._thread: threading.Thread | None = None
         self._latest: Frame | None = None
         self._number = self._largest_burst = 0
@@ -220,8 +221,12 @@ class LiveSensor(ABC):
         SensorError
             The device is missing, busy, or not what was promised; says the fix.
         """
-        if self.connected:
-            return self
+        with self._connecting:
+            if not self.connected:
+                self._connect()
+        return self
+
+    def _connect(self) -> None:
         if self._thread is not None and self._thread.is_alive():
             raise SensorError(
                 f"{self.name} has not ended its last read. Unplug it, wait, try again."
@@ -243,7 +248,6 @@ class LiveSensor(ABC):
             target=self._run, name=f"palpate {self.name}", daemon=True
         )
         self._thread.start()
-        return self
 
     def disconnect(self) -> None:
         """Stop frames and free the device; nothing happens where none run.

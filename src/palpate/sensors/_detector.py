@@ -198,8 +198,10 @@ class TouchDetector:
                 "baseline again; if nothing touches it, take it anyway (force)."
             )
         self._before = self.baseline, self.noise
+        # One reading again and again tells no noise: it is learnt from the next ones.
+        alike = all(np.array_equal(frame, stack[0], equal_nan=True) for frame in stack)
         levels = [_rms(frame - mean) for frame in stack]
-        self.noise = float(np.median(levels))
+        self.noise = 0.0 if alike else float(np.median(levels))
         self._set_baseline(as_kind(mean, np.asarray(frames[0]).dtype))
 
     def undo_baseline(self) -> None:
@@ -385,6 +387,9 @@ class TouchDetector:
             return
         still = _small(image)
         if self._still is not None:
+            # A driver that is asked too often gives a reading again: no noise in it.
+            if np.array_equal(self._still, still, equal_nan=True):
+                return
             self._steps.append(_rms(still - self._still) / np.sqrt(2))
         self._still = still
         if len(self._steps) == _NOISE_STEPS:

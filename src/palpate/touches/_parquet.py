@@ -283,6 +283,12 @@ def _schema_of(name: str, reader: Any) -> tuple[Any, dict[str, Any]]:
             f"{name} must have a column {_IMAGE!r} of pictures or tensors, got "
             f"{', '.join(schema.names) or 'no column'}. Rename the one that has them."
         )
+    twice = sorted({key for key in schema.names if schema.names.count(key) > 1})
+    if twice:
+        raise TouchesError(
+            f"{name} must have columns of names that differ, got {twice[0]!r} twice. "
+            "Rename one."
+        )
     return schema, about
 
 

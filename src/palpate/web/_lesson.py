@@ -18,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from .._checks import check_count
 from .._types import Array, Floats
 from ..recognition import no_contact_of
 from ..touches import Touches
@@ -202,6 +203,10 @@ class Action:
     to: str = ""
     others: list[str] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        _check_texts(self.kind, self.object, self.to)
+        _check_texts(*_listed(self.ids), *_listed(self.copies), *_listed(self.others))
+
     def to_dict(self) -> dict[str, Any]:
         """Return what the page shows of it."""
         return {"kind": self.kind, "object": self.object, "to": self.to}
@@ -297,9 +302,8 @@ class Journal:
             session, sensor = line["session"]
             self.session = str(session), str(sensor)
         elif "lesson" in line:
-            lesson = line["lesson"]
-            self.n_lessons += lesson is not None
-            self._lesson = None if lesson is None else Lesson(**lesson)
+            self._lesson = _lesson_of(line["lesson"])
+            self.n_lessons += self._lesson is not None
 
     def _change(self, action: Action) -> None:
         self.changed |= {action.object, action.to, *action.others} - {""}
@@ -323,3 +327,24 @@ class Journal:
         # The touch is stored already: a disk without room only costs the undo.
         with suppress(OSError), self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
+
+
+def _lesson_of(part: dict[str, Any] | None) -> Lesson | None:
+    """Return the lesson that a line of the journal tells of."""
+    if part is None:
+        return None
+    name, wanted, ids = part["name"], part["wanted"], _listed(part["ids"])
+    _check_texts(name, *ids)
+    return Lesson(name, check_count("wanted", wanted), ids)
+
+
+def _listed(value: object) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError(f"A journal must hold a list here, got {value!r}.")
+    return [*value]
+
+
+def _check_texts(*values: object) -> None:
+    for value in values:
+        if not isinstance(value, str):
+            raise TypeError(f"A journal must hold a text here, got {value!r}.")
