@@ -702,6 +702,16 @@ def test_accuracy_in_another_session_is_measured_on_sessions_left_out(taught):
     assert lost["expected"] < 0.7  # of three
 
 
+def test_a_session_that_is_there_twice_tells_nothing_of_another_day():
+    first, again = (_session(0, 3, 0, name, "abc") for name in ("one", "copied"))
+    other = _session(OFFSET, 3, 1, "two", "abc")
+    twice = ObjectRecogniser().fit(Touches.concatenate([first, again]))
+    across = twice.across_sessions()
+    assert (across["asked"], "expected" in across) == (0, False)
+    three = ObjectRecogniser().fit(Touches.concatenate([first, again, other]))
+    assert three.across_sessions()["asked"] == len(other)
+
+
 def test_a_session_left_out_chose_nothing_but_the_encoding(monkeypatch):
     """Machines choose widths and ridges without it, by blocks of the other session."""
     days = [_session(0, 6, 0, "one"), _session(OFFSET / 3, 6, 1, "two")]

@@ -220,6 +220,19 @@ class Memory:
                 blocks[rows] = blocks.max() + 1 + touch * n_blocks // n_touches
         return replace(self, blocks=blocks)
 
+    @property
+    def copied_elsewhere(self) -> Bools:
+        """Which touches have a copy, as above, in another session; (n_touches,)."""
+        copied = np.zeros(len(self), dtype=bool)
+        for rows in rows_of_each(self.objects):
+            if len(rows) < 2:
+                continue
+            copies = _copies(self.features[rows])
+            touch = connected_components(copies, directed=False)[1]
+            pairs = np.unique(np.stack([touch, _codes(self.sessions[rows])]), axis=1)
+            copied[rows] = np.bincount(pairs[0])[touch] > 1
+        return copied
+
     def plus_once(self, other: Self) -> Self:
         """Return both as `plus` does, of touches without an id that are in both one.
 
@@ -470,6 +483,10 @@ def left_out_groups(
         if n_met(objects, visits).min() > 1:
             return np.asarray(np.unique(visits, return_inverse=True)[1])
     return blocks_in_order(objects, touches.order)
+
+
+def _codes(names: Array) -> Indices:
+    return np.asarray(np.unique(names, return_inverse=True)[1])
 
 
 def n_met(objects: Array, visits: Array) -> Indices:

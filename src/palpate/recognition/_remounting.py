@@ -219,6 +219,8 @@ def across_sessions(learnt: Learnt, rehearsal: Mapping[str, Any]) -> dict[str, A
     per_object = np.maximum(_n_sessions(memory.objects, memory.sessions), 1)
     met_elsewhere, median = _met_elsewhere(memory), float(np.median(per_object))
     result: dict[str, Any] = {"least": int(per_object.min()), "median": median}
+    if met_elsewhere.any():  # a session that is there twice tells of no other day
+        met_elsewhere &= ~memory.copied_elsewhere
     result["asked"] = int(met_elsewhere.sum())
     if met_elsewhere.any():
         right = _right_elsewhere(learnt, met_elsewhere)
