@@ -97,27 +97,14 @@ def test_flat_is_met_where_it_is():
     assert_allclose(press.force_n, 0.735, rtol=1e-5)
 
 
-def test_force_is_stiffness_times_displaced_volume():
-    press = CLEAN.press(placed("cylinder"), DOWN, force_n=0.5)
-    membrane = CLEAN.membrane
-    w = membrane.displaced(press.contact.node_force_n, whole=True)
-    volume_mm3 = w.sum(dtype=np.float64) * membrane.pitch_mm**2
-    # E t / R^2 with single-precision sums.
-    assert_allclose(0.11 * 1.5 / 20.0**2 * volume_mm3, 0.5, rtol=1e-5)
-
-
-def test_more_force_more_contact_more_change():
+def test_the_picture_changes_with_the_force_and_by_next_to_nothing_at_first():
     nothing = CLEAN.no_contact().astype(float)
-    presses = [CLEAN.press(placed("flat"), DOWN, force_n=f) for f in (0.1, 0.3, 0.9)]
-    change = [np.abs(CLEAN.image(press) - nothing).mean() for press in presses]
-    assert (np.diff([press.area_mm2 for press in presses]) > 0).all()
-    assert (np.diff([press.depth_mm for press in presses]) > 0).all()
-    assert (np.diff(change) > 0).all()
-
-
-def test_vanishing_force_leaves_the_no_contact_frame():
-    touched = CLEAN.touch(placed("flat"), DOWN, force_n=1e-6)
-    assert np.abs(touched.astype(int) - CLEAN.no_contact()).max() <= 1
+    first, *changes = (
+        np.abs(CLEAN.touch(placed("flat"), DOWN, force_n=force_n) - nothing)
+        for force_n in (1e-6, 0.1, 0.3, 0.9)
+    )
+    assert first.max() <= 1
+    assert (np.diff([change.mean() for change in changes]) > 0).all()
 
 
 def test_symmetric_object_gives_a_symmetric_picture():
