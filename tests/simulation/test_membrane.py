@@ -1,10 +1,8 @@
-"""The membrane against closed forms and a slow solver of the same problem."""
+"""The membrane against closed forms and the conditions of contact."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.linalg import cholesky
-from scipy.optimize import nnls
 
 from palpate.simulation import Membrane
 
@@ -83,35 +81,18 @@ def test_dent_dies_away_over_its_reach():
 
 @shapes
 def test_dome_follows_the_object_and_never_passes_through(membrane, shape):
+    """What no other forces do: it presses only where it meets, and nowhere pulls."""
     gap = gap_to(shape, membrane)
     contact = membrane.pressed(gap, force_n=FORCE_N, tolerance_mm=1e-4)
     pressed = contact.node_force_n > 0
+    shell = membrane.displaced(contact.node_force_n)
     squeezed = contact.node_force_n * membrane.thickness_mm / membrane.youngs_mpa
-    w = contact.displacement_mm + squeezed / membrane.pitch_mm**2
-    beyond = w + gap - contact.depth_mm
+    beyond = shell + squeezed / membrane.pitch_mm**2 + gap - contact.depth_mm
+    assert_array_equal(contact.displacement_mm, shell)
     assert (contact.node_force_n >= 0).all()
     # Some steps of the tolerance: it bounds a mean, this is the worst node.
     assert_allclose(beyond[pressed], 0, atol=2e-3)
     assert beyond[~pressed & np.isfinite(gap)].min() > -2e-3
-
-
-@pytest.mark.parametrize("shape", ["plane", "ball", "ridge", "cone"])
-def test_agrees_with_a_slow_solver(shape):
-    """The same forces minimise f'Gf/2 + (gap - depth)'f over f >= 0, by nnls."""
-    membrane = Membrane(n_nodes=14)
-    gap, depth = gap_to(shape, membrane), 3.0
-    n = membrane.n_nodes
-    units = np.eye(n * n, dtype=np.float32).reshape(-1, n, n)
-    answers = [membrane._indented(unit).ravel() for unit in units]
-    inside = np.isfinite(gap).ravel()
-    matrix = np.array(answers, dtype=np.float64)[np.ix_(inside, inside)]
-    upper = cholesky((matrix + matrix.T) / 2)
-    wanted = depth - gap.ravel()[inside]
-    slow, _ = nnls(upper, np.linalg.solve(upper.T, wanted))
-    fast = membrane.pressed(gap, depth_mm=depth, tolerance_mm=1e-4, max_steps=2000)
-    assert_allclose(fast.force_n, slow.sum(), rtol=2e-3)
-    forces_n = fast.node_force_n.ravel()[inside]
-    assert_allclose(forces_n, slow, atol=5e-3 * slow.max())
 
 
 def test_default_tolerance_is_close_to_the_converged_answer(membrane):

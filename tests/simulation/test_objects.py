@@ -165,16 +165,6 @@ def test_distances_are_those_of_embreex(direction, monkeypatch):
     assert np.count_nonzero(~np.isclose(plain, traced, atol=1e-3)) <= 2
 
 
-def test_a_touch_is_simulated_without_embreex(monkeypatch):
-    monkeypatch.setitem(sys.modules, "embreex.mesh_construction", None)
-    box = PlacedObject(find_object("box"))
-    top = box.bounds_mm[1, 2]
-    origins = [[*box.centre_mm[:2], top + 10], [1000, 1000, top + 10]]
-    distance_mm = box.distance_mm(origins, [0, 0, -1])
-    assert_array_equal(np.isfinite(distance_mm), [True, False])
-    assert distance_mm[0] == pytest.approx(10, abs=1e-4)
-
-
 def test_sensor_axes_are_right_handed_and_look_down_as_a_map():
     down = SensorPose((0, 0, 100), (0, 0, -5))
     assert_allclose(down.axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-12)

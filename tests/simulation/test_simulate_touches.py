@@ -26,11 +26,7 @@ FORCE_N = 4 * 9.80665
 
 @pytest.mark.parametrize(
     "thing",
-    [
-        thing
-        for kind in ("household", "unseen", "shapes")
-        for thing in OBJECT_SETS[kind]
-    ],
+    [thing for things in OBJECT_SETS.values() for thing in things],
     ids=lambda thing: thing.name,
 )
 def test_every_object_from_everywhere_gives_finite_touches(thing):
