@@ -152,7 +152,8 @@ def test_only_relative_pose_matters():
 
 def test_columns_are_the_worlds_x_and_rows_its_minus_y():
     """Pushed straight down, columns are the world's x, rows its -y."""
-    post = load_post()
+    box = trimesh.creation.box((8, 8, 40))
+    post = SimObject("post", "post", lambda: box)
     for offset, (dx, dy) in [((8, 0), (1, 0)), ((0, 8), (0, -1))]:
         target = PlacedObject(post, position_mm=(*offset, 0))
         picture = CENTRED.touch(target, DOWN).astype(float)
@@ -161,12 +162,6 @@ def test_columns_are_the_worlds_x_and_rows_its_minus_y():
         row = (change.sum(axis=1) * np.arange(120)).sum() / change.sum() - 59.5
         assert col * dx + row * dy > 10
         assert abs(col * dy) + abs(row * dx) < 3
-
-
-def load_post():
-    box = trimesh.creation.box((8, 8, 20))
-    box.apply_translation((0, 0, 10))
-    return SimObject("post", "post", lambda: box)
 
 
 def test_press_ends_at_the_greatest_depth():
