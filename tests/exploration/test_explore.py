@@ -62,14 +62,6 @@ def test_the_arm_goes_round_the_object(arm, sensor):
         assert not inside or tuple(np.round(pose.direction, 9)) in lines
 
 
-def test_faults_in_a_row_end_an_episode(arm, sensor, tmp_path):
-    arm.read_force = lambda: np.nan
-    end = explore(arm, sensor, SlowlySure(), STRATEGY, tmp_path, max_faults=3)
-    assert (end.ended_by, len(end.history)) == ("faults", 3)
-    assert "3 faults in a row, the last: force sensor" in end.reason
-    assert len(read_episode(tmp_path)) == 3
-
-
 def test_a_fault_now_and_then_does_not_end_an_episode(arm, sensor):
     plain = sensor.read
 
@@ -187,7 +179,7 @@ def test_a_touch_that_the_recogniser_refuses_is_no_frame_and_ends_nothing(
         assert np.array_equal(restored.image, record.image)
 
 
-def test_a_recogniser_that_takes_nothing_ends_as_faults(arm, sensor, tmp_path):
+def test_faults_in_a_row_end_an_episode_each_time_it_goes_on(arm, sensor, tmp_path):
     class Broken(SlowlySure):
         def update(self, touches):
             raise ZeroDivisionError("bug")
@@ -195,7 +187,9 @@ def test_a_recogniser_that_takes_nothing_ends_as_faults(arm, sensor, tmp_path):
     for n_attempts in (3, 6):
         end = explore(arm, sensor, Broken(), STRATEGY, tmp_path)
         assert (end.ended_by, len(end.history)) == ("faults", n_attempts)
+        assert "3 faults in a row, the last: no frame. " in end.reason
         assert "ZeroDivisionError: bug" in end.reason
+        assert len(read_episode(tmp_path)) == n_attempts
     assert_allclose(np.linalg.norm(arm.pose.position_mm), 100)
 
 
