@@ -323,7 +323,7 @@ def test_too_small_readings_are_told_where_the_stiffness_is_known():
     guard = Guard(max_travel_mm=110.0, expected_n_mm=0.8)
     record = guarded_touch(arm, arm, arm.pose, guard)
     assert record.outcome == "force sensor"
-    assert "expected_n_mm = 0.8" in record.message
+    assert "less than 0.800, half of what expected_n_mm = 0.8 gives" in record.message
     blind = FaultyArm("reads a tenth")
     blind.pose = NEAR.pose(0.3, 0.9)
     guarded_touch(blind, blind, blind.pose, Guard(max_travel_mm=110.0))
