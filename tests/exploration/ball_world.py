@@ -55,8 +55,8 @@ class BallSensor:
     image_shape = (3, 3)
     geometry = "none"
 
-    def __init__(self, arm):
-        self.arm = arm
+    def __init__(self, arm=None):
+        self.arm = BallArm() if arm is None else arm
 
     def read(self):
         direction = np.asarray(self.arm.pose.direction)
@@ -64,6 +64,28 @@ class BallSensor:
 
     def no_contact(self):
         return None
+
+
+class SlowlySure:
+    """A recogniser and its belief: sure of "ball" after a number of touches."""
+
+    def __init__(self, after=10**9, answer="ball", refusal=None):
+        self.after, self.answer, self.refusal = after, answer, refusal
+        self.images = []
+
+    def start(self):
+        return type(self)(self.after, self.answer, self.refusal)
+
+    def update(self, touches):
+        self.images.extend(touches.images)
+
+    def decide(self, error, refusal):
+        assert refusal == self.refusal
+        return self.answer if len(self.images) >= self.after else None
+
+    def reason(self, error, refusal):
+        assert refusal == self.refusal
+        return f"{len(self.images)} touches seen."
 
 
 def main(folder, n_touches, delay_s):

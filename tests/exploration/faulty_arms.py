@@ -15,6 +15,7 @@ from math import dist
 from unittest import mock
 
 import numpy as np
+from ball_world import SlowlySure
 
 from palpate.exploration import (
     Guard,
@@ -174,26 +175,10 @@ class FaultyArm:
         return None
 
 
-class Undecided:
-    """A recogniser that goes on."""
-
-    def start(self):
-        return self
-
-    def update(self, touches):
-        pass
-
-    def decide(self, error, refusal):
-        return None
-
-    def reason(self, error, refusal):
-        return "Undecided."
-
-
 def exploring(arm):
     """Touch five times as `explore` does."""
     options = {"guard": GUARD, "max_attempts": 5}
-    return explore(arm, arm, Undecided(), RandomHemisphere(NEAR, 1), **options).history
+    return explore(arm, arm, SlowlySure(), RandomHemisphere(NEAR, 1), **options).history
 
 
 def gathering(arm):

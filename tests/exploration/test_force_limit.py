@@ -9,7 +9,7 @@ import pytest
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
-from palpate.exploration import Guard, Robot, guarded_touch
+from palpate.exploration import Guard, guarded_touch
 from palpate.simulation import SensorPose
 
 START = SensorPose((0, 0, 0), (0, 0, 1))
@@ -45,7 +45,7 @@ class SpringWall:
         self.rng = np.random.default_rng(0)
         self.reading_n, self.late = 0.0, []
         self.pose, self.n_read = START, 0
-        self.calls, self.steps = [], []
+        self.n_retracts, self.steps = 0, []
         self.stuck_depth_mm = None
 
     @property
@@ -67,14 +67,12 @@ class SpringWall:
     def move_to(self, pose):
         before = self.travel_mm
         self.pose = pose
-        self.calls.append("move")
         self.steps.append((self.travel_mm - before, self.force_n))
 
     def read_pose(self):
         return self.pose
 
     def read_force(self):
-        self.calls.append("read")
         self.n_read += 1
         self.late.append(self.sign * self.scale * self.force_n)
         noise = self.rng.standard_normal()
@@ -93,11 +91,11 @@ class SpringWall:
         return self.reading_n
 
     def retract(self, way_mm):
-        self.calls.append("retract")
+        self.n_retracts += 1
         self.pose = self.pose.advanced(-way_mm)
 
     def stop(self):
-        self.calls.append("stop")
+        pass
 
 
 class Skin:
@@ -119,7 +117,7 @@ class Skin:
 
 def touch(arm, guard=GUARD):
     record = guarded_touch(arm, Skin(arm), START, guard)
-    assert arm.calls.count("retract") == 1
+    assert arm.n_retracts == 1
     assert arm.travel_mm <= 1e-9
     assert arm.force_n == 0
     # No outcome but those that an episode can be read back with.
@@ -229,69 +227,19 @@ def test_a_dead_and_noisy_sensor_is_found_by_the_tactile_image(stiffness, noise)
     assert arm.peak_n / stiffness <= deepest + 1e-9
 
 
-def test_without_the_image_the_travel_bounds_a_dead_and_noisy_sensor():
-    arm = SpringWall(sticks_at_n=0, stuck_n=0.05, stuck_noise_n=0.01)
-    touch(arm)
-    assert arm.peak_n / arm.stiffness <= 40 - arm.wall_mm + 1e-9
-
-
 def test_a_good_force_sensor_and_its_image_agree():
     arm = SpringWall(stiffness=0.5)
     record = touch(arm, Guard(max_travel_mm=40, frame_change=1.5))
     assert record.outcome == "touched"
 
 
-@pytest.mark.parametrize(
-    ("stiffness", "outcome"), [(0.05, "force sensor"), (50.0, "limit exceeded")]
-)
-def test_a_force_of_the_wrong_sign_names_its_value_and_the_fix(stiffness, outcome):
-    record = touch(SpringWall(stiffness=stiffness, sign=-1))
-    assert record.outcome == outcome
+def test_a_force_of_the_wrong_sign_names_its_value_and_the_fix():
+    record = touch(SpringWall(stiffness=0.05, sign=-1))
+    assert record.outcome == "force sensor"
     assert "must be positive when something pushes back" in record.message
     assert f"{record.force_n:.3f} N" in record.message
     assert record.force_n < 0
     assert record.peak_force_n == pytest.approx(-record.force_n, rel=0.05)
-
-
-def test_every_step_is_followed_by_readings_before_the_next():
-    arm = SpringWall(stiffness=0.3)
-    assert touch(arm).touched
-    calls = " ".join(arm.calls)
-    assert "move move" not in calls
-    first = calls.index("retract")
-    for between in calls[:first].split("move")[2:-1]:
-        assert between.count("read") >= GUARD.n_readings
-
-
-@pytest.mark.parametrize("wall_mm", [-0.6, 0.3])
-def test_a_start_that_is_not_clear_is_refused(wall_mm):
-    arm = SpringWall(wall_mm=wall_mm, stiffness=1.0)
-    record = guarded_touch(arm, Skin(arm), START, GUARD)
-    assert record.outcome == "force sensor"
-    assert "clear of everything" in record.message
-    assert record.travel_mm <= 1
-
-
-def test_a_light_load_at_the_end_of_the_line_is_not_nothing():
-    record = touch(SpringWall(wall_mm=38.0, stiffness=0.2))
-    assert record.outcome == "force not reached"
-    assert "0.400 N at most on 40 mm" in record.message
-
-
-@pytest.mark.parametrize("moved", [0.0, 0.4, 2.0])
-def test_an_arm_that_is_not_where_it_was_sent_is_stopped(moved):
-    """It makes a share of every step: none, too little, or twice as much."""
-
-    class Lame(SpringWall):
-        def move_to(self, pose):
-            super().move_to(START.advanced(moved * float(pose.position_mm[2])))
-
-    arm = Lame()
-    record = touch(arm)
-    assert record.outcome == "robot error"
-    assert "from where it was sent" in record.message
-    assert record.travel_mm <= 2
-    assert isinstance(arm, Robot)
 
 
 def test_a_force_above_the_limit_counts_before_a_place_that_was_missed():

@@ -8,7 +8,6 @@ is known beforehand. `JUST` is the least that matters.
 import dataclasses
 import inspect
 import re
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -97,7 +96,6 @@ def test_defaults_are_those_that_the_docstring_gives():
         for name, value in zip(names.split(", "), defaults.split(", "), strict=True)
     }
     assert values == {name: str(value) for name, value in vars(Guard()).items()}
-    assert dataclasses.replace(Guard(), force_n=0.5).limit_n == 3.0
 
 
 def test_least_counts_and_equal_limits():
@@ -119,22 +117,8 @@ def test_nothing_takes_every_step_once_and_says_so():
     assert line.retracted == [16]
     assert line.seen_at == []
     # 12 of the air, 4 at each step, 4 more at the end, 4 stale and 12 afterwards.
-    counts = [line.read_at.count(mm) for mm in (0, 1, 15, 16, None)]
-    assert counts == [12, 4, 4, 8, 16]
-
-
-def test_a_move_that_fails_at_once_is_taken_back_by_nothing():
-    line = Line()
-
-    def fails(pose):
-        raise OSError("no power")
-
-    line.move_to = fails
-    record = line.touch()
-    assert (record.outcome, record.message) == ("robot error", "OSError: no power")
-    assert line.retracted == [0.0]
-    assert (record.travel_mm, record.force_n, record.peak_force_n) == (0, 0, 0)
-    assert record.retracted
+    counts = [line.read_at.count(mm) for mm in [*line.visited, None]]
+    assert counts == [12, *[4] * 15, 8, 16]
 
 
 @pytest.mark.parametrize("n_readings", [1, 3])
@@ -153,6 +137,7 @@ def test_the_force_at_the_bound_is_a_touch_in_a_small_step():
     record = line.touch()
     assert (record.outcome, record.travel_mm, record.force_n) == ("touched", 5.5, 0.75)
     assert line.visited == [*steps(0, 5, 1), 5.25, 5.5]
+    assert [line.read_at.count(mm) for mm in (5, 5.25, 5.5)] == [4, 4, 8]
     assert line.retracted == [5.5]
     assert line.seen_at == [5.5]
     assert record.image.tolist() == [[50, 50], [50, 50]]
@@ -182,6 +167,7 @@ def test_a_load_after_the_first_step_is_a_start_that_is_not_clear(
     assert record.outcome == outcome
     if outcome == "force sensor":
         assert "0.250 N after the first 1 mm" in record.message
+        assert "Start further away, clear of everything." in record.message
         assert line.retracted == [1]
 
 
@@ -370,16 +356,21 @@ def test_an_arm_may_miss_by_as_much_as_its_limit():
     assert line.retracted == [5.25]
 
 
-@pytest.mark.parametrize(("ahead_mm", "reached_mm"), [(0.5 + JUST, None), (99, 16)])
-def test_an_arm_that_went_too_far_is_taken_back_as_far_as_it_says(ahead_mm, reached_mm):
-    class Overshoots(Line):
+@pytest.mark.parametrize(
+    ("ahead_mm", "back_mm"),
+    [(0.5 + JUST, 5.5 + JUST), (-0.5 - JUST, 5), (-5, 5), (99, 16)],
+)
+def test_an_arm_that_missed_is_taken_back_as_far_as_it_may_have_come(ahead_mm, back_mm):
+    class Misses(Line):
         @property
         def ahead_mm(self):
             return ahead_mm * (self.at == 5)
 
-    line = Overshoots()
-    assert line.touch().outcome == "robot error"
-    assert line.retracted == [reached_mm or 5 + ahead_mm]
+    line = Misses()
+    record = line.touch()
+    assert record.outcome == "robot error"
+    assert f"{abs(ahead_mm):.2f} mm from where it was sent" in record.message
+    assert (line.visited[-1], line.retracted) == (5, [back_mm])
 
 
 @pytest.mark.parametrize("n_equal", [4, 5])
@@ -402,7 +393,6 @@ def test_frames_are_looked_at_as_often_as_is_asked_for():
     line.touch(guard(frame_change=1.5))
     # The air, then from the first step on every 2 mm, and at the end.
     assert line.seen_at == [0, *steps(1, 15, 2), 16]
-    assert all(b - a <= 2 for a, b in pairwise(line.seen_at))
 
 
 @pytest.mark.parametrize(
@@ -415,15 +405,6 @@ def test_a_frame_that_changed_by_the_limit_is_a_contact(change, is_contact):
     if is_contact:
         assert record.travel_mm == 7
         assert "The tactile image changed by 1.5, as in contact" in record.message
-
-
-@pytest.mark.parametrize("frame", [np.full((2, 2), "a"), np.full((2, 2), 1j)])
-def test_a_frame_that_is_no_numbers_is_none(frame):
-    line = Line(at({5: 0.25, 5.25: 0.75}))
-    line.read = lambda: frame
-    record = line.touch()
-    assert record.outcome == "no frame"
-    assert f"and type {frame.dtype} arrived" in record.message
 
 
 @pytest.mark.parametrize(
@@ -440,5 +421,6 @@ def test_beyond_the_limit_the_sign_is_spoken_of_where_it_is_wrong(
         f"{force:.3f} N ({offset + force:.3f} with its offset), above the limit of 3"
     )
     assert message in record.message
+    assert record.peak_force_n == abs(force)
     assert record.image is None
     assert ("must be positive when something pushes" in record.message) == has_sign

@@ -101,12 +101,6 @@ def _azimuth(pose):
     return np.arctan2(y, x)
 
 
-def test_places_help_where_they_should(touch_map):
-    # Where the mark is met on both objects' landmark side depends on the turn, so
-    # left-out episodes are recognised better with places than without.
-    assert touch_map.log_loss_["placed"] < touch_map.log_loss_["touch"]
-
-
 def test_a_place_tells_its_own_pattern_from_others(touch_map, recogniser):
     code = list(recogniser.classes_).index("marked")
     mark = _touch_at("marked", 0.0)
@@ -119,18 +113,6 @@ def test_a_place_tells_its_own_pattern_from_others(touch_map, recogniser):
     assert at_back < -2
 
 
-def test_turning_the_world_turns_the_belief(touch_map):
-    azimuths = [0.1, 1.6, 2.9]
-    straight, turned = touch_map.start(), touch_map.start()
-    for azimuth in azimuths:
-        straight.update(_touch_at("marked", azimuth))
-        turned.update(_touch_at("marked", azimuth + 4 * STEP, turn=4 * STEP))
-    assert_allclose(turned.log_joint, np.roll(straight.log_joint, 4, axis=1), atol=1e-8)
-    assert_allclose(
-        list(turned.posterior.values()), list(straight.posterior.values()), atol=1e-8
-    )
-
-
 def test_a_landmark_tells_the_turn_but_not_the_object(touch_map):
     turn = 5 * STEP
     belief = touch_map.start().update(_touch_at("plain", np.pi / 2 + turn, turn))
@@ -139,23 +121,20 @@ def test_a_landmark_tells_the_turn_but_not_the_object(touch_map):
     assert belief.doubt > 0.3
 
 
-def test_a_belief_without_weight_on_places_is_the_plain_one(recogniser, touches):
+def test_a_belief_without_weight_on_places_is_the_plain_one(
+    recogniser, touches, monkeypatch
+):
     single = TouchMap(n_turns=1).fit(recogniser, touches)
     single.touch_weight_, single.placed_weight_ = 1.0, 0.0
     single.correlation_ = 0.25
     evidence = Touches.concatenate(
         [_touch_at("marked", a, seed=7) for a in (0.1, 0.2, 2.0)]
     )
-    calibration, recogniser.sequence_calibration_ = (
-        recogniser.sequence_calibration_,
-        SequenceCalibration(1.0, 0.25),
-    )
-    try:
-        belief = single.start().update(evidence)
-        for name, share in recogniser.start().update(evidence).posterior.items():
-            assert belief.posterior[name] == pytest.approx(share, abs=1e-12)
-    finally:
-        recogniser.sequence_calibration_ = calibration
+    calibration = SequenceCalibration(1.0, 0.25)
+    monkeypatch.setattr(recogniser, "sequence_calibration_", calibration)
+    plain = recogniser.start().update(evidence).posterior
+    belief = single.start().update(evidence)
+    assert belief.posterior == pytest.approx(plain, abs=1e-12)
 
 
 def test_touches_one_by_one_or_at_once(touch_map):
@@ -175,12 +154,9 @@ def test_the_belief_decides(touch_map):
     belief.update(_touch_at("marked", 0.0))
     assert belief.best == "marked"
     assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
-    assert belief.doubt == pytest.approx(1 - belief.posterior["marked"])
     for seed in range(20):
         belief.update(_touch_at("marked", [0.0, np.pi / 2][seed % 2], seed=seed))
     assert belief.decide(0.2) == "marked"
-    assert belief.reason(0.2).startswith("marked, 9")
-    assert "marked" in repr(belief)
 
 
 def test_before_any_touch_all_turns_are_alike(strategy):
@@ -318,10 +294,11 @@ def test_the_promise_of_a_place(height_map, monkeypatch, gain, fresh, best):
 
 
 def test_being_sure_leaves_nothing_to_learn(touch_map, strategy):
+    belief = touch_map.start()
     log_joint = np.full((2, N_TURNS), -60.0)
     log_joint[0, 3] = 0.0
-    gain = strategy._gain.expected_gain(log_joint - logsumexp(log_joint), 4)
-    assert_allclose(gain, 0, atol=1e-5)
+    belief.log_joint = log_joint - logsumexp(log_joint)
+    assert_allclose(strategy.expected_gain(belief, []), 0, atol=1e-5)
 
 
 def test_objects_of_alike_touches_promise_next_to_nothing():
@@ -379,15 +356,6 @@ def test_recorded_touches_are_taken_where_objects_differ(height_map, recorded):
     assert len(set(order)) == 6
     assert (places[order[:3], 0] > 0.8).all()
     assert by_touch[-1] == by_place[-1] == "cone"
-
-
-def test_the_chooser_never_sees_images(height_map, recorded):
-    _, places = recorded[1]
-    belief = height_map.start()
-    chooser = InformativeRecorded(height_map, places[60:])
-    first = chooser.next_touch(belief, [])
-    assert places[60:][first, 0] > 0.8
-    assert chooser.next_touch(belief, [first]) != first
 
 
 def test_every_order_has_each_touch_once(height_map, recorded):

@@ -5,23 +5,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.exploration import TouchMap, explore_to_learn
-from palpate.recognition import ObjectRecogniser
-from palpate.simulation import DomeCamera, find_object
-
-NAMES = ("ball", "box", "pen")
+from palpate.exploration import TouchMap
 
 
 @pytest.fixture(scope="module")
-def taught():
-    camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
-    things = [find_object(name) for name in NAMES]
-    return explore_to_learn(things, 10, camera, n_sessions=2)
-
-
-@pytest.fixture(scope="module")
-def touch_map(taught):
-    return TouchMap(n_turns=4).fit(ObjectRecogniser(rehearse=False).fit(taught), taught)
+def touch_map(recogniser, taught):
+    return TouchMap(n_turns=4).fit(recogniser, taught)
 
 
 @pytest.fixture(scope="module")
@@ -65,33 +54,33 @@ def test_touches_count_as_in_the_plain_belief(touch_map, taught):
 
 
 def test_a_belief_starts_at_its_prior(touch_map, taught):
-    prior = {"ball": 0.2, "box": 0.5, "pen": 0.3}
+    prior = {"box": 0.2, "mug": 0.5, "pen": 0.3}
     belief = touch_map.start(prior, strangers=0)
     assert belief.posterior == pytest.approx(prior)
     evidence = _of(taught, "pen", 3)
     evenly = touch_map.start(strangers=0).update(evidence)
     weighed = belief.update(evidence)
-    odds = {name: np.log(weighed.posterior[name] / prior[name]) for name in NAMES}
-    even = {name: np.log(evenly.posterior[name]) for name in NAMES}
+    odds = {name: np.log(weighed.posterior[name] / prior[name]) for name in prior}
+    even = {name: np.log(evenly.posterior[name]) for name in prior}
     # Bayes: the prior's odds and the evidence's add up, whatever the touches say.
-    assert odds["pen"] - odds["box"] == pytest.approx(even["pen"] - even["box"])
+    assert odds["pen"] - odds["mug"] == pytest.approx(even["pen"] - even["mug"])
     with pytest.raises(ValueError, match="prior must name every object"):
-        touch_map.start({"ball": 1.0})
+        touch_map.start({"box": 1.0})
 
 
 def test_costs_decide_as_worked_out_by_hand(touch_map, monkeypatch):
     belief = touch_map.start(strangers=0)
     belief.log_joint = np.log(np.outer([0.1, 0.6, 0.3], np.full(4, 0.25)))
     monkeypatch.setattr(type(belief), "touches_used", 1)
-    assert belief.decide(0.45) == "box"
+    assert belief.decide(0.45) == "mug"
     assert belief.decide(0.35) is None
-    # Naming the box costs 0.1 x 1 + 0.3 x 5, the pen 0.1 x 1 + 0.6 x 0.2, the ball
+    # Naming the mug costs 0.1 x 1 + 0.3 x 5, the pen 0.1 x 1 + 0.6 x 0.2, the box
     # 0.6 + 0.3.
-    costs = {"pen": {"box": 5}, "box": {"pen": 0.2}}
+    costs = {"pen": {"mug": 5}, "mug": {"pen": 0.2}}
     assert belief.decide(0.23, costs) == "pen"
     assert belief.decide(0.21, costs) is None
-    with pytest.raises(ValueError, match="costs must be one of 'ball', 'box', 'pen'"):
-        belief.decide(0.1, {"mug": {"box": 1}})
+    with pytest.raises(ValueError, match="costs must be one of 'box', 'mug', 'pen'"):
+        belief.decide(0.1, {"ball": {"box": 1}})
     with pytest.raises(ValueError, match="costs must be finite and between 0"):
         belief.decide(0.1, {"pen": {"box": -1}})
 
@@ -101,10 +90,11 @@ def test_an_image_alone_is_refused(touch_map, taught):
         touch_map.start().update(taught.images[0])
 
 
-@pytest.mark.parametrize("direction", [[0.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
-def test_a_direction_that_is_none_is_refused(touch_map, taught, direction):
-    touch = Touches(taught.images[:1], direction=[direction], geometry="dome")
+@pytest.mark.parametrize("length", [0.0, 0.98, 1.02, 2.0])
+def test_a_direction_that_is_none_is_refused(touch_map, taught, length):
+    touch = Touches(taught.images[:1], direction=[[0, 0, -length]], geometry="dome")
     belief = touch_map.start()
-    with pytest.raises(ValueError, match=r"direction must be unit vectors.*touch 0"):
+    message = rf"unit vectors of approach, got \[0.0, 0.0, -{length}\] in touch 0"
+    with pytest.raises(ValueError, match=message):
         belief.update(touch)
     assert belief.touches_used == 0

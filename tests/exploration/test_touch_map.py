@@ -1,5 +1,7 @@
 """The sums of a map of touches, each beside a slow reference from its formula."""
 
+import copy
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -37,14 +39,9 @@ def touch_map(touches):
 @pytest.mark.parametrize("width", [0.05, 0.4])
 def test_closeness_is_a_bell_of_the_width_about_each_place(touch_map, width):
     stations = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    share, before = 0.1, touch_map.width_
-    try:
-        touch_map.set_kernels(width, share)
-        closeness = touch_map.closeness(stations)
-        bandwidth = touch_map.bandwidth_
-    finally:
-        touch_map.set_kernels(before, share)
-    for station, row in zip(stations, closeness, strict=True):
+    share, touch_map = 0.1, copy.copy(touch_map)
+    touch_map.set_kernels(width, share)
+    for station, row in zip(stations, touch_map.closeness(stations), strict=True):
         for rows in touch_map.rows_of_object:
             distances = [np.linalg.norm(touch_map.places_[j] - station) for j in rows]
             # A thousandth of the top is left for what lies anywhere else.
@@ -53,7 +50,7 @@ def test_closeness_is_a_bell_of_the_width_about_each_place(touch_map, width):
             assert_allclose(row[rows], np.array(bell) / sum(bell), rtol=1e-5)
     features = touch_map.features_
     squared = [[((a - b) ** 2).sum() for a in features] for b in features]
-    assert bandwidth == pytest.approx(np.sqrt(share * np.mean(squared)))
+    assert touch_map.bandwidth_ == pytest.approx(np.sqrt(share * np.mean(squared)))
 
 
 def test_the_ratio_is_the_weighted_mean_over_the_plain_one(touch_map):
@@ -151,16 +148,11 @@ def test_places_turn_back_about_the_vertical(touch_map):
     assert len(np.unique(turned.round(3), axis=1).T) == 4
 
 
-@pytest.mark.parametrize(("length", "refused"), [(0.992, 0), (1.008, 0), (1.02, 1)])
-def test_directions_of_a_few_digits_are_taken(touches, touch_map, length, refused):
+@pytest.mark.parametrize("length", [0.992, 1.008])
+def test_directions_of_a_few_digits_are_taken(touches, touch_map, length):
     """The place is the direction turned round, as long as it was given."""
     image = {"images": touches.images[:1], "geometry": "none"}
-    touch = Touches(**image, direction=[[-length, 0, 0]])
-    if refused:
-        with pytest.raises(ValueError, match=r"unit vectors .*\[-1\.02, .* in touch 0"):
-            touch_map.start().update(touch)
-        return
-    taken = touch_map.start().update(touch)
+    taken = touch_map.start().update(Touches(**image, direction=[[-length, 0, 0]]))
     placed, whole = (
         touch_map.start().update(Touches(**image), [[x, 0, 0]]) for x in (length, 1)
     )

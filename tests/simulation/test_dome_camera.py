@@ -35,14 +35,6 @@ def within(share, n_rows):
     return away < share * CLEAN.disc_radius
 
 
-def centre_of_dent(press, camera):
-    """Place (x, y in mm) of the dent's middle in the sensor's own axes."""
-    w = press.contact.displacement_mm
-    weight = np.maximum(w, 0) / np.maximum(w, 0).sum()
-    nodes = camera.membrane.node_mm
-    return (weight.sum(axis=0) * nodes).sum(), (weight.sum(axis=1) * nodes).sum()
-
-
 def test_picture_is_like_the_real_one():
     """The disc is cut on the left, above and below; all else is white."""
     picture = DomeCamera().no_contact()
@@ -97,27 +89,14 @@ def test_flat_is_met_where_it_is():
     assert_allclose(press.force_n, 0.735, rtol=1e-5)
 
 
-def test_force_is_stiffness_times_displaced_volume():
-    press = CLEAN.press(placed("cylinder"), DOWN, force_n=0.5)
-    membrane = CLEAN.membrane
-    w = membrane.displaced(press.contact.node_force_n, whole=True)
-    volume_mm3 = w.sum(dtype=np.float64) * membrane.pitch_mm**2
-    # E t / R^2 with single-precision sums.
-    assert_allclose(0.11 * 1.5 / 20.0**2 * volume_mm3, 0.5, rtol=1e-5)
-
-
-def test_more_force_more_contact_more_change():
+def test_the_picture_changes_with_the_force_and_by_next_to_nothing_at_first():
     nothing = CLEAN.no_contact().astype(float)
-    presses = [CLEAN.press(placed("flat"), DOWN, force_n=f) for f in (0.1, 0.3, 0.9)]
-    change = [np.abs(CLEAN.image(press) - nothing).mean() for press in presses]
-    assert (np.diff([press.area_mm2 for press in presses]) > 0).all()
-    assert (np.diff([press.depth_mm for press in presses]) > 0).all()
-    assert (np.diff(change) > 0).all()
-
-
-def test_vanishing_force_leaves_the_no_contact_frame():
-    touched = CLEAN.touch(placed("flat"), DOWN, force_n=1e-6)
-    assert np.abs(touched.astype(int) - CLEAN.no_contact()).max() <= 1
+    first, *changes = (
+        np.abs(CLEAN.touch(placed("flat"), DOWN, force_n=force_n) - nothing)
+        for force_n in (1e-6, 0.1, 0.3, 0.9)
+    )
+    assert first.max() <= 1
+    assert (np.diff([change.mean() for change in changes]) > 0).all()
 
 
 def test_symmetric_object_gives_a_symmetric_picture():
@@ -173,24 +152,16 @@ def test_only_relative_pose_matters():
 
 def test_columns_are_the_worlds_x_and_rows_its_minus_y():
     """Pushed straight down, columns are the world's x, rows its -y."""
-    post = load_post()
+    box = trimesh.creation.box((8, 8, 40))
+    post = SimObject("post", "post", lambda: box)
     for offset, (dx, dy) in [((8, 0), (1, 0)), ((0, 8), (0, -1))]:
         target = PlacedObject(post, position_mm=(*offset, 0))
-        press = CLEAN.press(target, DOWN)
-        # The grid ends at 19 mm and cuts the outer side of the dent off.
-        assert_allclose(centre_of_dent(press, CLEAN), (8 * dx, 8 * dy), atol=2.0)
-        picture = CENTRED.image(press).astype(float)
+        picture = CENTRED.touch(target, DOWN).astype(float)
         change = np.abs(picture - CENTRED.no_contact())
         col = (change.sum(axis=0) * np.arange(120)).sum() / change.sum() - 59.5
         row = (change.sum(axis=1) * np.arange(120)).sum() / change.sum() - 59.5
         assert col * dx + row * dy > 10
         assert abs(col * dy) + abs(row * dx) < 3
-
-
-def load_post():
-    box = trimesh.creation.box((8, 8, 20))
-    box.apply_translation((0, 0, 10))
-    return SimObject("post", "post", lambda: box)
 
 
 def test_press_ends_at_the_greatest_depth():

@@ -9,7 +9,6 @@ from scipy.ndimage import label
 
 from palpate import ObjectRecogniser
 from palpate.simulation import (
-    DomeCamera,
     GelCamera,
     PlacedObject,
     SensorPose,
@@ -78,7 +77,6 @@ def test_dent_is_the_domes():
     press = PINS.press(find_object("edge"), DOWN)
     same = PINS.dome.press(find_object("edge"), DOWN)
     assert_array_equal(press.contact.displacement_mm, same.contact.displacement_mm)
-    assert PINS.membrane == PINS.dome.membrane
 
 
 def test_turning_the_object_by_a_sixth_turns_the_pins():
@@ -107,9 +105,8 @@ def test_sets_of_pin_touches_keep_the_no_contact_frame():
 
 def test_drift_is_the_cameras():
     drifted = PINS.drifted(np.random.default_rng(0))
-    assert drifted.dome != PINS.dome
-    assert isinstance(drifted.dome, DomeCamera)
-    assert drifted.n_pins == PINS.n_pins
+    dome = PINS.dome.drifted(np.random.default_rng(0))
+    assert drifted == replace(PINS, dome=dome) != PINS
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +122,6 @@ def ball():
 def test_each_colour_is_brighter_where_the_dent_leans_towards_its_light(ball):
     gel, press, change = ball
     assert press.touched
-    assert press.depth_mm <= gel.dome.max_depth_mm + 1e-6
     _, n_cols = gel.image_shape
     red = change[..., 0]
     # One side of a round dent leans towards the red light, and the other away.

@@ -1,10 +1,8 @@
-"""The membrane against closed forms and a slow solver of the same problem."""
+"""The membrane against closed forms and the conditions of contact."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.linalg import cholesky
-from scipy.optimize import nnls
 
 from palpate.simulation import Membrane
 
@@ -16,39 +14,31 @@ def membrane():
     return Membrane(thickness_mm=1.0, youngs_mpa=0.5)
 
 
-def plane(membrane, slope=0.0):
-    """Gap to a plane, level or sloping along x."""
-    gap = membrane.drop_mm + slope * membrane.node_mm
-    return gap - gap.min()
+def away_mm(membrane):
+    return np.hypot(membrane.node_mm[:, None], membrane.node_mm)
 
 
-def sphere(membrane, radius_mm):
-    """Gap to a ball straight ahead."""
-    squared = membrane.node_mm[:, None] ** 2 + membrane.node_mm**2
-    ball = radius_mm - np.sqrt(np.maximum(radius_mm**2 - squared, 0))
-    gap = membrane.drop_mm + np.where(squared < radius_mm**2, ball, np.inf)
-    return gap - gap.min()
+def ball(membrane, radius_mm):
+    below = np.maximum(radius_mm**2 - away_mm(membrane) ** 2, 0)
+    return np.where(below > 0, radius_mm - np.sqrt(below), np.inf)
 
 
-def cone(membrane, slope):
-    away = np.hypot(membrane.node_mm[:, None], membrane.node_mm)
-    gap = membrane.drop_mm + slope * away
-    return gap - gap.min()
-
-
-def ridge(membrane, slope):
-    gap = membrane.drop_mm + slope * np.abs(membrane.node_mm)
-    return gap - gap.min()
-
-
+# How far each node of the surface lies behind the foremost, straight ahead.
 SHAPES = {
-    "plane": plane,
-    "slope": lambda m: plane(m, 0.4),
-    "ball": lambda m: sphere(m, 25.0),
-    "small ball": lambda m: sphere(m, 5.0),
-    "cone": lambda m: cone(m, 2.0),
-    "ridge": lambda m: ridge(m, 1.0),
+    "plane": lambda membrane: 0.0,
+    "slope": lambda membrane: 0.4 * membrane.node_mm,
+    "ball": lambda membrane: ball(membrane, 25.0),
+    "small ball": lambda membrane: ball(membrane, 5.0),
+    "cone": lambda membrane: 2.0 * away_mm(membrane),
+    "ridge": lambda membrane: np.abs(membrane.node_mm),
 }
+
+
+def gap_to(shape, membrane):
+    gap = membrane.drop_mm + SHAPES[shape](membrane)
+    return gap - gap.min()
+
+
 shapes = pytest.mark.parametrize("shape", SHAPES)
 
 
@@ -57,21 +47,23 @@ shapes = pytest.mark.parametrize("shape", SHAPES)
 def test_force_is_stiffness_times_displaced_volume(shape, n_nodes):
     """The mean of the equation: bending carries nothing, E t / R^2 carries all."""
     membrane = Membrane(n_nodes=n_nodes)
-    contact = membrane.pressed(SHAPES[shape](membrane), force_n=FORCE_N)
+    contact = membrane.pressed(gap_to(shape, membrane), force_n=FORCE_N)
     w = membrane.displaced(contact.node_force_n, whole=True)
     volume_mm3 = w.sum(dtype=np.float64) * membrane.pitch_mm**2
     # Single precision.
-    assert_allclose(membrane.stiffness_n_mm3 * volume_mm3, FORCE_N, rtol=1e-5)
+    assert_allclose(0.11 * 1.5 / 20.0**2 * volume_mm3, FORCE_N, rtol=1e-5)
     assert_allclose(contact.force_n, FORCE_N, rtol=1e-5)
 
 
 def test_point_load_sinks_as_reissner_says():
     """Far from any edge w(0) = F / (8 sqrt(D E t / R^2)), a shell on its own spring."""
-    membrane = Membrane(radius_mm=20.0, thickness_mm=1.0, n_nodes=191)
+    membrane = Membrane(
+        radius_mm=20.0, thickness_mm=1.0, youngs_mpa=0.11, poisson=0.48, n_nodes=191
+    )
     force = np.zeros((191, 191), np.float32)
     force[95, 95] = FORCE_N
-    stiffness = membrane.bending_n_mm * membrane.stiffness_n_mm3
-    exact = FORCE_N / (8 * np.sqrt(stiffness))
+    bending_n_mm, spring_n_mm3 = 0.11 / (12 * (1 - 0.48**2)), 0.11 / 20.0**2
+    exact = FORCE_N / (8 * np.sqrt(bending_n_mm * spring_n_mm3))
     # A node of 0.2 mm is nearly a point beside the 2.6 mm over which a dent dies.
     assert_allclose(membrane.displaced(force)[95, 95], exact, rtol=0.01)
 
@@ -89,40 +81,23 @@ def test_dent_dies_away_over_its_reach():
 
 @shapes
 def test_dome_follows_the_object_and_never_passes_through(membrane, shape):
-    gap = SHAPES[shape](membrane)
+    """What no other forces do: it presses only where it meets, and nowhere pulls."""
+    gap = gap_to(shape, membrane)
     contact = membrane.pressed(gap, force_n=FORCE_N, tolerance_mm=1e-4)
     pressed = contact.node_force_n > 0
+    shell = membrane.displaced(contact.node_force_n)
     squeezed = contact.node_force_n * membrane.thickness_mm / membrane.youngs_mpa
-    w = contact.displacement_mm + squeezed / membrane.pitch_mm**2
-    beyond = w + gap - contact.depth_mm
+    beyond = shell + squeezed / membrane.pitch_mm**2 + gap - contact.depth_mm
+    assert_array_equal(contact.displacement_mm, shell)
     assert (contact.node_force_n >= 0).all()
     # Some steps of the tolerance: it bounds a mean, this is the worst node.
     assert_allclose(beyond[pressed], 0, atol=2e-3)
     assert beyond[~pressed & np.isfinite(gap)].min() > -2e-3
 
 
-@pytest.mark.parametrize("shape", ["plane", "ball", "ridge", "cone"])
-def test_agrees_with_a_slow_solver(shape):
-    """The same forces minimise f'Gf/2 + (gap - depth)'f over f >= 0, by nnls."""
-    membrane = Membrane(n_nodes=14)
-    gap, depth = SHAPES[shape](membrane), 3.0
-    n = membrane.n_nodes
-    units = np.eye(n * n, dtype=np.float32).reshape(-1, n, n)
-    answers = [membrane._indented(unit).ravel() for unit in units]
-    inside = np.isfinite(gap).ravel()
-    matrix = np.array(answers, dtype=np.float64)[np.ix_(inside, inside)]
-    upper = cholesky((matrix + matrix.T) / 2)
-    wanted = depth - gap.ravel()[inside]
-    slow, _ = nnls(upper, np.linalg.solve(upper.T, wanted))
-    fast = membrane.pressed(gap, depth_mm=depth, tolerance_mm=1e-4, max_steps=2000)
-    assert_allclose(fast.force_n, slow.sum(), rtol=2e-3)
-    forces_n = fast.node_force_n.ravel()[inside]
-    assert_allclose(forces_n, slow, atol=5e-3 * slow.max())
-
-
 def test_default_tolerance_is_close_to_the_converged_answer(membrane):
-    for shape in SHAPES.values():
-        gap = shape(membrane)
+    for shape in SHAPES:
+        gap = gap_to(shape, membrane)
         rough = membrane.pressed(gap, force_n=FORCE_N)
         fine = membrane.pressed(gap, force_n=FORCE_N, tolerance_mm=2e-4, max_steps=3000)
         # 0.06 mm is promised; dents here are 3 to 12 mm deep.
@@ -134,7 +109,7 @@ def test_default_tolerance_is_close_to_the_converged_answer(membrane):
 def test_flat_press_of_a_very_thin_dome_cuts_a_cap_off():
     """Without bending the dome is flat where pressed: F = (E t / R^2) pi a^4 / 4 R."""
     membrane = Membrane(thickness_mm=0.02, youngs_mpa=25.0, n_nodes=96)
-    contact = membrane.pressed(plane(membrane), force_n=FORCE_N)
+    contact = membrane.pressed(gap_to("plane", membrane), force_n=FORCE_N)
     exact = (4 * membrane.radius_mm * FORCE_N / np.pi / membrane.stiffness_n_mm3) ** (
         1 / 4
     )
@@ -144,7 +119,7 @@ def test_flat_press_of_a_very_thin_dome_cuts_a_cap_off():
 
 @shapes
 def test_more_force_more_depth_and_more_contact(membrane, shape):
-    gap = SHAPES[shape](membrane)
+    gap = gap_to(shape, membrane)
     presses = [
         membrane.pressed(gap, force_n=force, tolerance_mm=1e-3)
         for force in (0.1, 0.3, 0.9, 2.7)
@@ -158,14 +133,14 @@ def test_more_force_more_depth_and_more_contact(membrane, shape):
 
 @shapes
 def test_depth_and_force_are_one_curve(membrane, shape):
-    gap = SHAPES[shape](membrane)
+    gap = gap_to(shape, membrane)
     by_force = membrane.pressed(gap, force_n=FORCE_N, tolerance_mm=1e-3)
     by_depth = membrane.pressed(gap, depth_mm=by_force.depth_mm, tolerance_mm=1e-3)
     assert_allclose(by_depth.force_n, FORCE_N, rtol=5e-3)
 
 
 def test_whichever_comes_first_ends_the_press(membrane):
-    gap = plane(membrane)
+    gap = gap_to("plane", membrane)
     free = membrane.pressed(gap, force_n=FORCE_N)
     shallow = membrane.pressed(gap, force_n=FORCE_N, depth_mm=1.0)
     nearly = 0.95 * free.depth_mm
@@ -174,13 +149,6 @@ def test_whichever_comes_first_ends_the_press(membrane):
     assert (shallow.depth_mm, later.depth_mm) == (1.0, nearly)
     assert shallow.force_n < later.force_n < FORCE_N
     assert_allclose(never.depth_mm, free.depth_mm)
-
-
-def test_symmetric_object_gives_a_symmetric_dent(membrane):
-    w = membrane.pressed(sphere(membrane, 30.0), force_n=FORCE_N).displacement_mm
-    # The tolerance of the solver.
-    for turned in (w[::-1], w[:, ::-1], w.T):
-        assert_allclose(turned, w, atol=0.01)
 
 
 def test_one_node_in_contact_carries_the_whole_force(membrane):
@@ -196,7 +164,7 @@ def test_one_node_in_contact_carries_the_whole_force(membrane):
 
 def test_nothing_in_reach_and_no_depth_press_nothing(membrane):
     nowhere = membrane.pressed(np.full((48, 48), np.inf), force_n=FORCE_N)
-    at_once = membrane.pressed(plane(membrane), depth_mm=0.0)
+    at_once = membrane.pressed(gap_to("plane", membrane), depth_mm=0.0)
     for contact in (nowhere, at_once):
         assert (contact.force_n, contact.depth_mm, contact.area_mm2) == (0, 0, 0)
         assert_array_equal(contact.displacement_mm, 0)

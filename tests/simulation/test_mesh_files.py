@@ -47,11 +47,13 @@ def test_stl_files_of_text_are_read(saved, block, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("unit", "mm"), [("mm", 1), ("cm", 10), ("in", 25.4), ("inch", 25.4)]
+    ("unit", "mm"),
+    [("mm", 1), ("cm", 10), ("m", 1e3), ("in", 25.4), ("inch", 25.4)],
 )
-def test_units_are_converted_to_mm(saved, unit, mm):
+def test_units_are_converted_to_mm(saved, block, unit, mm):
+    block.apply_scale(1 / mm)
     size = load_mesh(saved("b.ply"), unit=unit).size_mm
-    assert_allclose(size, np.array([40, 30, 20]) * mm, rtol=1e-5)
+    assert_allclose(size, [40, 30, 20], rtol=1e-5)
 
 
 def test_labels_can_be_given(saved):
@@ -120,22 +122,18 @@ def test_what_is_no_solid_is_refused(tmp_path, lines, message):
         load_mesh(path)
 
 
-def test_metres_read_as_millimetres_are_recognised(saved, block):
-    block.apply_scale(1e-3)
-    with pytest.raises(ValueError, match=r"0\.04 mm.*in metres\? Pass unit='m'"):
-        load_mesh(saved("small.ply", block))
-    assert_allclose(load_mesh(saved("small.ply", block), unit="m").size_mm[0], 40)
-
-
-def test_millimetres_read_as_metres_are_recognised(saved):
-    with pytest.raises(ValueError, match=r"in millimetres\? Pass unit='mm'"):
-        load_mesh(saved("b.ply"), unit="m")
-
-
-def test_hopeless_size_is_refused(saved, block):
-    block.apply_scale(1e9)
-    with pytest.raises(ValueError, match="Scale it first"):
-        load_mesh(saved("huge.ply", block))
+@pytest.mark.parametrize(
+    ("scale", "unit", "message"),
+    [
+        (1e-3, "mm", r"0\.04 mm.*in metres\? Pass unit='m'"),
+        (1, "m", r"in millimetres\? Pass unit='mm'"),
+        (1e9, "mm", "Scale it first"),
+    ],
+)
+def test_a_size_in_another_unit_is_recognised(saved, block, scale, unit, message):
+    block.apply_scale(scale)
+    with pytest.raises(ValueError, match=message):
+        load_mesh(saved("b.ply"), unit=unit)
 
 
 def test_too_many_bytes_and_triangles_are_refused(saved, monkeypatch):

@@ -1,6 +1,7 @@
 """Built-in objects: closed, of plausible size, resting where they say."""
 
 import pickle
+import sys
 
 import numpy as np
 import pytest
@@ -145,6 +146,25 @@ def test_rays_meet_a_cylinder_where_geometry_says():
     assert distance[3] == np.inf
 
 
+def distances(direction):
+    placed = PlacedObject(find_object("mug"))
+    side = np.linspace(-60, 60, 25)
+    across = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    origins = placed.centre_mm + np.column_stack([across, np.zeros(len(across))])
+    return placed.distance_mm(origins - 300 * np.array(direction), direction)
+
+
+@pytest.mark.parametrize("direction", [(0, 0, -1), (0, 0.6, -0.8), (0.48, 0.64, -0.6)])
+def test_distances_are_those_of_embreex(direction, monkeypatch):
+    pytest.importorskip("embreex")
+    traced = distances(direction)
+    monkeypatch.setitem(sys.modules, "embreex.mesh_construction", None)
+    plain = distances(direction)
+    assert np.isfinite(plain).sum() > 20
+    # Single precision at 300 mm; a ray along an edge of the mesh may pass it.
+    assert np.count_nonzero(~np.isclose(plain, traced, atol=1e-3)) <= 2
+
+
 def test_sensor_axes_are_right_handed_and_look_down_as_a_map():
     down = SensorPose((0, 0, 100), (0, 0, -5))
     assert_allclose(down.axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-12)
@@ -185,12 +205,3 @@ def test_bad_places_are_refused(arguments, message):
 def test_bad_poses_are_refused():
     with pytest.raises(ValueError, match="direction must not be zero"):
         SensorPose((0, 0, 0), (0, 0, 0))
-
-
-def test_missing_package_names_the_extra(monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    fresh = SimObject("box", "box", find_object("box").build)
-    with pytest.raises(ImportError, match=r'pip install "palpate\[sim\]"'):
-        _ = fresh.mesh

@@ -1,7 +1,5 @@
 """The pressure array against closed forms, symmetries and a slow reference."""
 
-import pickle
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -19,14 +17,6 @@ FORCE_N = 4 * 9.80665
 def boussinesq(x, y, z):
     """Vertical stress per unit force at (x, y, z) below a point: 3 z³ / (2 pi R⁵)."""
     return 3 * z**3 / (2 * np.pi * (x**2 + y**2 + z**2) ** 2.5)
-
-
-def spread(image):
-    """Root mean square distance in taxels from the centroid."""
-    row, col = np.indices(image.shape)
-    weight = image / image.sum()
-    row_mean, col_mean = (weight * row).sum(), (weight * col).sum()
-    return np.sqrt((weight * ((row - row_mean) ** 2 + (col - col_mean) ** 2)).sum())
 
 
 def stress_beside_a_cell(x, y, sensing_mm, depth_mm):
@@ -58,16 +48,6 @@ def test_a_tiny_window_far_down_has_a_point_load():
     assert stress == pytest.approx(boussinesq(1.2, 2, 3), rel=1e-4)
 
 
-def test_stress_is_that_of_a_pin_as_a_point_load():
-    pin = Part("pin", np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.1)
-    array = PressureArray(cover_mm=3.0, cover_modulus_mpa=500, sensing_mm=0.1)
-    stress = array.stress_kpa(pin, Press(x_mm=1, y_mm=1, load_kgf=1))
-    offset = 2.0 * np.arange(-5, 5)
-    expected = 1e3 * 9.80665 * boussinesq(offset, offset[:, np.newaxis], 3.0)
-    # A pin of 0.2 mm is a point at 3 mm up to (0.2 / 3)² and the window likewise.
-    assert_allclose(stress, expected, rtol=5e-3)
-
-
 def test_stress_agrees_with_the_fourier_transform_of_boussinesq():
     array = PressureArray(rows=8, cols=10)
     press = Press(0.3, -0.7, 20, tilt_deg=(0.1, 0.05), roughness_um=10)
@@ -87,27 +67,6 @@ def test_stress_agrees_with_the_fourier_transform_of_boussinesq():
     expected = np.fft.ifft2(spectrum).real[:160:20, :200:20]
     # The periodic images of the transform add a few Pa to stresses of 100s of kPa.
     assert_allclose(stress, expected, atol=0.05)
-
-
-@pytest.mark.parametrize("part", find_parts(), ids=lambda part: part.name)
-def test_taxels_carry_the_whole_force_over_all_phases(part):
-    # Sixteen phases of the pitch are taxels every 0.5 mm; an array 12 mm wider than
-    # the part on either side loses next to nothing.
-    array = PressureArray(24, 30, grid_mm=0.2)
-    stresses = [
-        array.stress_kpa(part, Press(x_mm=x, y_mm=y)).sum()
-        for x in (0.05, 0.55, 1.05, 1.55)
-        for y in (0.05, 0.55, 1.05, 1.55)
-    ]
-    force_n = np.mean(stresses) * array.pitch_mm**2 / 1e3
-    # Force z³ / (R² + z²)^1.5 lies beyond R: 4e-4 of it beyond 12 mm.
-    assert force_n == pytest.approx(FORCE_N, rel=2e-3)
-
-
-def test_a_thicker_cover_spreads_and_weakens():
-    stress = [PressureArray(cover_mm=c).stress_kpa(NUT) for c in (0.3, 0.9, 2, 4)]
-    assert (np.diff([spread(image) for image in stress]) > 0).all()
-    assert (np.diff([image.max() for image in stress]) < 0).all()
 
 
 def test_a_hole_shows_under_a_thin_cover_and_fades_under_a_thick_one():
@@ -230,29 +189,6 @@ def test_a_quarter_turn_turns_the_image_clockwise(part):
     assert_allclose(turned, np.rot90(upright, -1), atol=2)
 
 
-@pytest.mark.parametrize("name", ["bar10", "bar35", HEXAGON, "square10", DISC])
-def test_a_centred_part_makes_a_symmetric_image(name):
-    image = IDEAL.stress_kpa(name)
-    assert_allclose(image, image[::-1], atol=1e-4)
-    assert_allclose(image, image[:, ::-1], atol=1e-4)
-
-
-def test_stress_is_proportional_to_the_load_of_a_level_face():
-    at_1_kgf, at_4_kgf = (
-        IDEAL.stress_kpa(NUT, Press(load_kgf=load)) for load in (1, 4)
-    )
-    assert_allclose(at_4_kgf, 4 * at_1_kgf, rtol=1e-9, atol=1e-6)
-
-
-def test_a_part_larger_than_the_array_is_cut_off_at_its_edges():
-    stress = IDEAL.stress_kpa("bar35")
-    inner = stress[4:6]
-    assert (inner > 0.4 * inner.max()).all()
-    pressure = IDEAL.contact_kpa("bar35")
-    assert pressure.any(axis=0).all()
-    assert pressure.sum() * 1e-5 == pytest.approx(FORCE_N)
-
-
 def test_stress_is_finite_and_never_pulls(rng):
     for number in range(100):
         tilt = tuple(rng.uniform(-0.3, 0.3, 2))
@@ -272,9 +208,10 @@ def test_images_have_the_shape_of_an_array_of_any_size_and_pitch():
         assert image.any()
 
 
-def test_ideal_reading_is_the_rounded_share_of_full_scale():
-    stress = IDEAL.stress_kpa(DISC)
-    assert_array_equal(IDEAL.press(DISC), np.rint(stress * 255 / 4000))
+def test_an_image_is_the_rounded_share_of_full_scale_of_what_the_taxels_sense():
+    array = PressureArray(dead_zone_kpa=0, noise_kpa=0)
+    sensed = array.stress_kpa(DISC) * array.gains
+    assert_array_equal(array.press(DISC), np.rint(sensed * 255 / 4000))
 
 
 def test_readings_saturate_at_full_scale():
@@ -292,15 +229,6 @@ def test_below_the_dead_zone_a_taxel_reads_nothing():
     assert_array_equal(image == 0, stress < 69)
 
 
-def test_a_heavy_load_widens_the_image():
-    array = PressureArray(noise_kpa=0)
-    n_pressed = [
-        np.count_nonzero(array.press(DISC, load_kgf=load)) for load in (2, 4, 8)
-    ]
-    assert n_pressed == sorted(n_pressed)
-    assert n_pressed[-1] > n_pressed[0]
-
-
 def test_gains_belong_to_the_device():
     first, again, other = (PressureArray(100, 100, random_state=s) for s in (1, 1, 2))
     assert_array_equal(first.gains, again.gains)
@@ -316,15 +244,6 @@ def test_noise_has_the_size_it_is_given():
     # 10,000 readings; rounding to 3.9 kPa adds 1.1 kPa in quadrature.
     assert image.std() * 1000 / 255 == pytest.approx(40, abs=1)
     assert image.mean() * 1000 / 255 == pytest.approx(500, abs=2)
-
-
-def test_a_device_can_be_sent_to_another_process():
-    array = PressureArray(random_state=3)
-    sent = pickle.loads(pickle.dumps(array))
-    assert sent == array
-    assert_array_equal(
-        sent.press(NUT, random_state=1), array.press(NUT, random_state=1)
-    )
 
 
 @pytest.mark.parametrize(
