@@ -20,6 +20,7 @@ from palpate.cli import record
 from palpate.library import TouchLibrary
 from palpate.recognition import Episode, ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
+from palpate.simulation import PressureArray, simulate_presses
 from palpate.web import LiveSession, PageServer, create_app
 
 from .conftest import put
@@ -28,19 +29,11 @@ from .conftest import put
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     """Discs and bars, ten each, as an archive."""
-    rng = np.random.default_rng(3)
-    row, col = np.mgrid[:12, :12]
-    images = []
-    for long in (False, True):
-        for _ in range(10):
-            y, x = rng.uniform(4, 7, size=2)
-            disc = np.hypot(row - y, col - x) < 3.2
-            bar = (abs(row - y) < 1.2) & (abs(col - x) < 4.5)
-            images.append((bar if long else disc) * 150 + rng.normal(size=(12, 12)) * 3)
-    pressed = np.rint(images).clip(0, 255).astype(np.uint8)
+    array = PressureArray(rows=12, cols=12, random_state=0)
+    pressed = simulate_presses(["disc13", "bar10"], 10, array=array, random_state=3)
     path = tmp_path_factory.mktemp("recording") / "touches.npz"
-    labels = ["disc"] * 10 + ["bar"] * 10
-    Touches(pressed, object=labels, geometry="array").save(path)
+    names = ["disc"] * 10 + ["bar"] * 10
+    Touches(pressed.images, object=names, geometry="array").save(path)
     return path
 
 
