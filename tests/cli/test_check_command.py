@@ -209,30 +209,29 @@ def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(
     assert "none" in answer["problem"]
 
 
-def test_the_sheet_shows_touches_of_each_object_and_what_is_odd_about_them(
-    palpate, odd, tmp_path
+def test_the_page_shows_touches_of_each_object_what_is_odd_and_what_is_bad(
+    palpate, tmp_path
 ):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
-    shutil.copy(odd / "mug" / "001.png", odd / "mug" / "9.png")
-    put(odd / "pen" / "flat.png", np.full((10, 12), 7))
+    root, report = put_each(tmp_path / "set", 6), tmp_path / "check.html"
+    shutil.copy(root / "mug" / "0.png", root / "mug" / "9.png")
+    put(root / "pen" / "flat.png", np.full((10, 12), 7))
     exif = Image.Exif()
     exif[0x0112] = 6  # as large as the others once it is upright
-    put(odd / "pen" / "turned.png", 200 * np.eye(12, 10), exif=exif)
-    (odd / "notes.txt").write_text("hello")
-    report = tmp_path / "check.html"
-    notes = palpate.answer("check", odd, "--report", report, code=1)["notes"]
-    assert "1 file of .txt left alone (notes.txt)" in notes
+    put(root / "pen" / "turned.png", 200 * np.eye(12, 10), exif=exif)
+    (root / "notes.txt").write_text("hello")
+    lines = palpate.printed("check", root, "--report", report).splitlines()
+    assert "Note: 1 file of .txt left alone (notes.txt)." in lines
+    assert lines[-1] == str(report)
     page = report.read_text()
     assert page.count("<img alt='touch") == 15
-    assert "title='mug/001.png'" in page
-    for odd_one in (
-        "turned.png<br>turned upright",
-        "flat.png<br>flat",
-        "9.png<br>a copy",
-    ):
-        assert odd_one in page
-    assert "pen/004.png" in page
+    assert "title='mug/0.png'" in page
+    for name, odd in (("turned", "turned upright"), ("flat", "flat"), ("9", "a copy")):
+        assert f"{name}.png<br>{odd}" in page
     assert "http" not in page.replace("http-equiv", "")
+    put(root / "pen" / "bad.png").write_text("hello")
+    palpate.answer("check", root, "--report", report, code=1)
+    assert "pen/bad.png" in report.read_text()
 
 
 def test_brightness_that_tells_objects_apart_by_itself_is_reported(palpate, tmp_path):

@@ -149,6 +149,7 @@ REFUSED = {
         ("sim:bar10?shape=4x4", 2, "10 x 10, got 4 x 4. Leave --shape out."),
         ("sim:mug?rate=3 --rate 4", 2, "in 'sim:mug?rate=3' and --rate 4.0 contradict"),
         ("serial:/dev/x", 2, "or --shape 16x16; --shape auto listens to it."),
+        ("serial:x?checksum=no --checksum", 2, "checksum=no in 'serial:x?checksum=no'"),
         ("serial:/dev/nowhere --shape 4x4", 1, "cannot be opened"),
         ("camera:/dev/nowhere", 1, "no camera at"),
         ("sim:mug -n 0", 1, "--touches must be at least 1, got 0"),
