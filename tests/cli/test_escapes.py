@@ -15,7 +15,14 @@ from palpate.cli import serve
 from palpate.cli.sensor import need_baseline
 from palpate.library import TouchLibrary
 from palpate.sensors import ContactError
-from palpate.touches import png_bytes
+
+from .conftest import put_each
+
+CLEAR = "\x1b]0;owned\x07\x1b[2J\x9b31m"
+
+
+def assert_harmless(output):
+    assert not {"\x1b", "\x07", "\x9b"} & {*output}, repr(output)
 
 
 def test_escapes_in_texts_of_a_library_are_shown(palpate, tmp_path):
@@ -24,29 +31,15 @@ def test_escapes_in_texts_of_a_library_are_shown(palpate, tmp_path):
         library.add(Touches(images, session=["\x1b[2J", "b"], object=["pen", "cup"]))
         key = library.list()[0].id
     for arguments in (["list", tmp_path], ["show", tmp_path, key]):
-        result = palpate("library", *arguments)
-        assert result.returncode == 0
-        assert "\x1b[2J" not in result.stdout
-        assert r"\x1b[2J" in result.stdout
-
-
-def pictures(folder, names):
-    """Write drawn pictures under these names."""
-    rng = np.random.default_rng(0)
-    for name in names:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(png_bytes(rng.integers(0, 255, (12, 12), dtype=np.uint8)))
-
-
-CLEAR = "\x1b]0;owned\x07\x1b[2J\x9b31m"
+        printed = palpate.printed("library", *arguments)
+        assert_harmless(printed)
+        assert r"\x1b[2J" in printed
 
 
 def test_escapes_in_names_of_files_are_shown(palpate, tmp_path):
     """They are visible text in results, refusals and warnings, on both outputs."""
     folder, model = tmp_path / f"things{CLEAR}", tmp_path / "m.palpate"
-    names = [f"{o}{CLEAR}/{n}.png" for o in ("mug", "pen") for n in range(6)]
-    pictures(folder, names)
+    put_each(folder, 6, [f"mug{CLEAR}", f"pen{CLEAR}"])
     commands = [
         ["learn", folder, "-o", model, "--preset", "liu2014"],
         ["recognise", model, folder],
@@ -54,16 +47,13 @@ def test_escapes_in_names_of_files_are_shown(palpate, tmp_path):
         ["learn", folder / "nothing", "-o", model],
         ["evaluate", "--train", folder, "--test", folder, "--preset", "liu2014"],
     ]
-    outputs = []
-    for arguments in commands:
-        result = palpate(*arguments)
-        outputs.append(result.stdout + result.stderr)
-    (folder / names[0]).write_bytes(b"no picture")
+    results = [palpate(*arguments) for arguments in commands]
+    (folder / f"mug{CLEAR}" / "0.png").write_bytes(b"no picture")
     for arguments in (commands[0], [*commands[0], "--skip-bad"], commands[2]):
-        result = palpate(*arguments)
-        outputs.append(result.stdout + result.stderr)
+        results.append(palpate(*arguments))
+    outputs = [result.stdout + result.stderr for result in results]
     for output in outputs:
-        assert not {"\x1b", "\x07", "\x9b"} & {*output}, repr(output)
+        assert_harmless(output)
     assert sum(r"\x1b[2J" in output for output in outputs) >= 6
 
 
@@ -106,7 +96,7 @@ def test_wrong_usage_shows_what_was_typed(palpate, tmp_path, arguments, as_json)
     result = palpate(*arguments, *["--json"] * as_json, cwd=tmp_path)
     assert result.returncode in (1, 2)
     printed = result.stdout + result.stderr
-    assert not {"\x1b", "\x07", "\x9b"} & {*printed}, repr(printed)
+    assert_harmless(printed)
     assert "owned" in printed
 
 
@@ -115,7 +105,7 @@ def test_escapes_in_the_address_of_a_server_are_shown(monkeypatch, capsys):
     serve._say_where(CLEAR, 80, CLEAR, as_json=False)
     printed = capsys.readouterr()
     for output in (printed.out, printed.err):
-        assert not {"\x1b", "\x07", "\x9b"} & {*output}, repr(output)
+        assert_harmless(output)
         assert r"\x1b[2J" in output
 
 
@@ -135,7 +125,7 @@ def test_escapes_in_what_a_sensor_says_of_itself_are_shown(monkeypatch, capsys):
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     need_baseline(session)
     printed = capsys.readouterr().err
-    assert not {"\x1b", "\x07", "\x9b"} & {*printed}, repr(printed)
+    assert_harmless(printed)
     assert printed.count(r"\x1b[2J") == 2
 
 

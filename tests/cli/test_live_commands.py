@@ -20,25 +20,20 @@ from palpate.cli import record
 from palpate.library import TouchLibrary
 from palpate.recognition import Episode, ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
+from palpate.simulation import PressureArray, simulate_presses
 from palpate.web import LiveSession, PageServer, create_app
+
+from .conftest import put
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     """Discs and bars, ten each, as an archive."""
-    rng = np.random.default_rng(3)
-    row, col = np.mgrid[:12, :12]
-    images = []
-    for long in (False, True):
-        for _ in range(10):
-            y, x = rng.uniform(4, 7, size=2)
-            disc = np.hypot(row - y, col - x) < 3.2
-            bar = (abs(row - y) < 1.2) & (abs(col - x) < 4.5)
-            images.append((bar if long else disc) * 150 + rng.normal(size=(12, 12)) * 3)
-    pressed = np.rint(images).clip(0, 255).astype(np.uint8)
+    array = PressureArray(rows=12, cols=12, random_state=0)
+    pressed = simulate_presses(["disc13", "bar10"], 10, array=array, random_state=3)
     path = tmp_path_factory.mktemp("recording") / "touches.npz"
-    labels = ["disc"] * 10 + ["bar"] * 10
-    Touches(pressed, object=labels, geometry="array").save(path)
+    names = ["disc"] * 10 + ["bar"] * 10
+    Touches(pressed.images, object=names, geometry="array").save(path)
     return path
 
 
@@ -54,11 +49,18 @@ def replay(recording):
     return ["--sensor", f"replay:{recording}", "--rate", "200", "--hold", "3"]
 
 
+@pytest.fixture
+def served(monkeypatch):
+    """Let servers end at once."""
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
+    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
+
+
 def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_path):
     library, archive = tmp_path / "library", tmp_path / "bar.npz"
     result = palpate(
         *["record", "bar", *replay, "--gap", "3", "--place", "bar", "-n", "4"],
-        *["--library", str(library), "-o", str(archive), "--json"],
+        *["--library", library, "-o", archive, "--json"],
     )
     assert json.loads(result.stdout) == {
         "object": "bar",
@@ -72,18 +74,11 @@ def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_p
     assert "touch 4 of 4" in result.stderr
 
 
-def test_the_address_of_a_sensor_may_hold_its_options(palpate, recording, tmp_path):
-    address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
-    words = ["record", "bar", "--sensor", address, "-n", "3", "--rate", "200"]
-    assert palpate.answer(*words, "--library", tmp_path / "l")["touches"] == 3
-
-
 def test_touches_of_a_running_sensor_are_added(palpate, recording, tmp_path):
     address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
-    words = ["--object", "bar", "-n", "3", "--session", "monday", "--json"]
-    result = palpate("library", "add", tmp_path / "lab", address, *words)
-    assert result.returncode == 0, result.stderr
-    assert json.loads(result.stdout)["added"] == 3
+    words = ["--object", "bar", "-n", "3", "--session", "monday"]
+    added = palpate.answer("library", "add", tmp_path / "lab", address, *words)
+    assert added == {"library": str(tmp_path / "lab"), "given": 3, "added": 3}
     with TouchLibrary.open(tmp_path / "lab") as library:
         rows = library.list()
     assert [(row.object, row.session) for row in rows] == [("bar", "monday")] * 3
@@ -146,73 +141,23 @@ def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path)
     assert done.stdout == f"3 touches of disc in {tmp_path / 'lab'}.\n"
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["-n", "0"], "--touches must be at least 1, got 0"),
-        (["-n", "1001"], "--touches must be at most 1000, got 1001"),
-        (["-n", "1", "--sessions", "2"], "--touches must be at least one for each of"),
-        (["--timeout", "inf"], "--timeout must be finite and between 0"),
-        (["--timeout", "nan"], "--timeout must be finite and between 0"),
-    ],
-)
-def test_what_record_cannot_do_is_said_first(
-    options, message, palpate, replay, tmp_path
-):
-    library = tmp_path / "lab"
-    done = palpate.refusal("record", "bar", *replay, "--library", library, *options)
-    assert message in done
-    assert not library.exists()
-    if len(options) == 2 and "-n" in options:
-        done = palpate("library", "add", library, replay[1], "--object", "x", *options)
-        assert message in done.stderr
-        assert not library.exists()
-
-
-@pytest.mark.parametrize(
-    ("option", "message"),
-    [
-        ("--episodes=-1", "--episodes must be at least 0, got -1"),
-        ("--touches=0", "--touches must be at least 1, got 0"),
-        ("--timeout=inf", "--timeout must be finite and between 0"),
-    ],
-)
-def test_numbers_that_live_cannot_keep_are_refused(option, message, palpate, model):
-    assert message in palpate.refusal("live", model, "--sensor", "sim:bar10", option)
-
-
 def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
-    result = palpate(
-        "live", str(model), *replay, "--gap", "3", "--place", "bar", "-n", "6"
-    )
-    assert result.returncode == 0
-    assert "touch   1" in result.stdout
-    result = palpate(
-        *["live", str(model), *replay, "--gap", "3", "--place", "disc", "-n", "5"],
-        *["--episodes", "2", "--json"],
-    )
-    episodes = json.loads(result.stdout)["episodes"]
+    words = ["live", model, *replay, "--gap", "3", "--place"]
+    assert "touch   1" in palpate.printed(*words, "bar", "-n", "6")
+    answer = palpate.answer(*words, "disc", "-n", "5", "--episodes", "2")
+    episodes = answer["episodes"]
     assert [episode["number"] for episode in episodes] == [1, 2]
     for episode in episodes:
         assert episode["best"] == "disc"
         assert 1 <= len(episode["touches"]) <= 5
 
 
-def test_live_warns_of_a_camera_that_changes_its_exposure(
-    palpate, replay, model, monkeypatch
-):
-    warning = "does not keep exposure fixed"
-    monkeypatch.setattr("palpate.sensors.LiveSensor.unfixed", warning)
-    words = ["live", model, *replay, "--gap", "3", "--place", "bar", "-n", "1"]
-    assert warning in palpate(*words).stderr
-
-
 LEVELS = "--error", "0.02", "--refusal", "0.3"
 
 
 def test_live_decides_at_the_refusal_asked_for(palpate, replay, model, error_shares):
-    words = ["live", model, *replay, "--gap", "3", "-n", "2", *LEVELS, "--json"]
-    (episode,) = json.loads(palpate(*words).stdout)["episodes"]
+    words = ["live", model, *replay, "--gap", "3", "-n", "2", *LEVELS]
+    (episode,) = palpate.answer(*words)["episodes"]
     assert (episode["error"], episode["refusal"]) == (0.02, 0.3)
     # A model that is read is tried first, at the usual error.
     assert error_shares - {(0.01, None)} == {(0.02, 0.3)}
@@ -229,61 +174,10 @@ def test_serve_decides_at_the_refusal_asked_for(
         episodes.append(app.state.session.post_touch(touches.images[0]))
 
     monkeypatch.setattr(PageServer, "run", run)
-    assert palpate("serve", "--model", model, "--port", "0", *LEVELS).returncode == 0
-    assert [(episode["error"], episode["refusal"]) for episode in episodes] == [
-        (0.02, 0.3)
-    ]
+    palpate.printed("serve", "--model", model, "--port", "0", *LEVELS)
+    (episode,) = episodes
+    assert (episode["error"], episode["refusal"]) == (0.02, 0.3)
     assert error_shares == {(0.02, 0.3)}
-
-
-def test_a_model_of_colours_is_refused_with_a_grey_sensor(
-    palpate, replay, recording, tmp_path
-):
-    grey, model = Touches.load(recording), tmp_path / "model.palpate"
-    colour = np.stack([grey.images] * 3, axis=-1)
-    touches = Touches(colour, object=grey.object, channels=["r", "g", "b"])
-    ObjectRecogniser().fit(touches).save(model)
-    message = " ".join(palpate.refusal("live", model, *replay).split())
-    assert "of images of 12 x 12 taxels in grey" in message
-    assert "got one of 12 x 12 taxels in colour" in message
-    assert "with colour=1" in message
-    assert "Traceback" not in message
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--sensor", "replay:/nowhere.npz"], "nowhere.npz"),
-        (["--sensor", "sim:unicorn"], "'mug'"),
-        (["--sensor", "serial:/dev/nowhere"], "--shape 16x16"),
-        (["--sensor", "serial:/dev/nowhere", "--shape", "4x4"], "cannot be opened"),
-        (["--sensor", "camera:/dev/nowhere"], "no camera at"),
-        (
-            ["--sensor", "sim:mug", "--baud", "9600"],
-            "must be left out: a sim sensor has none",
-        ),
-        (
-            ["--sensor", "sim:mug", "--colour"],
-            "--colour must be left out: a sim sensor",
-        ),
-        (["--sensor", "camera:0?colour=0", "--colour"], "colour=no in 'camera:0?col"),
-        (["--sensor", "sim:mug", "--shape", "big"], "rows x columns"),
-        (["--sensor", "sim:mug?speed=3"], "'speed' is no option"),
-        (["--sensor", "sim:mug?rate=3&rate=3"], "rate must be given once"),
-        (["--sensor", "sim:mug?rate=3", "--rate", "4"], "rate=3.0 in 'sim:mug?rate=3'"),
-        (["--sensor", "sim:mug?rate=3", "--rate", "4"], "--rate 4.0 contradict"),
-        (["--sensor", "serial:x?checksum=no", "--checksum"], "checksum=no in"),
-        (["--sensor", "telepathy"], "camera:NAME"),
-    ],
-)
-def test_a_wrong_option_of_a_sensor_is_refused_in_one_sentence(
-    palpate, monkeypatch, tmp_path, words, message
-):
-    monkeypatch.setenv("COLUMNS", "200")
-    result = palpate("record", "x", *words, "--library", tmp_path / "library")
-    assert result.returncode in (1, 2)
-    assert message in result.stderr
-    assert "Traceback" not in result.stderr
 
 
 def test_serve_prints_an_address_that_opens_and_ends_by_ctrl_c():
@@ -305,29 +199,6 @@ def test_serve_prints_an_address_that_opens_and_ends_by_ctrl_c():
     out, err = process.communicate(timeout=20)
     assert out == ""
     assert server["token"] not in err
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--sensor", "camera:/dev/nowhere"], "no camera at"),
-        (["--sensor", "serial:/dev/nowhere", "--shape", "4x4"], "cannot be opened"),
-        (["--sensor", "sim:mug", "--port", "99999"], "0 to 65535, got 99999"),
-        (["--sensor", "sim:mug", "--port", "-1"], "0 to 65535, got -1"),
-        (["--sensor", "sim:bar10", "--shape", "4x4"], "10 x 10, got 4 x 4"),
-        (["--sensor", "serial:/dev/x", "--rate", "9"], "--rate must be left out"),
-    ],
-)
-def test_serve_says_what_is_wrong_before_it_gives_an_address(
-    palpate, monkeypatch, tmp_path, words, message
-):
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
-    result = palpate("serve", "--library", tmp_path / "l", "--port=0", *words)
-    assert result.returncode in (1, 2)
-    assert message in result.stderr
-    assert "Open http" not in result.stdout
-    assert not (tmp_path / "l").exists()
 
 
 def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, model):
@@ -369,15 +240,6 @@ def test_a_name_with_blanks_is_recorded_and_written(palpate, replay, tmp_path):
     assert Touches.load(tmp_path / "cup.npz").object.tolist() == ["tea cup"] * 2
 
 
-@pytest.mark.parametrize("name", [" ", "unknown", "x" * 100])
-def test_a_name_that_cannot_be_kept_is_refused_before_anything_is_done(
-    palpate, replay, tmp_path, name
-):
-    words = ["record", name, *replay, "--library", tmp_path / "l"]
-    assert palpate.refusal(*words).startswith("palpate: The name of an object must")
-    assert not (tmp_path / "l").exists()
-
-
 def test_a_report_of_a_sensor_that_reads_nothing_is_written(
     palpate, tmp_path, monkeypatch
 ):
@@ -403,7 +265,7 @@ def test_a_model_learnt_of_a_library_knows_its_touches_and_sensor(
         ids = library.add(recorded)
         library.add(recorded[:5].with_columns(object=["lone"] * 5))
     where = "object != lone"
-    assert palpate("learn", folder, "--where", where, "-o", model).returncode == 0
+    palpate.printed("learn", folder, "--where", where, "-o", model)
     learnt = ObjectRecogniser.load(model)
     assert learnt.memory_.touch_ids.tolist() == ids
     memory = SensorMemory.from_dict(learnt.memory_.sensor)
@@ -419,7 +281,7 @@ def test_a_model_learnt_of_a_library_knows_its_touches_and_sensor(
     assert "At rest the sensor differs" in warning
     more = tmp_path / "more.palpate"
     words = ["learn", folder, "--where", "object = lone", "-o", more]
-    assert palpate(*words, "--extend", model).returncode == 0
+    palpate.printed(*words, "--extend", model)
     extended = ObjectRecogniser.load(more)
     assert extended.memory_.touch_ids[:20].tolist() == ids
     lone = extended.memory_.touch_ids[extended.memory_.labels == "lone"].tolist()
@@ -427,9 +289,7 @@ def test_a_model_learnt_of_a_library_knows_its_touches_and_sensor(
     assert (extended.memory_.sensor["no_contact"] == zero).all()
 
 
-def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
-    pytest.importorskip("fastapi", reason='needs the extra "web"')
-    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
+def test_serve_warns_when_it_listens_to_the_network(palpate, served):
     result = palpate("serve", "--port", "0", "--host", "0.0.0.0")
     starting, address, code = result.stdout.split("\n", 2)
     assert starting == "Starting; the address follows."
@@ -442,9 +302,7 @@ def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
     assert "█" not in quiet.stdout
 
 
-def test_the_address_is_drawn_as_a_code_that_phones_read(palpate, monkeypatch):
-    pytest.importorskip("fastapi", reason='needs the extra "web"')
-    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
+def test_the_address_is_drawn_as_a_code_that_phones_read(palpate, served):
     halves = {" ": (0, 0), "▄": (0, 1), "▀": (1, 0), "█": (1, 1)}
     codes = set()
     for _ in range(3):  # OpenCV's reader misses about 1 % of faultless codes
@@ -458,14 +316,13 @@ def test_the_address_is_drawn_as_a_code_that_phones_read(palpate, monkeypatch):
     assert codes != {""}
 
 
-def test_the_token_is_the_one_that_was_chosen_or_kept(palpate, monkeypatch, tmp_path):
-    pytest.importorskip("fastapi", reason='needs the extra "web"')
-    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
-
+def test_the_token_is_the_one_that_was_chosen_or_kept(
+    palpate, monkeypatch, served, tmp_path
+):
     def token_of(words):
-        return json.loads(palpate(*words).stdout)["token"]
+        return palpate.answer(*words)["token"]
 
-    words = ["serve", "--port", "0", "--json"]
+    words = ["serve", "--port", "0"]
     kept = [*words, "--library", tmp_path / "l"]
     assert token_of(kept) == token_of(kept)
     assert token_of(words) != token_of(words)
@@ -498,7 +355,6 @@ def test_record_in_two_mountings_makes_two_sessions(
         *["record", "bar", *replay, "--gap", "40", "--place", "bar", "-n", "4"],
         *[*words, "-o", archive],
     )
-    assert result.returncode == 0, result.stderr
     assert "Lift the sensor and place it again" in result.stderr
     names, counts = np.unique(Touches.load(archive).session, return_counts=True)
     assert counts.tolist() == [2, 2]
@@ -506,18 +362,21 @@ def test_record_in_two_mountings_makes_two_sessions(
     assert sum("placed again" in name for name in names) == 1
 
 
-def test_a_simulated_array_is_reported_as_healthy(palpate, tmp_path):
-    page = tmp_path / "health.html"
-    result = palpate(
-        *("sensor", "check", "--sensor", "sim:bar10?gap=9000&rate=100"),
-        *("--seconds", "1", "--report", page, "--json"),
-    )
+def frames_of_a_check(palpate, address, page):
+    """Check a sensor for a second; return of how many frames that found nothing."""
+    words = ("sensor", "check", "--sensor", address, "--seconds", "1")
+    result = palpate(*words, "--report", page, "--json")
     answer = json.loads(result.stdout)
     # The machine may hold frames up; nothing else can be wrong with it.
     held_up = [s for s in answer["findings"] if "One frame" in s or "lost" in s]
     assert answer["findings"] == held_up
     assert result.returncode == (1 if held_up else 0)
-    assert answer["figures"]["frames"] > 24
+    return answer["figures"]["frames"]
+
+
+def test_a_simulated_array_is_reported_as_healthy(palpate, tmp_path):
+    page = tmp_path / "health.html"
+    assert frames_of_a_check(palpate, "sim:bar10?gap=9000&rate=100", page) > 24
     assert "drift" in page.read_text()
     assert "http" not in page.read_text().replace("http-equiv", "")
 
@@ -528,25 +387,17 @@ def test_channels_that_are_no_colours_and_a_dead_taxel_are_reported(palpate, tmp
     images[:, 0, 0] = np.nan
     about = {"channels": ["shear", "force"], "geometry": "array"}
     Touches(images, no_contact=images[0], **about).save(tmp_path / "pad.npz")
-    address = f"replay:{tmp_path / 'pad.npz'}?rate=100&hold=1"
-    watch = "sensor", "check", "--sensor", address, "--seconds", "0.6"
-    assert palpate.answer(*watch, "--report", page)["figures"]["frames"] > 24
+    address = f"replay:{tmp_path / 'pad.npz'}?rate=100&gap=9000"
+    assert frames_of_a_check(palpate, address, page) > 24
     assert "rest" in page.read_text()
     assert "nan" not in page.read_text()
 
 
 def test_a_touched_sensor_is_not_reported_as_healthy(palpate):
-    result = palpate(
-        "sensor", "check", "--sensor", "sim:bar10?rate=100", "--seconds", "1"
-    )
+    words = ("sensor", "check", "--sensor", "sim:bar10?rate=100", "--seconds", "1")
+    result = palpate(*words)
     assert result.returncode == 1
     assert "touch" in result.stdout.splitlines()[0]
-
-
-def test_reports_and_seconds_are_checked(palpate, tmp_path):
-    sensor = ("sensor", "check", "--sensor", "sim:bar10")
-    assert "must end in .html" in palpate(*sensor, "--report", "x.pdf").stderr
-    assert "seconds must be" in palpate(*sensor, "--seconds", "0").stderr
 
 
 def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tmp_path):
@@ -565,11 +416,9 @@ def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tm
 
 
 def test_a_library_that_is_served_already_is_named_with_its_address(
-    palpate, monkeypatch, tmp_path
+    palpate, served, tmp_path
 ):
-    pytest.importorskip("fastapi", reason='needs the extra "web"')
     pytest.importorskip("fcntl", reason="Windows keeps no two servers apart")
-    monkeypatch.setattr(PageServer, "run", lambda server, app: None)
     library = tmp_path / "desk"
     words = ["serve", "--library", library, "--json"]
     with closing(PageServer()) as taken:
@@ -581,16 +430,14 @@ def test_a_library_that_is_served_already_is_named_with_its_address(
     app = create_app(LiveSession(), "token")
     with PageServer(library=library).running(app, log_level="error") as address:
         beside = palpate(*words, "--port", "0")
-        assert beside.returncode == 0
         message = f"{library} is served already, at {address}"
         assert message in beside.stderr
         assert json.loads(beside.stdout)["address"]
         with closing(PageServer()) as taken:
             port = urlsplit(taken.address).port
-            refused = palpate(*words, "--port", port)
-        assert refused.returncode == 1
-        assert message in refused.stderr
-        assert f"port {port}" in refused.stderr
+            refused = palpate.refusal(*words, "--port", port)
+        assert message in refused
+        assert f"port {port}" in refused
     assert palpate(*words, "--port", "0").stderr == ""
 
 
@@ -625,38 +472,30 @@ def test_ctrl_c_says_what_is_kept(palpate, monkeypatch, recording, tmp_path):
     assert f"and {report} is as it was." in stopped(*words, "--report", report)
     assert report.read_text() == "before"
     assert "no file is half written" in stopped("check", tmp_path)
-    result = palpate("serve", "--port", "0", "--library", tmp_path / "desk")
-    assert result.returncode == 130
-    assert f"What was taught is kept in {tmp_path / 'desk'}." in result.stderr
+    words = ["serve", "--port", "0", "--library", tmp_path / "desk"]
+    kept = f"What was taught is kept in {tmp_path / 'desk'}."
+    assert kept in palpate.refusal(*words, code=130)
 
 
+@pytest.mark.parametrize("words", [["serve"], ["record", "mug"]], ids=" ".join)
 def test_a_bad_picture_of_a_replay_names_the_command_that_lists_all(
-    palpate, monkeypatch, tmp_path
+    palpate, tmp_path, words
 ):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
-    bad = tmp_path / "touches" / "mug" / "1.png"
-    bad.parent.mkdir(parents=True)
-    bad.write_text("no picture")
-    for verb in ("serve", "record"):
-        words = [verb, *["mug"] * (verb == "record"), "--library", tmp_path / "l"]
-        result = palpate.refusal(
-            *words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9"
-        )
-        assert "mug/1.png" in result
-        assert f"`palpate check {tmp_path / 'touches'}` lists all" in result
-    absent = palpate("serve", "--sensor", f"replay:{tmp_path / 'nowhere'}")
-    assert "palpate check" not in absent.stderr
+    put(tmp_path / "touches" / "mug" / "1.png").write_text("no picture")
+    words = [*words, "--library", tmp_path / "l", "--sensor"]
+    result = palpate.refusal(*words, f"replay:{tmp_path / 'touches'}?rate=9")
+    assert "mug/1.png" in result
+    assert f"`palpate check {tmp_path / 'touches'}` lists all" in result
+    absent = palpate.refusal(*words, f"replay:{tmp_path / 'nowhere'}")
+    assert "palpate check" not in absent
 
 
 def test_a_replay_without_rest_does_not_call_its_pictures_wrong(palpate, tmp_path, rng):
     for number, name in enumerate(["mug", "pen"] * 4):
-        path = tmp_path / "touches" / name / f"{number}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        picture = rng.integers(0, 255, (80, 90), np.uint8)
-        path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-    words = ["record", "mug", "--library", tmp_path / "l"]
-    result = palpate.refusal(
-        *words, "--sensor", f"replay:{tmp_path / 'touches'}?rate=9"
-    )
+        picture = rng.integers(0, 255, (80, 90))
+        put(tmp_path / "touches" / name / f"{number}.png", picture)
+    words = ["record", "mug", "--library", tmp_path / "l", "--sensor"]
+    result = palpate.refusal(*words, f"replay:{tmp_path / 'touches'}?rate=9")
     assert "must show what touching nothing looks like" in result
     assert "palpate check" not in result

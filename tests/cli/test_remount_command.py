@@ -41,10 +41,8 @@ def remounted(palpate, files):
     """Return what `palpate remount` prints of a file of touches."""
 
     def remount(touches, *options):
-        model, output = files / "m.palpate", files / "o.palpate"
-        result = palpate("remount", model, files / touches, "-o", output, *options)
-        assert result.returncode == 0, result.stderr
-        return result.stdout
+        words = ("remount", files / "m.palpate", files / touches)
+        return palpate.printed(*words, "-o", files / "o.palpate", *options)
 
     return remount
 
@@ -113,17 +111,17 @@ def test_remount_says_that_one_object_is_trusted_in_part(
     printed = remounted("one.npz")
     assert "By their labels, 1 touch tells what" in printed
     assert "tell of the others 25 % is believed, as rehearsed sessions" in printed
-    again = palpate("recognise", files / "o.palpate", files / "tue.npz")
-    assert "a few touches more, with labels; see palpate remount." in again.stdout
+    again = palpate.printed("recognise", files / "o.palpate", files / "tue.npz")
+    assert "a few touches more, with labels; see palpate remount." in again
 
 
 def test_recognise_warns_of_another_mounting(palpate, files):
     model = files / "m.palpate"
-    warned = palpate("recognise", model, files / "tue.npz")
-    assert "see palpate remount" in warned.stdout
-    assert OTHER_SESSION in warned.stdout
-    calm = palpate("recognise", model, files / "mon.npz")
-    assert "palpate remount" not in calm.stdout
+    warned = palpate.printed("recognise", model, files / "tue.npz")
+    assert "see palpate remount" in warned
+    assert OTHER_SESSION in warned
+    calm = palpate.printed("recognise", model, files / "mon.npz")
+    assert "palpate remount" not in calm
     answer = palpate.answer("recognise", model, files / "tue.npz")
     assert answer["mounting"]["changed"]
     assert all(OTHER_SESSION in episode["why"] for episode in answer["episodes"])
@@ -134,14 +132,9 @@ def test_nuisance_is_learnt_from_other_objects(palpate, files):
     renamed = Touches.concatenate(days)
     names = np.char.add("other ", renamed.object)
     renamed.with_columns(object=names).save(files / "others.npz")
-    model, out = files / "m.palpate", files / "n.palpate"
-    learnt = palpate.answer(
-        "sensor", "learn-nuisance", model, files / "others.npz", "-o", out
-    )
-    assert learnt["n_differences"] == 24
-    few = palpate.refusal(
-        "sensor", "learn-nuisance", model, files / "tue.npz", "-o", out
-    )
+    learn = ("sensor", "learn-nuisance", files / "m.palpate", "-o", files / "n.palpate")
+    assert palpate.answer(*learn, files / "others.npz")["n_differences"] == 24
+    few = palpate.refusal(*learn, files / "tue.npz")
     assert "at least 20 things in several sessions" in few
 
 
@@ -149,9 +142,9 @@ def test_learn_and_evaluate_say_what_to_expect_of_another_day(palpate, files):
     both = files / "both.npz"
     days = [visited(0, 6, 0, "mon"), visited(MOVE, 6, 1, "tue")]
     Touches.concatenate(days).save(both)
-    learnt = palpate("learn", both, "-o", files / "two.palpate")
-    assert "Taught in 2 sessions an object: expect" in learnt.stdout
-    monday = palpate("learn", files / "mon.npz", "-o", files / "one.palpate")
-    assert "Taught in 1 session an object, and none in two" in monday.stdout
+    learnt = palpate.printed("learn", both, "-o", files / "two.palpate")
+    assert "Taught in 2 sessions an object: expect" in learnt
+    monday = palpate.printed("learn", files / "mon.npz", "-o", files / "one.palpate")
+    assert "Taught in 1 session an object, and none in two" in monday
     split = ["--split", "session", "--touches", "1", "--remount", "recentre"]
     assert palpate.answer("evaluate", "--train", both, *split)["remount"] == "recentre"

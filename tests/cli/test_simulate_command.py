@@ -1,9 +1,8 @@
-"""`palpate simulate array` from outside: archives, repeatability, refusals."""
-
-import json
+"""`palpate simulate` from outside: archives, repeatability, units."""
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
@@ -11,29 +10,33 @@ from palpate.simulation import simulate_presses
 
 
 @pytest.fixture
-def simulate(palpate):
-    def run(*arguments, cwd=None):
-        return palpate("simulate", "array", *arguments, cwd=cwd)
+def simulate(palpate, tmp_path):
+    """Return a function that simulates into a file, and reads its touches."""
 
-    return run
+    def touches(name, *words):
+        path = tmp_path / f"{name}.npz"
+        palpate.printed("simulate", *words, "-o", path, cwd=tmp_path)
+        return Touches.load(path)
+
+    return touches
 
 
-def test_all_parts_as_the_library_presses_them(simulate, tmp_path):
+def test_all_parts_as_the_library_presses_them(palpate, tmp_path):
     path = tmp_path / "t.npz"
-    result = simulate("-o", path, "--presses", 2, "--seed", 5, "--json")
-    assert result.returncode == 0, result.stderr
-    answer = json.loads(result.stdout)
-    assert answer["touches"] == str(path)
-    assert answer["n_touches"] == 24
-    assert len(answer["objects"]) == 12
-    touches = Touches.load(path)
+    words = ("simulate", "array", "-o", path, "--presses", 2, "--seed", 5)
     expected = simulate_presses(n_presses=2, random_state=5)
+    assert palpate.answer(*words) == {
+        "touches": str(path),
+        "n_touches": 24,
+        "objects": list(dict.fromkeys(expected.object)),
+    }
+    touches = Touches.load(path)
     assert_array_equal(touches.images, expected.images)
     assert_array_equal(touches.object, expected.object)
     assert touches.geometry == "array"
 
 
-def test_every_option_reaches_the_press(simulate, tmp_path):
+def test_every_option_reaches_the_press(palpate, tmp_path):
     path = tmp_path / "t.npz"
     options = {
         "--presses": 4, "--rows": 12, "--cols": 16, "--pitch": 1.5, "--load": "1:5",
@@ -41,9 +44,8 @@ def test_every_option_reaches_the_press(simulate, tmp_path):
         "--noise": 0, "--gain-spread": 0, "--dead-zone": 0, "--full-scale": 3000,
     }  # fmt: skip
     words = [part for pair in options.items() for part in pair]
-    result = simulate("disc13", 8, "-o", path, *words)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.splitlines()[-1] == str(path)
+    printed = palpate.printed("simulate", "array", "disc13", 8, "-o", path, *words)
+    assert printed.splitlines()[-1] == str(path)
     touches = Touches.load(path)
     assert touches.images.shape == (8, 12, 16)
     assert list(dict.fromkeys(touches.object)) == ["disc13", "square13"]
@@ -73,42 +75,61 @@ def test_every_option_reaches_the_press(simulate, tmp_path):
     ],
     ids=lambda changes: changes[0],
 )
-def test_each_option_changes_the_images(simulate, changes, tmp_path):
-    images = []
-    for name, more in {"a.npz": (), "b.npz": changes}.items():
-        result = simulate(
-            "square13-hole8", "-o", tmp_path / name, "--presses", 3, *more
-        )
-        assert result.returncode == 0, result.stderr
-        images.append(Touches.load(tmp_path / name).images)
-    assert (images[0] != images[1]).any()
+def test_each_option_changes_the_images(simulate, changes):
+    words = ("array", "square13-hole8", "--presses", 3)
+    plain, changed = simulate("plain", *words), simulate("changed", *words, *changes)
+    assert (plain.images != changed.images).any()
 
 
-def test_the_same_seed_writes_the_same_touches_with_any_workers(simulate, tmp_path):
-    serial, parallel = tmp_path / "1.npz", tmp_path / "2.npz"
-    simulate("bar10", 12, "-o", serial, "--presses", 30, "--seed", 3)
-    simulate("bar10", 12, "-o", parallel, "--presses", 30, "--seed", 3, "--workers", 2)
-    assert_array_equal(Touches.load(serial).images, Touches.load(parallel).images)
+def test_the_same_seed_writes_the_same_touches_with_any_workers(simulate):
+    words = ("array", "bar10", 12, "--presses", 30, "--seed", 3)
+    serial, parallel = simulate("1", *words), simulate("2", *words, "--workers", 2)
+    assert_array_equal(serial.images, parallel.images)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["nut", "-o", "t.npz"], 1, "names among bar10"),
-        (["-o", "t.npy"], 1, "must end in .npz"),
-        (["-o", "gone/t.npz"], 1, "no folder gone"),
-        (["-o", "t.npz", "--load", "heavy"], 1, "--load 1:5"),
-        (["-o", "t.npz", "--sensing", "3"], 1, "at most pitch_mm"),
-        (["-o", "t.npz", "--workers", "0"], 2, "--workers must be at least 1, or -1"),
-        (["-o", "t.npz", "--pitch", "1e6"], 1, "Lower --pitch or"),
-        (["-o", "t.npz", "--rows", "100000"], 1, "number of taxels (--rows, --cols)"),
-        (["-o", "t.npz", "--seed", "-1"], 2, "--seed must be between 0 and 4294967295"),
-        ([], 2, "Missing option"),
-    ],
-)
-def test_failures_say_what_to_do(simulate, arguments, code, message, tmp_path):
-    result = simulate(*arguments, cwd=tmp_path)
-    assert result.returncode == code
-    assert message in result.stderr
-    assert "Traceback" not in result.stderr
-    assert list(tmp_path.iterdir()) == []
+def test_dome_touches_objects_and_a_mesh_file(palpate, tmp_path):
+    trimesh.creation.box((30, 40, 50)).export(tmp_path / "brick.stl")
+    answer = palpate.answer(
+        "simulate", "dome", "-o", "t.npz", "mug", "brick.stl", "--touches", 3,
+        "--sessions", 2, "--rows", 64, "--cols", 64, "--workers", 1, cwd=tmp_path,
+    )  # fmt: skip
+    assert answer["n_touches"] == 6
+    touches = Touches.load(tmp_path / "t.npz")
+    assert touches.images.shape == (6, 64, 64)
+    assert set(touches.object) == {"mug", "brick"}
+    assert touches.geometry == "dome"
+
+
+def test_pins_touch_the_basic_shapes(simulate):
+    words = ("--touches", 2, "--rows", 80, "--cols", 80, "--workers", 1)
+    touches = simulate("t", "pins", "edge", "nothing", *words)
+    assert touches.images.shape == (4, 80, 80)
+
+
+def test_the_seed_of_a_dome_settles_its_touches(simulate):
+    words = ("dome", "pen", "--touches", 2, "--rows", 48, "--cols", 48, "--seed")
+    first, same, other = (simulate("t", *words, seed).images for seed in (7, 7, 8))
+    assert_array_equal(first, same)
+    assert (first != other).any()
+
+
+def test_inches_are_read_as_the_help_says(palpate, simulate, tmp_path):
+    assert "mm, cm, m or in" in palpate.printed("simulate", "dome", "--help")
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "brick.stl")
+    trimesh.creation.box((25.4, 50.8, 76.2)).export(tmp_path / "same.stl")
+    small = ("--touches", 2, "--rows", 32, "--cols", 32, "--workers", 1)
+    inches, mm, cm = (
+        simulate("t", "dome", f"{name}.stl", "--unit", unit, *small).images.astype(int)
+        for name, unit in (("brick", "in"), ("same", "mm"), ("same", "cm"))
+    )
+    # Corners in inches times 25.4 round otherwise in the last bit of a float32.
+    assert np.abs(inches - mm).max() <= 1
+    assert np.abs(inches - cm).max() > 1
+
+
+def test_a_mesh_of_a_known_name_is_refused(palpate, tmp_path):
+    trimesh.creation.box((30, 40, 50)).export(tmp_path / "mug.stl")
+    words = ("simulate", "dome", "mug", "mug.stl", "-o", "o.npz")
+    refused = palpate.refusal(*words, cwd=tmp_path)
+    assert "got 'mug' as 'mug' and 'mug.stl'. Leave one out" in refused
+    assert not (tmp_path / "o.npz").exists()

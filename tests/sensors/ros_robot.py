@@ -107,11 +107,8 @@ class DdsWire:
 
         best_effort = name == IMAGE and not self.task.reliable
         message_type = self._type(name)
-        writer = DataWriter(
-            self.participant,
-            self._topic(topic, message_type),
-            qos=self._quality(best_effort),
-        )
+        about, quality = self._topic(topic, message_type), self._quality(best_effort)
+        writer = DataWriter(self.participant, about, qos=quality)
 
         def write(raw):
             sample = message_type.__new__(message_type)
@@ -121,30 +118,16 @@ class DdsWire:
         return write
 
     def listen(self, topic, name, take):
-        from cyclonedds.core import (
-            InstanceState,
-            ReadCondition,
-            SampleState,
-            ViewState,
-            WaitSet,
-        )
         from cyclonedds.sub import DataReader
 
         message_type = self._type(name)
-        quality = self._quality(False)
-        reader = DataReader(
-            self.participant, self._topic(topic, message_type), qos=quality
-        )
-        waiting = WaitSet(self.participant)
-        states = ViewState.Any | InstanceState.Any | SampleState.NotRead
-        waiting.attach(ReadCondition(reader, states))
+        about = self._topic(topic, message_type)
+        reader = DataReader(self.participant, about, qos=self._quality(False))
 
         def follow():
-            while True:
-                waiting.wait(10**8)
-                for sample in reader.take(N=64):
-                    if hasattr(sample, "raw"):
-                        take(sample.raw)
+            for sample in reader.take_iter():
+                if hasattr(sample, "raw"):
+                    take(sample.raw)
 
         threading.Thread(target=follow, daemon=True).start()
         return lambda: len(reader.get_matched_publications())

@@ -293,17 +293,34 @@ def test_simulated_touches_are_touches_of_what_lies_there():
     assert min(peaks) <= 3  # and released: noise of half a level, six sd
 
 
-def test_sensors_are_opened_by_their_address(tmp_path):
-    recording().save(tmp_path / "touches.npz")
-    replay = open_sensor(f"replay:{tmp_path / 'touches.npz'}", rate_hz=50, hold=3)
-    assert replay.image_shape == (4, 5)
-    assert replay.rate_hz == 50
-    assert open_sensor("sim:mug", image_shape=(32, 32)).image_shape == (32, 32)
-    assert open_sensor("sim:gel").image_shape == (120, 160, 3)
-    assert open_sensor("sim:gel?place=pen").placed == "pen"
-    assert open_sensor("sim:array").image_shape == (10, 10)
-    assert open_sensor("sim:dome").placed == "mug"
-    assert open_sensor("camera:0").image_shape == (480, 640)
+@pytest.mark.parametrize(
+    ("address", "settings"),
+    [
+        ("sim:gel?place=pen", {"image_shape": (120, 160, 3), "placed": "pen"}),
+        ("sim:dome", {"placed": "mug"}),
+        ("sim:array", {"image_shape": (10, 10)}),
+        # Without options `?` may end an address, and options may be none.
+        ("sim:bar10?", {"image_shape": (10, 10)}),
+        ("camera:0", {"image_shape": (480, 640)}),
+        ("camera:USB Camera?rate=15", {"camera": "USB Camera", "rate_hz": 15}),
+        ("camera:0?shape=24x32&exposure=3", {"kept": {"exposure": 3}}),
+        ("camera:0?shape=24x32&colour=1", {"image_shape": (24, 32, 3)}),
+        ("camera:0?shape=24x32&colour=yes", {"image_shape": (24, 32, 3)}),
+        ("camera:0?shape=24x32&colour=0", {"image_shape": (24, 32)}),
+        ("serial:/dev/x?shape=16x8", {"port": "/dev/x", "image_shape": (16, 8)}),
+        ("serial:x?shape=9x9&baud=9600&unit=kPa", {"baud": 9600, "unit": "kPa"}),
+        ("serial:x?shape=9x9&framing=binary&dtype=int16", {"framing": "binary"}),
+        ("serial:x?shape=9x9&framing=binary&dtype=int16", {"dtype": np.int16}),
+        ("serial:x?shape=9x9&checksum=no", {"checksum": False}),
+        ("replay:t.npz?rate=50", {"image_shape": (4, 5), "rate_hz": 50}),
+        ("replay:t.npz?place=pen&shape=4x5", {"placed": "pen"}),
+    ],
+)
+def test_an_address_says_what_is_to_be_set(tmp_path, monkeypatch, address, settings):
+    monkeypatch.chdir(tmp_path)
+    recording().save("t.npz")
+    sensor = open_sensor(address)
+    assert {name: getattr(sensor, name) for name in settings} == settings
 
 
 def test_a_shape_that_the_sensor_does_not_have_is_refused(tmp_path):
@@ -314,40 +331,15 @@ def test_a_shape_that_the_sensor_does_not_have_is_refused(tmp_path):
             open_sensor(spec, image_shape=(8, 8))
 
 
-def test_an_address_says_what_is_to_be_set(tmp_path):
-    camera = open_sensor("camera:USB Camera?shape=480x640&rate=15&exposure=3")
-    assert (camera.camera, camera.image_shape) == ("USB Camera", (480, 640))
-    assert (camera.rate_hz, camera.kept) == (15, {"exposure": 3})
-    for written, shape in (("1", (24, 32, 3)), ("yes", (24, 32, 3)), ("0", (24, 32))):
-        sensor = open_sensor(f"camera:0?shape=24x32&colour={written}")
-        assert sensor.image_shape == shape
-    assert open_sensor("camera:0?colour=1", colour=True).unit == "colour level"
-    array = open_sensor(
-        "serial:/dev/ttyUSB0?shape=16x8&baud=9600&framing=binary&checksum=no"
-        "&dtype=int16&unit=kPa"
-    )
-    assert (array.port, array.image_shape) == ("/dev/ttyUSB0", (16, 8))
-    assert (array.baud, array.framing, array.checksum) == (9600, "binary", False)
-    assert (array.dtype, array.unit) == (np.int16, "kPa")
-    recording().save(tmp_path / "touches.npz")
-    replay = open_sensor(f"replay:{tmp_path}/touches.npz?rate=50&place=pen&shape=4x5")
-    assert (replay.rate_hz, replay.placed) == (50, "pen")
-    # Without options `?` may end an address, and options may be none.
-    assert open_sensor("sim:bar10?").image_shape == (10, 10)
-
-
 def test_an_address_reaches_the_frames(tmp_path):
     recording().save(tmp_path / "touches.npz")
     address = f"replay:{tmp_path}/touches.npz?rate=1000&hold=2&gap=1"
     with open_sensor(address) as sensor:
         levels = [int(sensor.read_next().image[0, 0]) for _ in range(5)]
     assert levels == [0, 10, 10, 0, 20]
-    first, same, other = (
-        open_sensor(f"sim:mug?shape=24x24&seed={seed}") for seed in (1, 1, 2)
-    )
     images = []
-    for sensor in (first, same, other):
-        with sensor:
+    for seed in (1, 1, 2):
+        with open_sensor(f"sim:mug?shape=24x24&seed={seed}") as sensor:
             images.append(sensor.read_next().image)
     assert_array_equal(images[0], images[1])
     assert not np.array_equal(images[0], images[2])
@@ -370,7 +362,9 @@ def test_an_option_beside_the_address_must_agree_with_it():
     for shape in ("16x8", (16, 8)):
         array = open_sensor("serial:/dev/x?shape=16x8", baud=9600, image_shape=shape)
         assert (array.image_shape, array.baud) == ((16, 8), 9600)
+    assert open_sensor("sim:mug", image_shape=(32, 32)).image_shape == (32, 32)
     assert open_sensor("camera:0?rate=15", rate_hz=15).rate_hz == 15
+    assert open_sensor("camera:0?colour=1", colour=True).unit == "colour level"
     for options, message in (
         ({"image_shape": (8, 8)}, "shape=16x8 in .* and `shape=8x8` contradict"),
         ({"checksum": True}, "checksum=no in .* and `checksum=yes` contradict"),
@@ -382,10 +376,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
 @pytest.mark.parametrize(
     ("address", "message"),
     [
-        (
-            "mug",
-            "serial:PORT, ros:TOPIC, replay:PATH or sim:OBJECT.*, got 'mug'",
-        ),
+        ("mug", "serial:PORT, ros:TOPIC, replay:PATH or sim:OBJECT.*, got 'mug'"),
         ("mug?rate=3", "must be camera:NAME"),
         ("sim:", "must be camera:NAME"),
         ("sim:?rate=3", "must be camera:NAME"),
@@ -418,7 +409,7 @@ def test_an_address_that_is_none_is_refused_in_one_sentence(address, message):
 
 
 @pytest.mark.parametrize(
-    ("address", "options"),
+    ("address", "option"),
     [
         ("sim:mug", {"baud": 9600}),
         ("sim:mug", {"colour": True}),
@@ -427,10 +418,10 @@ def test_an_address_that_is_none_is_refused_in_one_sentence(address, message):
         ("camera:0", {"hold": 3}),
     ],
 )
-def test_an_option_of_another_kind_of_sensor_is_refused(address, options):
+def test_an_option_of_another_kind_of_sensor_is_refused(address, option):
     kind = address.partition(":")[0]
     with pytest.raises(ValueError, match=f"must be left out: a {kind} sensor has none"):
-        open_sensor(address, **options)
+        open_sensor(address, **option)
 
 
 def test_a_recording_that_is_not_there_is_refused(tmp_path):
@@ -467,10 +458,11 @@ def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rn
     rest = np.full((60, 80), 90, np.uint8)
     Image.fromarray(rest).save(tmp_path / "rest.png")
     address = f"replay:{tmp_path}/touches.npz"
-    sensor = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
-    assert_array_equal(sensor.no_contact(), rest)
-    sensor = ReplaySensor(touches, no_contact=tmp_path / "rest.png")
-    assert_array_equal(sensor.no_contact(), rest)
+    for sensor in (
+        open_sensor(f"{address}?no-contact={tmp_path}/rest.png"),
+        ReplaySensor(touches, no_contact=tmp_path / "rest.png"),
+    ):
+        assert_array_equal(sensor.no_contact(), rest)
     with pytest.raises(SensorError, match=r"cannot be replayed: .*none\.png"):
         ReplaySensor(touches, no_contact=tmp_path / "none.png")
     with pytest.raises(SensorError, match="as `no_contact`"):
@@ -499,8 +491,8 @@ def test_touches_with_channels_are_replayed_with_them(tmp_path, names):
     assert sensor.image_shape == (4, 4, len(names))
     with sensor:
         frames = [sensor.read_next().image for _ in range(4)]
-    np.testing.assert_array_equal(frames[0], np.zeros_like(frames[0]))
-    np.testing.assert_array_equal(frames[1::2], recorded.images)
+    assert_array_equal(frames[0], np.zeros_like(frames[0]))
+    assert_array_equal(frames[1::2], recorded.images)
 
 
 class Bursting(Counting):

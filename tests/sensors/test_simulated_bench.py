@@ -20,6 +20,14 @@ def _start(bench):
     return SensorPose(bench.centre_mm + 200 * OUT, -OUT)
 
 
+def _forces(bench, travels_mm):
+    """Yield the force after each step along one way."""
+    start = _start(bench)
+    for travel in travels_mm:
+        bench.move_to(start.advanced(travel))
+        yield bench.force_n
+
+
 @pytest.mark.parametrize("name", ["box", "mug", "pen"])
 def test_force_and_picture_are_those_of_the_dome(name):
     bench = _bench(name, shift_share=0.0)
@@ -38,13 +46,8 @@ def test_force_and_picture_are_those_of_the_dome(name):
 
 def test_force_grows_with_depth_and_is_zero_in_the_air():
     bench = _bench(shift_share=0.0)
-    start = _start(bench)
-    first = CAMERA.press(bench.target, start, depth_mm=0.0).travel_mm
-    forces = []
-    for travel in first + np.linspace(-20, 12, 65):
-        bench.move_to(start.advanced(travel))
-        forces.append(bench.force_n)
-    forces = np.array(forces)
+    first = CAMERA.press(bench.target, _start(bench), depth_mm=0.0).travel_mm
+    forces = np.array([*_forces(bench, first + np.linspace(-20, 12, 65))])
     assert_array_equal(forces[:40], 0)
     assert (np.diff(forces[42:]) > 0).all()
     assert bench.peak_force_n == forces[-1]
@@ -139,11 +142,7 @@ def test_a_fixed_object_stays():
 def test_the_same_seed_gives_the_same_bench():
     def run(seed):
         bench = _bench("stapler", random_state=seed)
-        start = _start(bench)
-        forces = []
-        for travel in np.arange(150, 200, 0.5):
-            bench.move_to(start.advanced(travel))
-            forces.append(bench.force_n)
+        forces = [*_forces(bench, np.arange(150, 200, 0.5))]
         return np.array(forces), bench.frame(np.random.default_rng(seed))
 
     for first, second in zip(run(3), run(3), strict=True):
@@ -153,12 +152,11 @@ def test_the_same_seed_gives_the_same_bench():
 
 def test_slipping_never_makes_the_force_jump():
     for seed in range(10):
+        forces = [0.0]
         bench = _bench("textbook", random_state=seed)
-        start, forces = _start(bench), [0.0]
-        for travel in np.arange(120, 200, 0.25):
-            bench.move_to(start.advanced(travel))
-            forces.append(bench.force_n)
-            if bench.force_n > 0.735:
+        for force in _forces(bench, np.arange(120, 200, 0.25)):
+            forces.append(force)
+            if force > 0.735:
                 break
         # 0.3 N/mm is the stiffest the rubber gets below 1 N; 2 N/mm is the housing.
         assert np.diff(forces).max() < 0.25 * 2.0 + 1e-6

@@ -19,16 +19,19 @@ from palpate.sensors import (
 REST = np.full((4, 4), 100, np.uint8)
 
 
-def frames(levels, zero=REST):
-    """One frame per level, each `level` above the baseline everywhere."""
-    for number, level in enumerate(levels):
-        image = (zero.astype(float) + level).astype(zero.dtype)
-        yield Frame(image, number / 10, number)
+def touches_in(detector, images):
+    """Update the detector with images, ten a second; return the touches it tells."""
+    results = (
+        detector.update(Frame(np.asarray(image), number / 10, number))
+        for number, image in enumerate(images)
+    )
+    return [touch for touch in results if touch is not None]
 
 
 def touches_of(detector, levels, zero=REST):
-    results = (detector.update(frame) for frame in frames(levels, zero))
-    return [touch for touch in results if touch is not None]
+    """Return the touches of frames that are `level` above the baseline everywhere."""
+    images = ((zero.astype(float) + level).astype(zero.dtype) for level in levels)
+    return touches_in(detector, images)
 
 
 def test_one_touch_is_its_frame_of_greatest_change():
@@ -62,10 +65,9 @@ def test_a_change_that_wavers_about_the_limit_is_one_touch():
 
 def flickers(count=20):
     """Frames of 16 x 16 counts as a line array gives them; one taxel flickers."""
-    for number in range(count):
-        image = np.zeros((16, 16), np.float32)
-        image[3, 3] = number % 4 > 1
-        yield Frame(image, number / 10, number)
+    images = np.zeros((count, 16, 16), np.float32)
+    images[:, 3, 3] = np.arange(count) % 4 > 1
+    return list(images)
 
 
 def test_one_count_is_no_touch_where_the_step_is_known():
@@ -74,15 +76,14 @@ def test_one_count_is_no_touch_where_the_step_is_known():
     detector.step = 1.0
     detector.take_baseline(still)
     assert detector.begin == 2.0
-    assert [t for t in map(detector.update, flickers()) if t] == []
+    assert touches_in(detector, flickers()) == []
     fine = TouchDetector()
     fine.step = 0.01
     fine.take_baseline(still)
     # One count on one taxel of 256 is a change of 1/16: over 2 steps of 0.01.
-    assert len([t for t in map(fine.update, flickers()) if t]) >= 4
+    assert len(touches_in(fine, flickers())) >= 4
     # One count more in the second half is not taken for something coming down.
-    coming = [frame.image for frame in flickers(count=4)]
-    detector.take_baseline(coming)
+    detector.take_baseline(flickers(count=4))
 
 
 def test_pulling_counts_like_pressing():
@@ -152,8 +153,7 @@ def test_noise_about_a_given_baseline_is_not_another_baseline(rng):
     noise = np.rint(rng.normal(size=(60, 40, 40)))
     images = np.asarray(rest + noise, np.uint8)
     detector = TouchDetector(rest)
-    for number, image in enumerate(images):
-        assert detector.update(Frame(image, number / 10, number)) is None
+    assert touches_in(detector, images) == []
     assert detector.baseline_offer(6.0) == ""
 
 
@@ -190,11 +190,8 @@ def test_real_touches_played_with_gaps_are_all_found(data_folder):
     images, zero = stored["images"][rows], stored["no_contact"]
     change = np.sqrt(((images.astype(float) - zero) ** 2).mean((1, 2)))
     detector = TouchDetector(zero)
-    n_touches = 0
-    for image in images:
-        for number, frame in enumerate([zero, image, image, image, zero]):
-            n_touches += detector.update(Frame(frame, number / 25, number)) is not None
-    assert n_touches == (change > detector.begin).sum()
+    played = (frame for image in images for frame in (zero, *[image] * 3, zero))
+    assert len(touches_in(detector, played)) == (change > detector.begin).sum()
 
 
 def hill(shape, row, col):
@@ -225,7 +222,7 @@ def test_a_first_baseline_that_looks_like_a_press_is_asked_about(rest, pressed, 
         detector.take_baseline(frames, force=True)
     else:
         detector.take_baseline(frames)
-    np.testing.assert_allclose(detector.baseline, rest, atol=1)  # 6 errors of a mean
+    assert_allclose(detector.baseline, rest, atol=1)  # 6 errors of a mean
 
 
 def test_a_baseline_is_undone_with_its_noise(rng):
@@ -237,7 +234,7 @@ def test_a_baseline_is_undone_with_its_noise(rng):
         noises.append((detector.baseline, detector.noise))
     detector.undo_baseline()
     assert detector.noise == noises[0][1]
-    np.testing.assert_array_equal(detector.baseline, noises[0][0])
+    assert_array_equal(detector.baseline, noises[0][0])
     first = TouchDetector()
     first.take_baseline([np.zeros((4, 4))] * 3)
     first.undo_baseline()
@@ -289,13 +286,13 @@ def test_large_images_are_looked_at_in_part():
     detector = TouchDetector(rest, begin=1.0)
     between = rest.copy()
     between[1::2] = between[:, 1::2] = 200
-    detector.update(Frame(between, 0.0, 0))
+    touches_in(detector, [between])
     assert detector.change == 0
     whole = np.full((160, 160), 100, np.uint8)
     detector = TouchDetector(whole, begin=1.0)
     with_one_pixel = whole.copy()
     with_one_pixel[1, 1] = 200
-    detector.update(Frame(with_one_pixel, 0.0, 0))
+    touches_in(detector, [with_one_pixel])
     assert detector.change == pytest.approx(100 / 160)
 
 
@@ -305,8 +302,8 @@ def test_the_noise_about_a_given_baseline_is_learnt_from_nine_frames_at_rest(rng
     images = np.rint(rest + rng.normal(scale=0.4, size=(12, 64, 64))).astype(np.uint8)
     detector = TouchDetector(rest)
     noises = []
-    for number, image in enumerate(images):
-        detector.update(Frame(image, number / 10, number))
+    for image in images:
+        touches_in(detector, [image])
         noises.append(detector.noise)
     assert noises[:8] == [0.0] * 8
     expected = float(np.sqrt(np.mean((images[:9] - 100.0) ** 2)))
@@ -377,8 +374,7 @@ def test_a_frame_of_nan_alone_is_neither_rest_nor_contact():
     detector.take_baseline([rest] * 4 + [nothing] + [rest] * 5)
     assert_array_equal(detector.baseline, rest)
     press = [rest, rest + 30, rest + 40, nothing, rest + 40, rest + 30, rest]
-    results = [detector.update(Frame(x, i / 10, i)) for i, x in enumerate(press)]
-    (touch,) = [touch for touch in results if touch is not None]
+    (touch,) = touches_in(detector, press)
     assert (touch.change, touch.n_frames) == (40, 4)
 
 
