@@ -1,7 +1,6 @@
 """Sets are fetched from a local server once, checked, and whole or not at all."""
 
 import hashlib
-import zipfile
 from errno import ENOSPC
 from pathlib import Path
 
@@ -22,6 +21,8 @@ def test_a_set_becomes_an_archive_once(sources, pins, tmp_path):
     sources.put("tactip4", zipped({**files, "README.md": b"pins"}))
     with pytest.warns(UserWarning, match="tactip4: ") as warned:
         path = fetch("tactip4")
+    with np.load(path) as archive:
+        assert [*archive] == ["images", "object", "frame"]
     touches = Touches.load(path)
     assert touches.object.tolist() == ["cuboid"] * 3 + ["prism"] * 2
     assert touches.columns["frame"].tolist() == [1, 2, 10, 1, 2]  # 4 is not in the card
@@ -231,21 +232,6 @@ def test_where_follows_the_environment_and_the_system(monkeypatch, tmp_path):
     monkeypatch.setenv("PALPATE_DATA", "mine")
     assert str(where()) == "mine"
     assert str(where("given")) == "given"
-
-
-def test_an_archive_that_is_there_is_neither_requested_nor_changed(sources, tmp_path):
-    archive = where() / "tactip4" / "tactip4.npz"
-    archive.parent.mkdir(parents=True)
-    archive.write_bytes(b"mine")
-    assert fetch("tactip4") == archive
-    assert archive.read_bytes() == b"mine"
-    assert sources.requests == []
-
-
-def test_an_archive_holds_plain_arrays(sources, pins):
-    sources.put("tactip4", zipped(pins[0]))
-    with zipfile.ZipFile(fetch("tactip4")) as archive:
-        assert archive.namelist() == ["images.npy", "object.npy", "frame.npy"]
 
 
 def test_touches_of_a_ready_model_are_refused_before_it_is_made(tmp_path, monkeypatch):
