@@ -154,17 +154,22 @@ def _presses(seed, n_touches=6, dtype=np.uint8, **more):
     )
 
 
-def _again(tmp_path, path):
-    """Return a new library of the touches at a path, and the parts it was read in."""
-    parts = list(read_parquet(path))
-    library = TouchLibrary.open(tmp_path / "again", create=True)
-    for part in parts:
-        library.add(part)
-    return library, parts
-
-
 def _ids(library):
     return {row.id for row in library.list(limit=None)}
+
+
+def _travelled(library, path, by=None):
+    """Export a library as Parquet and read that into another one, which has its ids.
+
+    Return the other one, and the parts that it was read in.
+    """
+    assert library.export(path, by=by) == len(library)
+    parts = list(read_parquet(path))
+    other = TouchLibrary.open(library.folder.with_name("again"), create=True)
+    for part in parts:
+        other.add(part)
+    assert _ids(other) == _ids(library)
+    return other, parts
 
 
 @pytest.mark.parametrize("dtype", ["u1", "<i2", ">f4", "<f8", "<u8"])
@@ -176,10 +181,8 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
         touches = _presses(len(day), dtype=dtype, no_contact=baseline)
         library.add(touches, session=day, sensor=pad)
     path = tmp_path / "some.parquet"
-    assert library.export(path, by=by) == 12
-    again, parts = _again(tmp_path, path)
+    again, parts = _travelled(library, path, by)
     with again:
-        assert _ids(again) == _ids(library)
         assert again.check().ok
         for day in ("monday", "007"):  # each session has its own baseline
             assert_array_equal(again.no_contact(day), np.full((5, 6), len(day)))
@@ -194,11 +197,9 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
 def test_touches_without_a_number_are_a_part_of_their_own(library, tmp_path, by):
     library.add(_presses(1, **{by: [1, 2, 1, 2, 1, 2]}))
     library.add(_presses(2))
-    assert library.export(tmp_path / "t.parquet", by=by) == 12
-    parts = {path.name for path in (tmp_path / "t.parquet").iterdir()}
-    assert parts == {f"{by}=", f"{by}=1.0", f"{by}=2.0"}
-    again, parts = _again(tmp_path, tmp_path / "t.parquet")
-    assert _ids(again) == _ids(library)
+    again, parts = _travelled(library, tmp_path / "t.parquet", by)
+    folders = {path.name for path in (tmp_path / "t.parquet").iterdir()}
+    assert folders == {f"{by}=", f"{by}=1.0", f"{by}=2.0"}
     assert all(part.columns[by].dtype.kind == "f" for part in parts)
     source = ParquetTouches(tmp_path / "t.parquet")
     assert_array_equal(source.columns[by], again.touches().columns[by])
@@ -206,9 +207,7 @@ def test_touches_without_a_number_are_a_part_of_their_own(library, tmp_path, by)
 
 def test_numbers_that_a_path_carries_stay_numbers(library, tmp_path):
     library.add(_presses(1, session=np.array([1, 12, 1, 12, 1, 12], np.int16)))
-    library.export(tmp_path / "t.parquet", by="session")
-    again, parts = _again(tmp_path, tmp_path / "t.parquet")
-    assert _ids(again) == _ids(library)
+    _, parts = _travelled(library, tmp_path / "t.parquet", "session")
     assert [part.session.dtype for part in parts] == [np.int16] * 2
 
 
@@ -242,16 +241,13 @@ def test_pictures_travel_as_their_own_files(library, tmp_path):
         levels = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
         Image.fromarray(levels).save(folder / f"{number}.jpg", quality=80)
     library.add(Touches.load(tmp_path / "in", colour=True))
-    library.export(tmp_path / "some.parquet")
+    again, _ = _travelled(library, tmp_path / "some.parquet")
     kept = [
         row["bytes"]
         for row in pq.read_table(tmp_path / "some.parquet")["image"].to_pylist()
     ]
     assert kept == [path.read_bytes() for path in sorted(folder.iterdir())]
-    again, _ = _again(tmp_path, tmp_path / "some.parquet")
-    with again:
-        assert _ids(again) == _ids(library)
-        assert again.select().files() == kept
+    assert again.select().files() == kept
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -267,9 +263,7 @@ def test_pictures_travel_beside_arrays_of_their_size(library, tmp_path, dtype, o
     sets = [pictures, Touches(images[140:], object=["cup"] * 160)]
     for touches in sets[::order]:
         library.add(touches)
-    assert library.export(tmp_path / "t.parquet") == 300
-    again, parts = _again(tmp_path, tmp_path / "t.parquet")
-    assert _ids(again) == _ids(library)
+    _, parts = _travelled(library, tmp_path / "t.parquet")
     assert_alike(Touches.load(tmp_path / "t.parquet"), library.touches())
     files = {bytes(file) for part in parts for file in part.files}
     assert files >= {bytes(file) for file in pictures.files}
@@ -289,12 +283,10 @@ def test_bytes_travel_with_the_zeros_in_them(library, tmp_path):
 def test_images_of_true_and_false_travel(library, tmp_path, shape):
     images = np.arange(np.prod(shape)).reshape(shape) % 3 == 0
     channels = {"channels": ["x", "y"]} if len(shape) == 4 else {}
-    ids = library.add(Touches(images, object=["a", "b"], **channels))
-    library.export(tmp_path / "t.parquet")
-    again, [part] = _again(tmp_path, tmp_path / "t.parquet")
+    library.add(Touches(images, object=["a", "b"], **channels))
+    _, [part] = _travelled(library, tmp_path / "t.parquet")
     assert part.images.dtype == np.bool_
     assert_array_equal(part.images, images)
-    assert _ids(again) == {*ids}
 
 
 def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
@@ -317,14 +309,11 @@ def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
 
 
 @pytest.mark.parametrize("by", [None, "object"])
-def test_a_store_that_fsspec_knows_serves(library, tmp_path, by):
+def test_a_store_that_fsspec_knows_serves(library, by):
     pytest.importorskip("fsspec")
     library.add(_presses(1))
     url = f"memory://bucket/{by}/some.parquet"
-    assert library.export(url, by=by) == 6
-    again, _ = _again(tmp_path, url)
-    with again:
-        assert _ids(again) == _ids(library)
+    _travelled(library, url, by)
     assert len(Touches.load(url)) == 6
     with pytest.raises(TouchesError, match="fsspec can open"):
         list(read_parquet("nosuchscheme://bucket/some.parquet"))

@@ -166,13 +166,14 @@ def test_a_filter_is_text(library, method):
         getattr(library, method)(5)
 
 
+_SIGNS, _QUOTES = st.sampled_from(["=", "!=", "<", "contains"]), st.sampled_from("' ")
 _PIECES = [*"=<(),1", "object", "order", "wear", "in", "and", "not", "'a b'", "DROP"]
 
 
 @given(
     text=st.one_of(
         st.text(max_size=60),
-        st.text(min_size=1, max_size=9).map(lambda text: f"object = {text}"),
+        st.builds("object {0} {1}{2}{1}".format, _SIGNS, _QUOTES, st.text(max_size=9)),
         st.lists(st.sampled_from(_PIECES), max_size=9).map(" ".join),
     )
 )
