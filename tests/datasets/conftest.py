@@ -15,6 +15,8 @@ import pytest
 
 from palpate.datasets import card, fetch, where
 
+from ..cli.conftest import palpate as palpate
+
 
 class Quiet(SimpleHTTPRequestHandler):
     requests: list[str]

@@ -7,7 +7,6 @@ the archive's touches are written back in the source's layout, without loss.
 import hashlib
 import io
 import warnings
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -148,11 +147,8 @@ def test_pictures_become_their_rows_to_the_bit(sources, data_folder):
     """772 pictures of the camera become rows, and lie beside the archive too."""
     originals = data_folder / "bathtip" / "originals"
     pictures = {p.relative_to(originals): p for p in originals.rglob("*.jpg")}
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, place in pictures.items():
-            archive.write(place, f"repository/code/data/touch/{name}")
-    sources.put("bathtip", buffer.getvalue())
+    files = {f"code/data/touch/{n}": p.read_bytes() for n, p in pictures.items()}
+    sources.put("bathtip", zipped(files))
     path, messages = fetched("bathtip")
     assert "not the arrays behind the figures" in messages[0]  # 40 objects are missing
     arrays = behind_the_figures(data_folder, "bathtip")

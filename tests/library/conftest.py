@@ -12,6 +12,8 @@ from numpy.testing import assert_array_equal
 from palpate.library import TouchLibrary
 from palpate.touches import Touches
 
+from ..cli.conftest import palpate as palpate
+
 
 def press_of(seed, n_touches=1, side=5):
     """Return touches drawn by a seed, of an object whose name has any length."""

@@ -199,8 +199,6 @@ def test_topics_are_listed_where_none_is_named(tmp_path):
 
 def test_what_is_no_touch_is_refused(bag, tmp_path):
     good = _image(np.zeros((2, 2), np.uint8), "mono8")
-    with pytest.raises(LibraryError, match=r"bag \(/pad of .*Image\), got '/other'"):
-        read_bag(bag(good), "/other")
     with pytest.raises(LibraryError, match="encoded as mono8"):
         read_bag(bag(_image(np.zeros((2, 2), np.uint8), "bayer_rggb8")), "/pad")
     empty = _image(np.zeros((1, 2), np.uint8), "mono8")
@@ -264,7 +262,7 @@ def test_pictures_of_ros_1_keep_levels_and_stamps(compression, tmp_path):
     assert touches.object.tolist() == ["mug"] * 4
 
 
-def test_clouds_and_arrays_of_ros_1_are_frames_and_topics_are_listed(tmp_path):
+def test_clouds_and_arrays_of_ros_1_are_frames(tmp_path):
     expected = np.arange(4)[:, None, None] + np.arange(6.0).reshape(2, 3)
     topics = {
         "cloud": [_cloud(values, types=ROS1.types) for values in expected],
@@ -273,8 +271,6 @@ def test_clouds_and_arrays_of_ros_1_are_frames_and_topics_are_listed(tmp_path):
     path = old_bag(tmp_path / "b.bag", **topics)
     for topic in topics:
         assert_array_equal(read_bag(path, f"/{topic}").images, expected)
-    with pytest.raises(LibraryError, match=r"/array of std_msgs.*, /cloud of sensor"):
-        read_bag(path)
 
 
 def test_a_bag_of_ros_1_that_unpacks_to_much_or_is_damaged_is_refused(tmp_path):

@@ -18,9 +18,6 @@ from palpate.library import (
     check_library,
     repair_library,
 )
-from palpate.library._content import Image, image_digest
-from palpate.library._rows import _row_digest, stored_touches
-from palpate.library._store import chained
 
 from .conftest import press_of, rows_of
 
@@ -115,17 +112,13 @@ UNNOTICED = {
 
 @pytest.mark.parametrize("statements", UNNOTICED.values(), ids=UNNOTICED)
 def test_what_reading_cannot_notice_is_found_by_a_check(folder, alter, statements):
-    before = {row.id: row for row in rows_of(folder)}
+    before = {row.id for row in rows_of(folder)}
     alter(folder, *statements.split("; "))
-    report = check_library(folder)
-    assert not report.ok
-    with suppress(LibraryError):
-        repair_library(folder)
-        kinds = {problem.kind for problem in check_library(folder).problems}
-        assert kinds <= {"left out"}
-        gone = set(before) - {row.id for row in rows_of(folder)}
-        assert len(gone) == ("DELETE FROM touches" in statements)
-    assert list(folder.rglob("library.sqlite"))
+    assert not check_library(folder).ok
+    repair_library(folder)
+    assert {problem.kind for problem in check_library(folder).problems} <= {"left out"}
+    gone = before - {row.id for row in rows_of(folder)}
+    assert len(gone) == ("DELETE FROM touches" in statements)
 
 
 def test_a_flip_that_makes_bytes_a_text_is_no_crash(folder):
@@ -142,34 +135,6 @@ def test_a_flip_that_makes_bytes_a_text_is_no_crash(folder):
     assert kinds == {"array", "database"}
     with TouchLibrary.open(folder) as library, pytest.warns(UserWarning, match="check"):
         assert library.touches().no_contact is None
-
-
-def test_a_forged_image_is_found_since_its_id_does_not_follow(folder):
-    """The forger may even have computed every digest and the chain anew."""
-    with TouchLibrary.open(folder) as library:
-        store, tables = library._store, library._tables
-        [row] = stored_touches(store, "WHERE t.number = ?", [2])
-        levels = np.full((2, 2), 99, np.uint8)
-        image = Image("plain", levels.tobytes(), None)
-        forged = row._replace(image=image_digest(levels), content=image.digest())
-        layout = tables._layout(row.layout)[0]
-        recording = tables.recording(row.recording).digest
-        digest = _row_digest(forged, layout, recording)
-    with closing(sqlite3.connect(folder / "library.sqlite")) as database:
-        database.execute(
-            "UPDATE images SET form = ?, image = ?, more = ? WHERE number = 2", image
-        )
-        database.execute(
-            "UPDATE touches SET image = ?, content = ?, digest = ? WHERE number = 2",
-            [forged.image, forged.content, digest],
-        )
-        digests = database.execute("SELECT digest FROM touches ORDER BY number")
-        chain = chained(b"", [key for (key,) in digests])
-        database.execute("UPDATE tally SET touches = ?", [chain])
-        database.commit()
-    [problem] = check_library(folder).problems
-    assert (problem.kind, problem.touches) == ("touch", [row.key.hex()])
-    assert "must follow from what it holds" in problem.what
 
 
 def test_an_older_database_put_back_is_reported_until_it_is_accepted(folder):
@@ -249,11 +214,6 @@ def test_a_repair_keeps_all_that_is_whole_and_deletes_nothing(
     assert named <= images.keys() - kept_images.keys()
     assert Path(repair.set_aside).read_bytes() == bytes(content)
     assert check_library(folder).ok
-    with TouchLibrary.open(folder) as library:
-        for seed in range(8):
-            library.add(press_of(seed, 50, side=60), session=f"s{seed}")
-        assert library.stats().n_touches + library.stats().n_retracted >= len(kept)
-        assert library.check().ok
 
 
 def test_a_repair_that_fails_leaves_the_library_as_it_was(folder, alter, monkeypatch):
@@ -286,15 +246,9 @@ def test_what_another_adds_after_a_repair_is_not_lost(folder, alter):
             repair_library(folder)
         with suppress(LibraryError):
             ids = other.add(press_of(1))
-    assert {*ids} <= {row.id for row in _rows_left(folder)}
-
-
-def _rows_left(folder):
-    with TouchLibrary.open(folder) as library:
-        repaired = library.check().ok
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the row that was altered
-            return library.list(limit=None, damaged="raise" if repaired else "skip")
+    with TouchLibrary.open(folder) as library, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the row that was altered
+        assert {*ids} <= {row.id for row in library.list(damaged="skip")}
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "text", "scribbled", "lost"])

@@ -1,12 +1,9 @@
 """One process, two workers and a Dask cluster agree; a worker that dies is survived."""
 
-import json
 import os
 import pickle
 import signal
-import sys
 import time
-from contextlib import suppress
 from functools import partial
 from threading import Thread
 
@@ -18,9 +15,6 @@ from numpy.testing import assert_allclose
 from palpate import ObjectRecogniser, Touches, __version__, _parallel
 from palpate._parallel import results_of
 from palpate.classifiers import _kernel_ridge, _landmarks
-from palpate.cli import main
-from palpate.library import TouchLibrary
-from palpate.touches import ParquetTouches
 
 distributed = pytest.importorskip("distributed")
 
@@ -53,17 +47,15 @@ def _spectrum(touches):
 
 
 @pytest.fixture
-def library(tmp_path):
+def filled(library, rng):
     """A library of more touches than are encoded at once."""
-    rng = np.random.default_rng(0)
-    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        opened.add(Touches(rng.normal(size=(2000, 12, 12)), object=["a", "b"] * 1000))
-        yield opened
+    library.add(Touches(rng.normal(size=(2000, 12, 12)), object=["a", "b"] * 1000))
+    return library
 
 
 @pytest.mark.slow
-def test_a_library_is_encoded_alike_everywhere(library, on_cluster):
-    chosen = library.select()
+def test_a_library_is_encoded_alike_everywhere(filled, on_cluster):
+    chosen = filled.select()
     with parallel_config("sequential"):
         alone = chosen.features("alone", _spectrum)
     with parallel_config("loky", n_jobs=2):
@@ -72,20 +64,6 @@ def test_a_library_is_encoded_alike_everywhere(library, on_cluster):
     # The same arithmetic on the same machine: only the order of threads could differ.
     assert_allclose(local, alone, rtol=0, atol=1e-10)
     assert_allclose(remote, alone, rtol=0, atol=1e-10)
-
-
-def _touches_of_two_categories():
-    """Return touches of two categories of two objects each."""
-    rng = np.random.default_rng(1)
-    categories = rng.normal(size=(2, 3, 24))
-    kind, number = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
-    images = categories[kind] + 0.5 * rng.normal(size=(80, 3, 24))
-    return Touches(
-        images,
-        object=[f"{k}{o}" for k, o in zip(kind, number, strict=True)],
-        category=kind,
-        geometry="none",
-    )
 
 
 def _slow_sum(number, block, folder):
@@ -144,7 +122,7 @@ def _marked(folder, touches):
 @pytest.mark.slow
 @pytest.mark.parametrize("lost", ["workers", "scheduler"])
 def test_a_cluster_that_goes_away_for_good_ends_in_a_sentence(
-    library, tmp_path, monkeypatch, lost
+    filled, tmp_path, monkeypatch, lost
 ):
     """The sentence comes within the longest absence, and nothing half done is kept."""
     monkeypatch.setattr(_parallel, "LONGEST_ABSENCE_S", 3.0)
@@ -166,90 +144,39 @@ def test_a_cluster_that_goes_away_for_good_ends_in_a_sentence(
                 parallel_config("dask"),
                 pytest.raises(OSError, match=r"Nothing was written\. Start it again"),
             ):
-                library.select().features("key", partial(_marked, marks))
+                filled.select().features("key", partial(_marked, marks))
             leaving.join()
     assert time.monotonic() - begun < 40
-    kept = list((library.folder / "features").rglob("*.npz"))
-    assert kept == []
+    assert not [*(filled.folder / "features").rglob("*.npz")]
 
 
-@pytest.fixture
-def parquet(tmp_path):
-    """Touches of 20 objects as Parquet, in row groups of 60."""
+@pytest.mark.slow
+def test_the_command_learns_parquet_alike_everywhere(
+    cluster, library, tmp_path, palpate, rng, monkeypatch
+):
+    """Of 20 objects, 60 touches a row group; there are landmarks, and many tasks."""
     pq = pytest.importorskip("pyarrow.parquet")
-    rng = np.random.default_rng(0)
+    monkeypatch.setattr(_kernel_ridge, "_MOST_TARGETS", 5000)
+    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 100)
+    monkeypatch.setattr("palpate.touches._sources._AT_ONCE", 1)
     centres = np.repeat(rng.normal(size=(20, 3, 8)), 30, axis=0)
     images = centres + 0.4 * rng.normal(size=centres.shape)
     touches = Touches(
         images, object=np.repeat([f"part {k}" for k in range(20)], 30), geometry="none"
     )
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(touches)
-        library.export(tmp_path / "set.parquet")
-    table = pq.read_table(tmp_path / "set.parquet")
-    pq.write_table(table, tmp_path / "set.parquet", row_group_size=60)
-    return touches, tmp_path / "set.parquet"
-
-
-@pytest.fixture
-def palpate(monkeypatch, capsys):
-    """Call `palpate ARGUMENTS... --json`; return its answer."""
-
-    def run(*arguments):
-        argv = map(str, ["palpate", *arguments, "--json"])
-        monkeypatch.setattr(sys, "argv", list(argv))
-        with suppress(SystemExit):
-            main()
-        return json.loads(capsys.readouterr().out)
-
-    return run
-
-
-@pytest.fixture
-def few_at_once(monkeypatch):
-    """Use landmarks from 5,000 targets on, and tasks of 100 touches or a row group."""
-    monkeypatch.setattr(_kernel_ridge, "_MOST_TARGETS", 5000)
-    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 100)
-    monkeypatch.setattr("palpate.touches._sources._AT_ONCE", 1)
-
-
-@pytest.mark.slow
-def test_the_command_learns_parquet_alike_everywhere(
-    cluster, parquet, few_at_once, tmp_path, palpate
-):
-    touches, path = parquet
+    library.add(touches)
+    path = tmp_path / "set.parquet"
+    library.export(path)
+    pq.write_table(pq.read_table(path), path, row_group_size=60)
     options = {"one": [], "cluster": ["--cluster", cluster.scheduler_address]}
     answers = []
     for name, where in options.items():
         output = tmp_path / f"{name}.palpate"
-        learnt = palpate("learn", path, "-o", output, *where)
+        learnt = palpate.answer("learn", path, "-o", output, *where)
         assert learnt["n_train_touches"] == len(touches)
         answers.append(ObjectRecogniser.load(output).log_likelihood(touches[::20]))
     # The same arithmetic in the same blocks, added in the same order.
     assert_allclose(answers[1], answers[0], rtol=0, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_worker_that_dies_while_parquet_is_learnt_changes_nothing(
-    on_cluster, parquet, few_at_once
-):
-    touches, path = parquet
-    with parallel_config("sequential"):
-        alone = ObjectRecogniser().fit(ParquetTouches(path))
-
-    def kill():
-        while not any(on_cluster.processing().values()):
-            time.sleep(0.01)
-        os.kill(next(iter(on_cluster.run(os.getpid).values())), signal.SIGKILL)
-
-    killing = Thread(target=kill)
-    killing.start()
-    together = ObjectRecogniser().fit(ParquetTouches(path))
-    killing.join()
-    tested = touches[::20]
-    assert_allclose(
-        together.log_likelihood(tested), alone.log_likelihood(tested), rtol=0, atol=1e-6
-    )
 
 
 @pytest.mark.slow
@@ -275,24 +202,21 @@ def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, palpate):
-    """`--workers` and `--cluster` lead to the same figures.
-
-    Every category is left out once per fold; processes share the folds.
-    """
-    _touches_of_two_categories().save(tmp_path / "t.npz")
+def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, palpate, rng):
+    """Of two categories of two objects each, processes share the folds."""
+    kind, number = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
+    images = rng.normal(size=(2, 3, 24))[kind] + 0.5 * rng.normal(size=(80, 3, 24))
+    objects = [f"{k}{o}" for k, o in zip(kind, number, strict=True)]
+    touches = Touches(images, object=objects, category=kind, geometry="none")
+    touches.save(tmp_path / "t.npz")
     arguments = ["--train", tmp_path / "t.npz", "--split", "unseen-objects"]
     arguments += ["--label", "category", "--touches", "1,3", "--orders", 2]
-    options = {
-        "one": ["--workers", 1],
-        "two": ["--workers", 2],
-        "cluster": ["--cluster", cluster.scheduler_address],
-    }
-    figures = {
-        n: palpate("evaluate", *arguments, *where) for n, where in options.items()
-    }
-    for key in ("accuracy", "log_loss", "ece"):
-        expected = figures["one"][key]
-        # The same arithmetic on the same machine, one thread or several.
-        assert figures["two"][key] == pytest.approx(expected, rel=0, abs=1e-10)
-        assert figures["cluster"][key] == pytest.approx(expected, rel=0, abs=1e-10)
+    one, two = ("--workers", 1), ("--workers", 2)
+    expected, *answers = (
+        palpate.answer("evaluate", *arguments, *where)
+        for where in (one, two, ("--cluster", cluster.scheduler_address))
+    )
+    for answer in answers:
+        for key in ("accuracy", "log_loss", "ece"):
+            # The same arithmetic on the same machine, one thread or several.
+            assert answer[key] == pytest.approx(expected[key], rel=0, abs=1e-10)

@@ -140,6 +140,18 @@ def test_an_altered_image_costs_its_touch_alone(old, tmp_path):
     assert report.n_touches == N_TOUCHES - 1
 
 
+def test_a_forged_image_is_found_since_its_id_does_not_follow(old, tmp_path, alter):
+    """A migration computes every digest and the chain anew, as a forger might."""
+    another = "(SELECT image FROM touches WHERE number = 1)"
+    alter(old, f"UPDATE touches SET place = 0, image = {another} WHERE number = 2")
+    assert migrate_library(old, tmp_path / "new").lost == []
+    [problem] = check_library(tmp_path / "new").problems
+    with TouchLibrary.open(tmp_path / "new") as library:
+        forged = library.list(limit=2, retracted=True)[1].id
+    assert (problem.kind, problem.touches) == ("touch", [forged])
+    assert "must follow from what it holds" in problem.what
+
+
 def test_a_lost_baseline_is_reported(old, tmp_path):
     for path in (old / "arrays").rglob("*.npy"):
         if np.load(path).shape == (6, 7):

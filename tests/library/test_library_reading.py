@@ -116,16 +116,25 @@ def test_what_whole_sets_share_is_read_and_the_rest_left_out(library):
     assert library.touches("object in (c, d, e)").geometry is None
 
 
-def test_touches_of_several_shapes_are_refused_with_a_filter_that_chooses(library):
+@pytest.mark.parametrize(
+    ("shape", "channels", "got", "where"),
+    [
+        ((3, 5), None, "3 x 5 <u2; 4 x 5 <u2", "n_rows = 3"),
+        ((4, 5, 2), ["x", "y"], "4 x 5 <u2; 4 x 5 x 2 <u2", "n_channels is null"),
+    ],
+)
+def test_touches_of_several_shapes_are_refused_with_a_filter_that_chooses(
+    library, shape, channels, got, where
+):
     with pytest.raises(LibraryError, match="at least one touch, got none"):
         library.select()
     library.add(Touches(images(2), object=["a", "b"]))
-    library.add(Touches(images(2, 1, (3, 5)), object=["a", "b"]))
-    message = r"got 3 x 5 <u2; 4 x 5 <u2. Choose .* or \"n_rows = 3\""
+    library.add(Touches(images(2, 1, shape), object=["c"] * 2, channels=channels))
     for read in (library.touches, library.select):
-        with pytest.raises(LibraryError, match=message):
+        with pytest.raises(LibraryError, match=rf'got {got}\. Choose .* or "{where}"'):
             read()
-    assert library.touches("n_rows = 3").images.shape == (2, 3, 5)
+    assert len(library.touches(where)) == 2
+    assert library.touches("object = c").images.shape == (2, *shape)
 
 
 def test_columns_of_several_kinds_are_joined_as_texts_or_refused(library):
@@ -181,11 +190,13 @@ def test_what_some_lack_is_filled_a_category_left_out_an_object_refused(library)
     assert np.isnan(read.columns["position_mm"][2:]).all()
     assert library.touches("category is not null").category.tolist() == ["x", "y"]
     library.add(Touches(images(3, 2)))
-    with pytest.raises(LibraryError, match=r"or none, got 3 without\. Leave those"):
-        library.touches()
-    bare = library.touches("object is null")
-    assert bare.object is None
-    assert bare.category is None
+    match = r'got 3 without\. Leave those out with the filter "object is not null"'
+    for read in (library.touches, library.select):
+        with pytest.raises(LibraryError, match=match):
+            read()
+        bare = read("object is null")
+        assert bare.object is None
+        assert bare.category is None
 
 
 def summed(touches):
@@ -223,19 +234,24 @@ def test_features_are_those_of_each_touch_whatever_was_cached_before(library):
     assert n_encoded == [3, 3, 2, 7]
 
 
-def test_images_that_are_gone_or_altered_are_named(library, alter):
-    ids = library.add(Touches(images(), object=["a"] * 6, press=np.arange(6)))
+@pytest.mark.parametrize(("cell", "what"), [("image", "its image "), ("more", "")])
+def test_images_that_are_gone_or_altered_are_named(library, alter, cell, what):
+    """The cell `more` holds wide columns."""
+    wide = np.arange(6 * 30.0).reshape(6, 30)
+    columns = {"object": ["a"] * 6, "press": np.arange(6), "wave": wide}
+    ids = library.add(Touches(images(), **columns))
     later = library.add(Touches(images(2, 1), object=["b"] * 2, press=[6, 7]))
     alter(
         library.folder,
-        "UPDATE images SET image = (SELECT image FROM images WHERE number = 5) "
+        f"UPDATE images SET {cell} = (SELECT {cell} FROM images WHERE number = 5) "
         "WHERE number = 4",
     )
-    with pytest.raises(LibraryError, match=f"Touch {ids[3]}: its image .* altered"):
+    with pytest.raises(LibraryError, match=f"Touch {ids[3]}: {what}.* altered"):
         library.touches()
     with pytest.warns(UserWarning, match="^1 touches are left out: their images"):
         undamaged = library.touches(damaged="skip")
     assert undamaged.columns["press"].tolist() == [0, 1, 2, 4, 5, 6, 7]
+    assert_array_equal(undamaged.columns["wave"][:5], wide[[0, 1, 2, 4, 5]])
     alter(library.folder, "DELETE FROM images WHERE number > 6")
     with pytest.warns(UserWarning, match="^3 touches are left out") as warned:
         assert len(library.select(damaged="skip")) == 5
@@ -245,22 +261,6 @@ def test_images_that_are_gone_or_altered_are_named(library, alter):
     assert_array_equal(library.image(ids[4]), images()[4])
     with pytest.raises(ValueError, match="damaged must be"):
         library.touches(damaged="ignore")
-
-
-def test_a_touch_whose_wide_column_is_altered_is_not_whole(library, alter):
-    wide = np.arange(6 * 30.0).reshape(6, 30)
-    ids = library.add(Touches(images(), object=["a"] * 6, wave=wide))
-    library.add(Touches(images(2, 1), object=["b"] * 2))
-    alter(
-        library.folder,
-        "UPDATE images SET more = (SELECT more FROM images WHERE number = 1) "
-        "WHERE number = 2",
-    )
-    with pytest.raises(LibraryError, match=f"Touch {ids[1]}: .* altered"):
-        library.touches()
-    with pytest.warns(UserWarning, match="^1 touches are left out"):
-        undamaged = library.touches("object = a", damaged="skip")
-    assert_array_equal(undamaged.columns["wave"], wide[[0, 2, 3, 4, 5]])
 
 
 @pytest.mark.parametrize(
@@ -375,17 +375,6 @@ def test_one_channel_is_not_none(library, rng):
     library.add(Touches(image, channels=["z"]))
     assert_array_equal(library.touches().images, image)
     assert library.count("n_channels = 1") == 1
-
-
-def test_grey_and_colour_are_never_read_together(library, rng):
-    library.add(grey(rng))
-    library.add(colour(rng))
-    message = "got 5 x 6 |u1; 5 x 6 x 3 |u1. Choose .*n_channels is null"
-    for read in (library.touches, library.select):
-        with pytest.raises(LibraryError, match=message.replace("|", r"\|")):
-            read()
-    assert len(library.touches("n_channels is null")) == 2
-    assert library.touches("n_channels = 3").channels == ("r", "g", "b")
 
 
 def test_one_sensor_gives_one_kind(library, rng):

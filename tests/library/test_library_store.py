@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +27,30 @@ from palpate.library import (
 
 from .conftest import outcome_elsewhere, press_of, rows_of
 
-PAGE = 8192
-
-
-N_THREADS = 40  # more than share a transaction
-
 
 @pytest.fixture
-def library(tmp_path):
-    with TouchLibrary.open(tmp_path / "lab", create=True) as opened:
-        opened.add(press_of(0))
-        yield opened
+def library(library):
+    library.add(press_of(0))
+    return library
+
+
+@contextmanager
+def _another_writing(library):
+    """Have another thread write until the block ends."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def hold():
+        begun.set()
+        assert go_on.wait(60)
+
+    with ThreadPoolExecutor(1) as pool:
+        holding = pool.submit(library._store.write, hold)
+        assert begun.wait(60)
+        try:
+            yield
+        finally:
+            go_on.set()
+        holding.result()
 
 
 def _at_once(library, *jobs, n_reading=0):
@@ -45,21 +58,12 @@ def _at_once(library, *jobs, n_reading=0):
 
     Jobs that read before they write, `n_reading`, wait elsewhere.
     """
-    store, begun, go_on = library._store, threading.Event(), threading.Event()
-
-    def hold():
-        begun.set()
-        assert go_on.wait(60)
-
-    with ThreadPoolExecutor(len(jobs) + 1) as pool:
-        pool.submit(store.write, hold)
-        assert begun.wait(60)
+    with ThreadPoolExecutor(len(jobs)) as pool, _another_writing(library):
         futures = [pool.submit(job) for job in jobs]
         for _ in range(20_000):
-            if len(store._waiting) == len(jobs) - n_reading:
+            if len(library._store._waiting) == len(jobs) - n_reading:
                 break
             time.sleep(0.001)
-        go_on.set()
     return futures
 
 
@@ -68,7 +72,7 @@ def _adding(library, seeds, **options):
 
 
 def test_those_who_wait_share_a_transaction_and_get_their_own_ids(library, tmp_path):
-    seeds = range(1, 1 + N_THREADS)
+    seeds = range(1, 41)  # more than share a transaction
     run = []
     library._store._connection.set_trace_callback(run.append)
     futures = _at_once(library, *_adding(library, seeds))
@@ -228,9 +232,8 @@ def test_pictures_are_kept_as_the_bytes_they_came_in(tmp_path, rng, colour):
             mixed = Touches.concatenate([touches[[3, 1]], touches[:1]])
             library.add(mixed.with_columns(press=[0, 1, 2]))
             library.add(touches[2].with_columns(press=[3]))
-            rows = library._store.rows("SELECT form, image FROM images ORDER BY number")
             expected = [paths[n].read_bytes() for n in (3, 1, 0, 2)]
-            assert rows == [("picture", data) for data in expected]
+            assert library.select().files() == expected
             assert_array_equal(library.touches().images, touches.images[[3, 1, 0, 2]])
             assert library.check().ok
             assert library.add(touches.with_columns(press=[2, 1, 3, 0])) == [
@@ -396,7 +399,7 @@ def test_the_connection_has_the_settings_that_the_library_relies_on(library):
         "synchronous": 2,
         "journal_mode": "wal",
         "foreign_keys": 1,
-        "page_size": PAGE,
+        "page_size": 8192,
     }
     for name, value in settings.items():
         assert run(f"PRAGMA {name}").fetchone() == (value,)
@@ -416,19 +419,11 @@ def test_the_view_has_the_rows_of_a_list_in_their_order(folder):
 
 
 def test_what_is_interrupted_while_it_waits_is_not_done_later(library):
-    """Another thread is writing: the job that waits for it is given up for good."""
-    begun, go_on = threading.Event(), threading.Event()
-
-    def hold():
-        begun.set()
-        go_on.wait(30)
-
-    with ThreadPoolExecutor(1) as pool:
-        holding = pool.submit(library._store.write, hold)
-        assert begun.wait(30)
-        before = signal.signal(signal.SIGINT, signal.default_int_handler)
-        main = threading.main_thread().ident
-        interrupt = threading.Timer(0.3, signal.pthread_kill, (main, signal.SIGINT))
+    """The job that waits for another thread is given up for good."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    main = threading.main_thread().ident
+    interrupt = threading.Timer(0.3, signal.pthread_kill, (main, signal.SIGINT))
+    with _another_writing(library):
         interrupt.start()
         try:
             with pytest.raises(KeyboardInterrupt):
@@ -436,7 +431,5 @@ def test_what_is_interrupted_while_it_waits_is_not_done_later(library):
         finally:
             interrupt.join()
             signal.signal(signal.SIGINT, before)
-            go_on.set()
-        holding.result()
     library.add(press_of(2))
     assert len(library) == 1 + 1
