@@ -30,6 +30,11 @@ def run(tmp_path, monkeypatch):
     plt.close("all")
 
 
+def test_every_program_of_the_gallery_is_run_here():
+    run_here = set(re.findall(r'run\("(\w+)"\)', Path(__file__).read_text("utf-8")))
+    assert run_here == {path.stem[5:] for path in EXAMPLES.glob("plot_*.py")}
+
+
 def test_below_each_press_is_its_change(run):
     names = run("01_first_press")
     touches, (above,), below = names["touches"], names["axes"], names["below"]

@@ -29,26 +29,20 @@ def test_a_file_is_replaced_whole(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+@pytest.mark.parametrize("error", [TypeError, KeyboardInterrupt])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, error):
     target = tmp_path / "kept"
     write_text(target, "old")
-    with pytest.raises(TypeError), replacing(target) as file:
-        file.write("half, and no bytes")
-    assert target.read_text() == "old"
-    assert not list(tmp_path.glob(f"{PARTIAL}*"))
 
-
-def test_an_interrupted_write_leaves_nothing(tmp_path):
-    target = tmp_path / "kept"
-
-    def interrupted():
+    def fails():
         with replacing(target) as file:
             file.write(b"half")
-            raise KeyboardInterrupt
+            raise error
 
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not list(tmp_path.iterdir())
+    with pytest.raises(error):
+        fails()
+    assert target.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 
 def test_file_and_folder_are_flushed_in_this_order(tmp_path, monkeypatch):

@@ -170,14 +170,6 @@ def test_the_first_touches_are_those_that_were_made_first():
     assert set(trial.fold.test.columns["time_s"]) == {0, -1, -2}
 
 
-@pytest.mark.parametrize(
-    "words", ["twice", "confirm", "recentre:0", "confirm:-1", "none:3", "recentre:x"]
-)
-def test_another_word_for_remounting_is_refused(words):
-    with pytest.raises(ValueError, match=f"remount must.*{words}"):
-        Plan(remount=words)
-
-
 def test_the_accuracy_expected_in_another_session_is_in_the_figures(week):
     figures, _ = evaluate(week, split="between", plan=Plan(touches=(1,), orders=2))
     sessions = figures["sessions"]

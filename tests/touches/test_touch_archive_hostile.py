@@ -4,6 +4,7 @@ import io
 import os
 import tracemalloc
 import zipfile
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -226,18 +227,16 @@ def test_damage_is_refused_or_changes_no_value(tmp_path):
     """A zip file has a checksum of everything but names; each byte is flipped once."""
     path = tmp_path / "t.npz"
     data = small_archive(path)
-    good = Touches.load(path)
+
+    def values():
+        touches = Touches.load(path)
+        others = (*touches.columns.values(), *touches.whole.values())
+        return touches.images.tobytes(), {array.tobytes() for array in others}
+
+    whole = values()
     for position in range(len(data)):
         damaged = bytearray(data)
         damaged[position] ^= 1 << position % 8
         path.write_bytes(damaged)
-        try:
-            touches = Touches.load(path)
-        except TouchesError:
-            continue
-        assert touches.images.tobytes() == good.images.tobytes()
-        kept = {**touches.columns, **touches.whole}
-        values = {array.tobytes() for array in kept.values()}
-        assert values == {
-            array.tobytes() for array in {**good.columns, **good.whole}.values()
-        }
+        with suppress(TouchesError):
+            assert values() == whole
