@@ -61,9 +61,8 @@ def test_those_blind_to_turns_are_right_more_often_but_for_hu(run):
     names = run("04_encodings")
     right = {name: values.mean() for name, values in names["right"].items()}
     blind = {"ring-quantiles", "zernike", "centroid-moments"}
-    others = [right[name] for name in {*right} - blind - {"hu"}]
+    others = [right[name] for name in {*right} - blind]  # "hu" among them
     assert min(right[name] for name in blind) > max(others)
-    assert right["hu"] < min(right[name] for name in blind)
 
 
 def test_those_blind_to_turns_move_at_most_a_quarter(run):

@@ -46,9 +46,9 @@ def test_touches_like_the_frame_of_no_contact_are_found(colour):
 
 def test_rims_are_found_in_the_mean_over_channels(monkeypatch, disc):
     grey = Touches(np.stack([disc] * 3), geometry="dome")
-    shares = np.array([0.5, 1.0, 1.5])  # of mean 1
+    beside = np.roll(disc, 20, axis=1)[..., np.newaxis] * [-1, 0, 1]  # of mean 0
     names = {"channels": ["r", "g", "b"], "geometry": "dome"}
-    colour = Touches(grey.images[..., np.newaxis] * shares, **names)
+    colour = Touches(grey.images[..., np.newaxis] + beside, **names)
     module = "palpate.evaluation._comparisons.find_geometry"
     monkeypatch.setattr(module, lambda touches: touches.geometry)
     assert_allclose(disc_centres(colour), disc_centres(grey))

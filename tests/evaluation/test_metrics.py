@@ -11,11 +11,6 @@ from palpate.evaluation import (
 )
 
 
-def test_perfect_beliefs_have_no_error_and_sure_wrong_ones_the_worst():
-    assert calibration_error([1.0] * 10, [True] * 10) == 0
-    assert calibration_error([1.0] * 10, [False] * 10) == 1
-
-
 def test_bins_have_equal_mass():
     """The error of 25 episodes by hand, in bins of three and of two."""
     confidence, hit = np.linspace(0, 1, 25), np.arange(25) % 2
@@ -26,13 +21,6 @@ def test_bins_have_equal_mass():
     assert calibration_error(confidence[mixed], hit[mixed]) == pytest.approx(error)
 
 
-def test_calibrated_draws_have_a_small_error(rng):
-    belief = rng.uniform(0.3, 1, 20_000)
-    hit = rng.random(20_000) < belief
-    # Standard error of a bin of 2,000 is about 0.01.
-    assert calibration_error(belief, hit) < 0.02
-
-
 def test_roc_area_agrees_with_scikit_learn(rng):
     known_scores, unknown_scores = rng.integers(0, 9, 50), rng.integers(3, 12, 40)
     truth = np.repeat([0, 1], [50, 40])
@@ -40,15 +28,13 @@ def test_roc_area_agrees_with_scikit_learn(rng):
     assert roc_area(known_scores, unknown_scores) == pytest.approx(expected)
 
 
-def test_there_are_ten_bins_unless_another_number_is_asked_for():
+def test_of_two_bins_and_of_few_episodes_the_error_is_known():
+    # Two bins of two: beliefs 0.6 right half the time, beliefs 0.9 always right.
+    error = calibration_error([0.6, 0.9, 0.6, 0.9], [0, 1, 1, 1], n_bins=2)
+    assert error == pytest.approx((0.1 + 0.1) / 2)
     # Of three episodes each is a bin by itself.
-    few = [0.1, 0.5, 0.7], [1, 0, 1]
-    assert calibration_error(*few) == pytest.approx((0.9 + 0.5 + 0.3) / 3)
-    belief = np.linspace(0.1, 1, 40)
-    rng = np.random.default_rng(0)
-    hit = rng.random(40) < belief
-    ten = calibration_error(belief, hit, n_bins=10)
-    assert calibration_error(belief, hit) == ten != calibration_error(belief, hit, 11)
+    error = calibration_error([0.1, 0.5, 0.7], [1, 0, 1])
+    assert error == pytest.approx((0.9 + 0.5 + 0.3) / 3)
 
 
 def test_mean_radii_are_scikit_learns(rng):

@@ -104,19 +104,6 @@ def test_two_touches_of_each_may_be_drawn_and_one_may_not(recordings):
         split_by_count(recordings, 8, seed=0)
 
 
-def test_objects_touched_once_or_never_in_a_session_are_left_out():
-    touches = Touches(
-        np.arange(12.0)[:, None, None] * np.ones((1, 3, 3)),
-        object=["a", "a", "b", "b", "c", "e", "a", "a", "b", "b", "d", "e"],
-        session=["mon"] * 6 + ["tue"] * 6,
-    )
-    folds = split_touches(touches, "session")
-    assert len(folds) == 2
-    for fold in folds:
-        assert sorted({*fold.test.object.tolist()}) == ["a", "b"]
-        assert set(fold.left_out) == {"c", "d", "e"}
-
-
 def row_of(n_touches, **columns):
     """Touches that hold nothing but their columns."""
     return Touches(np.zeros((n_touches, 1, 1)), **columns)

@@ -97,16 +97,11 @@ class Names:
         for touch in self.touches.values():
             touch[0] = new if touch[0] == old else touch[0]
 
-    def retract(self, ids):
-        return self._put(ids, True)
-
-    def restore(self, ids):
-        return self._put(ids, False)
-
-    def _put(self, ids, out):
-        n_changed = sum(self.touches[key][1] != out for key in ids)
+    def set_retracted(self, ids, retracted):
+        """Retract or restore touches; return whether that changes anything."""
+        n_changed = sum(self.touches[key][1] != retracted for key in ids)
         for key in ids:
-            self.touches[key][1] = out
+            self.touches[key][1] = retracted
         return bool(n_changed)
 
 
@@ -153,7 +148,7 @@ class LibraryMachine(RuleBasedStateMachine):
             changed = (
                 library.retract(ids, reason="wet") if out else library.restore(ids)
             )
-        assert bool(changed) == (self.truth.retract if out else self.truth.restore)(ids)
+        assert bool(changed) == self.truth.set_retracted(ids, out)
 
     @rule()
     def kill(self):
@@ -506,7 +501,7 @@ class SessionMachine(RuleBasedStateMachine):
             return
         self._leave_lesson(() if is_out else keys)
         assert self.session.undo() == self.truth.touches[keys[0]][0]
-        (self.truth.restore if is_out else self.truth.retract)(keys)
+        self.truth.set_retracted(keys, not is_out)
 
     @rule(ask=st.booleans())
     def baseline(self, ask):
@@ -559,7 +554,7 @@ class SessionMachine(RuleBasedStateMachine):
         stored = [k for k, v in self.truth.touches.items() if v == [name, False]]
         self._leave_lesson(stored)
         self.session.forget(name)
-        self.truth.retract(stored)
+        self.truth.set_retracted(stored, True)
         if stored:
             self.undoable.append(("forgotten", stored))
         self._learnt_again()

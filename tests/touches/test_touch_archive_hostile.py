@@ -67,7 +67,6 @@ GOOD = ("images.npy", npy(np.zeros((2, 2, 2), np.uint8)))
         ([GOOD, ("folder/", b"")], "another file, 'folder/'"),
         ([("images", GOOD[1])], "another file, 'images'"),
         ([GOOD, ("object.npy", npy(["a"] * 3))], "object must have one row per touch"),
-        ([GOOD, ("object.npy", npy([1.0, np.nan]))], "object .* got NaN at touch 1"),
         ([GOOD, ("object.npy", npy(["a", ""]))], "empty label at touch 1"),
         (
             [GOOD, ("object.npy", described((2,), "<U1") + b"\xff\xff\xff\x7fa\0\0\0")],
@@ -78,12 +77,8 @@ GOOD = ("images.npy", npy(np.zeros((2, 2, 2), np.uint8)))
             "characters outside Unicode",
         ),
         ([GOOD, ("geometry.npy", npy("ball"))], "geometry must be one of"),
-        ([GOOD, ("no_contact.npy", npy(np.zeros((3, 3))))], "no_contact must be one"),
-        ([("images.npy", npy(np.zeros((2, 2))))], r"got \(2, 2\)"),
-        ([("images.npy", npy(np.zeros((0, 2, 2))))], "at least one touch"),
         ([("images.npy", npy(np.zeros((2, 4, 6, 3))))], "channels must name each"),
         ([("images.npy", npy(np.full((1, 1, 1), np.inf)))], "infinity in touch 0"),
-        ([("images.npy", npy(np.full((1, 1, 1), "a")))], "integers or floats"),
         ([], "is not a touch archive.*it holds nothing"),
         (
             [("counts.npy", npy(np.zeros((5, 3)))), ("photo.npy", npy(7))],
