@@ -20,21 +20,9 @@ from palpate.evaluation import (
     write_report,
 )
 
+from .conftest import drawn
+
 PLAN = Plan(touches=(1, 3, 6), orders=5)
-
-
-def drawn(seed, names, n_each=16, noise=0.7):
-    """Vectors of 3 x 24 electrodes; each object has its own pattern."""
-    rng = np.random.default_rng(seed)
-    images, labels = [], []
-    for name in names:
-        pattern = np.random.default_rng(sum(map(ord, name))).normal(size=(3, 24))
-        images.append(pattern + noise * rng.normal(size=(n_each, 3, 24)))
-        labels += [name] * n_each
-    category = [name.split("_")[0] for name in labels]
-    return Touches(
-        np.concatenate(images), object=labels, category=category, geometry="none"
-    )
 
 
 NAMES = ("mug_a", "mug_b", "pen_a", "pen_b")

@@ -12,7 +12,11 @@ from palpate.recognition import sessions_message
 from palpate.simulation import DomeCamera
 
 CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
-MOVES = {"mon": np.zeros(8), "tue": np.array([6.0, -5, 4, 0, 7, -3, 5, 4])}
+MOVES = {
+    "mon": np.zeros(8),
+    "tue": np.array([6.0, -5, 4, 0, 7, -3, 5, 4]),
+    "wed": np.array([-4.0, -5, 3, -7, 0, -4, 5, -6]),
+}
 PLAN = Plan(touches=(1, 3), orders=4)
 
 
@@ -89,8 +93,7 @@ def test_labels_of_the_test_touches_tell_recentring_nothing():
     assert np.array_equal(*offsets)
 
 
-def test_strangers_are_asked_of_what_got_used_to_their_session(monkeypatch):
-    monkeypatch.setitem(MOVES, "wed", -MOVES["tue"][::-1])
+def test_strangers_are_asked_of_what_got_used_to_their_session():
     train = visited("mon", 12, 0, "abcd")
     days = [visited(day, 10, seed, "abcd") for seed, day in enumerate(("tue", "wed"))]
     strangers = [visited(day, 6, 3, "e") for day in ("wed", "tue")]
@@ -119,8 +122,7 @@ def test_a_dome_of_another_resolution_is_asked_once_it_is_remounted(remount):
         evaluate(train, test, plan=PLAN)
 
 
-def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch, tmp_path):
-    monkeypatch.setitem(MOVES, "wed", -MOVES["tue"][::-1])
+def test_each_session_of_the_test_is_recentred_by_itself(tmp_path):
     train = visited("mon", 12, 0)
     test = Touches.concatenate([visited("tue", 10, 1), visited("wed", 10, 2)])
     plan = Plan(touches=(1,), orders=2, remount="recentre")

@@ -239,28 +239,20 @@ def test_links_to_elsewhere_are_followed(put, tmp_path):
     assert first_levels(Touches.load(root)) == [0, 77, 77]
 
 
-def test_an_unreadable_picture_is_named(put, monkeypatch):
+@pytest.mark.parametrize(
+    ("owner", "call", "name"), [(Path, "open", "2.png"), (os, "scandir", "in")]
+)
+def test_an_unreadable_picture_or_folder_is_named(put, monkeypatch, owner, call, name):
     root = put("a/1.png", "a/2.png")
-    normal = Path.open
+    normal = getattr(owner, call)
 
     def refused(path, *args, **kwargs):
-        if path.name == "2.png":
+        if Path(path).name == name:
             raise PermissionError(13, "Permission denied", str(path))
         return normal(path, *args, **kwargs)
 
-    monkeypatch.setattr(Path, "open", refused)
-    with pytest.raises(TouchesError, match=r"2.png must be readable, got: Permission"):
-        Touches.load(root)
-
-
-def test_an_unreadable_folder_is_named(put, monkeypatch):
-    root = put("a/1.png")
-
-    def refused(path):
-        raise PermissionError(13, "Permission denied", str(path))
-
-    monkeypatch.setattr(os, "scandir", refused)
-    with pytest.raises(TouchesError, match=r"in must be readable, got: Permission"):
+    monkeypatch.setattr(owner, call, refused)
+    with pytest.raises(TouchesError, match=f"{name} must be readable, got: Permission"):
         Touches.load(root)
 
 
