@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from palpate._checks import check_number, check_positive
 from palpate._durable import PARTIAL, replacing, write_text
 from palpate._extras import install, needed
-from palpate._image_estimator import central_moments, inscribed_mask
+from palpate._image_estimator import central_moments
 from palpate._numbers import correlation, exp, otsu_thresholds
 from palpate._parallel import in_parallel
 
@@ -184,11 +184,6 @@ def test_central_moments_are_their_definition(rng):
 def test_an_image_without_mass_has_its_middle_in_the_middle():
     moments = central_moments(np.zeros((1, 4, 6)))
     assert (moments.mass[0], moments.x[0], moments.y[0]) == (0, 0, 0)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (9, 9), (10, 10), (4, 7)])
-def test_the_mask_is_of_pixel_centres_within_half_the_shorter_side(shape, disc_mask):
-    assert_array_equal(inscribed_mask(*shape), disc_mask(*shape))
 
 
 def test_otsu_splits_as_opencv_does(rng):

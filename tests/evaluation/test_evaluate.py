@@ -23,8 +23,6 @@ from palpate.evaluation import (
 from .conftest import drawn
 
 PLAN = Plan(touches=(1, 3, 6), orders=5)
-
-
 NAMES = ("mug_a", "mug_b", "pen_a", "pen_b")
 
 

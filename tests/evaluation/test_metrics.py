@@ -28,13 +28,18 @@ def test_roc_area_agrees_with_scikit_learn(rng):
     assert roc_area(known_scores, unknown_scores) == pytest.approx(expected)
 
 
-def test_of_two_bins_and_of_few_episodes_the_error_is_known():
+def test_there_are_ten_bins_unless_another_number_is_asked_for(rng):
     # Two bins of two: beliefs 0.6 right half the time, beliefs 0.9 always right.
     error = calibration_error([0.6, 0.9, 0.6, 0.9], [0, 1, 1, 1], n_bins=2)
     assert error == pytest.approx((0.1 + 0.1) / 2)
     # Of three episodes each is a bin by itself.
     error = calibration_error([0.1, 0.5, 0.7], [1, 0, 1])
     assert error == pytest.approx((0.9 + 0.5 + 0.3) / 3)
+    belief = np.linspace(0.1, 1, 40)
+    hit = rng.random(40) < belief
+    of_bins = [calibration_error(belief, hit, n_bins) for n_bins in (9, 10, 11)]
+    assert len(set(of_bins)) == 3
+    assert calibration_error(belief, hit) == of_bins[1]
 
 
 def test_mean_radii_are_scikit_learns(rng):
