@@ -13,7 +13,6 @@ import re
 import shlex
 import subprocess
 import sys
-import time
 import warnings
 from contextlib import redirect_stdout
 from importlib.util import find_spec
@@ -131,7 +130,6 @@ def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
     monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / ".cache"))  # ready models
     monkeypatch.setenv("PATH", f"{_commands(tmp_path)}{os.pathsep}{os.environ['PATH']}")
     names = {"__name__": "__main__"}
-    start = time.monotonic()
     expected = printed_below(page)
     for line, kind, body, reason in blocks(page):
         if reason is not None or kind not in {"sh", "python"}:
@@ -156,7 +154,6 @@ def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
         print(output)
         if line in expected:
             assert is_like(output, expected[line]), f"{page}:{line} prints\n{output}"
-    print(f"{page.name}: {time.monotonic() - start:.0f} s")
 
 
 def _commands(folder):

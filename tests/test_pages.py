@@ -119,7 +119,6 @@ def test_the_page_of_commands_has_every_command():
             assert f"`palpate {verb} {name}".rstrip() in page
 
 
-ROOT = Path(__file__).parents[1]
 LICENCES = (ROOT / "docs/reference/licences.md").read_text()
 
 

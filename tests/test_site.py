@@ -1,8 +1,7 @@
-"""The site has a page for every public name, examples that run, and clear colours."""
+"""The site has a page for every public name, short examples, and clear colours."""
 
 import ast
 import inspect
-import os
 import re
 import runpy
 import shutil
@@ -37,9 +36,7 @@ def pages():
 
 
 def test_every_public_name_gets_a_page(pages):
-    listed = (DOCS / "reference" / "index.md").read_text("utf-8")
     for subpackage, names in SUBPACKAGES.items():
-        assert f"generated/{subpackage}\n" in listed
         page = pages["subpackage_page"](subpackage)
         assert [n for n in names if f"palpate.{subpackage}.{n}\n" not in page] == []
 
@@ -127,23 +124,6 @@ def test_what_programs_outside_the_package_import_is_there(folder):
     for node in nodes:
         if node.module.partition(".")[0] == "palpate":
             exec(ast.unparse(node), {})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(path, tmp_path):
-    pytest.importorskip("matplotlib", reason='pip install "palpate[plot]"')
-    if "PALPATE_DATA" in path.read_text("utf-8") and not os.environ.get("PALPATE_DATA"):
-        pytest.skip("needs recorded touches: PALPATE_DATA")
-    completed = subprocess.run(
-        [sys.executable, str(path)],
-        cwd=tmp_path,
-        env={**os.environ, "MPLBACKEND": "agg"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert completed.returncode == 0, completed.stderr
 
 
 # Machado, Oliveira and Fernandes 2009 (doi:10.1109/TVCG.2009.113), severity 1.

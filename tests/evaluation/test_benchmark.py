@@ -44,27 +44,6 @@ def test_where_only_the_load_tells_objects_apart_its_control_is_right():
     assert entry["controls"]["disc centre"] is None
 
 
-def test_each_person_is_tested_on_what_the_others_taught():
-    """Each person presses in their own way, so that nothing carries over."""
-    person = np.tile(["p", "q"], 30)
-    images = np.zeros((60, 3, 8))
-    column = (np.searchsorted(["a", "b", "c"], NAMES) + 3 * (person == "q")) % 8
-    images[np.arange(60), :, column] = 1
-    touches = drawn(images, subject=person)
-    assert entry_of(touches, "blocks")["rows"][0]["accuracy"] == 1
-    assert entry_of(touches, "subjects")["rows"][0]["accuracy"] < 0.5
-
-
-def test_touches_of_one_press_are_never_on_both_sides():
-    """Noise that is copied within a press is told apart only through the copies."""
-    once = np.random.default_rng(0).normal(size=(12, 3, 8))
-    images, press = np.repeat(once, 5, axis=0), np.tile(np.repeat(range(4), 5), 3)
-    without = entry_of(drawn(images), "random")["rows"][0]
-    held = entry_of(drawn(images, press=press), "random")["rows"][0]
-    assert without["accuracy"] == 1
-    assert held["accuracy"] < 0.7
-
-
 def test_objects_met_in_no_other_session_are_left_out_and_counted():
     session = np.tile(["x", "y"], 30)
     session[NAMES == "c"] = "x"

@@ -26,15 +26,14 @@ def colour(rng):
     return Touches(images, geometry="plane", **about)
 
 
-def test_brightness_is_over_all_channels(colour):
-    means = brightness(colour)[:, 0]
-    assert_allclose(means, colour.images.mean(axis=(1, 2, 3)))
+@pytest.fixture
+def disc():
+    """A bright disc about row 52, column 61 of a dark picture."""
+    row, col = np.mgrid[:100, :120]
+    return np.where(np.hypot(row - 52, col - 61) < 40, 150.0, 10.0)
 
 
-def test_sorted_pixels_rise_and_leave_gaps_out(colour):
-    values = sorted_pixels(colour)
-    assert values.shape == (5, 64)
-    assert (np.diff(values, axis=1) >= 0).all()
+def test_sorted_pixels_leave_gaps_out():
     image = np.full((1, 2, 3), np.nan)
     image[:, :, ::2] = [[3.0, 1.0], [0.0, 4.0]]
     hand = Touches(image, pads=[[0, 0, 2, 1], [0, 2, 2, 1]])
@@ -45,17 +44,19 @@ def test_touches_like_the_frame_of_no_contact_are_found(colour):
     assert without_contact(colour).tolist() == [False, False, True, False, False]
 
 
-def test_rims_are_found_in_the_mean_over_channels(monkeypatch):
-    row, col = np.mgrid[:100, :120]
-    disc = np.where(np.hypot(row - 52, col - 61) < 40, 150.0, 10.0)
+def test_rims_are_found_in_the_mean_over_channels(monkeypatch, disc):
     grey = Touches(np.stack([disc] * 3), geometry="dome")
-    shares = np.array([0.5, 1.0, 1.5])  # of mean 1
+    beside = np.roll(disc, 20, axis=1)[..., np.newaxis] * [-1, 0, 1]  # of mean 0
     names = {"channels": ["r", "g", "b"], "geometry": "dome"}
-    colour = Touches(grey.images[..., np.newaxis] * shares, **names)
+    colour = Touches(grey.images[..., np.newaxis] + beside, **names)
     module = "palpate.evaluation._comparisons.find_geometry"
     monkeypatch.setattr(module, lambda touches: touches.geometry)
-    centres = disc_centres(colour)
-    assert_allclose(centres, disc_centres(grey))
+    assert_allclose(disc_centres(colour), disc_centres(grey))
+
+
+def test_rims_are_found_beside_a_frame_of_no_contact(disc):
+    touches = Touches(np.stack([disc] * 3), geometry="dome", no_contact=disc)
+    assert_allclose(disc_centres(touches), [[52, 61]] * 3, atol=1)
 
 
 def test_sorted_pixels_are_shares_of_the_mean_level():
@@ -81,11 +82,11 @@ def test_sorted_pixels_of_many_touches_are_those_of_each(rng):
     )
 
 
-def test_brightness_is_mean_and_spread(rng):
-    images = rng.uniform(0, 9, (3, 4, 4))
+def test_brightness_is_mean_and_spread_over_all_channels(colour):
+    images = colour.images.copy()
     images[1, 0, 0] = np.nan
-    values = brightness(Touches(images))
-    flat = images.reshape(3, -1)
+    values = brightness(Touches(images, channels=colour.channels))
+    flat = images.reshape(5, -1)
     assert_allclose(values, np.c_[np.nanmean(flat, axis=1), np.nanstd(flat, axis=1)])
 
 
@@ -95,14 +96,6 @@ def test_the_share_that_brightness_alone_names_is_given(rng):
     shares = named_alone(Touches(images, object=np.repeat(["a", "b"], 24)))
     assert shares["brightness"] == {"right": 1.0, "chance": 0.5}
     assert named_alone(Touches(images)) == {}
-
-
-def test_rims_are_found_beside_a_frame_of_no_contact():
-    row, col = np.mgrid[:100, :120]
-    disc = np.where(np.hypot(row - 52, col - 61) < 40, 150.0, 10.0)
-    beside = {"geometry": "dome", "no_contact": disc}
-    centres = disc_centres(Touches(np.stack([disc] * 3), **beside))
-    assert_allclose(centres, [[52, 61]] * 3, atol=1)
 
 
 def test_only_a_correlation_above_098_is_like_no_contact():
@@ -117,12 +110,11 @@ def test_only_a_correlation_above_098_is_like_no_contact():
     assert without_contact(Touches(images.reshape(-1, 2, 2))) is None
 
 
-def test_sorted_pixels_end_with_the_least_and_the_most(rng):
-    """Of 81 taxels 64 levels are kept, with the least and the most."""
-    images = rng.uniform(1, 9, (2, 9, 9))
-    values = sorted_pixels(Touches(images))
-    assert values.shape == (2, 64)
-    flat = images.reshape(2, -1)
+def test_sorted_pixels_end_with_the_least_and_the_most(colour):
+    """Of 1,800 levels 64 are kept, with the least and the most."""
+    values, flat = sorted_pixels(colour), colour.images.reshape(5, -1)
+    assert values.shape == (5, 64)
+    assert (np.diff(values, axis=1) >= 0).all()
     assert_allclose(values[:, 0], flat.min(axis=1) / flat.mean(axis=1))
     assert_allclose(values[:, -1], flat.max(axis=1) / flat.mean(axis=1))
     signed = Touches(np.array([[[-1.0, 3.0]]]))
@@ -178,7 +170,7 @@ def test_simple_recognisers_are_what_scikit_learn_does(channels):
         if name != "3-NN":
             # The kernel is summed by another routine: rounding.
             decided = ours.decision_function(values), expected.decision_function(X)
-            np.testing.assert_allclose(*decided, atol=1e-6)
+            assert_allclose(*decided, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +189,7 @@ def test_hog_has_a_histogram_for_each_cell(shape, n_features):
     features = SIMPLE["HOG SVM"][0](images)
     assert features.shape == (2, n_features)
     # Each picture is divided by its maximum.
-    np.testing.assert_allclose(SIMPLE["HOG SVM"][0](7 * images), features, atol=1e-9)
+    assert_allclose(SIMPLE["HOG SVM"][0](7 * images), features, atol=1e-9)
 
 
 @pytest.mark.parametrize(

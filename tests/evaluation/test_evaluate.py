@@ -20,23 +20,9 @@ from palpate.evaluation import (
     write_report,
 )
 
+from .conftest import drawn
+
 PLAN = Plan(touches=(1, 3, 6), orders=5)
-
-
-def drawn(seed, names, n_each=16, noise=0.7):
-    """Vectors of 3 x 24 electrodes; each object has its own pattern."""
-    rng = np.random.default_rng(seed)
-    images, labels = [], []
-    for name in names:
-        pattern = np.random.default_rng(sum(map(ord, name))).normal(size=(3, 24))
-        images.append(pattern + noise * rng.normal(size=(n_each, 3, 24)))
-        labels += [name] * n_each
-    category = [name.split("_")[0] for name in labels]
-    return Touches(
-        np.concatenate(images), object=labels, category=category, geometry="none"
-    )
-
-
 NAMES = ("mug_a", "mug_b", "pen_a", "pen_b")
 
 
@@ -135,12 +121,10 @@ def test_wrong_names_of_strangers_are_explained_first(tmp_path):
 def test_numbers_of_touches_that_no_object_has_are_named():
     plan = Plan(touches=(1, 4, 500), orders=2)
     figures, _ = evaluate(drawn(0, NAMES), split="between", plan=plan)
-    n_test = max(np.unique(drawn(0, NAMES).object, return_counts=True)[1]) // 4
     assert list(figures["accuracy"]) == ["1", "4"]
     (left_out,) = (note for note in figures["notes"] if note.startswith("Left out"))
     assert left_out == (
-        f"Left out: figures after 500 touches; no object has more than {n_test} test "
-        "touches."
+        "Left out: figures after 500 touches; no object has more than 4 test touches."
     )
 
 
@@ -309,6 +293,12 @@ def test_arguments_that_cannot_be_are_refused(arguments, message):
         ({"touches": ()}, r"touches must hold numbers .* got \(\)"),
         ({"touches": 5}, "touches must hold numbers .* got 5"),
         ({"remount": None}, "remount must be none, .* got None"),
+        ({"remount": "twice"}, "remount must.*twice"),
+        ({"remount": "confirm"}, "remount must.*confirm"),
+        ({"remount": "recentre:0"}, "remount must.*recentre:0"),
+        ({"remount": "confirm:-1"}, "remount must.*confirm:-1"),
+        ({"remount": "none:3"}, "remount must.*none:3"),
+        ({"remount": "recentre:x"}, "remount must.*recentre:x"),
         ({"label": "size"}, "'object', 'category'"),
         ({"preset": "best"}, "'default'"),
         ({"error": 5.0}, "error must be finite and between"),

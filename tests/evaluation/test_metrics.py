@@ -11,14 +11,6 @@ from palpate.evaluation import (
 )
 
 
-def test_perfect_beliefs_have_no_error():
-    assert calibration_error([1.0] * 10, [True] * 10) == 0
-
-
-def test_sure_and_always_wrong_is_the_worst():
-    assert calibration_error([1.0] * 10, [False] * 10) == 1
-
-
 def test_bins_have_equal_mass():
     """The error of 25 episodes by hand, in bins of three and of two."""
     confidence, hit = np.linspace(0, 1, 25), np.arange(25) % 2
@@ -29,19 +21,6 @@ def test_bins_have_equal_mass():
     assert calibration_error(confidence[mixed], hit[mixed]) == pytest.approx(error)
 
 
-def test_known_calibration_error():
-    # Two bins of two: beliefs 0.6 right half the time, beliefs 0.9 always right.
-    error = calibration_error([0.6, 0.9, 0.6, 0.9], [0, 1, 1, 1], n_bins=2)
-    assert error == pytest.approx((0.1 + 0.1) / 2)
-
-
-def test_calibrated_draws_have_a_small_error(rng):
-    belief = rng.uniform(0.3, 1, 20_000)
-    hit = rng.random(20_000) < belief
-    # Standard error of a bin of 2,000 is about 0.01.
-    assert calibration_error(belief, hit) < 0.02
-
-
 def test_roc_area_agrees_with_scikit_learn(rng):
     known_scores, unknown_scores = rng.integers(0, 9, 50), rng.integers(3, 12, 40)
     truth = np.repeat([0, 1], [50, 40])
@@ -49,22 +28,18 @@ def test_roc_area_agrees_with_scikit_learn(rng):
     assert roc_area(known_scores, unknown_scores) == pytest.approx(expected)
 
 
-def test_there_are_ten_bins_unless_another_number_is_asked_for():
-    belief = np.linspace(0.1, 1, 40)
+def test_there_are_ten_bins_unless_another_number_is_asked_for(rng):
+    # Two bins of two: beliefs 0.6 right half the time, beliefs 0.9 always right.
+    error = calibration_error([0.6, 0.9, 0.6, 0.9], [0, 1, 1, 1], n_bins=2)
+    assert error == pytest.approx((0.1 + 0.1) / 2)
     # Of three episodes each is a bin by itself.
-    few = [0.1, 0.5, 0.7], [1, 0, 1]
-    assert calibration_error(*few) == pytest.approx((0.9 + 0.5 + 0.3) / 3)
-    rng = np.random.default_rng(0)
+    error = calibration_error([0.1, 0.5, 0.7], [1, 0, 1])
+    assert error == pytest.approx((0.9 + 0.5 + 0.3) / 3)
+    belief = np.linspace(0.1, 1, 40)
     hit = rng.random(40) < belief
-    ten = calibration_error(belief, hit, n_bins=10)
-    assert calibration_error(belief, hit) == ten != calibration_error(belief, hit, 11)
-
-
-def test_areas_of_few_scores_are_counted_by_hand():
-    assert roc_area([1.0], [2.0]) == 1
-    assert roc_area([2.0], [1.0]) == 0
-    assert roc_area([1.0, 1.0], [1.0]) == 0.5
-    assert roc_area([1.0, 3.0], [2.0, 4.0, 0.0]) == pytest.approx(3 / 6)
+    of_bins = [calibration_error(belief, hit, n_bins) for n_bins in (9, 10, 11)]
+    assert len(set(of_bins)) == 3
+    assert calibration_error(belief, hit) == of_bins[1]
 
 
 def test_mean_radii_are_scikit_learns(rng):
@@ -78,23 +53,9 @@ def test_radii_are_means_of_powers_by_hand():
     points = [[-3.0], [-1.0], [1.0], [3.0], [9.0], [11.0]]
     labels = ["a"] * 4 + ["b"] * 2
     assert davies_bouldin(points, labels) == pytest.approx((np.sqrt(5) + 1) / 10)
-    assert davies_bouldin(points, labels, q=1) == pytest.approx((2 + 1) / 10)
     # The 300th mean is nearly the largest.
     expected = (3 * 0.5 ** (1 / 300) + 1) / 10
     assert davies_bouldin(points, labels, q=300) == pytest.approx(expected, rel=1e-12)
-
-
-def test_each_cluster_counts_its_worst_neighbour():
-    points = [[0.0], [2.0], [4.0], [6.0], [100.0], [102.0]]
-    labels = [0, 0, 1, 1, 2, 2]
-    # Radii 1; centroids 1, 5, 101: 2 / 4, 2 / 4, 2 / 96.
-    assert davies_bouldin(points, labels) == pytest.approx((0.5 + 0.5 + 2 / 96) / 3)
-
-
-def test_scale_and_place_do_not_matter(rng):
-    touches, labels = rng.normal(size=(30, 3)), np.arange(30) % 3
-    moved = davies_bouldin(7 - 3 * touches, labels)
-    assert moved == pytest.approx(davies_bouldin(touches, labels), rel=1e-12)
 
 
 @pytest.mark.parametrize("q", [1, 2])

@@ -25,7 +25,6 @@ ENCODINGS = [
     "é" * 99,
 ]
 KINDS = ["UInt8", "Int16", "Float32", "Float64", "Int64", "Byte"]
-OTHERS = ["std_msgs/msg/String", "std_msgs/msg/Header"]
 # Values that replace a cell of the table of messages.
 CELLS = [None, "text", -1, 2**62, 0.5, b"", b"\0" * 4, b"\0\1\0\0" * 64]
 
@@ -55,7 +54,7 @@ def bag(chance, folder):
                 picture, kind = chance.random() < 0.5, chance.choice(KINDS)
             message = _image(chance, odd) if picture else _array(chance, odd, kind)
             if odd and chance.random() < 0.1:
-                message = store().types[OTHERS[0]]("no touch")
+                message = store().types["std_msgs/msg/String"]("no touch")
             name = message.__msgtype__
             if name not in connections:
                 connections[name] = writer.add_connection(

@@ -16,7 +16,7 @@ import traceback
 import warnings
 import zipfile
 from collections import Counter
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -217,26 +217,6 @@ def learning(chance, folder):
     return "kept"
 
 
-def library(chance, folder):
-    """Adding, renaming, kills and repairs lose nothing that was acknowledged."""
-    return _played("library", chance)
-
-
-def belief(chance, folder):
-    """A belief stays a probability whatever comes, and its copies are independent."""
-    return _played("belief", chance)
-
-
-def session(chance, folder):
-    """The live page's session loses no touch in any order of commands."""
-    return _played("session", chance)
-
-
-def _played(name, chance):
-    play(MACHINES[name], chance.randrange(2**32), 5)
-    return "kept"
-
-
 @cache
 def client():
     import httpx
@@ -279,9 +259,15 @@ def http(chance, folder):
     return "answered"
 
 
-_KINDS = (model, archive, picture, bag, message, learning, library, belief, session)
-KINDS = {kind.__name__: kind for kind in (*_KINDS, http)}
+def played(name, chance, folder):
+    """Play a state machine: orders in any sequence, beside its reference."""
+    play(MACHINES[name], chance.randrange(2**32), 5)
+    return "kept"
 
+
+_KINDS = (model, archive, picture, bag, message, learning, http)
+KINDS = {kind.__name__: kind for kind in _KINDS}
+KINDS |= {name: partial(played, name) for name in MACHINES}
 
 # Caches that are filled before the time of an input is measured.
 PREPARATIONS = {

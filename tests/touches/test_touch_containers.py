@@ -81,16 +81,11 @@ def test_every_page_of_a_tiff_is_a_touch(tmp_path, images, dtype):
     touches = Touches.load(tmp_path / "s.tiff")
     assert_array_equal(touches.images, stack)
     assert touches.images.dtype == dtype
-    for n, page in enumerate(stack):
-        path = tmp_path / "in" / OBJECTS[n] / f"{n}.tif"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        tifffile.imwrite(path, page, photometric="minisblack")
-    folder = Touches.load(tmp_path / "in")
-    assert_array_equal(folder.images, stack)
-    assert folder.object.tolist() == OBJECTS
-    tifffile.imwrite(tmp_path / "in/pen/9.tif", stack, photometric="minisblack")
+    folder = tmp_path / "in"
+    folder.mkdir()
+    tifffile.imwrite(folder / "9.tif", stack, photometric="minisblack")
     with pytest.raises(TouchesError, match="must be one touch in a folder"):
-        Touches.load(tmp_path / "in")
+        Touches.load(folder)
 
 
 @pytest.mark.parametrize("ending", ["bmp", "webp"])
@@ -163,16 +158,17 @@ def test_labels_beside_objects_are_a_column_of_their_own(tmp_path, images):
 @pytest.mark.parametrize(
     ("ending", "option"),
     [
-        *(("h5", {name: value}) for name, value in (("dtype", "u2"), ("levels", "a"))),
-        *((ending, {"skip_bad": True}) for ending in ("h5", "raw")),
+        ("h5", {"dtype": "u2"}),
+        ("h5", {"levels": "a"}),
+        ("h5", {"skip_bad": True}),
+        ("raw", {"skip_bad": True}),
         ("raw", {"levels": "object"}),
     ],
 )
 def test_options_of_other_files_are_refused(tmp_path, images, ending, option):
     path = tmp_path / f"f.{ending}"
     if ending == "h5":
-        with pytest.importorskip("h5py").File(path, "w") as file:
-            file["images"] = images
+        _h5(path, images)
     else:
         images.tofile(path)
         option = {"shape": (5, 6), "dtype": "uint16", **option}
@@ -368,24 +364,32 @@ def test_an_array_with_a_flipped_bit_is_refused_or_read(tmp_path, images):
         Touches.load(path)
 
 
-@pytest.mark.parametrize("ending", ["csv", "npy"])
-def test_each_file_of_a_folder_is_a_touch(tmp_path, ending, rng):
+def _tiff(path, image):
+    pytest.importorskip("tifffile").imwrite(path, image, photometric="minisblack")
+
+
+def _csv(path, image):
+    np.savetxt(path, image, delimiter=",", fmt="%.17g")
+
+
+@pytest.mark.parametrize(
+    ("ending", "write"), [("csv", _csv), ("npy", np.save), ("tif", _tiff)]
+)
+def test_each_file_of_a_folder_is_a_touch(tmp_path, rng, ending, write):
     images = rng.normal(size=(4, 3, 2))
     for n, image in enumerate(images):
-        path = tmp_path / "in" / ["cup", "pen"][n // 2] / f"{n}.{ending}"
+        path = tmp_path / "in" / OBJECTS[n] / f"{n}.{ending}"
         path.parent.mkdir(parents=True, exist_ok=True)
-        if ending == "csv":
-            np.savetxt(path, image, delimiter=",", fmt="%.17g")
-        else:
-            np.save(path, image)
+        write(path, image)
     touches = Touches.load(tmp_path / "in")
     assert_array_equal(touches.images, images)
-    assert touches.object.tolist() == ["cup", "cup", "pen", "pen"]
+    assert touches.object.tolist() == OBJECTS
     for option in ({"skip_bad": True}, {"colour": True}):
         with pytest.raises(TouchesError, match="must be left out for arrays, as in"):
             Touches.load(tmp_path / "in", **option)
-    np.save(tmp_path / "in/pen/9.npy", np.zeros((3, 3)))
-    with pytest.raises(TouchesError, match=r"9.npy must be \(3, 2\) float64 like"):
+    write(tmp_path / "in" / "pen" / f"9.{ending}", np.zeros((3, 3)))
+    message = rf"9.{ending} must be \(3, 2\) float64 like"
+    with pytest.raises(TouchesError, match=message):
         Touches.load(tmp_path / "in")
 
 

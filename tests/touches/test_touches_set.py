@@ -58,11 +58,6 @@ def test_any_integer_or_float_is_kept_as_it_is(dtype):
     assert kept.tobytes() == images.tobytes()
 
 
-def test_negative_values_and_dead_taxels_are_kept():
-    images = np.array([[[-1.5, np.nan], [0.0, -np.pi]]])
-    assert_array_equal(Touches(images).images, images)
-
-
 def test_integer_labels_become_text():
     touches = Touches(np.zeros((3, 2, 2)), object=[7, 7, 12], category=[b"a"] * 3)
     assert touches.object.tolist() == ["7", "7", "12"]
@@ -273,9 +268,7 @@ def test_with_columns_adds_replaces_and_moves(six):
     ("columns", "message"),
     [
         ({"mine": [1, 2]}, "mine must have one row per touch, got 2 rows for 6"),
-        ({"mine": 3}, "mine must have one row per touch, got a single value"),
         ({"images": np.zeros((6, 2, 2))}, "Build Touches"),
-        ({"object": [""] * 6}, "empty label"),
     ],
 )
 def test_bad_added_columns_are_refused(six, columns, message):
