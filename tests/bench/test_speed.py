@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from threadpoolctl import threadpool_info
 
+import mutants
 from palpate.encodings import ZernikeMoments
 from speed import BENCHES, encodings, library, one_thread, run_bench
 from speed import row as row_of
@@ -30,6 +31,12 @@ def test_a_row_says_how_much_faster_ours_is():
     assert absent["ratio"] is None
     with pytest.raises(ValueError, match="reason must be given"):
         row_of("size", 2.0, "peer", None)
+
+
+@pytest.mark.parametrize("name", mutants.CORE)
+def test_a_fault_is_asked_of_tests_that_are_there(name):
+    assert (mutants.ROOT / "src" / "palpate" / name).is_file()
+    assert [path.name for path in mutants.tests_of(name) if not path.is_file()] == []
 
 
 def test_peers_compute_the_same_moments(rng):
