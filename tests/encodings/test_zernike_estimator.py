@@ -91,19 +91,6 @@ def test_a_touch_is_encoded_alone(method, order, rng):
     assert_allclose(alone, encoder.transform(images), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int16, np.float32, ">f4"])
-@pytest.mark.parametrize("order", [15, 21])
-def test_any_real_type_is_encoded_as_float64(dtype, order, rng):
-    images = rng.integers(0, 2 if dtype is bool else 256, (3, 30, 30)).astype(dtype)
-    before = images.copy()
-    encoder = ZernikeMoments(order).fit(images)
-    encoded = encoder.transform(images)
-    assert encoded.dtype == np.float64
-    # The same sums of the same numbers.
-    assert_allclose(encoded, encoder.transform(images.astype(float)), rtol=1e-12)
-    assert_array_equal(images, before)
-
-
 def test_views_of_any_stride_are_encoded(rng):
     images = rng.normal(size=(4, 24, 24))
     encoder = ZernikeMoments().fit(images)
