@@ -194,13 +194,6 @@ def test_damaged_files_are_refused(change, message, tmp_path):
         TaxelCalibration.load(path)
 
 
-def test_a_file_of_something_else_is_refused(tmp_path):
-    path = tmp_path / "array.json"
-    path.write_text("not json", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"it is not JSON.*Calibrate"):
-        TaxelCalibration.load(path)
-
-
 @pytest.mark.parametrize(
     ("loads", "message"),
     [
@@ -245,7 +238,11 @@ def test_unfitted_and_misfit_are_refused(gains):
         calibration.transform(frames[:, :5])
 
 
-def test_a_file_that_is_not_there_is_named_with_what_to_do(tmp_path):
+def test_what_is_no_calibration_file_is_named_with_what_to_do(tmp_path):
+    path = tmp_path / "array.json"
+    path.write_text("not json", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"it is not JSON.*Calibrate"):
+        TaxelCalibration.load(path)
     with pytest.raises(FileNotFoundError, match=r"got .*none\.json: .*Check the path"):
         TaxelCalibration.load(tmp_path / "none.json")
     with pytest.raises(IsADirectoryError, match="path must name a calibration"):
