@@ -34,7 +34,7 @@ def test_json_is_one_object_and_what_is_missing_is_said(tiny_quick):
     result = json.loads(completed.stdout)
     assert result["study"] == "liu2014"
     assert result["plan"]["seed"] == 2
-    assert completed.stderr.strip() == result["skipped"][0]
+    assert [completed.stderr.strip()] == result["skipped"]
     paper = {row["name"]: row["paper"] for row in result["rows"]}
     assert paper["KPCA+MKL-SVM"] == 85.54
     for row in result["rows"]:
