@@ -120,7 +120,7 @@ def test_checked_images_of_any_type_are_transformed_alike(encoder, dtype, touche
     fitted = clone(encoder).fit(levels)
     transformed = fitted.transform(levels)
     assert_array_equal(fitted.transform_checked(levels), transformed)
-    # The same sums of the same numbers; Hu's of single precision are in that.
+    # The same sums of the same numbers; Hu's are in the precision of the images.
     rtol = 1e-5 if isinstance(encoder, HuMoments) else 1e-12
     assert_allclose(transformed, fitted.transform(levels.astype(float)), rtol=rtol)
 

@@ -14,6 +14,13 @@ from palpate.classifiers import (
 BANK = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
 
 
+def platt_loss(sigmoid, scores, labels):
+    n_plus, n_minus = (labels > 0).sum(), (labels < 0).sum()
+    target = np.where(labels > 0, (n_plus + 1) / (n_plus + 2), 1 / (n_minus + 2))
+    z = sigmoid[0] * scores + sigmoid[1]
+    return (np.logaddexp(0, z) - target * z).sum()
+
+
 @pytest.fixture
 def vectors(rng):
     """Fifteen touches of four features, away from the origin."""

@@ -171,25 +171,6 @@ def test_left_out_object_without_other_touches_is_impossible():
     assert_array_equal(np.isneginf(left_out), [[True, False], [False] * 2, [False] * 2])
 
 
-def test_leave_one_out_keeps_the_order_of_learning(learnt):
-    touches, labels = learnt
-    shuffled = np.random.default_rng(5).permutation(len(labels))
-    straight = KernelDensityBayes(precision="double").fit(touches, labels)
-    other = KernelDensityBayes(precision="double").fit(
-        touches[shuffled], labels[shuffled]
-    )
-    # Sums run in another order.
-    assert_allclose(
-        other.left_out_log_likelihood(),
-        straight.left_out_log_likelihood()[shuffled],
-        rtol=1e-9,
-    )
-    others = labels != "thing 4"
-    straight.refit(touches[others], labels[others])
-    assert_array_equal(np.sort(straight.order_), np.arange(others.sum()))
-    assert len(straight.left_out_log_likelihood()) == len(straight.order_)
-
-
 def test_precision_chosen_for_few_touches_and_narrow_bandwidths(learnt):
     touches, labels = learnt
     assert KernelDensityBayes().fit(touches, labels).dtype_ == "float32"

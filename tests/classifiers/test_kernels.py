@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from palpate.classifiers import (
     MKLSVC,
     GaussianKernel,
-    LinearKernel,
     PolynomialKernel,
 )
 from palpate.classifiers.mkl import paper_kernels
@@ -72,12 +71,6 @@ def test_a_kernel_that_tells_nothing_apart_gets_no_weight():
     ):
         machine = fitted(stack, kernels="precomputed", normalize=normalize)
         assert_array_equal(machine.kernel_scales_, scales)
-
-
-def test_kernels_between_test_and_training_touches_are_scaled_by_training(vectors):
-    machine = fitted(vectors, kernels=[LinearKernel()])
-    machine.predict(2 * vectors)
-    assert_allclose(machine.kernel_scales_, 1 / (vectors**2).sum(), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

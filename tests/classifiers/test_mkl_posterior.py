@@ -17,6 +17,8 @@ from palpate.classifiers.mkl._pairs import (
     vote,
 )
 
+from .conftest import platt_loss
+
 IDENTITY = np.array([[1.0, 0.0]])  # slope 1, offset 0
 
 
@@ -34,13 +36,6 @@ def test_votes_count_won_pairs_and_decisions_break_ties():
 
 def test_decisions_of_zero_are_half_a_vote_each():
     assert_allclose(vote(np.zeros((1, 6)), all_pairs(4), 4), 1.5)
-
-
-def platt_loss(sigmoid, scores, labels):
-    n_plus, n_minus = (labels > 0).sum(), (labels < 0).sum()
-    target = np.where(labels > 0, (n_plus + 1) / (n_plus + 2), 1 / (n_minus + 2))
-    z = sigmoid[0] * scores + sigmoid[1]
-    return (np.logaddexp(0, z) - target * z).sum()
 
 
 def test_sigmoids_minimise_platts_loss_of_what_is_no_padding(rng):

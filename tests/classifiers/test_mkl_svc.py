@@ -17,6 +17,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
+from .conftest import platt_loss
+
 BANK = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
 
 
@@ -214,14 +216,8 @@ def test_sigmoids_are_fitted_to_five_blocks_of_each_class_left_out(rng):
             svm = SVC(kernel="linear", C=10, tol=1e-9)
             svm.fit(X[rows[learnt]], labels[learnt])
             scores[out] = svm.decision_function(X[rows[out]])
-        n_plus, n_minus = (labels > 0).sum(), (labels < 0).sum()
-        target = np.where(labels > 0, (n_plus + 1) / (n_plus + 2), 1 / (n_minus + 2))
-
-        def loss(ab, scores=scores, target=target):
-            z = ab[0] * scores + ab[1]
-            return (np.logaddexp(0, z) - target * z).sum()
-
-        best = minimize(loss, [0, 0], bounds=[(0, None), (None, None)], tol=1e-12)
+        bounds = [(0, None), (None, None)]
+        best = minimize(platt_loss, [0, 0], (scores, labels), bounds=bounds, tol=1e-12)
         # Machines that leave out are solved to a gap of 1e-4 alone.
         assert_allclose(sigmoid, best.x, rtol=0.01, atol=0.003)
 

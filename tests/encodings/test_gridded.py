@@ -42,14 +42,6 @@ def test_blur_keeps_what_is_even():
     assert_allclose(GridLevels(blur=2.0).fit_transform(np.full((1, 5, 9), 4)), 2)
 
 
-def test_unit_length_is_of_all_channels_together():
-    colour = np.zeros((2, 3, 3, 2))
-    colour[0, 1, 1] = 3, 4
-    unit = GridLevels(root=False, unit=True).fit_transform(colour)
-    assert_allclose(sorted(unit[0])[-2:], [0.6, 0.8])
-    assert_allclose(unit[1], 0)
-
-
 @pytest.mark.parametrize(
     ("image", "direction"),
     [

@@ -195,31 +195,20 @@ def test_damaged_files_are_refused(change, message, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("loads", "message"),
+    ("params", "loads", "message"),
     [
-        ([1.0, 2.0], "one load per frame"),
-        ([1.0, 2.0, -3.0], "at least 0"),
-        ([1.0, 2.0, np.nan], "finite"),
-        ([1.0, 1.0, 2.0], "three different loads, got 2"),
+        ({}, [1.0, 2.0], "one load per frame"),
+        ({}, [1.0, 2.0, -3.0], "at least 0"),
+        ({}, [1.0, 2.0, np.nan], "finite"),
+        ({}, [1.0, 1.0, 2.0], "three different loads, got 2"),
+        ({"load_unit": "N"}, [1.0, 2.0, 3.0], "load_unit must be one of"),
+        ({"quantity": "voltage"}, [1.0, 2.0, 3.0], "quantity must be one of"),
+        ({"least_gain": 2}, [1.0, 2.0, 3.0], "between 0 and 1"),
     ],
 )
-def test_bad_loads_are_refused(loads, message):
+def test_bad_loads_and_parameters_are_refused(params, loads, message):
     with pytest.raises(ValueError, match=message):
-        TaxelCalibration().fit(np.ones((3, 2, 2)), loads)
-
-
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({"load_unit": "N"}, "load_unit must be one of"),
-        ({"quantity": "voltage"}, "quantity must be one of"),
-        ({"least_gain": 2}, "between 0 and 1"),
-    ],
-)
-def test_bad_parameters_are_refused(params, message):
-    loads = np.array([1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=message):
-        TaxelCalibration(**params).fit(respond(loads, np.ones((2, 2))), loads)
+        TaxelCalibration(**params).fit(np.ones((3, 2, 2)), loads)
 
 
 def test_an_array_that_never_answers_is_refused(gains):

@@ -134,21 +134,6 @@ def test_tables_pictures_and_report(result, tmp_path, monkeypatch):
     assert [text.split(":")[0] for text in shown] == ["Fig. 7", "Fig. 6", "Fig. 8"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"partitions": 0}, "partitions must be at least 1"),
-        ({"n_train": 2}, "n_train must be at least 6"),
-        ({"n_simulated": 20}, "n_simulated must be at least 75"),
-        ({"clusters": (0,)}, "clusters must be at least 1"),
-        ({"seed": -1}, "seed must be at least 0"),
-    ],
-)
-def test_bad_sizes_are_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        Corradi2015Plan(**changes)
-
-
 @pytest.mark.slow
 @pytest.mark.realdata
 def test_recorded_touches_are_recognised_as_the_paper_says(data_folder):
