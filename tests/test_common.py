@@ -114,7 +114,9 @@ def test_one_touch_is_enough_to_learn_from(encoder, touches):
 
 
 @image_estimators
-@pytest.mark.parametrize("dtype", [">f4", np.float32, np.int16, np.uint8, bool])
+@pytest.mark.parametrize(
+    "dtype", [np.float64, ">f4", np.float32, np.int16, np.uint8, bool]
+)
 def test_checked_images_of_any_type_are_transformed_alike(encoder, dtype, touches):
     levels = (200 * touches.clip(0)).astype(dtype)
     fitted = clone(encoder).fit(levels)

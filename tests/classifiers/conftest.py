@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 
-from palpate.classifiers import (
-    MKLSVC,
-    GaussianKernel,
-    LinearKernel,
-    PolynomialKernel,
-)
+from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
 BANK = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
 

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.classifiers import (
-    MKLSVC,
-    GaussianKernel,
-    PolynomialKernel,
-)
+from palpate.classifiers import MKLSVC, GaussianKernel, PolynomialKernel
 from palpate.classifiers.mkl import paper_kernels
 
 

@@ -8,11 +8,7 @@ from joblib import parallel_config
 from numpy.testing import assert_allclose
 
 from palpate import ObjectRecogniser, Touches
-from palpate.classifiers import (
-    EncodingPool,
-    KernelDensityBayes,
-    KernelRidgeClassifier,
-)
+from palpate.classifiers import EncodingPool, KernelDensityBayes, KernelRidgeClassifier
 
 MOST_ANSWERS = "palpate.classifiers._touch_classifier.MOST_ANSWERS"
 SETTINGS = {"widths": [1.0], "ridges": [0.1], "max_touches": 50, "n_landmarks": 40}

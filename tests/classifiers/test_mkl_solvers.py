@@ -17,16 +17,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.classifiers import (
-    MKLSVC,
-    LinearKernel,
-    PolynomialKernel,
-)
-from palpate.classifiers.mkl import (
-    _landmarks,
-    _svc,
-    paper_kernels,
-)
+from palpate.classifiers import MKLSVC, LinearKernel, PolynomialKernel
+from palpate.classifiers.mkl import _landmarks, _svc, paper_kernels
 from palpate.classifiers.mkl._dense import DenseKernels
 from palpate.classifiers.mkl._kernels import kernel_stack
 from palpate.classifiers.mkl._landmarks import LowRankKernels, NystroemBank

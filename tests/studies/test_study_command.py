@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from palpate import Touches
 from palpate.cli import app, main
 from palpate.simulation import DomeCamera, simulate_touches
-from palpate.studies import STUDIES
+from palpate.studies import STUDIES, liu2014
 from palpate.studies.corradi2014 import Corradi2014Plan
 from palpate.studies.corradi2015 import Corradi2015Plan
 from palpate.studies.liu2014 import Liu2014Plan
@@ -44,8 +44,11 @@ def test_json_is_one_object_and_what_is_missing_is_said(tiny_quick):
 
 
 def test_tables_and_report_for_people(tiny_quick, monkeypatch, tmp_path):
-    pytest.importorskip("matplotlib")
-    monkeypatch.setattr("palpate.studies.liu2014.pictures", lambda _: {})
+    # Empty pictures: `test_liu2014_study` has them drawn.
+    figure = pytest.importorskip("matplotlib.figure").Figure
+    drawings = [name for name in vars(liu2014) if name.startswith("draw_")]
+    for name in drawings:
+        monkeypatch.setattr(liu2014, name, lambda _: figure())
     report = tmp_path / "liu.html"
     arguments = ["study", "liu2014", "--quick", "--workers", "1"]
     arguments += ["--protocol", "nested", "--report", str(report)]
@@ -53,7 +56,9 @@ def test_tables_and_report_for_people(tiny_quick, monkeypatch, tmp_path):
     assert completed.exit_code == 0, completed.output
     assert "Table 2" in completed.stdout
     assert completed.stdout.rstrip().endswith("liu.html")
-    assert report.read_text("utf-8").startswith("<!doctype html>")
+    page = report.read_text("utf-8")
+    assert page.startswith("<!doctype html>")
+    assert page.count('role="img"') == len(drawings) == 6
 
 
 def test_studies_are_listed():
@@ -100,7 +105,7 @@ def test_failures_say_what_to_do(arguments, message, monkeypatch, capsys, tmp_pa
         (Liu2014Plan, {"protocol": "best"}, "protocol must be one of"),
         (Liu2014Plan, {"parts": (3,)}, "parts must be two or more"),
         (Liu2014Plan, {"parts": (3, 13)}, "between 1 and 12"),
-        (Liu2014Plan, {"n_presses": 3}, "n_presses must be at least 4, got 3"),
+        (Liu2014Plan, {"n_presses": 5}, "n_presses must be at least 6, got 5"),
         (Liu2014Plan, {"runs": 0}, "runs must be at least 1"),
     ],
 )
