@@ -12,7 +12,6 @@ from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import cross_val_score
 from sklearn.svm import SVC
-from sklearn.utils.estimator_checks import parametrize_with_checks
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
@@ -20,12 +19,6 @@ from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, Polynomial
 from .conftest import platt_loss
 
 BANK = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
-
-
-@pytest.mark.slow
-@parametrize_with_checks([MKLSVC()])
-def test_common_checks_with_all_22_kernels(estimator, check):
-    check(estimator)
 
 
 @pytest.fixture
@@ -309,23 +302,23 @@ def test_touches_learnt_twice_under_two_labels_have_finite_answers(rng):
     assert np.isfinite(machine.predict_proba(X)).all()
 
 
-def bad(matrix_change):
+def changed(place, value):
     stack = np.stack([np.eye(4), np.eye(4)], axis=2)
-    matrix_change(stack)
+    stack[place] = value
     return stack
 
 
 @pytest.mark.parametrize(
     ("stack", "message"),
     [
-        (bad(lambda s: s.__setitem__((0, 1, 1), np.nan)), "contains NaN"),
-        (bad(lambda s: s.__setitem__((0, 1, 1), np.inf)), "contains infinity"),
+        (changed((0, 1, 1), np.nan), "contains NaN"),
+        (changed((0, 1, 1), np.inf), "contains infinity"),
         (
-            bad(lambda s: s.__setitem__((0, 1, 1), 0.5)),
+            changed((0, 1, 1), 0.5),
             r"must be symmetric, got a difference of 0\.5 .*kernel 1",
         ),
         (
-            bad(lambda s: s.__setitem__((0, 0, 0), -1.0)),
+            changed((0, 0, 0), -1.0),
             "semi-definite, got an eigenvalue of -1 in kernel 0",
         ),
         (np.ones((4, 3, 2)), "X has 3 features, but MKLSVC is expecting 4"),

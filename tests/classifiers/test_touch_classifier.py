@@ -63,6 +63,12 @@ def test_scikit_learn_contract(estimator, check):
     check(estimator)
 
 
+@pytest.mark.slow
+@parametrize_with_checks([MKLSVC(), NearbyTouches()])
+def test_scikit_learn_contract_of_slow_ones(estimator, check):
+    check(estimator)
+
+
 @each_classifier
 def test_every_classifier_keeps_the_protocol(classifier, separate):
     features, labels, groups = separate
