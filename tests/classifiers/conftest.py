@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 
-from palpate.classifiers import (
-    MKLSVC,
-    GaussianKernel,
-    LinearKernel,
-    PolynomialKernel,
-)
+from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
 BANK = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
+
+
+def platt_loss(sigmoid, scores, labels):
+    n_plus, n_minus = (labels > 0).sum(), (labels < 0).sum()
+    target = np.where(labels > 0, (n_plus + 1) / (n_plus + 2), 1 / (n_minus + 2))
+    z = sigmoid[0] * scores + sigmoid[1]
+    return (np.logaddexp(0, z) - target * z).sum()
 
 
 @pytest.fixture

@@ -112,15 +112,6 @@ def test_objects_far_apart_keep_finite_and_exact_likelihoods():
     assert np.isfinite(model.predict_log_proba(touches)).all()
 
 
-def test_density_of_one_stored_touch_is_the_normal_density():
-    # Two touches one unit apart: unbiased variance 1/2.
-    model = KernelDensityBayes(scale=2.0).fit([[0.0], [1.0]], ["a", "b"])
-    x = np.linspace(-9, 9, 7)[:, np.newaxis]
-    sd = 2 * np.sqrt(0.5)
-    expected = np.c_[norm.logpdf(x, 0, sd), norm.logpdf(x, 1, sd)]
-    assert_allclose(model.log_likelihood(x), expected, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("precision", "error"), [("single", SINGLE), ("double", DOUBLE)]
 )
@@ -156,22 +147,6 @@ def test_learning_and_forgetting_leave_the_others_to_the_bit(
     assert_array_equal(model.log_likelihood(new_touches), np.delete(before, 3, axis=1))
 
 
-def test_an_added_object_is_as_if_learnt_from_the_start(learnt, new_touches):
-    touches, labels = learnt
-    late = labels == "thing 7"
-    model = KernelDensityBayes().fit(touches[~late], labels[~late])
-    model.refit(touches, labels)
-    whole = KernelDensityBayes().fit(touches, labels)
-    # With the spread of all touches in place, nothing else differs.
-    for attribute in ("centre_", "spread_", "varies_", "log_volume_"):
-        setattr(whole, attribute, getattr(model, attribute))
-    points = model._whiten(touches[whole.order_])
-    whole._store(points, whole.counts_)
-    assert_array_equal(
-        whole.log_likelihood(new_touches), model.log_likelihood(new_touches)
-    )
-
-
 @each_bandwidth
 @pytest.mark.parametrize("grouped", [False, True])
 def test_leave_one_out_is_the_mean_over_the_other_touches(bandwidth, grouped, learnt):
@@ -194,27 +169,6 @@ def test_left_out_object_without_other_touches_is_impossible():
     three = [[0.0], [1.0], [2.0]], ["a", "b", "b"]
     left_out = KernelDensityBayes().fit(*three).left_out_log_likelihood()
     assert_array_equal(np.isneginf(left_out), [[True, False], [False] * 2, [False] * 2])
-    with pytest.raises(ValueError, match=r"one entry per training touch \(3\)"):
-        KernelDensityBayes().fit(*three, groups=[0, 1])
-
-
-def test_leave_one_out_keeps_the_order_of_learning(learnt):
-    touches, labels = learnt
-    shuffled = np.random.default_rng(5).permutation(len(labels))
-    straight = KernelDensityBayes(precision="double").fit(touches, labels)
-    other = KernelDensityBayes(precision="double").fit(
-        touches[shuffled], labels[shuffled]
-    )
-    # Sums run in another order.
-    assert_allclose(
-        other.left_out_log_likelihood(),
-        straight.left_out_log_likelihood()[shuffled],
-        rtol=1e-9,
-    )
-    others = labels != "thing 4"
-    straight.refit(touches[others], labels[others])
-    assert_array_equal(np.sort(straight.order_), np.arange(others.sum()))
-    assert len(straight.left_out_log_likelihood()) == len(straight.order_)
 
 
 def test_precision_chosen_for_few_touches_and_narrow_bandwidths(learnt):
@@ -332,23 +286,3 @@ def test_absurd_touches_get_finite_answers(bandwidth, learnt):
 def test_variances_that_overflow_are_refused():
     with pytest.raises(ValueError, match="variances below 1e308"):
         KernelDensityBayes().fit([[1e300], [-1e300]], [0, 1])
-
-
-@pytest.mark.realdata
-@each_bandwidth
-def test_single_precision_agrees_with_double_on_real_touches(bandwidth, data_folder):
-    with np.load(data_folder / "bathtip" / "bathtip50.npz") as archive:
-        touches = archive["author_zernike_pca"].astype(float)
-        labels = archive["object"]
-    train = np.arange(len(labels)) % 5 != 0
-    single, double = (
-        KernelDensityBayes(bandwidth, precision=p).fit(touches[train], labels[train])
-        for p in ("single", "double")
-    )
-    assert_allclose(
-        single.log_likelihood(touches[~train]),
-        double.log_likelihood(touches[~train]),
-        rtol=1e-5,
-        atol=1e-3,
-    )
-    assert_array_equal(single.predict(touches[~train]), double.predict(touches[~train]))

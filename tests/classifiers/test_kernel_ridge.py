@@ -2,7 +2,6 @@
 
 import itertools
 import pickle
-import tracemalloc
 from copy import copy
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
+from sklearn.base import clone
 
 from palpate.classifiers import KernelRidgeClassifier
 
@@ -81,18 +81,19 @@ def test_refit_keeps_the_choices(problem):
 
 def test_the_choice_is_made_on_part_of_many_touches(problem):
     X, labels, _ = problem
+    whole = KernelRidgeClassifier().fit(X, labels)
     few = KernelRidgeClassifier(max_choice_touches=30).fit(X, labels)
+    # The median distance, in which widths count, is that of other touches.
+    assert few.unit_ != whole.unit_
     assert len(few.touches_) == 60
 
 
-def test_one_label_no_ridge_and_groups_of_other_touches_are_refused(problem):
+def test_one_label_and_no_ridge_are_refused(problem):
     X, labels, _ = problem
     with pytest.raises(ValueError, match="at least two labels"):
         KernelRidgeClassifier().fit(X, ["pen"] * 60)
     with pytest.raises(ValueError, match="ridges must hold at least one value"):
         KernelRidgeClassifier(ridges=[]).fit(X, labels)
-    with pytest.raises(ValueError, match=r"one entry per training touch \(60\)"):
-        KernelRidgeClassifier().fit(X, labels, groups=[1, 2])
 
 
 def test_equal_touches_give_equal_posteriors():
@@ -114,13 +115,10 @@ def test_touches_far_from_the_origin_are_told_apart_as_well(problem, shift):
     )
 
 
-def test_mean_touches_and_norms_are_those_of_the_training_touches(problem):
+def test_scores_are_sums_of_the_kernel(problem):
     X, labels, _ = problem
     machine = KernelRidgeClassifier().fit(X, labels)
-    centred = X - X.mean(axis=0)
-    assert_allclose(machine.mean_, X.mean(axis=0))
-    assert_allclose(machine.touches_, centred, atol=1e-12)
-    assert_allclose(machine.squared_norms_, (centred**2).sum(axis=1))
+    assert_allclose(machine.touches_ + machine.mean_, X)
     distance = ((X[:, None] - X) ** 2).sum(axis=2)
     kernel = np.exp(-machine.width_ / machine.unit_ * distance)
     slow = kernel @ machine.coefficients_ + 1 / 3
@@ -128,16 +126,11 @@ def test_mean_touches_and_norms_are_those_of_the_training_touches(problem):
     assert_allclose(machine.scores(X), slow, atol=1e-10)
 
 
-def test_features_whose_squares_leave_the_range_are_refused(problem):
+def test_features_whose_squares_just_keep_to_the_range_are_learnt(problem):
     X, labels, _ = problem
     machine = KernelRidgeClassifier().fit(X, labels)
-    for refused in (
-        lambda: KernelRidgeClassifier().fit(1e200 * X, labels),
-        lambda: machine.scores(1e200 * X),
-        lambda: machine.refit(1e200 * X, labels),
-    ):
-        with pytest.raises(ValueError, match=r"X must be at most 1e\+150 .*e\+200"):
-            refused()
+    with pytest.raises(ValueError, match=r"X must be at most 1e\+150 .*e\+200"):
+        machine.refit(1e200 * X, labels)
     large = KernelRidgeClassifier().fit(1e148 * X, labels)
     assert_allclose(large.scores(1e148 * X), machine.scores(X), atol=1e-8)
 
@@ -177,22 +170,6 @@ def test_left_out_scores_through_landmarks_are_those_of_refitting(problem, n_lan
         inner = learnt.T @ learnt + 0.1 * np.eye(len(landmarks))
         slow = features[out] @ np.linalg.solve(inner, learnt.T @ targets[~out]) + 1 / 3
         assert_allclose(machine.left_out_scores_[out], slow, atol=1e-5)  # single
-
-
-def test_memory_of_many_touches_does_not_grow_with_their_square(rng):
-    labels = np.tile(["ball", "mug"], 4000)
-    X = rng.normal(size=(8000, 3)) + (labels == "mug")[:, None]
-    machine = KernelRidgeClassifier(
-        widths=[1.0], ridges=[0.1], max_choice_touches=100, n_landmarks=50
-    )
-    machine.set_params(max_touches=1000)
-    tracemalloc.start()
-    machine.fit(X, labels, groups=np.arange(8000) // 400)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    # The kernel of all touches alone would take 512 MB.
-    assert peak < 40e6
-    assert machine.score(X, labels) > 0.75
 
 
 def test_landmarks_are_spread_over_each_label_in_whatever_order(problem):
@@ -315,16 +292,17 @@ def test_touches_that_changed_are_learnt_again(many, changed):
     assert_allclose(again.coefficients_, wanted, atol=1e-10)
 
 
-def test_learning_anew_forgets_what_was_solved_before(many):
+@pytest.mark.parametrize("max_touches", [10_000, 500], ids=["exact", "landmarks"])
+def test_learning_anew_forgets_what_was_solved_before(many, max_touches):
     X, labels = many
-    machine = KernelRidgeClassifier(max_choice_touches=100, ridges=[0.1])
-    machine.fit(X, labels)
-    machine.set_params(ridges=[0.01]).fit(
-        np.r_[X, X[:5]], np.append(labels, labels[:5])
+    machine = KernelRidgeClassifier(
+        max_choice_touches=100, ridges=[0.1], max_touches=max_touches, n_landmarks=40
     )
-    fresh = KernelRidgeClassifier(max_choice_touches=100, ridges=[0.01])
-    fresh.fit(np.r_[X, X[:5]], np.append(labels, labels[:5]))
-    assert_array_equal(machine.coefficients_, fresh.coefficients_)
+    machine.fit(X, labels)
+    more = np.r_[X, X[:5]], np.append(labels, labels[:5])
+    machine.set_params(ridges=[0.01]).fit(*more)
+    fresh = clone(machine).fit(*more)
+    assert_array_equal(machine.log_likelihood(X), fresh.log_likelihood(X))
 
 
 def test_the_kernel_kept_for_later_touches_is_not_pickled(many):

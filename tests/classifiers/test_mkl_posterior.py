@@ -17,6 +17,8 @@ from palpate.classifiers.mkl._pairs import (
     vote,
 )
 
+from .conftest import platt_loss
+
 IDENTITY = np.array([[1.0, 0.0]])  # slope 1, offset 0
 
 
@@ -36,32 +38,17 @@ def test_decisions_of_zero_are_half_a_vote_each():
     assert_allclose(vote(np.zeros((1, 6)), all_pairs(4), 4), 1.5)
 
 
-def platt_loss(sigmoid, scores, labels):
-    n_plus, n_minus = (labels > 0).sum(), (labels < 0).sum()
-    target = np.where(labels > 0, (n_plus + 1) / (n_plus + 2), 1 / (n_minus + 2))
-    z = sigmoid[0] * scores + sigmoid[1]
-    return (np.logaddexp(0, z) - target * z).sum()
-
-
-def test_sigmoids_minimise_platts_loss(rng):
+def test_sigmoids_minimise_platts_loss_of_what_is_no_padding(rng):
     labels = np.where(rng.random((5, 40)) < 0.4, 1.0, -1.0)
     scores = 0.7 * labels + rng.normal(size=(5, 40))
-    sigmoids = fit_sigmoids(scores, labels)
+    padding = ((0, 0), (0, 5))
+    sigmoids = fit_sigmoids(
+        np.pad(scores, padding, constant_values=9.0), np.pad(labels, padding)
+    )
     for sigmoid, score, label in zip(sigmoids, scores, labels, strict=True):
         best = minimize(platt_loss, [0, 0], (score, label), tol=1e-12)
         # Where the optimiser without derivatives stops.
         assert_allclose(sigmoid, best.x, atol=1e-4)
-
-
-def test_sigmoids_of_padded_rows_are_those_of_the_touches(rng):
-    labels = np.where(rng.random((1, 20)) < 0.5, 1.0, -1.0)
-    scores = labels + rng.normal(size=(1, 20))
-    padded = np.pad(labels, ((0, 0), (0, 5)))
-    other = np.pad(scores, ((0, 0), (0, 5)), constant_values=9.0)
-    # Equal up to the order of sums.
-    assert_allclose(
-        fit_sigmoids(other, padded), fit_sigmoids(scores, labels), rtol=1e-6
-    )
 
 
 def test_decisions_that_are_wrong_say_nothing():
@@ -81,21 +68,11 @@ def test_two_classes_are_their_sigmoid():
 
 
 @pytest.mark.parametrize("n_classes", [3, 5])
-def test_coupling_recovers_a_distribution_from_its_own_pairs(rng, n_classes):
-    chances = rng.dirichlet(np.ones(n_classes), size=6)
-    first, second = all_pairs(n_classes).T
-    # The pair's odds of consistent probabilities are the odds of the two classes.
-    odds = np.log(chances[:, second] / chances[:, first])
-    sigmoids = np.repeat(IDENTITY, len(first), axis=0)
-    # Chances of a pair are clipped at 1e-7.
-    assert_allclose(couple(odds, sigmoids, all_pairs(n_classes)), chances, atol=1e-5)
-
-
-def test_coupling_minimises_the_pairwise_squares(rng):
-    pairs, n_classes = all_pairs(4), 4
-    second = rng.uniform(0.1, 0.9, size=6)
+def test_coupling_minimises_the_pairwise_squares(rng, n_classes):
+    pairs = all_pairs(n_classes)
+    second = rng.uniform(0.1, 0.9, size=len(pairs))
     decisions = np.log(second / (1 - second))[None]
-    (coupled,) = couple(decisions, np.repeat(IDENTITY, 6, axis=0), pairs)
+    (coupled,) = couple(decisions, np.repeat(IDENTITY, len(pairs), axis=0), pairs)
 
     def loss(p):
         i, j = pairs.T
@@ -128,12 +105,6 @@ def test_probabilities_side_with_the_votes_at_the_least_change(rng):
         )
         # SLSQP's own accuracy, and the hair by which the winner is ahead.
         assert_allclose(after, least.x, atol=1e-6)
-
-
-def test_agreeing_probabilities_are_left_alone(rng):
-    chances = rng.dirichlet(np.ones(4), size=10)
-    sided = side_with_votes(chances, chances.argmax(axis=1))
-    assert_allclose(sided, chances, rtol=1e-12)
 
 
 def test_the_temperature_undoes_a_power(rng):

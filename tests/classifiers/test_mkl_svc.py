@@ -10,27 +10,15 @@ from scipy.linalg.lapack import dpotrf
 from scipy.optimize import minimize
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.model_selection import GridSearchCV, cross_val_score
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.model_selection import cross_val_score
 from sklearn.svm import SVC
-from sklearn.utils.estimator_checks import parametrize_with_checks
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
+from .conftest import platt_loss
+
 BANK = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
-
-
-@parametrize_with_checks([MKLSVC(kernels=BANK, normalize="variance", norm=2, C=1)])
-def test_common_checks(estimator, check):
-    check(estimator)
-
-
-@pytest.mark.slow
-@parametrize_with_checks([MKLSVC()])
-def test_common_checks_with_all_22_kernels(estimator, check):
-    check(estimator)
 
 
 @pytest.fixture
@@ -41,15 +29,10 @@ def problem(rng):
     return X, labels
 
 
-def kernels_of(left, right, kernels=BANK):
-    squared = ((left[:, None] - right) ** 2).sum(axis=2)
-    product = left @ right.T
-    by_kind = {
-        GaussianKernel: lambda k: np.exp(-squared / (2 * k.sigma**2)),
-        PolynomialKernel: lambda k: (1 + product) ** k.degree,
-        LinearKernel: lambda k: product,
-    }
-    return np.stack([by_kind[type(k)](k) for k in kernels], axis=2)
+@pytest.fixture
+def kernels_of(reference):
+    """Return the kernels of the bank as precomputed ones are given."""
+    return lambda *sides: np.stack([reference(k, *sides) for k in BANK], axis=2)
 
 
 def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
@@ -88,10 +71,11 @@ def test_each_pair_is_solved_to_its_gap_with_weights_that_sum_to_one(problem):
     assert (machine.n_iter_ >= 1).all()
 
 
-def test_one_kernel_is_scikit_learns_machine(problem):
+@pytest.mark.parametrize("C", [3, 100])
+def test_one_kernel_is_scikit_learns_machine(problem, C):
     X, labels = problem
-    ours = MKLSVC(C=3, kernels=[GaussianKernel(2.0)], normalize=None, tol=1e-10)
-    theirs = SVC(C=3, gamma=1 / 8, tol=1e-10, decision_function_shape="ovo")
+    ours = MKLSVC(C=C, kernels=[GaussianKernel(2.0)], normalize=None, tol=1e-10)
+    theirs = SVC(C=C, gamma=1 / 8, tol=1e-10, decision_function_shape="ovo")
     others = X + 0.3
     decisions = ours.fit(X, labels).pair_decisions(others)
     # Scikit-learn's pairs speak for their first class when there are several.
@@ -101,7 +85,7 @@ def test_one_kernel_is_scikit_learns_machine(problem):
     assert_array_equal(ours.predict(others), theirs.predict(others))
 
 
-def test_weights_and_multipliers_give_the_decisions(problem):
+def test_weights_and_multipliers_give_the_decisions(problem, kernels_of):
     X, labels = problem
     machine = MKLSVC(kernels=BANK, C=50, probability=False).fit(X, labels)
     stack = kernels_of(X + 0.1, X) * machine.kernel_scales_
@@ -112,7 +96,7 @@ def test_weights_and_multipliers_give_the_decisions(problem):
     assert_allclose(decisions, expected + machine.intercept_, rtol=1e-9, atol=1e-9)
 
 
-def test_precomputed_kernels_are_the_same_machine(problem):
+def test_precomputed_kernels_are_the_same_machine(problem, kernels_of):
     X, labels = problem
     others = X + 0.2
     by_features = MKLSVC(kernels=BANK).fit(X, labels)
@@ -124,7 +108,9 @@ def test_precomputed_kernels_are_the_same_machine(problem):
         assert_allclose(ours, getattr(by_features, method)(others), atol=1e-5)
 
 
-def test_precomputed_kernels_are_cut_along_touches_by_cross_validation(problem):
+def test_precomputed_kernels_are_cut_along_touches_by_cross_validation(
+    problem, kernels_of
+):
     X, labels = problem
     features = cross_val_score(MKLSVC(kernels=BANK, probability=False), X, labels)
     precomputed = MKLSVC(kernels="precomputed", probability=False)
@@ -149,18 +135,6 @@ def test_every_normalisation_and_norm_learns(problem, normalize, norm):
     assert_allclose((machine.weights_**norm).sum(axis=1), 1, rtol=1e-9)
 
 
-def test_trace_normalisation_is_a_change_of_price_for_one_kernel(problem):
-    X, labels = problem
-    raw = MKLSVC(C=2, kernels=[GaussianKernel(2.0)], normalize=None, tol=1e-9)
-    by_trace = MKLSVC(C=2 * 48, kernels=[GaussianKernel(2.0)], tol=1e-9)
-    # A Gaussian kernel of 48 touches has trace 48; both within a gap of 1e-9.
-    assert_allclose(
-        by_trace.fit(X, labels).decision_function(X),
-        raw.fit(X, labels).decision_function(X),
-        atol=1e-3,
-    )
-
-
 @pytest.mark.parametrize("C", [10, 100, 1000])
 def test_simplemkl_is_the_same_machine(problem, C):
     X, labels = problem
@@ -178,7 +152,6 @@ def test_simplemkl_is_the_same_machine(problem, C):
         pytest.param(np.repeat([7, -3], 10), id="ints"),
         pytest.param(np.repeat([True, False], 10), id="bools"),
         pytest.param(np.repeat(["pen", "a long name"], 10), id="text"),
-        pytest.param(np.repeat(["pen", "mug"], 10).astype(object), id="objects"),
         pytest.param(np.repeat([0.0, 2.0], 10), id="floats"),
     ],
 )
@@ -195,10 +168,14 @@ def test_labels_of_any_kind_are_learnt(rng, labels):
 
 # Pairs of the latter are solved together, padded.
 @pytest.mark.parametrize("counts", [[3, 17, 40], [10, 12, 11]])
-def test_pairs_of_unequal_classes_are_solved_as_if_alone(rng, counts):
+@pytest.mark.parametrize("solver", ["interior", "simplemkl"])
+def test_pairs_of_unequal_classes_are_solved_as_if_alone(
+    rng, counts, solver, kernels_of
+):
     labels = rng.permutation(np.repeat([0, 1, 2], counts))
     X = rng.normal(size=(len(labels), 4)) + 3 * np.eye(3, 4)[labels]
-    together = MKLSVC(kernels=BANK, probability=False).fit(X, labels)
+    together = MKLSVC(kernels=BANK, solver=solver, tol=1e-6, probability=False)
+    together.fit(X, labels)
     scales = together.kernel_scales_
     for (first, second), objective in zip(
         together.pairs_, together.objective_, strict=True
@@ -232,47 +209,22 @@ def test_sigmoids_are_fitted_to_five_blocks_of_each_class_left_out(rng):
             svm = SVC(kernel="linear", C=10, tol=1e-9)
             svm.fit(X[rows[learnt]], labels[learnt])
             scores[out] = svm.decision_function(X[rows[out]])
-        n_plus, n_minus = (labels > 0).sum(), (labels < 0).sum()
-        target = np.where(labels > 0, (n_plus + 1) / (n_plus + 2), 1 / (n_minus + 2))
-
-        def loss(ab, scores=scores, target=target):
-            z = ab[0] * scores + ab[1]
-            return (np.logaddexp(0, z) - target * z).sum()
-
-        best = minimize(loss, [0, 0], bounds=[(0, None), (None, None)], tol=1e-12)
+        bounds = [(0, None), (None, None)]
+        best = minimize(platt_loss, [0, 0], (scores, labels), bounds=bounds, tol=1e-12)
         # Machines that leave out are solved to a gap of 1e-4 alone.
         assert_allclose(sigmoid, best.x, rtol=0.01, atol=0.003)
 
 
-def test_a_pipeline_with_the_machine_is_searched_over_a_grid(problem):
-    X, labels = problem
-    pipeline = make_pipeline(StandardScaler(), MKLSVC(probability=False))
-    grid = {"mklsvc__C": [1, 1000], "mklsvc__kernels": [BANK, [LinearKernel()]]}
-    search = GridSearchCV(pipeline, grid, cv=2).fit(X, labels)
-    assert search.best_score_ > 0.5
-    assert search.predict(X).shape == (48,)
-
-
-def test_clone_pickle_and_repetition_give_the_same_machine(problem):
-    X, labels = problem
-    machine = MKLSVC(kernels=BANK).fit(X, labels)
-    again = clone(machine).fit(X, labels)
-    loaded = pickle.loads(pickle.dumps(machine))
-    for other in (again, loaded):
-        assert_array_equal(other.predict_proba(X), machine.predict_proba(X))
-
-
-@pytest.mark.parametrize(
-    "machine",
-    [MKLSVC(kernels=BANK), MKLSVC(approximation="nystroem", kernels=BANK)],
-    ids=["exact", "landmarks"],
-)
-def test_a_model_file_keeps_the_machine(problem, machine, reread):
-    fitted = machine.fit(*problem)
-    again = reread(fitted)
-    assert_array_equal(
-        again.predict_proba(problem[0]), fitted.predict_proba(problem[0])
-    )
+@pytest.mark.parametrize("approximation", ["none", "nystroem"])
+def test_pickle_model_file_and_repetition_give_the_same_machine(
+    problem, approximation, reread
+):
+    options = {"approximation": approximation, "random_state": 0}
+    machine = MKLSVC(kernels=BANK, **options).fit(*problem)
+    expected = machine.predict_proba(problem[0])
+    pickled = pickle.loads(pickle.dumps(machine))
+    for again in (pickled, reread(machine), clone(machine).fit(*problem)):
+        assert_array_equal(again.predict_proba(problem[0]), expected)
 
 
 def test_probabilities_sum_to_one_and_side_with_the_prediction(problem):
@@ -325,16 +277,14 @@ def test_a_warning_says_the_gap_that_was_not_reached(problem):
 
 @pytest.mark.parametrize("value", [0.0, 3.5])
 @pytest.mark.parametrize("approximation", ["none", "nystroem"])
-def test_constant_touches_have_a_defined_answer(value, approximation):
+@pytest.mark.parametrize("normalize", ["trace", "variance", None])
+def test_touches_all_alike_go_to_the_class_of_most(value, approximation, normalize):
     X, labels = np.full((9, 4), value), np.repeat(["a", "b", "c"], [2, 4, 3])
-    for normalize in ("trace", "variance", None):
-        machine = MKLSVC(normalize=normalize, approximation=approximation)
-        machine.fit(X, labels)
-        # Nothing tells them apart: the class of most touches.
-        assert (machine.predict(X) == "b").all()
-        chances = machine.predict_proba(X)
-        assert_allclose(chances, chances[0] * np.ones((9, 1)))
-        assert chances[0].argmax() == 1
+    machine = MKLSVC(normalize=normalize, approximation=approximation).fit(X, labels)
+    assert (machine.predict(X) == "b").all()
+    chances = machine.predict_proba(X)
+    assert_allclose(chances, chances[0] * np.ones((9, 1)))
+    assert chances[0].argmax() == 1
 
 
 def test_one_touch_in_a_class_is_enough(rng):
@@ -352,23 +302,23 @@ def test_touches_learnt_twice_under_two_labels_have_finite_answers(rng):
     assert np.isfinite(machine.predict_proba(X)).all()
 
 
-def bad(matrix_change):
+def changed(place, value):
     stack = np.stack([np.eye(4), np.eye(4)], axis=2)
-    matrix_change(stack)
+    stack[place] = value
     return stack
 
 
 @pytest.mark.parametrize(
     ("stack", "message"),
     [
-        (bad(lambda s: s.__setitem__((0, 1, 1), np.nan)), "contains NaN"),
-        (bad(lambda s: s.__setitem__((0, 1, 1), np.inf)), "contains infinity"),
+        (changed((0, 1, 1), np.nan), "contains NaN"),
+        (changed((0, 1, 1), np.inf), "contains infinity"),
         (
-            bad(lambda s: s.__setitem__((0, 1, 1), 0.5)),
+            changed((0, 1, 1), 0.5),
             r"must be symmetric, got a difference of 0\.5 .*kernel 1",
         ),
         (
-            bad(lambda s: s.__setitem__((0, 0, 0), -1.0)),
+            changed((0, 0, 0), -1.0),
             "semi-definite, got an eigenvalue of -1 in kernel 0",
         ),
         (np.ones((4, 3, 2)), "X has 3 features, but MKLSVC is expecting 4"),
@@ -397,7 +347,9 @@ def test_many_precomputed_kernels_are_looked_at_a_few_at_a_time(monkeypatch, rng
                 MKLSVC(kernels="precomputed").fit(wrong, codes)
 
 
-def test_precomputed_kernels_are_those_of_training_touches_and_exact(problem):
+def test_precomputed_kernels_are_those_of_training_touches_and_exact(
+    problem, kernels_of
+):
     X, labels = problem
     stack = kernels_of(X, X)
     machine = MKLSVC(kernels="precomputed", probability=False).fit(stack, labels)
@@ -431,8 +383,7 @@ def test_other_norms_one_class_and_touches_out_of_range_are_refused(problem):
         MKLSVC(solver="simplemkl", norm=2).fit(X, labels)
     with pytest.raises(ValueError, match="at least two classes, got one class: pen"):
         MKLSVC().fit(X, ["pen"] * 48)
-    with pytest.raises(ValueError, match="must be finite, got infinity from Poly"):
-        MKLSVC().fit(1e60 * X, labels)
+
     machine = MKLSVC(kernels=[PolynomialKernel(6)], normalize=None, C=1e-9)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)

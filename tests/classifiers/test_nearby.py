@@ -5,17 +5,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax, logsumexp
-from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import EncodingPool
 
 KernelRidgeClassifier, NearbyTouches, _ = EncodingPool.MACHINES
-
-
-@pytest.mark.slow
-@parametrize_with_checks([NearbyTouches()])
-def test_common_checks(estimator, check):
-    check(estimator)
 
 
 def drawn(n_labels=20, n_each=6, seed=0, noise=0.3):

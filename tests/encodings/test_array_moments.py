@@ -57,27 +57,6 @@ def test_one_pressed_taxel_has_moments_without_waves_only():
     assert_allclose(moments[~without_waves], 0, atol=1e-15)
 
 
-def test_a_gaussian_of_the_window_is_the_first_pattern():
-    row, col = np.indices((41, 41)) - 20
-    width = 0.3 * 20.5
-    blob = np.exp(-(row**2 + col**2) / (2 * width**2))[np.newaxis]
-    moments = CentroidMoments(order=6, width=0.3).fit_transform(blob)[0]
-    # Cut off at 3.3 widths, where exp(-x^2 / 2) is 0.005.
-    assert_allclose(moments, np.eye(len(moments))[0], atol=1e-3)
-
-
-def test_patterns_are_orthonormal():
-    row, col = np.indices((61, 61)) - 30.0
-    encoder = CentroidMoments(4, width=0.2, normalise=None).fit(np.zeros((1, 61, 61)))
-    scale = 0.2 * 30.5
-    u = (col + 1j * row) / scale
-    powers = np.arange(5)
-    table = u.real[..., None] ** powers, u.imag[..., None] ** powers
-    values = np.einsum("rci,rcj,pij->prc", *table, encoder.patterns_)
-    values = (values * np.exp(-(np.abs(u) ** 2) / 2) / scale).reshape(len(values), -1)
-    assert_allclose(values @ values.conj().T, np.eye(len(values)), atol=1e-6)
-
-
 def test_place_angle_and_gain_do_not_matter(rng):
     row, col = np.indices((40, 40)) - 19.5
     image = np.exp(-((row - 3) ** 2) / 12 - (col + row / 2) ** 2 / 30)[np.newaxis]

@@ -62,16 +62,6 @@ def test_descriptors_are_the_equations_of_the_paper(image):
     assert_allclose(encoded, with_loops(outline), atol=1e-12)
 
 
-def test_a_circle_has_two_waves_only():
-    (s,) = FourierDescriptors(n=49, resample=50).fit_transform(
-        draw_ellipse(901, 440, 440)
-    )
-    expected = np.zeros(49)
-    expected[0] = expected[48] = 1
-    # Pixels leave the circle by up to half a pixel, and their walk is longer.
-    assert_allclose(s, expected, atol=2e-3)
-
-
 def test_the_constant_term_does_not_enter(hexagon):
     n_points = len(walk(hexagon[0]))
     s = FourierDescriptors(n=n_points + 5).fit_transform(hexagon)[0]
@@ -216,16 +206,9 @@ def slow_reference(shape):
 
 
 def test_agrees_with_the_slow_reference(shapes):
+    shapes[:2] = np.reshape([False, True], (2, 1, 1))  # empty and full
     expected = [slow_reference(shape) for shape in shapes]
     assert_allclose(ShapeGeometry().fit_transform(shapes), expected)
-
-
-def test_a_square_of_three_pixels_in_closed_form():
-    image = np.zeros((1, 9, 9))
-    image[0, 2:5, 4:7] = 255
-    # Four edge points at distance 1 and four at sqrt(2).
-    expected = [9, ((np.sqrt(2) - 1) / 2) ** 2]
-    assert_allclose(ShapeGeometry().fit_transform(image), [expected])
 
 
 def test_the_inner_edge_of_a_ring_is_what_varies():
@@ -248,14 +231,6 @@ def test_outer_edge_ignores_what_the_hole_contains():
     island = hollow | ring(2, -1)
     rim = ShapeGeometry(edges="outer")
     assert rim.fit_transform(island)[0, 1] == rim.fit_transform(hollow)[0, 1]
-
-
-def test_empty_and_full_images_are_defined():
-    images = np.stack([np.zeros((5, 5)), np.ones((5, 5))])
-    features = ShapeGeometry().fit_transform(images)
-    assert_array_equal(features[0], [0, 0])
-    assert features[1, 0] == 25
-    assert features[1, 1] == pytest.approx(slow_reference(images[1])[1])
 
 
 def test_columns_have_names(shapes):

@@ -51,15 +51,6 @@ def test_enlarging_is_the_bilinear_of_opencv(small, large, rng):
     assert_allclose(resized(images, large), expected, atol=1e-6)
 
 
-def test_a_plane_stays_a_plane_between_taxel_centres():
-    taxel, pixel = np.arange(10) + 0.5, (np.arange(33) + 0.5) * 10 / 33
-    plane = 2 * taxel[:, None] - 3 * taxel + 1
-    inside = (pixel >= 0.5) & (pixel <= 9.5)
-    expected = 2 * pixel[:, None] - 3 * pixel + 1
-    enlarged = resized(plane[np.newaxis])[0]
-    assert_allclose(enlarged[np.ix_(inside, inside)], expected[np.ix_(inside, inside)])
-
-
 @pytest.mark.parametrize("shape", [(33, 33), (5, 40), (3, 3), (10, 10)])
 def test_a_constant_image_stays_constant_at_any_size(shape):
     assert_allclose(resized(np.full((2, 10, 10), 7.0), shape), 7.0, rtol=1e-14)

@@ -194,39 +194,21 @@ def test_damaged_files_are_refused(change, message, tmp_path):
         TaxelCalibration.load(path)
 
 
-def test_a_file_of_something_else_is_refused(tmp_path):
-    path = tmp_path / "array.json"
-    path.write_text("not json", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"it is not JSON.*Calibrate"):
-        TaxelCalibration.load(path)
-
-
 @pytest.mark.parametrize(
-    ("loads", "message"),
+    ("params", "loads", "message"),
     [
-        ([1.0, 2.0], "one load per frame"),
-        ([1.0, 2.0, -3.0], "at least 0"),
-        ([1.0, 2.0, np.nan], "finite"),
-        ([1.0, 1.0, 2.0], "three different loads, got 2"),
+        ({}, [1.0, 2.0], "one load per frame"),
+        ({}, [1.0, 2.0, -3.0], "at least 0"),
+        ({}, [1.0, 2.0, np.nan], "finite"),
+        ({}, [1.0, 1.0, 2.0], "three different loads, got 2"),
+        ({"load_unit": "N"}, [1.0, 2.0, 3.0], "load_unit must be one of"),
+        ({"quantity": "voltage"}, [1.0, 2.0, 3.0], "quantity must be one of"),
+        ({"least_gain": 2}, [1.0, 2.0, 3.0], "between 0 and 1"),
     ],
 )
-def test_bad_loads_are_refused(loads, message):
+def test_bad_loads_and_parameters_are_refused(params, loads, message):
     with pytest.raises(ValueError, match=message):
-        TaxelCalibration().fit(np.ones((3, 2, 2)), loads)
-
-
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({"load_unit": "N"}, "load_unit must be one of"),
-        ({"quantity": "voltage"}, "quantity must be one of"),
-        ({"least_gain": 2}, "between 0 and 1"),
-    ],
-)
-def test_bad_parameters_are_refused(params, message):
-    loads = np.array([1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=message):
-        TaxelCalibration(**params).fit(respond(loads, np.ones((2, 2))), loads)
+        TaxelCalibration(**params).fit(np.ones((3, 2, 2)), loads)
 
 
 def test_an_array_that_never_answers_is_refused(gains):
@@ -245,7 +227,11 @@ def test_unfitted_and_misfit_are_refused(gains):
         calibration.transform(frames[:, :5])
 
 
-def test_a_file_that_is_not_there_is_named_with_what_to_do(tmp_path):
+def test_what_is_no_calibration_file_is_named_with_what_to_do(tmp_path):
+    path = tmp_path / "array.json"
+    path.write_text("not json", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"it is not JSON.*Calibrate"):
+        TaxelCalibration.load(path)
     with pytest.raises(FileNotFoundError, match=r"got .*none\.json: .*Check the path"):
         TaxelCalibration.load(tmp_path / "none.json")
     with pytest.raises(IsADirectoryError, match="path must name a calibration"):

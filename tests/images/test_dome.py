@@ -1,6 +1,5 @@
 """Cutting discs: exact averages, statistics of the disc, invariance to shifts."""
 
-import pickle
 import re
 from dataclasses import replace
 
@@ -226,20 +225,9 @@ def test_grey_output_keeps_the_levels(rng):
     np.testing.assert_array_equal(DomeCrop.standardise(grey), standard)
 
 
-def test_model_file_and_pickle_keep_the_crop(rng, reread):
-    images = domes(rng)
-    crop = DomeCrop(size=40).fit(images)
-    again = pickle.loads(pickle.dumps(reread(crop)))
-    np.testing.assert_array_equal(again.transform(images), crop.transform(images))
-
-
 def test_wrong_images_are_refused(rng):
     images = domes(rng)
     crop = DomeCrop().fit(images)
-    broken = images.astype(float)
-    broken[3, 0, 0] = np.nan
-    with pytest.raises(ValueError, match="in touch 3"):
-        crop.transform(broken)
     with pytest.raises(ValueError, match="rims must be as many as images"):
         crop.cut(images, crop.rims(images[:1]))
     with pytest.raises(ValueError, match="discs must be square"):
@@ -249,23 +237,6 @@ def test_wrong_images_are_refused(rng):
 def real_touches(data_folder, step):
     paths = sorted((data_folder / "bathtip/originals").glob("*/*/*.jpg"))[::step]
     return np.stack([cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in paths])
-
-
-@pytest.mark.realdata
-def test_real_touch_gives_the_same_disc_after_a_shift(data_folder):
-    images = real_touches(data_folder, 40)
-    crop = DomeCrop().fit(images)
-    moved = np.roll(images, (-6, -8), axis=(1, 2))
-    moved[:, -6:], moved[..., -8:] = moved[:, [-7]], moved[..., [-9]]
-    here, there = crop.transform(images), crop.transform(moved)
-    share = [np.mean(a * b) for a, b in zip(here, there, strict=True)]
-    whole = [np.mean(a * a) for a in here]
-    # The disc leaves the frame by some pixels, where the edge is repeated.
-    assert np.min(np.divide(share, whole)) > 0.98
-    same_place = [
-        np.mean(a * b) for a, b in zip(here, np.roll(here, 1, 0), strict=True)
-    ]
-    assert np.median(np.divide(same_place, whole)) < 0.9
 
 
 @pytest.mark.realdata

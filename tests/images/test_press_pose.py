@@ -21,32 +21,21 @@ def inside_polygon(corners, row, col):
     return np.min(sides, axis=0) >= 0
 
 
-def draw(corners_mm, x_mm, y_mm, angle_deg, shape=(10, 10)):
+def draw(corners_mm, x_mm, y_mm, angle_deg):
     """Share of each taxel that a polygon covers, by 20 x 20 points a taxel."""
-    fine = 20
-    row = ((np.arange(shape[0] * fine) + 0.5) / fine - shape[0] / 2) * PITCH
-    col = ((np.arange(shape[1] * fine) + 0.5) / fine - shape[1] / 2) * PITCH
+    place = ((np.arange(200) + 0.5) / 20 - 5) * PITCH
     angle = np.deg2rad(angle_deg)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     placed = np.asarray(corners_mm) @ turn + (x_mm, y_mm)
-    covered = inside_polygon(placed, row[:, None], col[None, :])
-    return covered.reshape(shape[0], fine, shape[1], fine).mean(axis=(1, 3))
+    covered = inside_polygon(placed, place[:, None], place[None, :])
+    return covered.reshape(10, 20, 10, 20).mean(axis=(1, 3))
 
 
-def rectangle(length, width):
-    return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (length / 2, width / 2)
-
-
-def polygon(n_corners, radius):
-    angle = 2 * np.pi * np.arange(n_corners) / n_corners
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-SHAPES = {
-    "bar": (rectangle(12, 4), 2),
-    "triangle": (polygon(3, 7), 3),
-    "square": (polygon(4, 7), 4),
-    "hexagon": (polygon(6, 7), 6),
+# Corners (x, y) in mm; the arrow has no symmetry.
+PARTS = {
+    "arrow": [[6, 0], [-4, 5], [-4, -2]],
+    "bar": [[-6, -2], [6, -2], [6, 2], [-6, 2]],
+    "square": [[7, 0], [0, 7], [-7, 0], [0, -7]],
 }
 
 
@@ -62,25 +51,20 @@ def error_deg(estimated, true, symmetry):
     return np.abs((estimated - true + period / 2) % period - period / 2)
 
 
-def draw_many(corners, n, rng, shape=(10, 10)):
-    truth = np.column_stack([rng.uniform(-1.5, 1.5, (n, 2)), rng.uniform(0, 360, n)])
-    return np.stack([draw(corners, *pose, shape=shape) for pose in truth]), truth
-
-
 @pytest.fixture(scope="module")
 def drawn():
-    """Noisy presses of three shapes in any pose; the arrow has no symmetry."""
+    """Noisy presses of three shapes in any pose."""
     rng = np.random.default_rng(5)
-    arrow = np.array([[6, 0], [-4, 5], [-4, -2]])
-    parts = {"arrow": (arrow, 1), "bar": SHAPES["bar"], "square": SHAPES["square"]}
-    images, labels, truth = [], [], []
-    for name, (corners, _) in parts.items():
-        drawn, poses = draw_many(corners, 24, rng)
-        images.append(np.maximum(drawn + rng.normal(0, 0.03, drawn.shape), 0))
+    images, truth = [], []
+    for corners in PARTS.values():
+        poses = np.column_stack(
+            [rng.uniform(-1.5, 1.5, (24, 2)), rng.uniform(0, 360, 24)]
+        )
+        clean = np.stack([draw(corners, *pose) for pose in poses])
+        images.append(np.maximum(clean + rng.normal(0, 0.03, clean.shape), 0))
         truth.append(poses)
-        labels += [name] * 24
     train = np.tile(np.arange(24) < 12, 3)
-    return np.concatenate(images), np.array(labels), np.concatenate(truth), train
+    return np.concatenate(images), np.repeat([*PARTS], 24), np.concatenate(truth), train
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +166,7 @@ def test_doubt_covers_the_errors_of_a_template_of_few_presses(n_presses):
 
 
 def test_a_perfect_fit_is_not_beyond_doubt():
-    bar = draw(SHAPES["bar"][0], 0, 0, 0)[np.newaxis]
+    bar = draw(PARTS["bar"], 0, 0, 0)[np.newaxis]
     learnt = PressPose(PITCH, symmetry=2).fit(bar, ["bar"])
     poses = learnt.estimate(np.roll(bar, 1, axis=2), ["bar"])
     assert_allclose(poses.x_mm, PITCH, atol=0.01)

@@ -1,5 +1,7 @@
 """A study small enough to run in a test: three parts, six presses of each."""
 
+import re
+
 import pytest
 
 from palpate.studies.liu2014 import Liu2014Plan
@@ -38,6 +40,26 @@ def rows_of(result, **wanted):
         for row in result["rows"]
         if all(row.get(key) == value for key, value in wanted.items())
     ]
+
+
+def titles_of(study, result):
+    """Return what stands above the tables, which have a cell for every column."""
+    for _, columns, rows in study.tables(result):
+        assert {len(row) for row in rows} == {len(columns)}
+    return [title for title, _, _ in study.tables(result)]
+
+
+def page_of(study, result, folder):
+    """Return a study's page, and what its pictures show: alt text and caption alike."""
+    page = study.write_report(folder / "page.html", result).read_text("utf-8")
+    assert page.startswith("<!doctype html>")
+    assert "<script" not in page
+    loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
+    assert all(address.startswith(("#", "data:")) for address in loaded)
+    alt_texts = re.findall(r'<svg role="img" aria-label="([^"]+)"', page)
+    assert len(alt_texts) == page.count("<svg")
+    assert re.findall(r"<figcaption><b>(.*?)\.</b>", page) == alt_texts
+    return page, alt_texts
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """The Corradi 2015 study on few touches: its rows, and that they repeat."""
 
 import json
-import re
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,7 @@ from palpate.studies import STUDIES, run_study
 from palpate.studies.corradi2015 import Corradi2015Plan, pictures
 from palpate.studies.corradi2015.episodes import worst_pairs
 
-from .conftest import rows_of
+from .conftest import page_of, rows_of, titles_of
 
 STUDY = STUDIES["corradi2015"]
 
@@ -123,40 +122,16 @@ def test_the_same_seed_gives_the_same_figures(result, monkeypatch):
 def test_tables_pictures_and_report(result, tmp_path, monkeypatch):
     drawn = pictures(result)
     monkeypatch.setattr("palpate.studies.corradi2015.pictures", lambda _: drawn)
-    titles = [table[0] for table in STUDY.tables(result)]
+    titles = titles_of(STUDY, result)
     assert titles[0].startswith("Ten objects, simulated")
     assert "Milliseconds, one thread" in titles
-    for _, columns, rows in STUDY.tables(result):
-        assert all(len(row) == len(columns) for row in rows)
     names = [path.name for path in STUDY.write_pictures(tmp_path, result)]
     assert names == [
         f"corradi2015-{n}.png" for n in ("accuracy", "confusion", "unseen")
     ]
-    page = STUDY.write_report(tmp_path / "page.html", result).read_text("utf-8")
-    assert page.startswith("<!doctype html>")
+    page, shown = page_of(STUDY, result, tmp_path)
     assert "Most confused pairs" in page
-    named = re.findall(r'<svg role="img" aria-label="([^:]+): ', page)
-    assert named == ["Fig. 7", "Fig. 6", "Fig. 8"]
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"partitions": 0}, "partitions must be at least 1"),
-        ({"n_train": 2}, "n_train must be at least 6"),
-        ({"n_simulated": 20}, "n_simulated must be at least 75"),
-        ({"clusters": (0,)}, "clusters must be at least 1"),
-        ({"seed": -1}, "seed must be at least 0"),
-    ],
-)
-def test_bad_sizes_are_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        Corradi2015Plan(**changes)
-
-
-def test_a_folder_without_the_touches_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="data must name a folder that holds bathtip"):
-        run_study("corradi2015", data=tmp_path, quick=True)
+    assert [text.split(":")[0] for text in shown] == ["Fig. 7", "Fig. 6", "Fig. 8"]
 
 
 @pytest.mark.slow

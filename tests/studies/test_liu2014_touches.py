@@ -159,21 +159,6 @@ def test_footprints_lie_where_the_presses_are():
         assert_allclose(np.argwhere(truth).mean(axis=0), centre, atol=1.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"protocol": "best"}, "protocol must be one of"),
-        ({"parts": (3,)}, "parts must be two or more"),
-        ({"parts": (3, 13)}, "between 1 and 12"),
-        ({"n_presses": 3}, "n_presses must be at least 4, got 3"),
-        ({"runs": 0}, "runs must be at least 1"),
-    ],
-)
-def test_plans_of_bad_sizes_are_refused(tiny_plan, changes, message):
-    with pytest.raises(ValueError, match=message):
-        tiny_plan(**changes)
-
-
 SCALED = Twofold(scaled=True, inner_folds=2)
 
 

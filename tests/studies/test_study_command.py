@@ -12,7 +12,9 @@ from typer.testing import CliRunner
 from palpate import Touches
 from palpate.cli import app, main
 from palpate.simulation import DomeCamera, simulate_touches
-from palpate.studies import STUDIES
+from palpate.studies import STUDIES, liu2014
+from palpate.studies.corradi2014 import Corradi2014Plan
+from palpate.studies.corradi2015 import Corradi2015Plan
 from palpate.studies.liu2014 import Liu2014Plan
 
 
@@ -34,33 +36,19 @@ def test_json_is_one_object_and_what_is_missing_is_said(tiny_quick):
     result = json.loads(completed.stdout)
     assert result["study"] == "liu2014"
     assert result["plan"]["seed"] == 2
-    assert completed.stderr.strip() == result["skipped"][0]
+    assert [completed.stderr.strip()] == result["skipped"]
     paper = {row["name"]: row["paper"] for row in result["rows"]}
     assert paper["KPCA+MKL-SVM"] == 85.54
     for row in result["rows"]:
         assert isinstance(row["ours"], float)
 
 
-PICTURES = [
-    "load_and_cover",
-    "conditions",
-    "parts",
-    "stages",
-    "boundaries",
-    "class_sets",
-]
-
-
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Leave the six pictures of a report empty: `test_liu2014_study` has them drawn."""
+def test_tables_and_report_for_people(tiny_quick, monkeypatch, tmp_path):
+    # Empty pictures: `test_liu2014_study` has them drawn.
     figure = pytest.importorskip("matplotlib.figure").Figure
-    for name in PICTURES:
-        place = f"palpate.studies.liu2014.draw_{name}"
-        monkeypatch.setattr(place, lambda _: figure())
-
-
-def test_tables_and_report_for_people(tiny_quick, undrawn, tmp_path):
+    drawings = [name for name in vars(liu2014) if name.startswith("draw_")]
+    for name in drawings:
+        monkeypatch.setattr(liu2014, name, lambda _: figure())
     report = tmp_path / "liu.html"
     arguments = ["study", "liu2014", "--quick", "--workers", "1"]
     arguments += ["--protocol", "nested", "--report", str(report)]
@@ -70,7 +58,7 @@ def test_tables_and_report_for_people(tiny_quick, undrawn, tmp_path):
     assert completed.stdout.rstrip().endswith("liu.html")
     page = report.read_text("utf-8")
     assert page.startswith("<!doctype html>")
-    assert page.count('role="img"') == len(PICTURES)
+    assert page.count('role="img"') == len(drawings) == 6
 
 
 def test_studies_are_listed():
@@ -78,9 +66,6 @@ def test_studies_are_listed():
         completed = CliRunner().invoke(app, arguments)
         assert completed.exit_code == 0
         assert all(name in completed.stdout for name in STUDIES)
-
-
-def test_studies_are_listed_as_json_where_asked():
     done = CliRunner().invoke(app, ["study", "--list", "--json"])
     assert json.loads(done.stdout)["studies"].keys() == STUDIES.keys()
 
@@ -106,6 +91,27 @@ def test_failures_say_what_to_do(arguments, message, monkeypatch, capsys, tmp_pa
     assert message in captured.err
     assert "\n" not in captured.err.rstrip()
     assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("plan", "changes", "message"),
+    [
+        (Corradi2014Plan, {"n_touches": 5}, "n_touches must be at least 10, got 5"),
+        (Corradi2015Plan, {"partitions": 0}, "partitions must be at least 1"),
+        (Corradi2015Plan, {"n_train": 2}, "n_train must be at least 6"),
+        (Corradi2015Plan, {"n_simulated": 20}, "n_simulated must be at least 75"),
+        (Corradi2015Plan, {"clusters": (0,)}, "clusters must be at least 1"),
+        (Corradi2015Plan, {"seed": -1}, "seed must be at least 0"),
+        (Liu2014Plan, {"protocol": "best"}, "protocol must be one of"),
+        (Liu2014Plan, {"parts": (3,)}, "parts must be two or more"),
+        (Liu2014Plan, {"parts": (3, 13)}, "between 1 and 12"),
+        (Liu2014Plan, {"n_presses": 5}, "n_presses must be at least 6, got 5"),
+        (Liu2014Plan, {"runs": 0}, "runs must be at least 1"),
+    ],
+)
+def test_plans_of_bad_sizes_are_refused(plan, changes, message):
+    with pytest.raises(ValueError, match=message):
+        plan(**changes)
 
 
 @pytest.mark.slow
