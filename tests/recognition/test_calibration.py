@@ -21,7 +21,6 @@ from palpate.recognition._evidence import (
     as_touches,
     beliefs_after,
     doubts,
-    given_prior,
     is_informative,
 )
 from palpate.recognition._learning import what_matters
@@ -262,27 +261,6 @@ def test_a_label_left_out_whole_gets_the_least_likelihood_of_the_others(rng):
     assert (log_likelihood[16:, 2] == log_likelihood[16:, :2].min(axis=1)).all()
 
 
-def test_one_impossible_touch_does_not_rule_an_object_out():
-    with np.errstate(divide="ignore"):
-        impossible = np.log([[0.0, 1.0]])
-    floored = np.exp(with_floor(impossible, 0.01))
-    assert_allclose(floored, [[0.005, 0.995]])
-
-
-def test_without_floor_likelihoods_keep_their_ratio():
-    raw = np.array([[-1000.0, -1003.0]])
-    kept = with_floor(raw, 0)
-    assert kept[0, 0] - kept[0, 1] == pytest.approx(3)
-
-
-def test_fully_correlated_touches_are_worth_one():
-    touch = np.log([[0.7, 0.3]])
-    after = log_posteriors(
-        np.repeat(touch, 9, axis=0), np.log([0.5, 0.5]), SequenceCalibration(1, 1)
-    )
-    assert_allclose(np.exp(after), [[0.7, 0.3]] * 9)
-
-
 def test_doubt_is_exact_near_certainty():
     # 1 - p rounds to 0 in double precision here; the sum of the others does not.
     log_posterior = np.array([np.log1p(-2e-20), np.log(1e-20), np.log(1e-20)])
@@ -297,14 +275,6 @@ def test_the_design_effect_is_that_of_equally_correlated_readings():
     weights = SequenceCalibration(0.6, 0.3).weight(k)
     assert_allclose(weights, 0.6 / (1 + 0.3 * (k - 1)))
     assert SequenceCalibration(0.6, 0.3).weight(0) == 0.6
-
-
-@pytest.mark.parametrize("floor", [0.001, 0.01, 0.3])
-def test_a_floor_mixes_each_touch_with_the_uniform_one(floor, rng):
-    shares = rng.dirichlet(np.ones(4), size=(3, 2))
-    mixed = np.exp(with_floor(np.log(shares) - 700, floor))
-    assert_allclose(mixed, (1 - floor) * shares + floor / 4)
-    assert mixed.min() >= floor / 4
 
 
 def test_posteriors_of_many_episodes_are_those_of_each(rng):
@@ -326,33 +296,6 @@ def test_posteriors_of_many_episodes_are_those_of_each(rng):
             assert counts[episode][k] == count
             doubt = 1 - (shares / shares.sum()).max()
             assert doubts(together)[episode][k] == pytest.approx(doubt)
-
-
-def test_a_prior_is_brought_to_sum_one_in_the_order_of_the_objects():
-    names = np.array(["ball", "mug", "pen"])
-    logs = given_prior({"pen": 6.0, "ball": 1.0, "mug": 3.0}, names)
-    assert_allclose(np.exp(logs), [0.1, 0.3, 0.6])
-    assert_allclose(
-        given_prior({2: 1.0, 10: 3.0}, np.array([2, 10])), np.log([0.25, 0.75])
-    )
-
-
-@pytest.mark.parametrize(
-    ("prior", "error", "message"),
-    [
-        ([0.5, 0.5], TypeError, "prior must map objects to probabilities, got list"),
-        ({"a": 1.0}, ValueError, "difference in 'b'. The objects are a, b"),
-        ({"a": 1.0, "b": 1.0, "c": 1.0}, ValueError, "a difference in 'c'"),
-        ({"a": 1.0, "b": 0.0}, ValueError, "prior must be positive"),
-        ({"a": 0.9e-12, "b": 1.0}, ValueError, "got 9e-13 for 'a'. Give it at least"),
-    ],
-)
-def test_a_prior_without_a_positive_number_for_each_object_is_refused(
-    prior, error, message
-):
-    with pytest.raises(error, match=message):
-        given_prior(prior, np.array(["a", "b"]))
-    assert given_prior({"a": 1e-12, "b": 1.0}, np.array(["a", "b"]))[0] < -27.6
 
 
 def test_images_lists_and_touches_are_touches():

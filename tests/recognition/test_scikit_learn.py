@@ -49,6 +49,8 @@ def test_labels_keep_their_kind(images_and_labels):
     assert learnt.classes_.tolist() == [10, 11, 12]
     assert learnt.predict(images[:1]).dtype.kind == "i"
     assert learnt.start().update(images[0]).best in {"10", "11", "12"}
+    counted = learnt.start({12: 2.0, 10: 1.0, 11: 1.0}, strangers=0).posterior
+    assert counted == pytest.approx({"10": 0.25, "11": 0.25, "12": 0.5})
     assert learnt.forget_object("11").classes_.tolist() == [10, 12]
     assert learnt.add_object("7", images[:4]).classes_.tolist() == [7, 10, 12]
     with pytest.raises(ValueError, match="must be a number like the known labels"):
