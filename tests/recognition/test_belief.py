@@ -182,6 +182,11 @@ def test_touches_come_one_by_one_or_together(start, model):
         ]
 
 
+def test_doubt_is_exact_near_certainty(start):
+    # 1 - p rounds to 0 in double precision here; the sum of the others does not.
+    assert posed(start(), 1, *[5e-21] * 4).doubt == pytest.approx(2e-20)
+
+
 def test_before_the_first_touch_nothing_is_decided_however_sure_the_prior(start):
     belief = start([0.996, 0.001, 0.001, 0.001, 0.001])
     for level in ("object", "category", "any"):

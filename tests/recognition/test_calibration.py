@@ -20,23 +20,9 @@ from palpate.recognition._calibration import (
 from palpate.recognition._evidence import (
     as_touches,
     beliefs_after,
-    doubts,
     is_informative,
 )
 from palpate.recognition._learning import what_matters
-from palpate.recognition._memory import blocks_in_order
-
-
-def test_blocks_follow_the_recording():
-    objects = np.repeat(["a", "b"], 10)
-    order = np.tile(np.arange(10)[::-1], 2)
-    group = blocks_in_order(objects, order)
-    assert group[:10].tolist() == [4, 4, 3, 3, 2, 2, 1, 1, 0, 0]
-    assert not set(group[:10]) & set(group[10:])
-
-
-def test_an_object_with_few_touches_has_few_blocks():
-    assert blocks_in_order(np.array(["a", "a", "b"])).tolist() == [0, 1, 2]
 
 
 def test_long_episodes_are_as_long_as_their_object_has_touches():
@@ -53,27 +39,6 @@ def test_long_episodes_are_as_long_as_their_object_has_touches():
             used = episode[episode >= 0]
             assert len(set(used)) == len(used)
             assert set(objects[used]) == {name}
-
-
-def test_touches_that_share_what_their_block_adds_weigh_less(rng):
-    codes = np.repeat(np.arange(4), 200)
-    blocks = np.repeat(np.arange(80), 10)
-
-    def calibrated(share):
-        noise = rng.normal(size=(len(codes), 4))
-        shared = np.repeat(rng.normal(size=(80, 4)), 10, axis=0)
-        log_likelihood = np.sqrt(share) * shared + np.sqrt(1 - share) * noise
-        log_likelihood[np.arange(len(codes)), codes] += 1.0
-        episodes = [rows[:, :10] for rows in draw_episodes(codes, 0, blocks=blocks)]
-        prior = np.full(4, -np.log(4))
-        return fit_sequence_calibration(log_likelihood, codes, episodes, prior)
-
-    # N(c, 1) evidence with a gap of 1 is a proper likelihood: weight 1.
-    independent, repeated = calibrated(0.0), calibrated(0.8)
-    assert independent.strength == pytest.approx(1, abs=0.25)
-    assert independent.correlation < 0.1
-    # What k touches tell has the variance 0.8 + 0.2 / k: the design effect of 0.8.
-    assert repeated.correlation == pytest.approx(0.8, abs=0.2)
 
 
 @pytest.mark.parametrize("n_touches", [1, 3, 4, 5, 8, 9, 12, 19, 20])
@@ -261,12 +226,6 @@ def test_a_label_left_out_whole_gets_the_least_likelihood_of_the_others(rng):
     assert (log_likelihood[16:, 2] == log_likelihood[16:, :2].min(axis=1)).all()
 
 
-def test_doubt_is_exact_near_certainty():
-    # 1 - p rounds to 0 in double precision here; the sum of the others does not.
-    log_posterior = np.array([np.log1p(-2e-20), np.log(1e-20), np.log(1e-20)])
-    assert doubts(log_posterior) == pytest.approx(2e-20)
-
-
 def test_the_design_effect_is_that_of_equally_correlated_readings():
     assert SequenceCalibration() == SequenceCalibration(1.0, 0.0)
     k = np.arange(1, 6)
@@ -275,27 +234,6 @@ def test_the_design_effect_is_that_of_equally_correlated_readings():
     weights = SequenceCalibration(0.6, 0.3).weight(k)
     assert_allclose(weights, 0.6 / (1 + 0.3 * (k - 1)))
     assert SequenceCalibration(0.6, 0.3).weight(0) == 0.6
-
-
-def test_posteriors_of_many_episodes_are_those_of_each(rng):
-    steps = np.log(rng.dirichlet(np.ones(3), size=(4, 2, 6)))
-    steps[1, :, 3] = steps[2, 1, 0] = 0.5  # no contact
-    prior, calibration = np.log([0.5, 0.3, 0.2]), SequenceCalibration(0.8, 0.2)
-    used = is_informative(steps)
-    together, counts = beliefs_after(used, steps, prior, calibration)
-    assert together.shape == steps.shape
-    for episode in np.ndindex(4, 2):
-        total, count = np.zeros(3), 0
-        for k, step in enumerate(steps[episode]):
-            if np.ptp(step) > 0:
-                total, count = total + step, count + 1
-            weight = 0.8 / (1 + max(count - 1, 0) * 0.2)
-            shares = np.exp(prior + weight * total)
-            after = np.exp(together[episode][k])
-            assert_allclose(after, shares / shares.sum(), rtol=1e-12)
-            assert counts[episode][k] == count
-            doubt = 1 - (shares / shares.sum()).max()
-            assert doubts(together)[episode][k] == pytest.approx(doubt)
 
 
 def test_images_lists_and_touches_are_touches():

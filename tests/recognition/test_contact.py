@@ -61,16 +61,6 @@ def test_taxels_outside_every_pad_do_not_count(check):
     assert flags(hand, dirt) == ["no contact", ""]
 
 
-def test_two_fingers_are_no_double_contact(check):
-    hand = check(hand_of(pressed()), geometry="array", pads=PADS)
-    pinch, double = np.zeros((2, 9, 20))
-    pinch[3:6, 3:6] = pinch[3:6, 14:17] = 120
-    double[0:3, 0:3] = double[6:9, 6:9] = 120
-    assert flags(hand, hand_of(np.stack([pinch, double]))) == ["", "double contact"]
-    whole = check(pressed(), geometry="array")
-    assert flags(whole, [pinch]) == ["double contact"]
-
-
 def test_small_pads_are_never_double(check):
     small = check(pressed(), geometry="array", pads=[[0, 0, 9, 7]])
     double = np.zeros((1, 9, 20))
@@ -244,6 +234,7 @@ def test_the_usual_share_at_the_limit_is_the_99_percent_quantile(check):
         ([(0, 0, 2, 8), (2, 8, 2, 8)], ""),  # corner to corner is one
         ([(0, 0, 2, 8), (3, 8, 2, 8)], "double contact"),
         ([(3, 3, 4, 4)], ""),
+        ([(3, 3, 3, 3), (3, 14, 3, 3)], "double contact"),  # two fingers, without pads
     ],
 )
 def test_double_is_a_second_region_of_a_quarter_of_the_first(check, regions, flag):

@@ -21,20 +21,8 @@ def presses():
 
 @pytest.fixture(scope="module")
 def dome_touches():
-    """A dome's disc with a dent that lies farther out for one object than the other."""
-    rng = np.random.default_rng(0)
-    row, col = np.mgrid[:96, :96] - 47.5
-    images, labels = [], []
-    for label, reach in (("near", 6), ("far", 22)):
-        for _ in range(14):
-            angle = rng.uniform(0, 2 * np.pi)
-            away = np.hypot(row - reach * np.sin(angle), col - reach * np.cos(angle))
-            level = 150 - 60 * np.exp(-((away / 8) ** 2)) + row
-            images.append(np.where(np.hypot(row, col) < 42, level, 5))
-            labels.append(label)
-    noise = rng.normal(scale=2, size=(28, 96, 96))
-    levels = np.clip(np.array(images) + noise, 0, 255).astype(np.uint8)
-    return Touches(levels, object=labels)
+    camera = DomeCamera(image_shape=(96, 96), n_nodes=24)
+    return simulate_touches(["ball", "pen"], 14, camera, drift=False, random_state=0)
 
 
 @pytest.fixture(scope="module", params=sorted(PRESETS))

@@ -13,6 +13,7 @@ from palpate.recognition import (
     ModelFileError,
     ObjectRecogniser,
 )
+from palpate.simulation import DomeCamera, simulate_touches
 
 NAMES = ("ball", "mug", "pen")
 
@@ -48,22 +49,12 @@ def test_a_recogniser_names_the_objects_that_it_learnt(recogniser, test_touches)
         assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
 
 
-def domes(rng, n_each=6):
-    """Discs before a dark surround, with one dent of each object's own width."""
-    row, col = np.mgrid[:60, :60] - 29.5
-    at = rng.uniform(-8, 8, (3, n_each, 2, 1, 1))
-    squared = (row - at[:, :, 0]) ** 2 + (col - at[:, :, 1]) ** 2
-    dents = np.exp(-squared / (2 * np.array([3, 6, 9])[:, None, None, None] ** 2))
-    images = 10 + (np.hypot(row, col) < 27) * (120 + 100 * dents.reshape(-1, 60, 60))
-    images += rng.normal(0, 2, images.shape)
-    return Touches(images, object=np.repeat(NAMES, n_each), geometry="dome")
-
-
 @pytest.mark.parametrize("preset", ["default", "corradi2015"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.float64])
-def test_one_update_does_not_check_touches_again(preset, dtype, rng):
+def test_one_update_does_not_check_touches_again(preset, dtype):
     """`Touches` are checked when they are made; arrays that are none are refused."""
-    learnt = domes(rng)
+    camera = DomeCamera(image_shape=(60, 60), n_nodes=24)
+    learnt = simulate_touches(NAMES, 6, camera, random_state=0)
     levels = Touches(learnt.images.astype(dtype), **learnt.columns, geometry="dome")
     belief, checks = ObjectRecogniser(preset).fit(levels).start(), []
 
@@ -141,21 +132,6 @@ def test_a_saved_recogniser_is_the_same_to_the_bit(tmp_path, rng, test_touches):
         learnt.start().update(test_touches[:3]).decide()
     )
     again.forget_object("mug")
-
-
-def test_refusals_say_what_to_do(rng):
-    touches = drawn(rng)
-    bare = touches.without("object", "category")
-    with pytest.raises(ValueError, match="column 'object'"):
-        ObjectRecogniser().fit(bare)
-    with pytest.raises(ValueError, match="'default'"):
-        ObjectRecogniser("nothing").fit(touches)
-    with pytest.raises(ValueError, match="floor must be finite and between 0"):
-        ObjectRecogniser(floor=2.0).fit(touches)
-    with pytest.raises(ValueError, match="random_state must be at least 0, got -1"):
-        ObjectRecogniser(random_state=-1).fit(touches)
-    with pytest.raises(TypeError, match="random_state must be an integer, got float"):
-        ObjectRecogniser(random_state=1.5).fit(touches)
 
 
 @pytest.mark.parametrize("where", [0.02, 0.3, 0.6, 0.9, 0.999, 0, 1, 7, 100, 5000])

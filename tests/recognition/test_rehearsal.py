@@ -198,16 +198,18 @@ def test_the_accuracy_to_expect_of_another_day_is_said(both):
     assert "can show how much less" in sessions_message(plain.across_sessions())
 
 
+def _memory_of(features, labels):
+    classes, blocks = np.unique(labels), np.arange(len(labels))
+    return SimpleNamespace(
+        features=features, labels=labels, classes=classes, blocks=blocks
+    )
+
+
 def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):
     labels = np.repeat(list("abcde"), 6)
     features = np.repeat(9.0 * rng.normal(size=(5, 4)), 6, axis=0)
     features += 0.1 * rng.normal(size=features.shape)
-    memory = SimpleNamespace(
-        features=features,
-        labels=labels,
-        classes=np.unique(labels),
-        blocks=np.arange(30),
-    )
+    memory = _memory_of(features, labels)
     rows = np.arange(0, 30, 3)
     drawn = Drawn(np.stack([features[rows], features[rows] + 5.0]), rows)
     more = _and_confirmed(drawn, memory, Parts(np.array([0, 4])))
@@ -237,12 +239,7 @@ def _rehearsed_by(moves, rng):
     labels = np.repeat(list("abcd"), 12)
     features = rng.normal(0, 0.5, (48, 2))
     features[:, 0] += 4.0 * np.repeat(np.arange(4), 12)
-    memory = SimpleNamespace(
-        features=features,
-        labels=labels,
-        classes=np.unique(labels),
-        blocks=np.arange(48),
-    )
+    memory = _memory_of(features, labels)
     moved = features + np.repeat(moves, 12, axis=1) * [1, 0]
     drawn = Drawn(np.concatenate([features[np.newaxis], moved]), np.arange(48))
     pool = EncodingPool({"levels": 2}).fit(features, labels, groups=memory.blocks)
@@ -286,12 +283,7 @@ def test_of_one_confirmed_object_as_much_is_used_as_it_is_trusted(both):
 
 
 def test_objects_of_one_touch_each_are_not_confirmed():
-    memory = SimpleNamespace(
-        features=np.eye(3),
-        labels=np.array(list("abc")),
-        classes=np.array(list("abc")),
-        blocks=np.arange(3),
-    )
+    memory = _memory_of(np.eye(3), np.array(list("abc")))
     drawn = Drawn(np.stack([np.eye(3), np.eye(3) + 1]), np.arange(3))
     same = _and_confirmed(drawn, memory, Parts(np.array([0, 3])))
     assert_array_equal(same.features, drawn.features)

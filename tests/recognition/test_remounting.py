@@ -38,14 +38,6 @@ def elsewhere():
     return simulate_touches(NAMES, 8, OTHER, drift=False, random_state=1)
 
 
-def _vectors(offset, n, seed):
-    rng = np.random.default_rng(seed)
-    names = np.repeat(["a", "b"], n)
-    images = rng.normal(size=(2 * n, 1, 6)) + offset
-    images[:, 0, 0] += np.where(names == "a", 0.0, 6.0)
-    return Touches(images, object=names, geometry="none")
-
-
 def test_a_camera_that_sees_the_dome_elsewhere_is_found_again(recogniser, elsewhere):
     with pytest.raises(ValueError, match="64 x 64"):
         recogniser.log_likelihood(elsewhere)
@@ -73,42 +65,12 @@ def test_the_old_recogniser_stays_as_it_is(recogniser, elsewhere):
     assert recogniser.encoder_.image_shape_ == shape
 
 
-def test_new_touches_join_the_old_and_are_one_group_of_their_own():
-    old, new = _vectors(0.0, 20, 0), _vectors(0.5, 4, 1)
-    recogniser = ObjectRecogniser().fit(old)
-    adapted = adapt(recogniser, new)
-    assert len(adapted.memory_) == 48
-    assert adapted.memory_.labels[40:].tolist() == ["a"] * 4 + ["b"] * 4
-    group = set(adapted.memory_.blocks[40:])
-    assert len(group) == 1
-    assert not group & set(adapted.memory_.blocks[:40])
-
-
-def test_what_a_device_does_to_touches_is_learnt():
-    # On the other device everything is 6 larger: an "a" there is a "b" here.
-    old, new, test = _vectors(0.0, 20, 0), _vectors(6.0, 10, 1), _vectors(6.0, 50, 2)
-    recogniser = ObjectRecogniser().fit(old)
-
-    # Before, all are taken for "b"; after, the few new touches stand against the many
-    # old ones, and most are told apart.
-    assert recogniser.score(test) < 0.6
-    assert adapt(recogniser, new).score(test) > 0.85
-
-
 def test_a_model_that_was_adapted_is_saved(recogniser, elsewhere, tmp_path):
     adapted = adapt(recogniser, elsewhere)
     loaded = ObjectRecogniser.load(adapted.save(tmp_path / "m.palpate"))
     assert np.array_equal(
         loaded.log_likelihood(elsewhere), adapted.log_likelihood(elsewhere)
     )
-
-
-def test_one_touch_of_one_object_is_enough_to_be_taken_in():
-    learnt = ObjectRecogniser().fit(_vectors(0.0, 10, 0))
-    there = _vectors(0.3, 1, 1)[:1]
-    adapted = adapt(learnt, there)
-    assert len(adapted.memory_) == 21
-    assert adapted.classes_.tolist() == ["a", "b"]
 
 
 def _session(offset, n, seed, name, objects="abcdef", labels=True):
@@ -256,9 +218,7 @@ def test_nuisance_of_other_objects_is_weighed_down():
     assert recogniser.learn_nuisance(met(20, "def", 8, "told")) == 24
     assert recogniser.score(test) > before + 0.1
     with pytest.raises(ValueError, match="columns 'object' and 'session'"):
-        recogniser.learn_nuisance(_vectors(0, 3, 0))
-    with pytest.raises(ValueError, match="at least 20 things"):
-        recogniser.learn_nuisance(_session(0, 4, 0, "one"))
+        recogniser.learn_nuisance(_session(0, 4, 0, "one").without("session"))
 
 
 def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
@@ -364,23 +324,15 @@ def test_a_remounted_model_is_saved_and_adds_objects_in_the_new_session(tmp_path
     assert loaded.score(there) > 0.95
 
 
-def test_an_object_met_every_day_keeps_some_of_each_day():
-    recogniser = ObjectRecogniser().fit(_session(0, 8, 0, "one"))
+def test_of_an_object_that_is_extended_every_day_some_of_each_day_are_kept(taught):
     for day in range(4):
         more = _session(0, 6, 10 + day, f"day {day}", "a")
-        recogniser.extend_object("a", more, most=10)
-    memory = recogniser.memory_
-    of_a = memory.labels == "a"
-    days, counts = np.unique(memory.sessions[of_a], return_counts=True)
-    assert of_a.sum() == 10
-    assert len(days) == 5
-    assert counts.min() == 2
-    assert (memory.labels == "b").sum() == 8
-    # Of the last day the newest are kept.
-    newest = recogniser.encoder_.transform(more)[-counts[-1] :]
-    assert np.allclose(memory.features[of_a & (memory.sessions == "day 3")], newest)
+        taught.extend_object("a", more, most=10)
+    sessions = taught.memory_.sessions[taught.memory_.labels == "a"]
+    days, counts = np.unique(sessions, return_counts=True)
+    assert (len(days), counts.tolist()) == (5, [2] * 5)
     with pytest.raises(ValueError, match="most"):
-        recogniser.extend_object("a", more, most=1)
+        taught.extend_object("a", more, most=1)
 
 
 def test_the_baseline_of_the_new_session_is_known_and_taken_off():
@@ -441,23 +393,23 @@ def pressed(_pressed):
     return deepcopy(_pressed)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("labelled", [False, True])
-@pytest.mark.parametrize("gain", [0.4, 2.5])
+@pytest.mark.parametrize(
+    "gain",
+    [
+        pytest.param(0.4, marks=pytest.mark.slow),
+        1.0,
+        pytest.param(2.5, marks=pytest.mark.slow),
+    ],
+)
 def test_the_gain_of_an_array_is_found_and_taken_off(pressed, gain, labelled):
     there = _presses(8, 1, gain)
-    remount_touches = there if labelled else there.without("object")
-    recogniser = pressed.remount(remount_touches)
-    correction = recogniser.chosen_["remount"]["gain"]
-    assert correction == pytest.approx(1 / gain, rel=0.15)
-    assert recogniser.encoder_.gain == correction
-    assert recogniser.score(_presses(20, 2, gain), np.repeat(PARTS, 20)) > 0.9
-
-
-def test_an_array_of_the_same_gain_keeps_it(pressed):
-    pressed.remount(_presses(8, 1).without("object"))
-    assert pressed.chosen_["remount"]["gain"] == pytest.approx(1, abs=0.1)
-    assert pressed.chosen_["remount"]["broken"] == 0
+    pressed.remount(there if labelled else there.without("object"))
+    record = pressed.chosen_["remount"]
+    assert record["gain"] == pytest.approx(1 / gain, rel=0.1)
+    assert pressed.encoder_.gain == record["gain"]
+    assert record["broken"] == 0
+    assert pressed.score(_presses(20, 2, gain), np.repeat(PARTS, 20)) > 0.9
 
 
 @pytest.mark.parametrize("level", [0.0, 40.0])
@@ -486,30 +438,10 @@ def _beside(images):
     return np.roll(images, 1, axis=2) + np.roll(images, -1, axis=2)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda images: 1.5 * images,
-        lambda images: 0.6 * images + 0.2 * _beside(images),
-    ],
-    ids=["gain", "blurred"],
-)
-def test_another_gain_or_a_softer_rubber_raises_the_alarm(pressed, change):
-    same = _presses(4, 1)
-    assert not pressed.check_mounting(same).changed
-    other = Touches(change(same.images), object=same.object, geometry="array")
-    check = pressed.check_mounting(other)
-    assert check.changed
-    assert check.distance > check.usual
-    # Once remounted, the recogniser raises no alarm.
-    pressed.remount(other.without("object"))
-    assert not pressed.check_mounting(other).changed
-
-
 def test_a_model_that_kept_no_looks_still_tells_by_distances(pressed):
-    memory = pressed.memory_
+    memory, same = pressed.memory_, _presses(4, 1)
+    assert not pressed.check_mounting(same).changed
     pressed.memory_ = replace(memory, looks=np.full_like(memory.looks, np.nan))
-    same = _presses(4, 1)
     assert not pressed.check_mounting(same).changed
     assert pressed.check_mounting(Touches(same.images + 20, geometry="array")).changed
     pressed.remount(same.without("object"))
@@ -536,9 +468,12 @@ def test_remounting_moves_touches_onto_training_and_reports_how_far(taught):
     left = np.linalg.norm(means[0] - means[1])
     assert 0 < left < 0.05 * np.linalg.norm(shift)
     # Memory keeps the features that the recogniser gives touches from now on.
-    kept = taught.memory_.features[len(before) :]
-    assert_allclose(kept, features, atol=1e-9)
-    assert_allclose(taught.memory_.looks[len(before) :], taught.encoder_.look(there))
+    kept, new = taught.memory_, slice(len(before), None)
+    assert_allclose(kept.features[new], features, atol=1e-9)
+    assert_allclose(kept.looks[new], taught.encoder_.look(there))
+    # The touches are one group of their own, left out together.
+    assert kept.labels[new].tolist() == there.object.tolist()
+    assert kept.blocks[new].tolist() == [before.blocks.max() + 1] * 36
 
 
 def test_remounting_again_begins_where_the_first_one_ended(taught):
@@ -661,7 +596,7 @@ def test_twenty_differences_between_sessions_are_enough(taught, n_last, enough):
         expected = before.features @ taught.encoder_.weighing
         assert_allclose(taught.memory_.features, expected)
         return
-    with pytest.raises(ValueError, match="got 19 differences"):
+    with pytest.raises(ValueError, match=r"at least 20 things .* got 19 differences"):
         taught.learn_nuisance(touches)
     assert taught.memory_ is before
 
@@ -787,13 +722,16 @@ def _parts_of(reason):
 
 @pytest.mark.parametrize("gain", [0.7, 0.8, 1.25, 1.5])
 def test_another_gain_is_reported_with_its_factor(pressed, gain):
-    check = pressed.check_mounting(_presses(4, 1, gain))
+    there = _presses(4, 1, gain).without("object")
+    check = pressed.check_mounting(there)
     assert check.changed
     times, words = _parts_of(check.reasons[0])
     # Twelve loads that vary by a fifth, told to a tenth.
     assert times == pytest.approx(max(gain, 1 / gain), abs=0.12)
     comparison = "stronger" if gain > 1 else "weaker"
     assert words == f"These 12 touches press {comparison} than training touches."
+    # Once remounted, the recogniser raises no alarm.
+    assert not pressed.remount(there).check_mounting(there).changed
 
 
 @pytest.mark.parametrize(
@@ -823,6 +761,7 @@ def test_another_detail_is_reported_with_its_factor(pressed, change, detail):
     differences = np.abs(looks - memory.looks.mean(axis=0))[:-1] / 2
     octaves = slice(0, 4) if "coarse" in detail else slice(4, 6)
     assert np.abs(np.exp(differences[octaves]) - times).min() < 0.1
+    assert not pressed.remount(other).check_mounting(other).changed
 
 
 def test_touches_farther_than_usual_raise_the_alarm(taught):

@@ -8,7 +8,6 @@ from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import (
     GridSearchCV,
     GroupKFold,
-    cross_val_predict,
     cross_val_score,
 )
 from sklearn.pipeline import Pipeline, make_pipeline
@@ -82,16 +81,10 @@ def test_cross_validation_scores_images_and_touches_alike(images_and_labels):
     assert scores.shape == (2,)
     assert scores.mean() > 0.8
     touches = Touches(images, object=labels)
-    assert_array_equal(
-        cross_val_score(
-            ObjectRecogniser(), touches, labels, cv=GroupKFold(2), groups=groups
-        ),
-        scores,
+    of_touches = cross_val_score(
+        ObjectRecogniser(), touches, labels, cv=GroupKFold(2), groups=groups
     )
-    proba = cross_val_predict(
-        ObjectRecogniser(), images, labels, method="predict_proba", cv=2
-    )
-    assert proba.shape == (48, 3)
+    assert_array_equal(of_touches, scores)
 
 
 def test_grid_search_over_parameters(images_and_labels):
