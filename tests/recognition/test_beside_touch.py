@@ -5,17 +5,19 @@ import pytest
 from sklearn.linear_model import LogisticRegression, RidgeClassifier
 
 from palpate import Touches
-from palpate.recognition import ModelFileError, ObjectRecogniser
+from palpate.recognition import Modality, ModelFileError, ObjectRecogniser
 
 NAMES = ("ball", "mug", "pen")
 
 
-def clouds(seed, n_each, spread=0.6):
-    """Three clouds of vectors in a plane; the first two overlap."""
+def examples(seed=0, n_each=10, spread=1.0):
+    """Examples of three things in a plane, and their names."""
     rng = np.random.default_rng(seed)
-    centres = np.array([[0.0, 0.0], [0.8, 0.0], [4.0, 4.0]])
-    X = np.repeat(centres, n_each, axis=0) + spread * rng.normal(size=(3 * n_each, 2))
-    return X, np.repeat(NAMES, n_each)
+    labels = np.repeat(["ball", "mug", "pen"], n_each)
+    centres = np.array([[0.0, 50.0], [3.0, 50.0], [0.0, 90.0]])
+    return np.repeat(centres, n_each, axis=0) + [spread, 10 * spread] * rng.normal(
+        size=(3 * n_each, 2)
+    ), labels
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +29,13 @@ def recogniser():
     images[40:, 2] += 1.5
     touches = Touches(images, object=np.repeat(NAMES, 20), geometry="none")
     learnt = ObjectRecogniser().fit(touches)
-    return learnt.learn_modality("sight", *clouds(1, 30)), touches
+    return learnt.learn_modality("sight", *examples()), touches
 
 
 def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
     model, _ = recogniser
-    model.learn_modality("guess", *clouds(3, 30), classifier=LogisticRegression())
-    assert model.start().update_sense("guess", [[4.0, 4.0]] * 2).best == "pen"
+    model.learn_modality("guess", *examples(3), classifier=LogisticRegression())
+    assert model.start().update_sense("guess", [[0.0, 90.0]] * 2).best == "pen"
 
 
 def test_unlearnt_senses_and_classifiers_without_probabilities_are_refused(recogniser):
@@ -43,18 +45,18 @@ def test_unlearnt_senses_and_classifiers_without_probabilities_are_refused(recog
     with pytest.raises(ValueError, match="Call learn_modality first"):
         ObjectRecogniser().fit(recogniser[1]).start().update_sense("sight", [1.0])
     with pytest.raises(TypeError, match="predict_proba"):
-        model.learn_modality("x", *clouds(0, 5), classifier=RidgeClassifier())
+        model.learn_modality("x", *examples(), classifier=RidgeClassifier())
 
 
 def test_model_file_keeps_sight_and_refuses_foreign_classifiers(tmp_path, recogniser):
     touches = recogniser[1]
-    model = ObjectRecogniser().fit(touches).learn_modality("sight", *clouds(1, 30))
+    model = ObjectRecogniser().fit(touches).learn_modality("sight", *examples())
     again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
-    example = [1.0, 1.0]
+    example = [1.5, 60.0]
     assert again.start().update_sense("sight", example).posterior == pytest.approx(
         model.start().update_sense("sight", example).posterior, abs=1e-12
     )
-    model.learn_modality("guess", *clouds(3, 9), classifier=LogisticRegression())
+    model.learn_modality("guess", *examples(3), classifier=LogisticRegression())
     with pytest.raises(ModelFileError, match="LogisticRegression"):
         model.save(tmp_path / "n.palpate")
 
@@ -92,3 +94,64 @@ def test_a_prior_without_a_positive_number_for_each_object_is_refused(
     model, _ = recogniser
     with pytest.raises(error, match=message):
         model.start(prior)
+
+
+def test_a_sense_gives_the_probabilities_of_its_classifier_with_the_floor():
+    X, y = examples()
+    sense = Modality(floor=0.2).fit(X, y)
+    assert sense.classes_.tolist() == ["ball", "mug", "pen"]
+    new_examples = examples(1, 2)[0]
+    scaled = (new_examples - X.mean(axis=0)) / X.std(axis=0)
+    shares = np.exp(sense.classifier_.log_likelihood(scaled))
+    shares = 0.8 * shares / shares.sum(axis=1, keepdims=True) + 0.2 / 3
+    probabilities = np.exp(
+        sense.log_likelihood(new_examples, np.array(["pen", "ball", "mug"]))
+    )
+    assert probabilities == pytest.approx(shares[:, [2, 0, 1]])
+    # A name that it never learnt gets the mean of the learnt ones among the names.
+    with_box = np.exp(
+        sense.log_likelihood(new_examples, np.array(["box", "mug", "pen"]))
+    )
+    middle = shares[:, 1:].mean(axis=1)
+    assert with_box == pytest.approx(np.column_stack([middle, shares[:, 1:]]))
+    unlearnt = sense.log_likelihood(new_examples, np.array(["box", "cup"]))
+    assert unlearnt.tolist() == [[0.0, 0.0]] * 6
+
+
+def test_examples_that_resemble_each_other_are_left_out_together():
+    X, y = examples(spread=3.0)
+    alone = Modality().fit(X, y).sequence_calibration_
+    assert alone == Modality().fit(X, y, groups=np.arange(30)).sequence_calibration_
+    # The seed changes no calibration at its bounds, but that of overlapping examples.
+    overlap = examples(n_each=40, spread=4.0)
+    drawn = [Modality(random_state=k).fit(*overlap) for k in (0, 1)]
+    assert drawn[0].sequence_calibration_ != drawn[1].sequence_calibration_
+    # A copy whose original is in training makes a sense look surer than it is.
+    rng = np.random.default_rng(2)
+    copies = np.repeat(X, 4, axis=0) + 1e-3 * rng.normal(size=(120, 2))
+    names, visit = np.repeat(y, 4), np.repeat(np.arange(30), 4)
+    grouped = Modality().fit(copies, names, groups=visit).sequence_calibration_
+    ungrouped = Modality().fit(copies, names).sequence_calibration_
+    assert grouped.strength < ungrouped.strength - 0.2
+
+
+@pytest.mark.parametrize("floor", [0, 0.5])
+def test_a_floor_of_a_sense_is_at_most_a_half(floor):
+    assert Modality(floor=floor).fit(*examples()).floor == floor
+    for beyond in (-0.01, 0.51):
+        with pytest.raises(ValueError, match="floor must be"):
+            Modality(floor=beyond).fit(*examples())
+
+
+@pytest.mark.parametrize(
+    ("y", "message"),
+    [
+        (["a"] * 4, "hold at least two labels of two examples each"),
+        (["a", "a", "a", "b"], "hold at least two labels of two examples each"),
+        (["a", "b"], "have one label for each of 4 examples"),
+    ],
+)
+def test_a_sense_needs_two_labels_of_two_examples(y, message):
+    with pytest.raises(ValueError, match=f"y must {message}"):
+        Modality().fit(np.eye(4), y)
+    Modality().fit(np.eye(4), ["a", "b", "b", "a"])

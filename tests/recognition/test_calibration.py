@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate._numbers import with_floor
 from palpate.recognition import (
     Evidence,
-    Modality,
     ObjectRecogniser,
     SequenceCalibration,
 )
@@ -143,77 +141,6 @@ def test_calibrations_stay_within_their_bounds(repeated):
     assert alike.correlation < 1
 
 
-def examples(seed=0, n_each=10, spread=1.0):
-    """Examples of three things in a plane, and their names."""
-    rng = np.random.default_rng(seed)
-    labels = np.repeat(["ball", "mug", "pen"], n_each)
-    centres = np.array([[0.0, 50.0], [3.0, 50.0], [0.0, 90.0]])
-    return np.repeat(centres, n_each, axis=0) + [spread, 10 * spread] * rng.normal(
-        size=(3 * n_each, 2)
-    ), labels
-
-
-def test_a_sense_gives_the_probabilities_of_its_classifier_with_the_floor():
-    X, y = examples()
-    sense = Modality(floor=0.2).fit(X, y)
-    assert sense.classes_.tolist() == ["ball", "mug", "pen"]
-    new_examples = examples(1, 2)[0]
-    scaled = (new_examples - X.mean(axis=0)) / X.std(axis=0)
-    shares = np.exp(sense.classifier_.log_likelihood(scaled))
-    shares = 0.8 * shares / shares.sum(axis=1, keepdims=True) + 0.2 / 3
-    probabilities = np.exp(
-        sense.log_likelihood(new_examples, np.array(["pen", "ball", "mug"]))
-    )
-    assert probabilities == pytest.approx(shares[:, [2, 0, 1]])
-    # A name that it never learnt gets the mean of the learnt ones among the names.
-    with_box = np.exp(
-        sense.log_likelihood(new_examples, np.array(["box", "mug", "pen"]))
-    )
-    middle = shares[:, 1:].mean(axis=1)
-    assert with_box == pytest.approx(np.column_stack([middle, shares[:, 1:]]))
-    unlearnt = sense.log_likelihood(new_examples, np.array(["box", "cup"]))
-    assert unlearnt.tolist() == [[0.0, 0.0]] * 6
-
-
-def test_examples_that_resemble_each_other_are_left_out_together():
-    X, y = examples(spread=3.0)
-    alone = Modality().fit(X, y).sequence_calibration_
-    assert alone == Modality().fit(X, y, groups=np.arange(30)).sequence_calibration_
-    # The seed changes no calibration at its bounds, but that of overlapping examples.
-    overlap = examples(n_each=40, spread=4.0)
-    drawn = [Modality(random_state=k).fit(*overlap) for k in (0, 1)]
-    assert drawn[0].sequence_calibration_ != drawn[1].sequence_calibration_
-    # A copy whose original is in training makes a sense look surer than it is.
-    rng = np.random.default_rng(2)
-    copies = np.repeat(X, 4, axis=0) + 1e-3 * rng.normal(size=(120, 2))
-    names, visit = np.repeat(y, 4), np.repeat(np.arange(30), 4)
-    grouped = Modality().fit(copies, names, groups=visit).sequence_calibration_
-    ungrouped = Modality().fit(copies, names).sequence_calibration_
-    assert grouped.strength < ungrouped.strength - 0.2
-
-
-@pytest.mark.parametrize("floor", [0, 0.5])
-def test_a_floor_of_a_sense_is_at_most_a_half(floor):
-    assert Modality(floor=floor).fit(*examples()).floor == floor
-    for beyond in (-0.01, 0.51):
-        with pytest.raises(ValueError, match="floor must be"):
-            Modality(floor=beyond).fit(*examples())
-
-
-@pytest.mark.parametrize(
-    ("y", "message"),
-    [
-        (["a"] * 4, "hold at least two labels of two examples each"),
-        (["a", "a", "a", "b"], "hold at least two labels of two examples each"),
-        (["a", "b"], "have one label for each of 4 examples"),
-    ],
-)
-def test_a_sense_needs_two_labels_of_two_examples(y, message):
-    with pytest.raises(ValueError, match=f"y must {message}"):
-        Modality().fit(np.eye(4), y)
-    Modality().fit(np.eye(4), ["a", "b", "b", "a"])
-
-
 def test_a_label_left_out_whole_gets_the_least_likelihood_of_the_others(rng):
     images = rng.normal(size=(24, 2, 4)) + 3 * np.repeat(np.eye(8)[:3], 8, 0).reshape(
         24, 2, 4
@@ -224,16 +151,6 @@ def test_a_label_left_out_whole_gets_the_least_likelihood_of_the_others(rng):
     log_likelihood = learnt.left_out_log_likelihood()
     assert np.isfinite(log_likelihood).all()
     assert (log_likelihood[16:, 2] == log_likelihood[16:, :2].min(axis=1)).all()
-
-
-def test_the_design_effect_is_that_of_equally_correlated_readings():
-    assert SequenceCalibration() == SequenceCalibration(1.0, 0.0)
-    k = np.arange(1, 6)
-    assert_allclose(SequenceCalibration().weight(k), 1)
-    # k readings of correlation c have the variance of k / (1 + (k - 1) c) free ones.
-    weights = SequenceCalibration(0.6, 0.3).weight(k)
-    assert_allclose(weights, 0.6 / (1 + 0.3 * (k - 1)))
-    assert SequenceCalibration(0.6, 0.3).weight(0) == 0.6
 
 
 def test_images_lists_and_touches_are_touches():

@@ -177,6 +177,25 @@ def remounted(**corrections):
 CORRECTIONS = ["offset", "weighing", "drift", "broken", "look_offset"]
 
 
+def test_corrections_as_large_as_a_touch_are_read_and_made(tmp_path):
+    shape, n = models()[0].encoder_.image_shape_, models()[0].memory_.features.shape[1]
+    rng = np.random.default_rng(0)
+    model = remounted(
+        drift=rng.normal(size=shape),
+        broken=rng.random(shape) < 0.1,
+        offset=rng.normal(size=n),
+        weighing=np.eye(n) + 0.1 * rng.normal(size=(n, n)),
+        look_offset=rng.normal(size=7),
+    )
+    model.encoder_.encoder.still_ = rng.normal(size=shape)
+    again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    images = rng.random((3, *shape))
+    for after, before in zip(
+        again.evidence(images), model.evidence(images), strict=True
+    ):
+        assert_array_equal(after, before)
+
+
 @pytest.mark.parametrize("name", [*CORRECTIONS, "still_"])
 def test_corrections_of_a_touch_must_be_as_large_as_it(tmp_path, name):
     # Else a small column would be spread over all features, a thousand times over.
@@ -371,6 +390,7 @@ def plain(tmp_path_factory):
     return forge
 
 
+TOUCHES = {"list": [0] * 2000}
 MOST = {
     **dict.fromkeys(("degree", "order", "n_orientations", "n_partitions"), 60),
     **dict.fromkeys(("n_points", "n_rings", "radii", "n_harmonics", "cell"), 32),
@@ -399,31 +419,27 @@ def test_sizes_have_a_limit_below_zero_and_inside_of_lists(tmp_path, plain, valu
 
 
 @pytest.mark.parametrize(
-    ("order", "shape", "refused"),
+    ("params", "learnt", "refused"),
     [
-        (20, [9000, 9000], False),
-        (21, [21, 2159], False),  # 45,339 levels times 441
-        (21, [21, 2160], True),
-        (40, [100, 125], False),  # 20 million
-        (40, [1, 12_501], True),
-        (60, [5, 1112], True),
+        # Zernike moments of high order keep tables for each level.
+        ({"order": 20}, {"image_shape_": {"tuple": [9000, 9000]}}, False),
+        # 45,339 levels times 441
+        ({"order": 21}, {"image_shape_": {"tuple": [21, 2159]}}, False),
+        ({"order": 21}, {"image_shape_": {"tuple": [21, 2160]}}, True),
+        # 20 million
+        ({"order": 40}, {"image_shape_": {"tuple": [100, 125]}}, False),
+        ({"order": 40}, {"image_shape_": {"tuple": [1, 12_501]}}, True),
+        ({"order": 60}, {"image_shape_": {"tuple": [5, 1112]}}, True),
+        # Kernels times touches are at most five million.
+        ({}, {"kernels_": {"list": [0] * 2500}, "touches_": TOUCHES}, False),
+        ({}, {"kernels_": {"list": [0] * 2501}, "touches_": TOUCHES}, True),
     ],
 )
-def test_moments_of_high_order_are_made_of_small_images(
-    tmp_path, plain, order, shape, refused
+def test_what_costs_too_much_for_one_touch_is_refused(
+    tmp_path, plain, params, learnt, refused
 ):
     # The model is refused for another reason, or read, where this one does not hold.
-    part = node(params={"order": order}, image_shape_={"tuple": shape})
-    refusal = refusal_of(plain(tmp_path, part))
-    assert ("too much for one touch" in refusal) == refused
-
-
-@pytest.mark.parametrize(("n_kernels", "refused"), [(2500, False), (2501, True)])
-def test_kernels_times_touches_are_at_most_five_million(
-    tmp_path, plain, n_kernels, refused
-):
-    part = node(kernels_={"list": [0] * n_kernels}, touches_={"list": [0] * 2000})
-    refusal = refusal_of(plain(tmp_path, part))
+    refusal = refusal_of(plain(tmp_path, node(params=params, **learnt)))
     assert ("too much for one touch" in refusal) == refused
 
 
@@ -536,15 +552,6 @@ def test_images_have_50_million_levels_and_are_tried_up_to_800_000(
     refusal = refusal_of(model.save(tmp_path / "m.palpate"))
     assert message in refusal
     assert bool(message) == bool(refusal)
-
-
-def test_corrections_as_large_as_a_touch_are_read(tmp_path):
-    shape, n = models()[0].encoder_.image_shape_, models()[0].memory_.features.shape[1]
-    whole = {"drift": np.zeros(shape), "broken": np.zeros(shape, dtype=bool)}
-    whole |= {"offset": np.zeros(n), "weighing": np.eye(n), "look_offset": np.zeros(7)}
-    model = remounted(**whole)
-    model.encoder_.encoder.still_ = np.zeros(shape)
-    assert refusal_of(model.save(tmp_path / "m.palpate")) == ""
 
 
 @pytest.mark.parametrize(

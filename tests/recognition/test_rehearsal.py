@@ -186,16 +186,17 @@ def test_pads_are_moved_one_by_one_and_gaps_stay():
     assert not moved[:, :, 9:].any()  # what left the first pad is not on the other
 
 
-def test_the_accuracy_to_expect_of_another_day_is_said(both):
+def test_the_accuracy_to_expect_of_another_day_is_reported(both):
     plain, rehearsed = both
     across = rehearsed.across_sessions()
-    low, high = across["rehearsed"]
-    assert 0 <= low <= high <= 1
-    sentence = sessions_message(across)
-    assert f"expect about {100 * low:.0f} to {100 * high:.0f} % right" in sentence
+    for expected in (across["rehearsed"], across["confirmed"]):
+        low, high = expected
+        assert 0 <= low <= high <= 1
+    there = copy(rehearsed).remount(_presses(1, 4)[:3])
+    assert there.chosen_["remount"]["confirm"] == ["ring"]
+    assert there.chosen_["remount"]["expected"] == across["confirmed"]
     # Nothing was rehearsed: nothing is promised.
-    assert "rehearsed" not in plain.across_sessions()
-    assert "can show how much less" in sessions_message(plain.across_sessions())
+    assert not {"rehearsed", "confirmed"} & set(plain.across_sessions())
 
 
 def _memory_of(features, labels):
@@ -217,18 +218,6 @@ def test_one_confirmed_touch_of_each_moves_a_rehearsed_session_back(rng):
     assert_array_equal(more.features[:2], drawn.features)
     # Noise of 0.1 in each value, a mean of five touches: six standard deviations.
     assert np.abs(more.features[2] - drawn.features[0]).max() < 0.3
-
-
-def test_the_accuracy_to_expect_after_confirming_is_said(both):
-    rehearsal = both[1].chosen_["rehearsal"]
-    low, high = rehearsal["confirmed"]
-    assert 0 <= low <= high <= 1
-    words = sessions_message(both[1].across_sessions())
-    ends = dict.fromkeys((f"{100 * low:.0f}", f"{100 * high:.0f}"))  # "100", if alike
-    assert f"({' to '.join(ends)} % with one confirmed touch of each)" in words
-    there = copy(both[1]).remount(_presses(1, 4)[:3])
-    assert there.chosen_["remount"]["confirm"] == ["ring"]
-    assert there.chosen_["remount"]["expected"] == [low, high]
 
 
 def _rehearsed_by(moves, rng):

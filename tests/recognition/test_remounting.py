@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -221,23 +222,6 @@ def test_nuisance_of_other_objects_is_weighed_down():
         recogniser.learn_nuisance(_session(0, 4, 0, "one").without("session"))
 
 
-def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
-    recogniser = ObjectRecogniser().fit(_session(0, 20, 0, "one"))
-    rng = np.random.default_rng(3)
-    alarms = {0: 0, 1: 0}
-    for changed in alarms:
-        for seed in range(40):
-            there = _session(changed * OFFSET, 5, 100 + seed, "two", labels=False)
-            ten = there[rng.permutation(len(there))[:10]]
-            check = recogniser.check_mounting(ten)
-            assert check.changed == (check.distance > check.usual)
-            assert check.changed == bool(check.reasons)
-            alarms[changed] += check.changed
-    # One in twenty is the aim; six of forty is what chance may make of it.
-    assert alarms[0] <= 6
-    assert alarms[1] >= 38
-
-
 @pytest.mark.parametrize("preset", ["default", "liu2014"])
 @pytest.mark.parametrize("taught_with", [True, False])
 def test_a_baseline_that_comes_or_goes_raises_no_alarm(taught_with, preset):
@@ -413,9 +397,7 @@ def test_the_gain_of_an_array_is_found_and_taken_off(pressed, gain, labelled):
 
 
 @pytest.mark.parametrize("level", [0.0, 40.0])
-def test_taxels_that_are_stuck_are_filled_from_their_neighbours(
-    pressed, level, tmp_path
-):
+def test_taxels_that_are_stuck_are_filled_from_their_neighbours(pressed, level):
     there = _presses(8, 1)
     stuck = np.zeros((SIDE, SIDE), dtype=bool)
     stuck[[2, 5, 9], [7, 5, 1]] = True
@@ -429,8 +411,6 @@ def test_taxels_that_are_stuck_are_filled_from_their_neighbours(
     assert np.array_equal(pressed.encoder_.broken, stuck)
     assert pressed.chosen_["remount"]["broken"] == 3
     assert np.abs(pressed.log_likelihood(broken) - whole).mean() < as_it_is / 2
-    loaded = ObjectRecogniser.load(pressed.save(tmp_path / "m.palpate"))
-    assert np.array_equal(loaded.log_likelihood(broken), pressed.log_likelihood(broken))
 
 
 def _beside(images):
@@ -668,6 +648,12 @@ def test_the_sentence_on_another_day_counts_sessions_and_touches():
         "Taught in 3 sessions an object: expect about 76 % right after one touch in "
         "another one (40 touches of sessions left out whole)."
     )
+    across = {"least": 1, "median": 1.0, "asked": 0, "rehearsed": [0.614, 0.83]}
+    message = sessions_message(across)
+    assert "expect about 61 to 83 % right after one touch on another day" in message
+    assert "confirmed" not in message
+    message = sessions_message(across | {"confirmed": [1.0, 0.999]})
+    assert "sessions were (100 % with one confirmed touch of each); only" in message
 
 
 def _discs(rng, n, moved=(0, 0), radius=27.0):
@@ -794,21 +780,34 @@ def learnt_on_three_days():
     return [ObjectRecogniser().fit(_session(0, 20, seed, "one")) for seed in range(3)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n_objects", [1, 3, 6])
+@pytest.mark.parametrize(
+    "n_objects",
+    [
+        pytest.param(1, marks=pytest.mark.slow),
+        pytest.param(3, marks=pytest.mark.slow),
+        6,
+    ],
+)
 def test_of_sessions_as_before_one_in_twenty_raises_the_alarm(
     learnt_on_three_days, n_objects
 ):
-    """Sessions of few objects do so as well, though these lie to one side of all."""
-    rng, alarms = np.random.default_rng(0), 0
+    """Sessions of few objects do so as well, though these lie to one side of all.
+
+    A changed mounting raises it nearly always.
+    """
+    rng, alarms = np.random.default_rng(0), {0: 0, 1: 0}
     for learnt in learnt_on_three_days:
-        for draw in range(30):
+        for draw, moved in product(range(30), alarms):
             names = rng.permutation([*"abcdef"])[:n_objects]
-            there = _session(0, 12, 100 + draw, "two", names, labels=False)
-            ten = there[rng.permutation(len(there))[:10]]
-            alarms += learnt.check_mounting(ten).changed
+            there = _session(moved * OFFSET, 12, 100 + draw, "two", names, labels=False)
+            check = learnt.check_mounting(there[rng.permutation(len(there))[:10]])
+            assert (
+                check.changed == (check.distance > check.usual) == bool(check.reasons)
+            )
+            alarms[moved] += check.changed
     # 4.5 of 90 are the aim, and three standard deviations above it are 10.7.
-    assert alarms <= 10
+    assert alarms[0] <= 10
+    assert alarms[1] >= 86
 
 
 def test_touches_that_all_lie_to_one_side_raise_the_alarm(taught):

@@ -17,7 +17,7 @@ from palpate.recognition._strangers import (
     Curve,
     episode_evidence,
 )
-from palpate.simulation import DomeCamera, simulate_presses, simulate_touches
+from palpate.simulation import DomeCamera, simulate_touches
 
 N_EACH = 30
 
@@ -428,17 +428,6 @@ def test_scores_of_long_episodes_spread_no_less_than_those_of_shorter_ones(seed)
     spread = ObjectRecogniser().fit(touches).strangers_.high[:, 1]
     assert len(spread) == 12
     assert spread[8:].min() >= spread[7] > 0.5
-
-
-def test_a_session_that_is_there_twice_makes_no_stranger_of_what_was_taught():
-    names = ["bar10", "disc13", "square13"]
-    monday = simulate_presses(names, 12, random_state=0)
-    sessions = [monday.with_columns(session=[day] * len(monday)) for day in "ab"]
-    recogniser = ObjectRecogniser().fit(Touches.concatenate(sessions))
-    for name in names:
-        belief = recogniser.start()
-        belief.update(simulate_presses(name, 4, random_state=1))
-        assert (belief.best, belief.unknown < 0.2) == (name, True)
 
 
 @pytest.mark.parametrize("marks", [2000, 20], ids=["all", "some"])
