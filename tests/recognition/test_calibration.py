@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.special import log_softmax
 
-from palpate import Touches
 from palpate._numbers import with_floor
 from palpate.recognition import (
     Evidence,
@@ -14,11 +14,6 @@ from palpate.recognition._calibration import (
     LENGTHS,
     draw_episodes,
     fit_sequence_calibration,
-)
-from palpate.recognition._evidence import (
-    as_touches,
-    beliefs_after,
-    is_informative,
 )
 from palpate.recognition._learning import what_matters
 
@@ -73,23 +68,17 @@ def test_a_thousand_long_episodes_at_most_are_drawn(n_objects, n_each):
     assert all(np.array_equal(a, b) for a, b in zip(again, drawn, strict=True))
 
 
-def log_posteriors(floored, prior, calibration):
-    """Return log posteriors after each touch of an episode."""
-    used = is_informative(floored)
-    return beliefs_after(used, floored, prior, calibration)[0]
-
-
 def loss_of(calibration, floored, codes, episodes, prior):
     """Return the log loss episode by episode; each number of touches counts alike."""
     losses = []
     for length in LENGTHS:
-        ends = [
-            log_posteriors(floored[episode[:length]], prior, calibration)[-1][
-                codes[episode[0]]
-            ]
-            for episode in np.concatenate(episodes)
-            if len(episode) >= length
-        ]
+        ends = []
+        for episode in np.concatenate(episodes):
+            if len(episode) >= length:
+                rows = floored[episode[:length]]
+                rows = rows[np.ptp(rows, axis=1) > 0]
+                total = calibration.weight(len(rows)) * rows.sum(axis=0)
+                ends.append(log_softmax(total + prior)[codes[episode[0]]])
         if ends:
             losses.append(-np.mean(ends))
     return np.mean(losses)
@@ -151,23 +140,6 @@ def test_a_label_left_out_whole_gets_the_least_likelihood_of_the_others(rng):
     log_likelihood = learnt.left_out_log_likelihood()
     assert np.isfinite(log_likelihood).all()
     assert (log_likelihood[16:, 2] == log_likelihood[16:, :2].min(axis=1)).all()
-
-
-def test_images_lists_and_touches_are_touches():
-    image = np.arange(6.0).reshape(2, 3)
-    touch, three = as_touches(image), as_touches([image] * 3)
-    assert touch.images.shape == (1, 2, 3)
-    assert three.images.shape == (3, 2, 3)
-    assert as_touches(touch) is touch
-    assert len(as_touches([touch, three])) == 4
-    assert isinstance(as_touches([touch]), Touches)
-    for bad in ([], np.zeros(3), np.zeros((1, 2, 2, 2, 3))):
-        shape = np.asarray(bad).shape
-        with pytest.raises(ValueError, match="touch must be") as refused:
-            as_touches(bad)
-        assert str(refused.value).endswith(f"got an array of shape {shape}.")
-    with pytest.raises(ValueError, match=r"\(4, 2, 3, 3\). Name its channels: Touches"):
-        as_touches(np.zeros((4, 2, 3, 3)))
 
 
 def test_evidence_taken_apart_is_put_together_again(rng):

@@ -370,12 +370,6 @@ def test_no_contact_leaves_the_belief_and_counts_as_a_touch(camera):
     assert first.update(touches[:2]).posterior == before
 
 
-def test_touches_in_contact_have_no_flag_and_are_evidence(camera):
-    recogniser, touches = camera
-    assert recogniser.evidence(touches).flags == [""] * len(touches)
-    assert (np.ptp(recogniser.log_likelihood(touches), axis=1) > 0).all()
-
-
 def test_a_label_of_touches_without_contact_is_learnt(camera):
     _, touches = camera
     frames = np.stack([idle(touches, seed) for seed in range(12)])
