@@ -135,12 +135,6 @@ def test_the_checksum_is_compared(tmp_path):
     assert "checksum does not match" in refusal_of(path)
 
 
-def test_a_document_of_millions_of_values_is_refused(tmp_path):
-    text = json.dumps({"format": 4, "model": {"list": [[]] * 3_000_000}})
-    path = forged(tmp_path / "a.palpate", text, {})
-    assert "values are too many" in check_bounded(path)
-
-
 def test_a_larger_file_than_asked_for_is_refused_unread(tmp_path, monkeypatch):
     path = models()[0].save(tmp_path / "a.palpate")
     monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "0.001")
@@ -503,7 +497,7 @@ def test_a_document_has_a_million_values_and_one_in_fifty_bytes(
     n_bytes = written(n_values + more)
     assert (n_values + more > 1_000_000 + n_bytes / 50) == refused
     message = f"{n_values + more} values are too many for its size"
-    assert (message in refusal_of(path)) == refused
+    assert (message in check_bounded(path)) == refused
 
 
 def test_a_document_of_other_letters_than_ascii_is_refused(tmp_path):

@@ -147,12 +147,3 @@ def test_presses_at_any_angle_are_recognised(rng):
     test = turned_anyhow(two_shapes(rng), rng, shift=1)
     # A bar and a disc differ far beyond the noise.
     assert learnt.score(test) > 0.95
-
-
-def test_dead_taxels_are_no_obstacle(rng):
-    touches = turned_anyhow(two_shapes(rng), rng, shift=1)
-    images = touches.images.copy()
-    images[:, 3, 5] = np.nan
-    dead = Touches(images, object=touches.object)
-    learnt = ObjectRecogniser().fit(dead)
-    assert np.isfinite(learnt.log_likelihood(dead)).all()

@@ -107,13 +107,15 @@ def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():
     assert ObjectRecogniser().fit(without_colours).score(test_without) < 0.75
 
 
+@pytest.mark.parametrize("with_rest", [True, False])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_taxel_that_is_dead_at_rest_too_is_filled(preset, presses):
+def test_a_taxel_that_is_dead_is_filled(preset, with_rest, presses):
     images = presses.images.astype(np.float32)
     rest = np.zeros(images.shape[1:], np.float32)
     images[:, 9, 9] = rest[9, 9] = np.nan
-    taught = Touches(
-        images, object=presses.object, no_contact=rest, geometry=presses.geometry
-    )
+    about = {"object": presses.object, "geometry": presses.geometry}
+    about |= {"no_contact": rest} if with_rest else {}
+    taught = Touches(images, **about)
     model = ObjectRecogniser(preset).fit(taught)
     assert model.classes_.tolist() == np.unique(presses.object).tolist()
+    assert np.isfinite(model.log_likelihood(taught)).all()
