@@ -5,11 +5,7 @@ import pytest
 from scipy.special import log_softmax
 
 from palpate._numbers import with_floor
-from palpate.recognition import (
-    Evidence,
-    ObjectRecogniser,
-    SequenceCalibration,
-)
+from palpate.recognition import Evidence, ObjectRecogniser, SequenceCalibration
 from palpate.recognition._calibration import (
     LENGTHS,
     draw_episodes,
