@@ -400,31 +400,23 @@ def test_more_touches_are_not_asked_for_where_all_are_worth_one(start, model):
 
 
 @pytest.mark.parametrize(
-    ("shares", "strangers", "words", "advice"),
+    ("shares", "strangers", "advice"),
     [
-        (SURE, 0.0, "probably cup (95 %)", "cup again, at other places"),
-        (TORN, 0.0, "cup or mug", "cup and mug again, at other places"),
-        (
-            TORN,
-            0.3,
-            "nothing I know, cup or mug",
-            "cup and mug again, at other places, or this, if it is new",
-        ),
-        (
-            (0.3, 0.25, 0.2, 0.15, 0.1),
-            0.0,
-            "perhaps ball (30 %)",
-            "ball, cup and mug again, at other places",
-        ),
+        (SURE, 0.0, "cup again, at other places"),
+        (TORN, 0.0, "cup and mug again, at other places"),
+        (TORN, 0.3, "cup and mug again, at other places, or this, if it is new"),
+        ((0.3, 0.25, 0.2, 0.15, 0.1), 0.0, "ball, cup and mug again, at other places"),
     ],
 )
 def test_a_belief_that_is_stuck_names_the_objects_to_teach_again(
-    start, shares, strangers, words, advice
+    start, shares, strangers, advice
 ):
     belief = start(calibration=(1.0, 1.0), strangers=strangers)
     for _ in range(6):
         assert not belief.is_stuck(0.02)
+        before = belief.reason(error=0.02)
         posed(belief, *shares)
+    words, _ = before.split(": touch again")
     sentence = f"{words}: more touches will not tell; teach {advice}"
     assert belief.reason(error=0.02) == sentence
 

@@ -161,11 +161,8 @@ def test_evidence_taken_apart_is_put_together_again(rng):
     ],
 )
 def test_whether_turns_matter_is_said_in_a_sentence(seeing, blind, sentence, rng):
-    own_posteriors = {"levels": seeing + rng.normal(scale=0.1, size=100)}
-    own_posteriors["moments"] = blind + rng.normal(scale=0.1, size=100)
-    own_posteriors["moments"] += (blind - seeing) - (
-        own_posteriors["moments"] - own_posteriors["levels"]
-    ).mean()
+    noise = rng.normal(scale=0.1, size=100)
+    own_posteriors = {"levels": seeing + noise, "moments": blind + noise[::-1]}
     figures = {
         "levels": {"log_loss": -seeing, "accuracy": 0.85, "blind_to": []},
         "moments": {"log_loss": -blind, "accuracy": 0.38, "blind_to": ["turns"]},

@@ -10,11 +10,7 @@ from numpy.testing import assert_allclose
 
 from palpate import Touches
 from palpate.encodings import ScaledPixels
-from palpate.recognition import (
-    ObjectRecogniser,
-    adapt,
-    sessions_message,
-)
+from palpate.recognition import ObjectRecogniser, adapt, sessions_message
 from palpate.simulation import DomeCamera, simulate_presses, simulate_touches
 
 NAMES = ("ball", "mug", "pen")
