@@ -171,14 +171,12 @@ def test_touches_come_one_by_one_or_together(start, model):
         beliefs[3].update(touches.images[k])
         beliefs[4].update(touches[k])
     assert beliefs[3].posterior == beliefs[4].posterior
+    touch_numbers = [explained["touch"] for explained in beliefs[0].explain()]
     for belief in beliefs[1:]:
         # Products of one row and of several round differently.
         assert belief.posterior == pytest.approx(beliefs[0].posterior, abs=1e-9)
         assert belief.unknown == pytest.approx(beliefs[0].unknown, abs=1e-9)
-        touch_numbers = [explanation["touch"] for explanation in belief.explain()]
-        assert touch_numbers == [
-            explanation["touch"] for explanation in beliefs[0].explain()
-        ]
+        assert [explained["touch"] for explained in belief.explain()] == touch_numbers
 
 
 def test_doubt_is_exact_near_certainty(start):

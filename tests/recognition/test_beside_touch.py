@@ -12,44 +12,41 @@ NAMES = ("ball", "mug", "pen")
 
 def examples(seed=0, n_each=10, spread=1.0):
     """Examples of three things in a plane, and their names."""
-    rng = np.random.default_rng(seed)
-    labels = np.repeat(["ball", "mug", "pen"], n_each)
+    noise = np.random.default_rng(seed).normal(size=(3 * n_each, 2))
     centres = np.array([[0.0, 50.0], [3.0, 50.0], [0.0, 90.0]])
-    return np.repeat(centres, n_each, axis=0) + [spread, 10 * spread] * rng.normal(
-        size=(3 * n_each, 2)
-    ), labels
+    X = np.repeat(centres, n_each, axis=0) + [spread, 10 * spread] * noise
+    return X, np.repeat(NAMES, n_each)
 
 
 @pytest.fixture(scope="module")
-def recogniser():
-    rng = np.random.default_rng(0)
-    images = rng.random((60, 3, 6))
-    images[:20, 0] += 1.5
-    images[20:40, 1] += 1.5
-    images[40:, 2] += 1.5
-    touches = Touches(images, object=np.repeat(NAMES, 20), geometry="none")
-    learnt = ObjectRecogniser().fit(touches)
-    return learnt.learn_modality("sight", *examples()), touches
+def touches():
+    images = np.random.default_rng(0).random((60, 3, 6))
+    images += 1.5 * np.repeat(np.eye(3), 20, axis=0)[:, :, np.newaxis]
+    return Touches(images, object=np.repeat(NAMES, 20), geometry="none")
 
 
-def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
-    model, _ = recogniser
+@pytest.fixture(scope="module")
+def model(touches):
+    return ObjectRecogniser().fit(touches).learn_modality("sight", *examples())
+
+
+def test_any_classifier_with_probabilities_can_be_a_sense(model):
     model.learn_modality("guess", *examples(3), classifier=LogisticRegression())
     assert model.start().update_sense("guess", [[0.0, 90.0]] * 2).best == "pen"
 
 
-def test_unlearnt_senses_and_classifiers_without_probabilities_are_refused(recogniser):
-    model, _ = recogniser
+def test_unlearnt_senses_and_classifiers_without_probabilities_are_refused(
+    model, touches
+):
     with pytest.raises(ValueError, match="sight"):
         model.start().update_sense("smell", [1.0, 2.0])
     with pytest.raises(ValueError, match="Call learn_modality first"):
-        ObjectRecogniser().fit(recogniser[1]).start().update_sense("sight", [1.0])
+        ObjectRecogniser().fit(touches).start().update_sense("sight", [1.0])
     with pytest.raises(TypeError, match="predict_proba"):
         model.learn_modality("x", *examples(), classifier=RidgeClassifier())
 
 
-def test_model_file_keeps_sight_and_refuses_foreign_classifiers(tmp_path, recogniser):
-    touches = recogniser[1]
+def test_model_file_keeps_sight_and_refuses_foreign_classifiers(tmp_path, touches):
     model = ObjectRecogniser().fit(touches).learn_modality("sight", *examples())
     again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
     example = [1.5, 60.0]
@@ -61,8 +58,7 @@ def test_model_file_keeps_sight_and_refuses_foreign_classifiers(tmp_path, recogn
         model.save(tmp_path / "n.palpate")
 
 
-def test_a_given_prior_is_where_the_belief_starts(recogniser):
-    model, _ = recogniser
+def test_a_given_prior_is_where_the_belief_starts(model):
     prior = {"pen": 1.0, "ball": 2.0, "mug": 1.0}
     belief = model.start(prior, strangers=0)
     assert belief.posterior == pytest.approx({"ball": 0.5, "mug": 0.25, "pen": 0.25})
@@ -89,9 +85,8 @@ def test_a_given_prior_is_where_the_belief_starts(recogniser):
     ],
 )
 def test_a_prior_without_a_positive_number_for_each_object_is_refused(
-    recogniser, prior, error, message
+    model, prior, error, message
 ):
-    model, _ = recogniser
     with pytest.raises(error, match=message):
         model.start(prior)
 

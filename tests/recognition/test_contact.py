@@ -104,6 +104,8 @@ def test_models_of_hands_keep_their_pads(tmp_path):
     learnt = ObjectRecogniser().fit(touches)
     again = ObjectRecogniser.load(learnt.save(tmp_path / "hand.palpate"))
     np.testing.assert_array_equal(again.contact_.pads_, PADS)
+    before, after = (model.log_likelihood(touches) for model in (learnt, again))
+    np.testing.assert_array_equal(before, after)
     pinch, double, empty = np.zeros((3, 9, 20))
     pinch[3:6, 3:6] = pinch[3:6, 14:17] = 120
     double[0:3, 0:3] = double[6:9, 6:9] = 120

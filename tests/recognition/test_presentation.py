@@ -77,7 +77,7 @@ def test_touches_turned_after_upright_training_are_flagged(rng):
     assert turned.count("turned or shifted") >= 20
 
 
-def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
+def test_colour_and_pads_are_learnt(rng):
     colour = np.zeros((40, 12, 12, 3), np.uint8)
     colour[:20, 3:9, 3:9, 0] = colour[20:, 3:9, 3:9, 2] = 200
     colour += rng.integers(0, 20, colour.shape, dtype=np.uint8)
@@ -93,9 +93,6 @@ def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
     for recording in (touches, Touches(hand, object=fingers, pads=boxes)):
         learnt = ObjectRecogniser().fit(recording[::2])
         assert learnt.score(recording[1::2]) > 0.95
-        again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
-        before, after = (model.log_likelihood(recording) for model in (learnt, again))
-        np.testing.assert_array_equal(before, after)
 
 
 @pytest.mark.parametrize("presentation", ["any", "turned"])

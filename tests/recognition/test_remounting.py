@@ -53,10 +53,8 @@ def test_a_camera_that_sees_the_dome_elsewhere_is_found_again(recogniser, elsewh
 
 
 def test_the_old_recogniser_stays_as_it_is(recogniser, elsewhere):
-    features, shape = (
-        recogniser.memory_.features.copy(),
-        recogniser.encoder_.image_shape_,
-    )
+    features = recogniser.memory_.features.copy()
+    shape = recogniser.encoder_.image_shape_
     adapt(recogniser, elsewhere)
     assert np.array_equal(recogniser.memory_.features, features)
     assert recogniser.encoder_.image_shape_ == shape
@@ -288,16 +286,11 @@ def test_touches_that_show_nothing_do_not_remount():
         recogniser.remount(idle)
 
 
-def test_a_remounted_model_is_saved_and_adds_objects_in_the_new_session(tmp_path):
+def test_a_remounted_model_adds_objects_in_the_new_session():
     recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one", "abcde"))
     recogniser.remount(_session(OFFSET, 8, 2, "two", "abcde", labels=False))
     recogniser.add_object("f", _session(OFFSET, 8, 3, "two", "f"))
-    loaded = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
-    there = _session(OFFSET, 10, 4, "two")
-    assert np.array_equal(
-        loaded.log_likelihood(there), recogniser.log_likelihood(there)
-    )
-    assert loaded.score(there) > 0.95
+    assert recogniser.score(_session(OFFSET, 10, 4, "two")) > 0.95
 
 
 def test_of_an_object_that_is_extended_every_day_some_of_each_day_are_kept(taught):
@@ -601,8 +594,7 @@ def test_accuracy_in_another_session_is_measured_on_sessions_left_out(taught):
     assert (across["least"], across["median"], across["asked"]) == (1, 2.5, 24)
     assert across["expected"] == 1.0
     assert taught.across_sessions() == {"least": 1, "median": 1.0, "asked": 0}
-    without_sessions = replace(taught.memory_, sessions=np.full(72, ""))
-    taught.memory_ = without_sessions
+    taught.memory_ = replace(taught.memory_, sessions=np.full(72, ""))
     assert taught.across_sessions() == {"least": 1, "median": 1.0, "asked": 0}
     far = [_session(k * 40.0 * np.ones(8), 3, k, f"{k}", "abc") for k in range(2)]
     lost = ObjectRecogniser().fit(Touches.concatenate(far)).across_sessions()
