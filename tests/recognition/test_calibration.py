@@ -139,12 +139,10 @@ def test_a_label_left_out_whole_gets_the_least_likelihood_of_the_others(rng):
 
 
 def test_evidence_taken_apart_is_put_together_again(rng):
-    parts = [rng.normal(size=shape) for shape in ((5, 2), (5, 3), (5, 2, 3), (5, 3))]
-    features, log_likelihood, each, far = parts
+    shapes = (5, 2), (5, 3), (5, 2, 3), (5, 3), (5, 7)
+    features, log_likelihood, *others = (rng.normal(size=shape) for shape in shapes)
     flags = ["", "double contact", "", "saturated", ""]
-    whole = Evidence(
-        features, log_likelihood, flags, each, far, rng.normal(size=(5, 7))
-    )
+    whole = Evidence(features, log_likelihood, flags, *others)
     alone = [whole.of_touch(k) for k in range(5)]
     assert [part.flags for part in alone] == [[flag] for flag in flags]
     assert {len(array) for part in alone for array in part} == {1}

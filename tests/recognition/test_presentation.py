@@ -91,8 +91,7 @@ def test_colour_and_pads_are_learnt(rng):
     boxes = [[0, 0, 10, 10], [0, 11, 10, 10]]
     fingers = np.repeat(["left", "right"], 20)
     for recording in (touches, Touches(hand, object=fingers, pads=boxes)):
-        learnt = ObjectRecogniser().fit(recording[::2])
-        assert learnt.score(recording[1::2]) > 0.95
+        assert ObjectRecogniser().fit(recording[::2]).score(recording[1::2]) > 0.95
 
 
 @pytest.mark.parametrize("presentation", ["any", "turned"])

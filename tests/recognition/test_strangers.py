@@ -77,8 +77,10 @@ def test_usual_distances_are_means_and_of_an_object_left_out_whole_that_of_all(r
 
 def test_evidence_is_that_of_each_touch_so_far(rng):
     table = left_out(4, rng)
+    # Of the first object, of the second, and of the first again.
+    rows = [0, 30, 60, 31, 32, 33, 1, 2, 3, 4, 5]
     floored, each = (
-        with_floor(values, 0.01)[:6] for values in (table.log_likelihood, table.each)
+        with_floor(values, 0.01)[rows] for values in (table.log_likelihood, table.each)
     )
     floored[2] = -np.log(4)  # no contact
     model = model_of(table)
@@ -86,7 +88,7 @@ def test_evidence_is_that_of_each_touch_so_far(rng):
     arguments = table.log_prior, table.calibration, model
     posterior, evidence = episode_evidence(floored, each, near, *arguments)
     lowest, used = {}, []
-    for k in (0, 1, 3, 4, 5):
+    for k in (0, 1, *range(3, 11)):
         used.append(k)
         weight = table.calibration.weight(len(used))
         nats = disagreement(
