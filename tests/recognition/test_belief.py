@@ -464,14 +464,15 @@ def test_an_example_of_another_length_is_refused_by_its_name(start):
 
 
 def test_a_copy_goes_on_by_itself_with_every_sense(start):
-    belief = posed(start().update_sense("sight", np.ones(5)), *SURE)
-    before = belief.posterior
+    belief, alone = (
+        posed(start().update_sense("sight", np.ones(5)), *SURE) for _ in range(2)
+    )
     other = posed(copy.copy(belief).update_sense("sight", np.eye(5)[2]), *TORN)
-    for one, n_touches in ((belief, 1), (other, 2)):
-        assert one.touches_used == len(one.flags) == len(one.explain()) == n_touches
-    assert belief.posterior == before
-    posed(posed(belief, *TORN), *TORN)
-    assert (belief.touches_used, other.touches_used) == (3, 2)
+    for each, n_touches in ((belief, 1), (other, 2)):
+        assert each.touches_used == len(each.flags) == len(each.explain()) == n_touches
+    assert belief.posterior == alone.posterior
+    assert posed(belief, *TORN).posterior == posed(alone, *TORN).posterior
+    assert other.touches_used == 2
 
 
 def test_explanations_weigh_each_touch_between_the_two_best(start, model):

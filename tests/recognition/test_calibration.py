@@ -70,6 +70,7 @@ def loss_of(calibration, floored, codes, episodes, prior):
     for length in LENGTHS:
         ends = []
         for episode in np.concatenate(episodes):
+            episode = episode[episode >= 0]
             if len(episode) >= length:
                 rows = floored[episode[:length]]
                 rows = rows[np.ptp(rows, axis=1) > 0]
@@ -90,6 +91,8 @@ def repeated():
     log_likelihood[::9] = 0.0  # no contact
     blocks = np.repeat(np.arange(12), 10)
     episodes = [rows[:30, :8] for rows in draw_episodes(codes, 0, blocks=blocks)]
+    for rows in episodes:
+        rows[:20, 3:] = -1  # shorter ones
     return with_floor(log_likelihood, 0.01), codes, episodes, np.log([0.5, 0.3, 0.2])
 
 

@@ -61,6 +61,13 @@ def test_taxels_outside_every_pad_do_not_count(check):
     assert flags(hand, dirt) == ["no contact", ""]
 
 
+def test_small_pads_are_never_double(check):
+    small = check(pressed(), geometry="array", pads=[[0, 0, 9, 7]])
+    double = np.zeros((1, 9, 20))
+    double[:, 0:3, 0:3] = double[:, 6:9, 4:7] = 120
+    assert flags(small, double) == [""]
+
+
 def test_channels_count_together(check):
     images = np.stack([pressed(), -0.5 * pressed(seed=1)], axis=-1)
     about = {"channels": ["x", "y"], "geometry": "array"}
@@ -259,8 +266,6 @@ def test_fewer_than_eight_taxels_a_side_show_no_two_things(check, side, tells):
     for turned in (images, np.swapaxes(images, 1, 2)):
         assert check(turned, geometry="array").tells_double_ == tells
         assert not check(turned, geometry="plane").tells_double_
-    pad = [0, 0, 9, side]
-    assert check(pressed(), geometry="array", pads=[pad]).tells_double_ == tells
 
 
 class Sighted:

