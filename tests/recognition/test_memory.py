@@ -53,21 +53,6 @@ def ids_of(recogniser):
     }
 
 
-def test_ids_and_sensor_are_kept_when_an_object_is_forgotten(learnt):
-    before = ids_of(learnt)
-    after = ids_of(learnt.forget_object("mug"))
-    assert after == {name: before[name] for name in ("ball", "pen")}
-    assert learnt.memory_.sensor == SENSOR
-
-
-def test_ids_stay_with_their_object_when_more_is_learnt(learnt):
-    before, new = ids_of(learnt), drawn(1, ("pen",), 5)
-    after = ids_of(learnt.extend_object("pen", new))
-    assert after["ball"] == before["ball"]
-    assert after["pen"] == before["pen"] | set(new.touch_id)
-    assert len(learnt.memory_) == 41
-
-
 def test_ids_and_sensor_are_in_the_model_file(learnt, tmp_path):
     again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
     assert ids_of(again) == ids_of(learnt)
@@ -126,7 +111,8 @@ def test_later_touches_are_of_the_object_that_is_named_whatever_their_own_labels
     learnt.add_object("cup", cups).extend_object("pen", drawn(4, ("mug",), 2))
     assert_array_equal(learnt.memory_.objects, learnt.memory_.labels)
     (step,) = learnt.start().update(cups[:1]).explain(n_nearest=1)
-    assert step["nearest"][0]["object"] == "cup"
+    # The very touch was learnt, so it is its own nearest neighbour.
+    assert step["nearest"] == [{"object": "cup", "row": 36, "distance": 0.0}]
 
 
 def test_a_belief_goes_on_by_what_was_learnt_when_it_began(learnt):
@@ -186,14 +172,6 @@ def test_learning_anew_that_fails_leaves_what_was_learnt(learnt, monkeypatch):
     assert learnt.fit(drawn(3)).modalities_ == {}
 
 
-def test_sessions_are_remembered():
-    touches = drawn(0).with_columns(session=np.tile(["mon", "tue"], 18))
-    memory = ObjectRecogniser().fit(touches).memory_
-    assert set(memory.sessions) == {"mon", "tue"}
-    assert len(set(memory.blocks)) == 2
-    assert set(ObjectRecogniser().fit(drawn(0)).memory_.sessions) == {""}
-
-
 @pytest.mark.parametrize(
     "preset", ["default", pytest.param("liu2014", marks=pytest.mark.slow)]
 )
@@ -219,17 +197,6 @@ def test_models_of_format_4_are_read_and_answer_the_same(preset, tmp_path):
         assert sight.best == "pin"
 
 
-def test_copies_are_left_out_together():
-    rng = np.random.default_rng(0)
-    features = rng.normal(size=(20, 5))
-    features[15:] = features[:5] + 1e-3 * rng.normal(size=(5, 5))
-    objects = np.repeat(["cup"], 20)
-    blocks = np.repeat(np.arange(5), 4)
-    joined = memory_of(objects, blocks, features=features).with_copies_together()
-    # Touches 15 to 19 are those of 0 to 4, which lie in the first two blocks.
-    assert joined.blocks.tolist() == [*blocks[:15], 0, 0, 0, 0, 1]
-
-
 def test_a_session_that_is_there_twice_is_cut_into_blocks():
     features = np.tile(np.random.default_rng(0).normal(size=(10, 5)), (2, 1))
     objects, sessions = np.repeat(["cup"], 20), np.repeat([0, 1], 10)
@@ -244,20 +211,12 @@ def test_touches_that_are_all_alike_keep_their_blocks():
     assert memory.with_copies_together().blocks.tolist() == blocks.tolist()
 
 
-CALLS = {
-    "fit": lambda model, touches, odd: model.fit(touches.with_columns(object=odd)),
-    "y": lambda model, touches, odd: model.fit(touches.images, odd),
-    "add": lambda model, touches, odd: model.add_object("unknown", touches[:4]),
-}
-
-
-@pytest.mark.parametrize("call", CALLS)
-def test_nothing_may_be_called_unknown(call):
-    touches = drawn(0)
-    odd = np.where(touches.object == touches.object[0], "unknown", touches.object)
-    learnt = ObjectRecogniser().fit(touches)
-    with pytest.raises(ValueError, match="name must not be 'unknown'"):
-        CALLS[call](learnt, touches, odd)
+def test_nothing_may_be_called_unknown():
+    touches = drawn(0, ("ball", "mug"))
+    names = np.where(touches.object == "ball", "unknown", "mug")
+    for given in ((touches.with_columns(object=names),), (touches.images, names)):
+        with pytest.raises(ValueError, match="name must not be 'unknown'"):
+            ObjectRecogniser().fit(*given)
 
 
 def memory_of(labels, blocks=None, **columns):
@@ -278,23 +237,18 @@ def memory_of(labels, blocks=None, **columns):
 
 
 def test_a_memory_gives_its_length_classes_categories_and_looks():
-    kinds = np.array(["tool", "", "tool", "tool", "cup", "tool", "", ""])
-    memory = memory_of(["b", "b", "a", "a", "c", "c", "d", "d"], categories=kinds)
-    assert len(memory) == 8
-    assert memory.classes.tolist() == ["a", "b", "c", "d"]
-    # A touch of b has no category, those of c do not agree, none of d has one.
-    assert memory.category_of.tolist() == ["tool", "", "", ""]
-    assert memory.looks.shape == (8, 7)
+    names = ["b", "b", "a", "a", "c", "c", "d", "e", "e"]
+    kinds = ["tool", "", "tool", "tool", "cup", "tool", "", "unknown", "unknown"]
+    memory = memory_of(names, categories=np.array(kinds))
+    assert len(memory) == 9
+    assert memory.classes.tolist() == ["a", "b", "c", "d", "e"]
+    # A touch of b has no category, those of c do not agree, none of d has one, and
+    # that of e is no category.
+    assert memory.category_of.tolist() == ["tool", "", "", "", ""]
+    assert memory.looks.shape == (9, 7)
     assert np.isnan(memory.looks).all()
     looks = np.ones((8, 7))
     assert memory_of(["a"] * 8, looks=looks).looks is looks
-
-
-def test_a_category_is_told_by_all_touches_and_never_called_unknown():
-    names = ["ball", "ball", "cup", "cup", "pen", "pen", "rod"]
-    kinds = ["toy", "toy", "vessel", "", "unknown", "unknown", "tool"]
-    memory = memory_of(names, categories=np.array(kinds))
-    assert memory.category_of.tolist() == ["toy", "", "", "tool"]
 
 
 def test_units_are_objects_or_objects_in_a_session():
@@ -319,6 +273,7 @@ def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
     later = Memory(**{**vars(more), "features": far})
     both = first.plus(later)
     assert both.labels.tolist() == ["a"] * 4 + ["b"] * 7
+    assert both.touch_ids.tolist() == [*"01234567", *"012"]
     assert_array_equal(both.features, np.concatenate([first.features, far]))
     # The first of them is the touch of block 2; blocks are numbered on from 4.
     assert both.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 2, 5, 5]
@@ -331,8 +286,9 @@ def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
 
 
 def test_forgetting_and_replacing_keep_the_others():
-    memory = memory_of([10, 10, 2, 2, 3], [0, 1, 2, 2, 3])
+    memory = memory_of([10, 10, 2, 2, 3], [0, 1, 2, 2, 3], sensor=SENSOR)
     assert memory.without([2, "3"]).touch_ids.tolist() == ["0", "1"]
+    assert memory.without([2, "3"]).sensor == SENSOR
     assert memory.without([]).touch_ids.tolist() == list("01234")
     anew = memory_of([2, 2, 2], [0, 0, 1], touch_ids=np.array(["x", "y", "z"]))
     replaced = memory.replaced(anew)
@@ -480,6 +436,14 @@ def visits(label="object", **columns):
     return left_out_groups(touches, labels, objects, label).tolist()
 
 
+def test_each_object_is_left_out_in_five_runs_of_its_recording_at_most():
+    labels, order = np.repeat(["a", "b", "c"], [10, 10, 2]), np.arange(22)[::-1]
+    touches = Touches(np.zeros((22, 2, 2)), object=labels, order=order)
+    groups = left_out_groups(touches, labels, labels, "object")
+    runs = [4, 4, 3, 3, 2, 2, 1, 1, 0, 0]
+    assert groups.tolist() == [*runs, *(5 + np.array(runs)), 11, 10]
+
+
 def test_touches_of_a_person_or_else_a_session_are_left_out_together():
     persons = ["x", "y", "y"] * 4
     days = ["1", "2", "3"] * 4
@@ -520,6 +484,11 @@ def test_of_categories_whole_objects_are_left_out_where_there_are_several():
 def test_labels_that_teach_nothing_are_refused(labels, error, message):
     with pytest.raises(error, match=message):
         ObjectRecogniser().fit(np.zeros((3, 2, 2)), labels)
+
+
+def test_touches_without_labels_are_refused():
+    with pytest.raises(ValueError, match="column 'object'"):
+        ObjectRecogniser().fit(drawn(0).without("object"))
 
 
 def test_a_touch_without_a_living_taxel_in_one_channel_is_named_by_its_id(rng):

@@ -6,12 +6,18 @@ import pytest
 from palpate import Touches
 from palpate.images import repose
 from palpate.recognition import ObjectRecogniser, find_geometry
+from palpate.simulation import DomeCamera, simulate_touches
 
 
-def bars(rng, angles, n_each=30, side=16, place=0.5):
-    """Presses of a bar at these angles (degrees), each an object of its own."""
+def bar_and_disc(side=16):
     row, col = np.mgrid[:side, :side] - (side - 1) / 2
     bar = np.exp(-((row / 1.2) ** 2) - (col / 4.5) ** 2)
+    return bar, np.exp(-((row**2 + col**2) / 2.6**2))
+
+
+def bars(rng, angles, n_each=30, place=0.5):
+    """Presses of a bar at these angles (degrees), each an object of its own."""
+    bar, _ = bar_and_disc()
     n = n_each * len(angles)
     turns = np.repeat(angles, n_each) + rng.uniform(-4, 4, n)
     images = repose(np.repeat(bar[np.newaxis], n, axis=0), turns)
@@ -26,11 +32,8 @@ def turned_anyhow(touches, rng, shift=0):
     return Touches(images, **touches.columns)
 
 
-def two_shapes(rng, n_each=30, side=16):
-    row, col = np.mgrid[:side, :side] - (side - 1) / 2
-    bar = np.exp(-((row / 1.2) ** 2) - (col / 4.5) ** 2)
-    disc = np.exp(-((row**2 + col**2) / 2.6**2))
-    images = np.repeat([bar, disc], n_each, axis=0)
+def two_shapes(rng, n_each=30):
+    images = np.repeat(bar_and_disc(), n_each, axis=0)
     images = images + 0.02 * rng.normal(size=images.shape)
     return Touches(images, object=np.repeat(["bar", "disc"], n_each))
 
@@ -74,18 +77,7 @@ def test_touches_turned_after_upright_training_are_flagged(rng):
     assert turned.count("turned or shifted") >= 20
 
 
-@pytest.mark.parametrize("preset", ["corradi2015", "liu2014"])
-def test_presets_of_papers_take_no_presentation(preset, rng):
-    with pytest.raises(ValueError, match="must be 'auto' with the preset"):
-        ObjectRecogniser(preset, presentation="any").fit(two_shapes(rng))
-
-
-def test_unknown_presentation_is_refused(rng):
-    with pytest.raises(ValueError, match="presentation must be one of 'auto', 'any'"):
-        ObjectRecogniser(presentation="upright").fit(two_shapes(rng))
-
-
-def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
+def test_colour_and_pads_are_learnt(rng):
     colour = np.zeros((40, 12, 12, 3), np.uint8)
     colour[:20, 3:9, 3:9, 0] = colour[20:, 3:9, 3:9, 2] = 200
     colour += rng.integers(0, 20, colour.shape, dtype=np.uint8)
@@ -99,11 +91,7 @@ def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
     boxes = [[0, 0, 10, 10], [0, 11, 10, 10]]
     fingers = np.repeat(["left", "right"], 20)
     for recording in (touches, Touches(hand, object=fingers, pads=boxes)):
-        learnt = ObjectRecogniser().fit(recording[::2])
-        assert learnt.score(recording[1::2]) > 0.95
-        again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
-        before, after = (model.log_likelihood(recording) for model in (learnt, again))
-        np.testing.assert_array_equal(before, after)
+        assert ObjectRecogniser().fit(recording[::2]).score(recording[1::2]) > 0.95
 
 
 @pytest.mark.parametrize("presentation", ["any", "turned"])
@@ -132,24 +120,14 @@ def test_channels_in_another_order_are_refused(rng):
     assert learnt.start().update(images[:2]).touches_used == 2
 
 
-def dome(rng, n=6, side=120):
-    row, col = np.mgrid[:side, :side]
-    images = []
-    for _ in range(n):
-        away = np.hypot(row - 60 - rng.normal(), col - 60 - rng.normal())
-        images.append(np.where(away < 45, 120 + 0.5 * row, 10))
-    return np.array(images) + rng.normal(size=(n, side, side))
-
-
-def test_geometry_is_found_from_the_images(rng):
-    assert find_geometry(Touches(dome(rng))) == "dome"
+def test_geometry_is_found_from_the_images_unless_touches_name_it(rng):
+    camera = DomeCamera(image_shape=(120, 120), n_nodes=24)
+    dome = simulate_touches(["ball"], 6, camera, random_state=0).images
+    assert find_geometry(Touches(dome)) == "dome"
     assert find_geometry(Touches(rng.random((4, 10, 10)))) == "array"
     assert find_geometry(Touches(rng.random((4, 120, 160)))) == "plane"
     assert find_geometry(Touches(rng.random((4, 3, 24)))) == "none"
-
-
-def test_the_geometry_that_touches_name_holds(rng):
-    assert find_geometry(Touches(dome(rng), geometry="plane")) == "plane"
+    assert find_geometry(Touches(dome, geometry="plane")) == "plane"
     assert find_geometry(Touches(rng.random((4, 20, 20)), geometry="none")) == "none"
 
 
@@ -165,12 +143,3 @@ def test_presses_at_any_angle_are_recognised(rng):
     test = turned_anyhow(two_shapes(rng), rng, shift=1)
     # A bar and a disc differ far beyond the noise.
     assert learnt.score(test) > 0.95
-
-
-def test_dead_taxels_are_no_obstacle(rng):
-    touches = turned_anyhow(two_shapes(rng), rng, shift=1)
-    images = touches.images.copy()
-    images[:, 3, 5] = np.nan
-    dead = Touches(images, object=touches.object)
-    learnt = ObjectRecogniser().fit(dead)
-    assert np.isfinite(learnt.log_likelihood(dead)).all()

@@ -21,20 +21,8 @@ def presses():
 
 @pytest.fixture(scope="module")
 def dome_touches():
-    """A dome's disc with a dent that lies farther out for one object than the other."""
-    rng = np.random.default_rng(0)
-    row, col = np.mgrid[:96, :96] - 47.5
-    images, labels = [], []
-    for label, reach in (("near", 6), ("far", 22)):
-        for _ in range(14):
-            angle = rng.uniform(0, 2 * np.pi)
-            away = np.hypot(row - reach * np.sin(angle), col - reach * np.cos(angle))
-            level = 150 - 60 * np.exp(-((away / 8) ** 2)) + row
-            images.append(np.where(np.hypot(row, col) < 42, level, 5))
-            labels.append(label)
-    noise = rng.normal(scale=2, size=(28, 96, 96))
-    levels = np.clip(np.array(images) + noise, 0, 255).astype(np.uint8)
-    return Touches(levels, object=labels)
+    camera = DomeCamera(image_shape=(96, 96), n_nodes=24)
+    return simulate_touches(["ball", "pen"], 14, camera, drift=False, random_state=0)
 
 
 @pytest.fixture(scope="module", params=sorted(PRESETS))
@@ -108,24 +96,26 @@ def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():
     recogniser = ObjectRecogniser().fit(train)
     assert "colours on rings" in recogniser.chosen_["encoding"]
     assert recogniser.score(test, test.object) > 0.9
-    without = ObjectRecogniser().fit(
+    without_colours, test_without = (
         Touches(
-            ChannelMean().fit_transform(train.images),
-            object=train.object,
+            ChannelMean().fit_transform(part.images),
+            object=part.object,
             geometry="dome",
         )
+        for part in (train, test)
     )
-    middle = Touches(ChannelMean().fit_transform(test.images), geometry="dome")
-    assert without.score(middle, test.object) < 0.75
+    assert ObjectRecogniser().fit(without_colours).score(test_without) < 0.75
 
 
+@pytest.mark.parametrize("with_rest", [True, False])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_taxel_that_is_dead_at_rest_too_is_filled(preset, presses):
+def test_a_taxel_that_is_dead_is_filled(preset, with_rest, presses):
     images = presses.images.astype(np.float32)
     rest = np.zeros(images.shape[1:], np.float32)
     images[:, 9, 9] = rest[9, 9] = np.nan
-    taught = Touches(
-        images, object=presses.object, no_contact=rest, geometry=presses.geometry
-    )
+    about = {"object": presses.object, "geometry": presses.geometry}
+    about |= {"no_contact": rest} if with_rest else {}
+    taught = Touches(images, **about)
     model = ObjectRecogniser(preset).fit(taught)
     assert model.classes_.tolist() == np.unique(presses.object).tolist()
+    assert np.isfinite(model.log_likelihood(taught)).all()

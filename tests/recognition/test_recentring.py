@@ -10,13 +10,12 @@ from palpate.recognition import OTHER_SESSION, ObjectRecogniser, Recentring, ada
 CENTRES = 4 * np.random.default_rng(9).normal(size=(6, 10))
 
 
-def _day(offset, seed, objects="abcdef", n_each=1, labels=True):
+def _day(offset, seed, objects="abcdef", n_each=1):
     rng = np.random.default_rng(seed)
     names = np.tile(list(objects), n_each)
     images = CENTRES[["abcdef".index(o) for o in names]] + offset
     images = images + rng.normal(size=images.shape)
-    columns = {"object": names} if labels else {}
-    return Touches(images[:, None], geometry="none", **columns)
+    return Touches(images[:, None], object=names, geometry="none")
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,7 @@ def test_the_recogniser_that_was_learnt_stays_as_it_is(learnt):
 
 def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
     there = _day(3.0, 1, n_each=4)
-    unlabelled = adapt(learnt, _day(3.0, 1, n_each=4, labels=False))
+    unlabelled = adapt(learnt, there.without("object"))
     two = adapt(learnt, _day(3.0, 1, "ab", n_each=4))
     for belief in (
         unlabelled.start().update(there[:1]),

@@ -8,10 +8,9 @@ from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import (
     GridSearchCV,
     GroupKFold,
-    cross_val_predict,
     cross_val_score,
 )
-from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from palpate import Touches
@@ -49,6 +48,8 @@ def test_labels_keep_their_kind(images_and_labels):
     assert learnt.classes_.tolist() == [10, 11, 12]
     assert learnt.predict(images[:1]).dtype.kind == "i"
     assert learnt.start().update(images[0]).best in {"10", "11", "12"}
+    counted = learnt.start({12: 2.0, 10: 1.0, 11: 1.0}, strangers=0).posterior
+    assert counted == pytest.approx({"10": 0.25, "11": 0.25, "12": 0.5})
     assert learnt.forget_object("11").classes_.tolist() == [10, 12]
     assert learnt.add_object("7", images[:4]).classes_.tolist() == [7, 10, 12]
     with pytest.raises(ValueError, match="must be a number like the known labels"):
@@ -77,19 +78,12 @@ def test_cross_validation_scores_images_and_touches_alike(images_and_labels):
     scores = cross_val_score(
         ObjectRecogniser(), images, labels, cv=GroupKFold(2), groups=groups
     )
-    assert scores.shape == (2,)
     assert scores.mean() > 0.8
     touches = Touches(images, object=labels)
-    assert_array_equal(
-        cross_val_score(
-            ObjectRecogniser(), touches, labels, cv=GroupKFold(2), groups=groups
-        ),
-        scores,
+    of_touches = cross_val_score(
+        ObjectRecogniser(), touches, labels, cv=GroupKFold(2), groups=groups
     )
-    proba = cross_val_predict(
-        ObjectRecogniser(), images, labels, method="predict_proba", cv=2
-    )
-    assert proba.shape == (48, 3)
+    assert_array_equal(of_touches, scores)
 
 
 def test_grid_search_over_parameters(images_and_labels):
@@ -98,7 +92,6 @@ def test_grid_search_over_parameters(images_and_labels):
     )
     search.fit(*images_and_labels)
     assert search.best_score_ > 0.7
-    assert set(search.best_params_) == {"floor", "prior"}
 
 
 def test_a_recogniser_ends_a_pipeline(images_and_labels):
@@ -106,9 +99,6 @@ def test_a_recogniser_ends_a_pipeline(images_and_labels):
     halved = FunctionTransformer(lambda X: X[:, :, ::2])
     chain = make_pipeline(halved, ObjectRecogniser()).fit(images, labels)
     assert chain.score(images, labels) > 0.8
-    inner = Pipeline([("recogniser", ObjectRecogniser())])
-    search = GridSearchCV(inner, {"recogniser__floor": [0.01, 0.1]}, cv=2)
-    assert search.fit(images, labels).best_score_ > 0.7
 
 
 def test_clone_has_learnt_nothing(images_and_labels):
