@@ -12,11 +12,9 @@ import pytest
 from palpate.library import TouchLibrary
 from palpate.web import LiveSession
 
+from .browser import expect
+
 AXE = Path(os.environ.get("PALPATE_AXE", ".venv/axe/package/axe.min.js"))
-PLAYWRIGHT = pytest.importorskip(
-    "playwright.sync_api", reason="playwright is not installed"
-)
-expect = PLAYWRIGHT.expect
 if not AXE.is_file():
     pytest.skip(
         "axe-core is not there: `make check-page` fetches it", allow_module_level=True
