@@ -59,16 +59,6 @@ def heading_of(session):
     return words.get(episode.decision, episode.decision) + again + doubted
 
 
-def _reload(page):
-    """Reload in the middle of an episode: the page comes back to where it was."""
-    clear(page)
-    before = page.locator("#strip li").count()
-    reason = page.inner_text("#reason")
-    page.reload()
-    expect(page.locator("#strip li")).to_have_count(before)
-    expect(page.locator("#reason")).to_have_text(reason)
-
-
 def test_drawn_touches_are_taught_recognised_and_forgotten(
     page, make_session, open_page, monkeypatch
 ):
@@ -84,7 +74,12 @@ def test_drawn_touches_are_taught_recognised_and_forgotten(
         learn(page, 2)
         put(page, "disc")
         expect(page.locator("#decision")).to_have_text("disc", timeout=PATIENT)
-        _reload(page)
+        clear(page)
+        before = page.locator("#strip li").count()
+        reason = page.inner_text("#reason")
+        page.reload()  # in the middle of the episode
+        expect(page.locator("#strip li")).to_have_count(before)
+        expect(page.locator("#reason")).to_have_text(reason)
         with monkeypatch.context() as cut:  # the page is let go, and not let in again
             cut.setattr("palpate.web._app._LONGEST_QUEUE", 0)
             cut.setattr("palpate.web._app._MOST_CLIENTS", 0)

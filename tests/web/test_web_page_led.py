@@ -13,6 +13,7 @@ from palpate.library import TouchLibrary
 from palpate.web import LiveSession
 
 from .browser import PATIENT, card_of, expect, fits, resize
+from .conftest import waited
 
 
 def primary(page):
@@ -464,12 +465,9 @@ def test_all_sensors_are_not_taught_different_things_unasked(
         assert placed == ["bar", "bar"]
         page.press("#name", "Enter")
         expect(page.locator("#stop")).to_be_visible()
-        for _ in range(200):  # the second sensor is asked after the first
-            lessons = [session.teacher.lesson for session in sessions]
-            if all(lessons):
-                break
-            page.wait_for_timeout(50)
-        assert [lesson.name for lesson in lessons] == ["pen", "pen"]
+        # The second sensor is asked after the first.
+        assert waited(lambda: all(session.teacher.lesson for session in sessions))
+        assert [session.teacher.lesson.name for session in sessions] == ["pen", "pen"]
 
 
 @pytest.mark.slow

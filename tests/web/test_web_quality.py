@@ -111,7 +111,6 @@ def test_a_model_that_was_read_says_the_same(quality, tmp_path):
     assert read.object_quality() == qualities
 
 
-WORST = range(4)
 EACH = "ten more touches of each, elsewhere."
 
 
@@ -140,7 +139,7 @@ def of(name, after_eight, other=None, after_one=0.8):
             [of(str(n), 0.1 * n, "mug", 0.1 * n) for n in range(8)],
             [
                 f"{n} is taken for mug: ten more touches of {n}, elsewhere."
-                for n in WORST
+                for n in range(4)
             ],
         ),
         (

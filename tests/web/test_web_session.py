@@ -15,12 +15,7 @@ import pytest
 from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.recognition import ModelFileError, ObjectRecogniser
-from palpate.sensors import (
-    ContactError,
-    ReplaySensor,
-    SensorError,
-    SensorMemory,
-)
+from palpate.sensors import ContactError, ReplaySensor, SensorError, SensorMemory
 from palpate.web import LiveSession, _learning
 
 from .conftest import LearningError, Still, learn_job, waited
