@@ -9,10 +9,10 @@ import httpx
 import numpy as np
 import pytest
 
-from palpate import ObjectRecogniser, Touches, _words
+from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
-from palpate.web import LiveSession, PageServer, _learning, create_app
+from palpate.web import LiveSession, PageServer, create_app
 from palpate.web._learning import LearningError as LearningError
 from palpate.web._learning import learn_job
 from palpate.web._sensor_watch import Event as Event
@@ -81,13 +81,6 @@ def make_session(tmp_path_factory, drawn):
         return LiveSession(replay, **options)
 
     return make
-
-
-@pytest.fixture
-def learner_busy(learning_apart):
-    """Let the process that learns be asked by somebody else meanwhile."""
-    with _learning._LEARNER._lock:
-        yield
 
 
 @pytest.fixture
@@ -212,6 +205,13 @@ def connected():
     return connect
 
 
+@pytest.fixture
+def client(make_session, connected):
+    """A client of a session that has neither a sensor nor a model."""
+    with connected(make_session(sensor=False), rate_hz=2000) as client:
+        yield client
+
+
 @pytest.fixture(scope="module")
 def window():
     """One window of a browser: opening one takes a second of two processors' time."""
@@ -286,9 +286,3 @@ def folder(tmp_path, drawn):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(touches.with_columns(category=kinds), session="old")
     return tmp_path / "library"
-
-
-@pytest.fixture
-def figure_of():
-    """How Python rounds shares, which the page has to do alike."""
-    return _words.figure_of

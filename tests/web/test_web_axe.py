@@ -12,11 +12,9 @@ import pytest
 from palpate.library import TouchLibrary
 from palpate.web import LiveSession
 
+from .browser import expect
+
 AXE = Path(os.environ.get("PALPATE_AXE", ".venv/axe/package/axe.min.js"))
-PLAYWRIGHT = pytest.importorskip(
-    "playwright.sync_api", reason="playwright is not installed"
-)
-expect = PLAYWRIGHT.expect
 if not AXE.is_file():
     pytest.skip(
         "axe-core is not there: `make check-page` fetches it", allow_module_level=True
@@ -28,9 +26,9 @@ FAULTS = """async () => (await axe.run(document, {runOnly: ["wcag2a", "wcag2aa",
     fault.nodes.map((node) => node.target.join(" "))])"""
 
 
-def check(page, *, sizes=((1280, 900), (390, 844))):
+def check(page):
     """Ask axe at both widths, in the light and in the dark."""
-    for width, height in sizes:
+    for width, height in ((1280, 900), (390, 844)):
         page.set_viewport_size({"width": width, "height": height})
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme, reduced_motion="reduce")

@@ -18,11 +18,15 @@ from .conftest import Event, waited
 N_CLIENTS = 20
 
 
+def opened(address, token):
+    """Open a websocket as the page does."""
+    return connect(address.replace("http", "ws") + f"/ws?token={token}", max_size=None)
+
+
 def frame_headers(address, token, seconds):
     """Read a websocket for some seconds; return the headers of its frames."""
     headers = []
-    url = address.replace("http", "ws") + f"/ws?token={token}"
-    with connect(url, max_size=None) as page:
+    with opened(address, token) as page:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             try:
@@ -120,24 +124,21 @@ def test_a_page_that_cannot_be_told_the_state_is_forgotten(
         raise LibraryError("The library is damaged.")
 
     with serving(session) as (address, token):
-        url = address.replace("http", "ws") + f"/ws?token={token}"
         with monkeypatch.context() as patched:
             patched.setattr(session.teacher.library, "objects", damaged)
             for _ in range(2):
-                with suppress(ConnectionClosed), connect(url) as page:
+                with suppress(ConnectionClosed), opened(address, token) as page:
                     page.recv(timeout=5)
                 assert waited(lambda: not len(session.listeners))
         assert len(library) == 2
-        with connect(url) as page:
+        with opened(address, token) as page:
             assert json.loads(page.recv(timeout=5))["kind"] == "state"
 
 
 @pytest.mark.parametrize("message", ["ping", "{}", "x" * 1000])
 def test_a_message_of_a_page_does_no_harm(make_session, serving, message):
-    with serving(make_session(sensor=False)) as (address, token):
-        url = address.replace("http", "ws") + f"/ws?token={token}"
-        with connect(url) as page:
-            assert json.loads(page.recv())["kind"] == "state"
-            page.send(message)
-            page.send("ping")
-            assert json.loads(page.recv(timeout=5))["kind"] == "pong"
+    with serving(make_session(sensor=False)) as server, opened(*server) as page:
+        assert json.loads(page.recv())["kind"] == "state"
+        page.send(message)
+        page.send("ping")
+        assert json.loads(page.recv(timeout=5))["kind"] == "pong"

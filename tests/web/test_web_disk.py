@@ -11,12 +11,6 @@ from PIL import Image
 from palpate.library import LibraryError
 
 
-@pytest.fixture
-def client(make_session, connected):
-    with connected(make_session(sensor=False)) as client:
-        yield client
-
-
 def full(*arguments, **options):
     raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -31,21 +25,6 @@ def test_pictures_need_no_room_on_the_disk(client, drawn, monkeypatch):
     archive = client.get("/api/episode/archive")
     assert archive.status_code == 507
     assert "No space left on device" in archive.json()["detail"]
-
-
-def test_a_touch_that_cannot_be_stored_is_not_acknowledged(client, drawn, monkeypatch):
-    def add(**options):
-        try:
-            full()
-        except OSError as error:
-            raise LibraryError("The library has no room. Free space.") from error
-
-    monkeypatch.setattr(client.session.teacher.library, "add", add)
-    body = {"object": "cup", "image": drawn.images[0].tolist()}
-    answer = client.post("/api/teach/touch", json=body)
-    assert answer.status_code == 507
-    assert answer.json()["detail"] == "The library has no room. Free space."
-    assert client.get("/api/state").json()["library"]["undoable"] == 0
 
 
 @pytest.mark.parametrize("failing", ["add", "retract"])
@@ -89,27 +68,30 @@ def test_a_given_model_is_kept_whole_or_not_at_all(make_session, folder, drawn_m
 
 
 @pytest.fixture
-def database_error():
-    """What SQLite raises when a database has no room."""
+def causes():
+    """What the system and SQLite raise without room, and nothing of the kind."""
     small = sqlite3.connect(":memory:")
     small.execute("CREATE TABLE t (x)")
     small.execute("PRAGMA max_page_count = 2")
     with pytest.raises(sqlite3.OperationalError) as caught:
         small.execute("INSERT INTO t VALUES (zeroblob(100000))")
     small.close()
-    return caught.value
+    full_disk = OSError(errno.ENOSPC, "No space left on device")
+    return {"disk": full_disk, "database": caught.value, "other": None}
 
 
-def test_a_database_without_room_lacks_room(client, drawn, monkeypatch, database_error):
-    client.session.post_lesson("cup", drawn.images[0])
-    causes = [database_error, None]
+@pytest.mark.parametrize(
+    ("cause", "status"), [("disk", 507), ("database", 507), ("other", 422)]
+)
+def test_a_touch_that_cannot_be_stored_is_not_acknowledged(
+    client, drawn, monkeypatch, causes, cause, status
+):
+    def add(**options):
+        raise LibraryError("The library has no room. Free space.") from causes[cause]
 
-    def refuse(*arguments, **options):
-        raise LibraryError("It is full.") from causes.pop(0)
-
-    monkeypatch.setattr(client.session.teacher.library, "rename_object", refuse)
-    for status in (507, 422):
-        order = {"object": "cup", "name": "mug"}
-        answer = client.post("/api/objects/rename", json=order)
-        assert answer.status_code == status
-        assert answer.json()["detail"] == "It is full."
+    monkeypatch.setattr(client.session.teacher.library, "add", add)
+    body = {"object": "cup", "image": drawn.images[0].tolist()}
+    answer = client.post("/api/teach/touch", json=body)
+    assert answer.status_code == status
+    assert answer.json()["detail"] == "The library has no room. Free space."
+    assert client.get("/api/state").json()["library"]["undoable"] == 0

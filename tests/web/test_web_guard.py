@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from contextlib import ExitStack, closing, suppress
+from http.client import HTTPConnection
 from types import SimpleNamespace
 
 import httpx
@@ -19,6 +20,14 @@ from palpate.web import PageServer, create_app
 
 TOKEN = "right-token"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Give a clock of the guard that a test sets."""
+    now = SimpleNamespace(s=100.0, monotonic=lambda: now.s)
+    monkeypatch.setattr("palpate.web._request_guard.time", now)
+    return now
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +99,40 @@ def test_the_right_token_opens_by_header_query_and_cookie(client):
         assert json.loads(socket.recv())["kind"] == "state"
 
 
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"authorization": f"bearer  {TOKEN}"}, 200),
+        ({"authorization": f"Basic {TOKEN}"}, 401),
+        ({"authorization": ""}, 401),
+        ({"cookie": f"palpate_token_1={TOKEN}"}, 401),  # of another port
+        ({"authorization": "Bearer no", "cookie": f"{{name}}={TOKEN}"}, 403),
+    ],
+)
+def test_where_the_token_may_stand(client, headers, status):
+    client.cookies.clear()
+    name = f"palpate_token_{client.base_url.port}"
+    sent = {key: value.format(name=name) for key, value in headers.items()}
+    assert client.get("/api/state", headers=sent).status_code == status
+
+
+@pytest.mark.parametrize(
+    ("method", "status"), [("GET", 200), ("HEAD", 405), ("POST", 403), ("PUT", 403)]
+)
+def test_a_token_in_the_address_reads_alone(client, method, status):
+    client.cookies.clear()
+    answer = client.request(method, f"/api/state?token={TOKEN}")
+    assert answer.status_code == status
+    assert status != 403 or "Send it as Authorization: Bearer" in answer.text
+
+
+@pytest.mark.parametrize(("n_fields", "status"), [(100, 200), (101, 401)])
+def test_the_token_is_looked_for_in_up_to_a_hundred_fields(client, n_fields, status):
+    client.cookies.clear()
+    query = "&".join([f"token={TOKEN}", *["a=b"] * (n_fields - 1)])
+    assert client.get(f"/api/state?{query}").status_code == status
+
+
 def test_a_link_on_another_site_gets_the_page_and_the_cookie_at_once(client):
     """A strict cookie is not sent along with a redirect that another site caused."""
     client.cookies.clear()
@@ -134,8 +177,8 @@ def test_only_names_of_this_server_are_answered(client, host, status):
 
 
 def test_a_host_name_that_was_given_is_answered(make_session, connected):
-    with connected(make_session(sensor=False), names=["desk.example"]) as client:
-        for host, status in (("desk.example", 200), ("other.example", 403)):
+    with connected(make_session(sensor=False), names=["Desk.Example"]) as client:
+        for host, status in (("desk.example:1", 200), ("other.example", 403)):
             headers = {"Host": host}
             assert client.get("/api/health", headers=headers).status_code == status
 
@@ -149,7 +192,13 @@ def test_a_browser_is_asked_for_the_token_by_a_page(client, token):
     assert page.status_code == (401 if token is None else 403)
     assert page.headers["content-type"].startswith("text/html")
     assert 'name="token"' in page.text
-    assert client.get("/static/style.css").status_code == 200  # what it looks like
+
+
+@pytest.mark.parametrize("path", ["/static/style.css", "/static/icon.svg"])
+def test_style_and_icon_need_no_token_but_a_host_name_of_the_server(client, path):
+    client.cookies.clear()
+    assert client.get(path).status_code == 200
+    assert client.get(path, headers={"Host": "rebound.example"}).status_code == 403
 
 
 @pytest.mark.parametrize("path", ["/", "/static/app.js", "/api/state"])
@@ -167,22 +216,19 @@ def test_every_answer_says_what_a_browser_may_do(client, path, headers):
 def test_half_a_request_is_not_waited_for(make_session, connected, monkeypatch):
     monkeypatch.setattr("palpate.web._request_guard._HEAD_S", 0.2)
     monkeypatch.setattr("palpate.web._request_guard._PART_S", 0.2)
+    whole = b"GET /static/style.css HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    head = whole[:-2].replace(b"GET", b"POST") + b"Content-Length: 9\r\n\r\n1234"
     # Half a request after an answer has as long as uvicorn keeps the connection.
     with connected(make_session(sensor=False), keep_alive_s=0.3) as client:
-        _halves_end((client.base_url.host, client.base_url.port))
-
-
-def _halves_end(address):
-    whole = f"GET /static/style.css HTTP/1.1\r\nHost: {address[0]}\r\n\r\n".encode()
-    for sent in (b"", b"GET / HTTP/1.1\r\nHo", whole + b"GET /"):
+        address = client.base_url.host, client.base_url.port
+        for sent in (b"", b"GET / HTTP/1.1\r\nHo", whole + b"GET /"):
+            with socket.create_connection(address, timeout=30) as half:
+                half.sendall(sent)
+                while half.recv(65536):  # to its end, or TimeoutError
+                    pass
         with socket.create_connection(address, timeout=30) as half:
-            half.sendall(sent)
-            while half.recv(65536):  # to its end, or TimeoutError
-                pass
-    head = whole[:-2].replace(b"GET", b"POST") + b"Content-Length: 9\r\n\r\n1234"
-    with socket.create_connection(address, timeout=30) as half:
-        half.sendall(head)
-        assert half.recv(65536).startswith(b"HTTP/1.1 408")
+            half.sendall(head)
+            assert half.recv(65536).startswith(b"HTTP/1.1 408")
 
 
 def test_a_slow_request_that_ends_in_time_is_answered(client):
@@ -207,6 +253,17 @@ def test_a_body_that_is_too_large_is_refused(client):
         answer = client.post("/api/touch", content=pieces(), headers=BEARER)
         assert answer.status_code == 413
         assert "at most 10000 bytes" in answer.json()["detail"]
+
+
+def test_a_body_that_would_be_too_large_is_not_waited_for(client):
+    head = (
+        "POST /api/touch HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10001\r\n"
+        f"Authorization: Bearer {TOKEN}\r\n\r\n"
+    )
+    address = client.base_url.host, client.base_url.port
+    with socket.create_connection(address, timeout=10) as half:
+        half.sendall(head.encode())
+        assert half.recv(65536).startswith(b"HTTP/1.1 413")
 
 
 def test_no_answer_is_held_back_until_the_one_before_is_acknowledged(make_session):
@@ -256,94 +313,86 @@ def test_tokens_are_long_and_never_alike():
     assert min(map(len, tokens)) >= 32  # 24 bytes in base64
 
 
-def idle_connections(address, count):
-    """Open connections that say nothing."""
-    return [socket.create_connection(address, timeout=30) for _ in range(count)]
-
-
 def test_idle_connections_give_way_to_whoever_comes(
     make_session, connected, monkeypatch
 ):
     """The oldest without a token are closed; one that has shown it is kept."""
     monkeypatch.setattr("palpate.web._request_guard.most_waiting", lambda: 5)
-    with connected(make_session(sensor=False)) as client:
-        assert client.get("/api/health").status_code == 200  # and stays connected
+    with connected(make_session(sensor=False)) as client, ExitStack() as stack:
         address = client.base_url.host, client.base_url.port
-        connections = idle_connections(address, 12)
+        headers = {"Authorization": "Bearer token"}
+        signed_in = HTTPConnection(*address, timeout=30)
+        stack.callback(signed_in.close)
+
+        def answered():
+            signed_in.request("GET", "/api/health", headers=headers)
+            return b"rate_hz" in signed_in.getresponse().read()
+
+        assert answered()
+        connections = [
+            stack.enter_context(socket.create_connection(address, timeout=30))
+            for _ in range(12)
+        ]
         for closed in connections[:7]:
             with suppress(ConnectionResetError):
                 assert closed.recv(1) == b""
-        assert client.get("/api/health").status_code == 200
         for connection in connections[7:]:
             connection.setblocking(False)
             with pytest.raises(BlockingIOError):
                 connection.recv(1)
-        for connection in connections:
-            connection.close()
-
-
-def test_connections_that_rest_after_their_token_are_bounded_too(
-    make_session, connected, monkeypatch
-):
-    monkeypatch.setattr("palpate.web._request_guard.most_waiting", lambda: 3)
-    session = make_session(sensor=False)
-    with connected(session) as client:
-        address = client.base_url.host, client.base_url.port
-        request = b"GET /api/health HTTP/1.1\r\nHost: localhost\r\n"
-        request += b"Authorization: Bearer token\r\n\r\n"
-        with ExitStack() as stack:
-            connections = []
-            for _ in range(6):
-                (connection,) = idle_connections(address, 1)
-                stack.callback(connection.close)
-                connection.sendall(request)
-                assert b" 200 " in connection.recv(65536)
-                connections.append(connection)
-            with suppress(ConnectionResetError):
-                # What is left of its answer, then the end.
-                while connections[0].recv(65536):
-                    pass
-            assert client.get("/api/health").status_code == 200
+        assert answered()
+        assert client.get("/api/health").status_code == 200
 
 
 @pytest.mark.parametrize("first", ["wrong", "right"])
-def test_too_many_requests_are_slowed_down_with_and_without_the_token_apart(
-    make_session, connected, first
+def test_twice_the_rate_is_answered_at_once_and_then_the_rate(
+    make_session, connected, clock, first
 ):
-    """A client that was slowed down still learns that its token is wrong."""
+    """With and without the token apart: who was slowed down learns that it is wrong."""
     status = {"wrong": 403, "right": 200}
     (second,) = {*status} - {first}
     with connected(make_session(sensor=False), TOKEN, rate_hz=5) as client:
 
-        def answers(word, count):
+        def n_answered(word):
             headers = {"Authorization": f"Bearer {word}-token"}
-            return [client.get("/api/health", headers=headers) for _ in range(count)]
+            answers = [client.get("/api/health", headers=headers) for _ in range(20)]
+            assert answers[-1].headers["retry-after"] == "1"
+            codes = [answer.status_code for answer in answers]
+            count = codes.count(status[word])
+            assert codes == [status[word]] * count + [429] * (20 - count)
+            return count
 
-        many = answers(first, 30)
-        codes = [answer.status_code for answer in many]
-        assert codes[:10] == [status[first]] * 10  # twice the rate at once
-        assert {*codes} == {status[first], 429}
-        assert many[codes.index(429)].headers["retry-after"] == "1"
-        assert {answer.status_code for answer in answers(second, 10)} == {
-            status[second]
-        }
+        assert n_answered(first) == 10
+        assert n_answered(first) == 0
+        clock.s += 0.125
+        assert n_answered(first) == 0
+        clock.s += 0.125  # 1.25 permits by now
+        assert n_answered(first) == 1
+        clock.s += 0.75  # a quarter was left
+        assert n_answered(first) == 4
+        clock.s += 1000
+        assert n_answered(first) == 10
+        assert n_answered(second) == 10
 
 
 def test_a_repeated_error_is_logged_once_a_minute(
-    make_session, connected, caplog, monkeypatch
+    make_session, connected, caplog, clock
 ):
-    now_s = 0.0
-    clock = SimpleNamespace(monotonic=lambda: now_s)
     log = logging.getLogger("asyncio")
     before = [*log.filters]
     with connected(make_session(sensor=False)):
-        monkeypatch.setattr("palpate.web._request_guard.time", clock)
-        for now_s in (0.0, 1.0, 59.0, 61.0):
-            log.error("accept() failed\nsocket %s", now_s)
-            log.error("something else %s", now_s)
+        for clock.s in (0.0, 59.9, 60.0):
+            log.error("accept() failed\nsocket %s", clock.s)
+            log.error("something else %s", clock.s)
+        for number in range(996):  # a thousand messages are remembered
+            assert log.filter(logging.makeLogRecord({"msg": str(number)}))
+        log.error("accept() failed")
+        log.error("one more")  # and all are forgotten
+        log.error("accept() failed")
     messages = [record.getMessage().partition("\n")[0] for record in caplog.records]
-    assert messages.count("accept() failed") == 2
-    assert len(messages) == 6
+    assert messages.count("accept() failed") == 3
+    assert messages[-2:] == ["one more", "accept() failed"]
+    assert len(messages) == 7
     assert log.filters == before
 
 

@@ -1,4 +1,4 @@
-"""Images going out as pictures and coming in, without a server."""
+"""Images going out as pictures and coming in: numbers, grey, colour, channels."""
 
 import io
 
@@ -7,176 +7,34 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.touches import TouchesError
-from palpate.web._images import (
-    MAX_PIXELS,
-    FramePainter,
-    ImageKind,
-    check_image,
-    read_json,
-    read_picture,
-    thumbnail,
-)
+from palpate import Touches
+from palpate.library import TouchLibrary
+from palpate.sensors import ReplaySensor
+from palpate.web import LiveSession
+from palpate.web._images import FramePainter, thumbnail
 
-BYTES = ImageKind((2, 2), np.dtype(np.uint8), None)
-
-
-def npy(array, **options):
-    stream = io.BytesIO()
-    np.lib.format.write_array(stream, array, **options)
-    return stream.getvalue()
+from .conftest import Still, learn_job, waited
 
 
 def decoded(picture):
     return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_UNCHANGED)
 
 
-@pytest.mark.parametrize("level", [0.0, 255.0])
-def test_whole_numbers_within_a_type_are_taken_as_it(level):
-    image = check_image(np.array([[1.0, 2.0], [3.0, level]], np.float32), BYTES)
-    assert image.dtype == np.uint8
+@pytest.mark.parametrize(
+    ("dtype", "level"), [(np.uint8, 0.0), (np.uint8, 255.0), (np.float32, 0.5)]
+)
+def test_levels_that_a_type_can_hold_are_taken_as_it(dtype, level):
+    session = LiveSession(Still((2, 2), dtype=dtype))
+    session.post_touch(np.array([[1.0, 2.0], [3.0, level]]))
+    (image,) = session.episode.images
+    assert image.dtype == dtype
     assert_array_equal(image, [[1, 2], [3, level]])
 
 
 @pytest.mark.parametrize("level", [-1.0, 256.0, 1.5, np.nan])
 def test_numbers_outside_a_type_are_refused(level):
     with pytest.raises(ValueError, match="whole numbers from 0 to 255"):
-        check_image(np.array([[1.0, 2.0], [3.0, level]], np.float32), BYTES)
-
-
-def test_an_image_of_its_type_is_as_it_is_and_floats_take_anything():
-    image = np.ones((2, 2), np.uint8)
-    assert check_image(image, BYTES) is image
-    single = ImageKind((2, 2), np.dtype(np.float32), None)
-    assert check_image(np.full((2, 2), 0.5), single).dtype == np.float32
-    assert check_image(np.full((2, 2), 0.5), ImageKind((2, 2), None, None)).max() == 0.5
-
-
-@pytest.mark.parametrize(
-    ("shape", "kind", "message"),
-    [
-        ((2, 3), BYTES, "must have 2 x 2.*, got 2 x 3"),
-        ((2, 2, 3), BYTES, "must have 2 x 2 .*in grey, got 2 x 2 with 3 channels"),
-        (
-            (2, 2),
-            ImageKind((2, 2, 2), None, ("a", "b")),
-            "with channels a, b, got 2 x 2 in grey",
-        ),
-    ],
-)
-def test_an_image_of_another_size_is_refused_with_both(shape, kind, message):
-    with pytest.raises(ValueError, match=message):
-        check_image(np.zeros(shape, np.uint8), kind)
-
-
-def test_arrays_come_in_as_they_were_saved():
-    for image in (
-        np.arange(12, dtype=">i4").reshape(3, 4),
-        np.asfortranarray(np.arange(12.0).reshape(3, 4)),
-        np.arange(24, dtype=np.float32).reshape(2, 3, 4),
-    ):
-        read = read_picture(npy(image), "application/x-npy", colour=False)
-        assert_array_equal(read, image)
-        assert read.dtype.isnative
-        assert read.flags.c_contiguous
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        b"",
-        b"\x93NUMPY",
-        npy(np.zeros(4)),
-        npy(np.zeros((2, 2), complex)),
-        npy(np.zeros((2, 2, 65), np.uint8)),
-        npy(np.zeros((2, 2)), version=(2, 0)),
-        npy(np.zeros((2, 2)))[:-1],
-        npy(np.zeros((2, 2))) + b"x" * 8,
-        npy(np.zeros((0, 2))),
-        npy(np.zeros((2, 2))).replace(b"}", b" "),
-        npy(np.zeros((2, 2))).replace(b"'descr': '<f8'", b"'descr': 3    "),
-        npy(np.zeros((2, 2))).replace(b"(2, 2), }", b"(True,2)}"),
-    ],
-    ids=[
-        "empty",
-        "cut",
-        "flat",
-        "complex",
-        "channels",
-        "version",
-        "short",
-        "long",
-        "none",
-        "open",
-        "kind",
-        "side",
-    ],
-)
-def test_arrays_that_are_no_image_are_refused(body):
-    with pytest.raises(TouchesError, match=f"got {len(body)} other bytes"):
-        read_picture(body, "application/x-npy", colour=False)
-
-
-def test_infinity_is_refused_and_nan_is_a_dead_taxel():
-    with pytest.raises(ValueError, match="must be finite"):
-        read_picture(npy(np.array([[1.0, np.inf]])), "application/x-npy", colour=False)
-    fields, image = read_json(b'{"object": "mug", "image": [[0, 1.5], [2, null]]}')
-    assert fields == {"object": "mug"}
-    assert image.dtype == np.float32
-    assert_array_equal(image, [[0, 1.5], [2, np.nan]])
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        b"{}",
-        b'{"image": []}',
-        b'{"image": [[]]}',
-        b'{"image": [[1], [1, 2]]}',
-        b'{"image": [[true]]}',
-        b'{"image": [["1"]]}',
-        b'{"image": [[1]',
-        b'{"image": [[1]]',
-        b'{"image": [[1]], "image": 2}',
-        b'{"image": [[1e999]]}',
-        b'[{"image": [[1]]}]',
-        b'{"a": {"image": [[1]]}}',
-    ],
-)
-def test_json_that_holds_no_image_is_refused(body):
-    with pytest.raises(ValueError, match=r"body must be|must be finite"):
-        read_json(body)
-
-
-def test_the_row_of_another_length_is_named():
-    with pytest.raises(ValueError, match="something else at row 2"):
-        read_json(b'{"image": [[0, 1], [2], [3, 4]]}')
-
-
-def test_an_unknown_content_type_is_named_beside_the_known_ones():
-    with pytest.raises(TouchesError, match=r"image/png, image/jpeg or .*'text/html'"):
-        read_picture(b"", "text/html", colour=False)
-
-
-def test_pictures_have_at_most_four_megapixels():
-    assert MAX_PIXELS == 4_000_000
-    large = cv2.imencode(".png", np.zeros((2001, 2000), np.uint8))[1].tobytes()
-    with pytest.raises(TouchesError, match="at most 4000000 pixels"):
-        read_picture(large, "image/png", colour=False)
-
-
-def test_colour_is_read_where_there_is_some():
-    colours = np.zeros((4, 4, 3), np.uint8)
-    colours[..., 0] = 200  # blue, as OpenCV has it
-    coded = cv2.imencode(".png", colours)[1].tobytes()
-    assert read_picture(coded, "image/png; q=1", colour=True)[0, 0].tolist() == [
-        0,
-        0,
-        200,
-    ]
-    assert read_picture(coded, "image/png", colour=False).ndim == 2
-    grey = cv2.imencode(".png", colours[..., 0])[1].tobytes()
-    assert read_picture(grey, "image/png", colour=True).ndim == 2
+        LiveSession(Still((2, 2))).post_touch(np.array([[1.0, 2.0], [3.0, level]]))
 
 
 def test_arrays_are_false_colours_over_the_widest_range_yet():
@@ -228,3 +86,206 @@ def test_cameras_pictures_are_of_quality_80():
     image = rng.integers(0, 255, (64, 64), dtype=np.uint8)
     coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
     assert FramePainter((64, 64)).paint(image) == coded
+
+
+def red_left(side=60):
+    """A picture that is red on its left half and blue on its right."""
+    image = np.zeros((side, side, 3), np.uint8)
+    image[:, : side // 2, 0] = image[:, side // 2 :, 2] = 200
+    return image
+
+
+@pytest.fixture
+def picture_of(tmp_path, make_session, connected):
+    """Return a function: the page's picture of a touch, in blue, green, red."""
+
+    def show(image, channels):
+        folder = tmp_path / "-".join(channels)
+        with TouchLibrary.open(folder, create=True) as library:
+            touches = Touches(image[np.newaxis], object=["cup"], channels=channels)
+            (key,) = library.add(touches)
+        with connected(make_session(sensor=False, library=folder)) as client:
+            answer = client.get(f"/api/touches/{key}/picture")
+            assert answer.status_code == 200, answer.text
+            grey = cv2.imencode(".png", image[..., 0])[1].tobytes()
+            kind = {"content-type": "image/png"}
+            refused = client.post("/api/touch/picture", content=grey, headers=kind)
+            assert f"60 x 60 pixels with channels {', '.join(channels)}" in refused.text
+            assert "got 60 x 60 in grey" in refused.text
+        return decoded(answer.content)
+
+    return show
+
+
+def test_colour_is_shown_in_colour(picture_of):
+    picture = picture_of(red_left(), ["r", "g", "b"])
+    assert picture.shape == (96, 96, 3)
+    assert picture[48, 10].tolist() == [0, 0, 200]
+    assert picture[48, 85].tolist() == [200, 0, 0]
+    turned = picture_of(red_left()[..., ::-1].copy(), ["b", "g", "r"])
+    assert_array_equal(turned, picture)
+
+
+def test_other_channels_are_shown_as_their_mean(picture_of):
+    picture = picture_of(red_left(), ["x", "y", "z"])
+    assert len(np.unique(picture)) == 1
+
+
+def hues(rng, count):
+    """Blobs at random places over noise, of two hues of one luma, in red first."""
+    row, col = np.mgrid[:24, :32]
+    for hue in (98, 0, 0), (0, 50, 0):
+        places = rng.uniform((8, 8), (16, 24), (count, 2))
+        squared_distances = [(row - y) ** 2 + (col - x) ** 2 for y, x in places]
+        blobs = np.exp(-np.array(squared_distances) / 30)[..., np.newaxis] * hue
+        noise = rng.normal(scale=0.5, size=blobs.shape)
+        yield np.rint(60 + blobs + noise).astype(np.uint8)
+
+
+def as_png(image):
+    levels = image[..., ::-1] if image.ndim == 3 else image
+    return cv2.imencode(".png", levels)[1].tobytes(), "image/png"
+
+
+def as_npy(image):
+    written = io.BytesIO()
+    np.save(written, image)
+    return written.getvalue(), "application/x-npy"
+
+
+def posted(client, path, body):
+    content, kind = body
+    return client.post(path, content=content, headers={"Content-Type": kind})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coded", [as_png, as_npy])
+def test_touches_in_colour_are_taught_and_recognised_by_the_api(
+    tmp_path, make_session, connected, rng, coded
+):
+    library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"
+    session = make_session(sensor=False, library=library)
+    taught = dict(zip(("rose", "leaf"), hues(rng, 7), strict=True))
+    with connected(session) as client:
+        for name, images in taught.items():
+            for image in images[:6]:
+                path = f"/api/teach/touch/picture?object={name}&colour=1"
+                assert posted(client, path, coded(image)).status_code == 200
+        session.learn(wait=True)
+        assert session.learn_error == ""
+    for options in ({"library": library}, {"library": None, "model": model}):
+        session = make_session(sensor=False, **options)
+        with connected(session) as client:
+            for name, images in taught.items():
+                client.post("/api/episode/start")
+                answer = posted(client, "/api/touch/picture", coded(images[6])).json()
+                assert answer["best"] == name
+            assert session.episode.as_touches().channels == ("r", "g", "b")
+            picture = client.get("/api/episode/touches/1/picture").content
+            assert decoded(picture)[..., 1].max() > decoded(picture)[..., 2].max()
+
+
+def test_colour_is_refused_where_grey_was_learnt(client, drawn):
+    image = drawn.images[0]
+    painted = np.stack([image, image, image // 2], axis=-1)
+    path = "/api/teach/touch/picture?object=cup"
+    assert posted(client, path, as_png(image)).status_code == 200
+    for query, body in ("&colour=1", as_png(painted)), ("", as_npy(painted)):
+        refused = posted(client, path + query, body)
+        assert refused.status_code == 422
+        assert "must have 12 x 12 taxels in grey" in refused.text
+        assert "got 12 x 12 with 3 channels" in refused.text
+    # A grey picture has no colour to read.
+    assert posted(client, path + "&colour=1", as_png(image)).status_code == 200
+    # A picture in colour is read in grey, as those of folders are.
+    assert posted(client, path, as_png(painted)).status_code == 200
+    same = as_png(np.stack([image] * 3, axis=-1))
+    key = posted(client, path, same).json()["id"]
+    stored = client.session.teacher.library.image(key)
+    assert_array_equal(stored, image)
+
+
+def strongest(events):
+    """Return the shown frame with most of a pattern; a colour alone is none."""
+    frames = [decoded(event.picture) for event in [*events] if event.kind == "frame"]
+    return max(frames, key=lambda frame: np.ptp(frame, axis=(0, 1)).max())
+
+
+@pytest.mark.parametrize("names", ["rgb", "xyz", "abcdef"])
+def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connected):
+    parts = np.concatenate([*hues(rng, 6)])
+    images = np.concatenate([parts] * (len(names) // 3), axis=-1)
+    baseline = np.full(images.shape[1:], 60, np.uint8)
+    things = np.repeat(["rose", "leaf"], 6)
+    recorded = Touches(images, object=things, channels=[*names], no_contact=baseline)
+    sensor = ReplaySensor(recorded, rate_hz=200, hold=3, gap=3)
+    sensor.place(None)
+    session, events = LiveSession(sensor, library=tmp_path / "library"), []
+    session.listeners.add(events.append)
+    with connected(session) as client:
+        session.teach("rose", 3)
+        session.place("rose")
+        assert waited(lambda: session.teacher.lesson is None)
+        assert waited(lambda: session.episode.touches)
+        # Only some frames are shown: wait until one of them is a press.
+        assert waited(lambda: np.ptp(strongest(events), axis=(0, 1)).max() > 50)
+        session.place(None)
+        key = session.teacher.newest("rose", 3)[0].id
+        stored_picture = decoded(client.get(f"/api/touches/{key}/picture").content)
+        assert client.get("/api/episode/touches/1/picture").status_code == 200
+        assert client.get("/api/episode/archive").status_code == 200
+        assert "data:image/png" in client.get("/api/episode/report").text
+        assert session.teacher.touches("rose").channels == tuple(names)
+        assert session.teacher.touches("rose").no_contact.shape == baseline.shape
+        assert session.episode.as_touches().channels == tuple(names)
+        assert waited(lambda: not session.watch.detector.touching)
+        session.take_baseline(ask_press=True)
+        session.place("rose")
+        assert waited(lambda: session.watch.press is not None)
+        press = decoded(client.get("/api/baseline/press").content)
+    assert session.trouble == ""
+    for picture in (strongest(events), stored_picture, press):
+        _, green, red = np.ptp(picture, axis=(0, 1))
+        assert red > 50
+        # Other channels are shown as one, in false colour.
+        assert (green < 20) == (names == "rgb")
+
+
+def test_touches_of_a_colour_are_learnt_apart_from_grey(tmp_path):
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        grey = np.zeros((4, 12, 12), np.uint8)
+        library.add(Touches(grey, object=["cup", "cup", "pen", "pen"]))
+        colour = np.zeros((1, 12, 12, 3), np.uint8)
+        library.add(Touches(colour, object=["mug"], channels=["r", "g", "b"]))
+    answer = learn_job(tmp_path / "library", tmp_path / "m.palpate")
+    assert answer["objects"] == []
+
+
+@pytest.mark.parametrize("colour", [False, True], ids=["grey", "colour"])
+def test_a_model_of_the_other_kind_is_refused_with_the_fix(tmp_path, rng, colour):
+    images = np.concatenate([*hues(rng, 6)])
+    things = np.repeat(["rose", "leaf"], 6)
+    grey = Touches(images[..., 0], object=things, no_contact=images[0, ..., 0])
+    painted = Touches(images, object=things, channels=[*"rgb"], no_contact=images[0])
+    learnt, played = (painted, grey) if colour else (grey, painted)
+    library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"
+    with LiveSession(ReplaySensor(learnt), library=library) as session:
+        for thing, image in zip(things, learnt.images, strict=True):
+            session.post_lesson(thing, image)
+        session.learn(wait=True)
+        assert session.learn_error == ""
+    kinds = ["colour", "grey"] if colour else ["grey", "colour"]
+    message = (
+        f"must be of images of 24 x 32 taxels in {kinds[1]}, which replay of touches "
+        f"gives, got one of 24 x 32 taxels in {kinds[0]}.* with colour={int(colour)}"
+    )
+    sensor = ReplaySensor(played, rate_hz=200, hold=3, gap=3)
+    with pytest.raises(ValueError, match=message):
+        LiveSession(sensor, model=model).start()
+    with LiveSession(sensor, library=library) as session:
+        assert session.to_dict()["sensor"]["warnings"] == [session.watch.misfit]
+        assert waited(lambda: session.trouble == session.watch.misfit)
+        # One sensor of a library gives colour or grey, never both.
+        session.teach("rose", 2)
+        assert waited(lambda: "channels like those in the library" in session.trouble)
+        assert len(session.teacher.library) == 12

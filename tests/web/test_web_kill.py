@@ -56,19 +56,15 @@ def killed_while_teaching(folder, after, seed):
     return acknowledged
 
 
-def check_all_there(folder, acknowledged):
-    assert acknowledged
-    with TouchLibrary.open(folder) as library:
-        stored = {row.id for row in library.list(limit=None)}
-        assert {key for key, _ in acknowledged} <= stored
-        for key, image in acknowledged:
-            assert library.image(key).tolist() == image
-        assert len(library.touches()) == len(stored)
-
-
 @pytest.mark.slow
 def test_twenty_kills_lose_nothing_that_was_acknowledged(tmp_path):
     acknowledged = []
     for kill in range(20):
         acknowledged += killed_while_teaching(tmp_path, 5 + 3 * kill, kill)
-        check_all_there(tmp_path, acknowledged)
+        assert acknowledged
+        with TouchLibrary.open(tmp_path) as library:
+            stored = {row.id for row in library.list(limit=None)}
+            assert {key for key, _ in acknowledged} <= stored
+            for key, image in acknowledged:
+                assert library.image(key).tolist() == image
+            assert len(library.touches()) == len(stored)

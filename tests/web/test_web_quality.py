@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from first_hour import N_ASKED, N_TAUGHT, Desk, advised, table
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser, teaching_advice
 from palpate.web import LiveSession
@@ -110,7 +111,6 @@ def test_a_model_that_was_read_says_the_same(quality, tmp_path):
     assert read.object_quality() == qualities
 
 
-WORST = range(4)
 EACH = "ten more touches of each, elsewhere."
 
 
@@ -139,7 +139,7 @@ def of(name, after_eight, other=None, after_one=0.8):
             [of(str(n), 0.1 * n, "mug", 0.1 * n) for n in range(8)],
             [
                 f"{n} is taken for mug: ten more touches of {n}, elsewhere."
-                for n in WORST
+                for n in range(4)
             ],
         ),
         (
@@ -217,8 +217,11 @@ def test_a_lesson_asks_for_another_touch_where_one_shows_no_contact(
     empty[0, 0] = 1
     with make_session() as session:
         session.teach("disc", 3)
-        messages = [session._take(image) for image in drawn.images[:2]]
+        messages = [
+            session._take(image, {"force_n": 0.5}) for image in drawn.images[:2]
+        ]
         assert messages[-1] == "Touch 2 of 3 of disc is stored."
+        assert session.teacher.touches("disc").columns["force_n"].tolist() == [0.5] * 2
         assert "of disc shows no contact and does not count" in session._take(empty)
         state = session.to_dict()
         lesson = state["lesson"]
@@ -311,21 +314,6 @@ def test_a_touch_that_is_dropped_leaves_its_like_new(rng):
     assert variety.like == [None, None]
 
 
-def test_a_lesson_of_a_camera_keeps_its_channels(tmp_path):
-    teacher = lesson_of(Still((4, 4, 3), "plane", "grey level"), tmp_path / "library")
-    teacher.begin("mug", 2)
-    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
-    message = teacher.take(image, None, 1.0, {"force_n": 0.5})
-    assert message == "Touch 1 of 2 of mug is stored."
-    [row] = teacher.newest("mug", 5)
-    assert teacher.channels(row.id) == ["r", "g", "b"]
-    assert teacher.touches("mug").columns["force_n"].tolist() == [0.5]
-    assert teacher.lesson.to_dict()["done"] == 1
-    assert teacher.take(image[::-1], None, 1.0).startswith("Touch 2 of 2 of mug is")
-    assert teacher.lesson is None
-    teacher.close()
-
-
 def test_colours_are_compared_one_by_one(rng):
     """Two touches of one grey that differ in their colours are not alike."""
     base = rng.uniform(0, 99, (6, 8))
@@ -333,21 +321,6 @@ def test_colours_are_compared_one_by_one(rng):
     red[..., 0], blue[..., 2] = base, base
     variety = variety_of([red, blue, red], None, 0.1)
     assert variety.like == [None, None, 1]
-
-
-def test_undo_brings_removed_and_moved_touches_back(tmp_path):
-    teacher = lesson_of(Still((4, 4, 3), "plane", "grey level"), tmp_path / "library")
-    images = np.arange(96, dtype=np.uint8).reshape(2, 4, 4, 3)
-    keys = [teacher.store("mug", image, ("r", "g", "b"), None) for image in images]
-    assert teacher.remove(keys[:1]) == "1 touch of mug removed."
-    assert [row.id for row in teacher.newest("mug", 5)] == keys[1:]
-    assert teacher.undo() == ("mug", "What was removed of mug is back.")
-    assert {row.id for row in teacher.newest("mug", 5)} == {*keys}
-    assert teacher.move(keys, "cup") == "2 touches of mug moved to cup."
-    assert [entry["name"] for entry in teacher.to_dict()["objects"]] == ["cup"]
-    assert teacher.undo() == ("mug", "What was moved to cup is back with mug.")
-    assert {row.id for row in teacher.newest("mug", 5)} == {*keys}
-    teacher.close()
 
 
 def test_limits_are_given_where_few_objects_or_touches_were_learnt(drawn, tmp_path):
@@ -379,3 +352,59 @@ def test_limits_stand_in_the_episode_and_its_report(
         limits = client.get("/api/episode").json()["limits"]
         assert limits.startswith("It knows 2 objects and nothing else")
         assert limits in client.get("/api/episode/report").text
+
+
+def test_advised_objects_are_read_from_the_advice():
+    pair = teaching_advice([of("a mug", 0.5, "a cup"), of("a cup", 0.5, "a mug")])
+    assert sorted(advised(pair)) == ["a cup", "a mug"]
+    assert advised(teaching_advice([of("pen", 0.5, "a cup, blue")])) == ["pen"]
+    assert advised(teaching_advice([of("pen", 0.5)])) == ["pen"]
+    assert advised(teaching_advice([of("pen", None, "cup")])) == []
+    alike = (
+        "Of 12 touches of a mug 9 are like others: ten more touches of it, elsewhere"
+    )
+    assert advised([f"{alike}, unless it is the same all over."]) == ["a mug"]
+
+
+def test_the_table_gives_shares_of_episodes():
+    right = {"object": "pen", "right": "0" + "1" * 11, "first": "pen"}
+    wrong = {"object": "cup", "right": "1" + "0" * 11, "first": "pen"}
+    none = {"object": "mug", "right": "1" * 12, "first": None}
+    stranger = {"object": "box", "right": "1" * 12, "first": "unknown"}
+    outcome = {
+        "asked": [right, wrong, none, stranger],
+        "taught": {"pen": 12, "cup": 22},
+    }
+    line = table([{"in a row": outcome}] * 2).splitlines()[2]
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells == ["in a row", "17", *["25"] * 4, "75", "0", "75", "0", "75"]
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_three_recorded_things_are_recognised_where_they_were_not_taught(
+    data_folder, tmp_path
+):
+    touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
+    names = ["ball_greenfootball", "can_largeyellow", "stapler_greyred"]
+    things = touches[np.isin(touches.object, names)]
+    desk = Desk(things, tmp_path / "desk", np.random.default_rng(0))
+    with desk.session as session:
+        session.take_baseline()
+        for name in names:
+            desk.teach(name, N_TAUGHT, in_a_row=False, obey=True)
+        state = session.to_dict()
+        stored = [entry["n_touches"] for entry in state["library"]["objects"]]
+        assert min(stored) == N_TAUGHT  # touches without contact are stored beside
+        assert sum(stored) - len(state["no_contact"]) == 3 * N_TAUGHT
+        desk.learn()
+        assert desk.follow_advice() <= 3
+        records = desk.ask()
+    tested_rows = {name: set(desk.last[name]) for name in names}
+    assert all(not tested_rows[name] & set(desk.taught[name]) for name in names)
+    # Chance is a third of the touches, and one thing of three after eight.
+    marks = [record["right"] for record in records]
+    assert np.mean([episode[7] == "1" for episode in marks]) >= 2 / 3
+    assert np.mean([mark == "1" for episode in marks for mark in episode]) > 0.6
+    assert all(len(episode) == N_ASKED for episode in marks)
+    assert [record["first"] for record in records].count("unknown") <= 1

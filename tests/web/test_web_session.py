@@ -15,13 +15,8 @@ import pytest
 from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.recognition import ModelFileError, ObjectRecogniser
-from palpate.sensors import (
-    ContactError,
-    ReplaySensor,
-    SensorError,
-    SensorMemory,
-)
-from palpate.web import LiveSession
+from palpate.sensors import ContactError, ReplaySensor, SensorError, SensorMemory
+from palpate.web import LiveSession, _learning
 
 from .conftest import LearningError, Still, learn_job, waited
 
@@ -49,6 +44,7 @@ def test_touches_of_the_sensor_move_the_belief(make_session, model):
     assert session.episode.to_dict()["best"] == "disc"
     numbers = [touch.number for touch in session.episode.touches]
     assert numbers == list(range(1, len(numbers) + 1))
+    assert session.health.to_dict()["belief_ms"] < 20_000  # since the last frame
     assert session.health.to_dict()["n_dropped"] == 0
 
 
@@ -119,16 +115,17 @@ def test_a_test_press_is_shown_and_not_stored(hand, tmp_path):
         with pytest.raises(SensorError, match="no test press"):
             session.press_difference()
         session.take_baseline(ask_press=True)
-        press = session.to_dict()["sensor"]["press"]
-        assert press == {"found": False, "lower": False, "number": 0}
-        press_once(hand, session)
-        assert waited(lambda: session.watch.press is not None)
-        assert session.to_dict()["sensor"]["press"]["found"]
+        state = session.watch.to_dict
+        assert state()["press"] == {"found": False, "lower": False, "number": 0}
+        for number in (1, 2):
+            press_once(hand, session)
+            assert waited(lambda n=number: state()["press"]["number"] == n)
+        assert state()["press"] == {"found": True, "lower": False, "number": 2}
         difference = session.press_difference()
         assert difference.max() == 180
         assert (difference > 0).sum() == 20
         session.end_press()
-        assert session.to_dict()["sensor"]["press"] is None
+        assert state()["press"] is None
         assert session.episode.touches == []
         press_once(hand, session)
         assert waited(lambda: len(session.episode.touches) == 1)
@@ -146,6 +143,7 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
         hand.show(session, pressed=True)
         assert waited(lambda: session.watch.press is not None)
         assert session.to_dict()["sensor"]["press"]["lower"]
+        assert session.press_difference().max() == 180
         session.end_press(undo=True)
         assert session.baseline is None
         hand.show(session, pressed=False)
@@ -153,12 +151,13 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
         assert (session.baseline == 20).all()
 
 
-def test_a_sensor_that_changes_its_exposure_is_warned_of(hand):
+def test_the_state_of_a_sensor_without_a_baseline(hand):
     hand.fixed, hand.unfixed = {"exposure": False}, "It does not keep exposure fixed."
-    with LiveSession(hand) as session:
-        state = session.to_dict()["sensor"]
-        assert state["fixed"] == {"exposure": False}
-        assert state["warnings"] == [hand.unfixed]
+    state = LiveSession(hand).to_dict()["sensor"]
+    assert (state["name"], state["shape"]) == ("hand", [12, 12])
+    assert (state["baseline"], state["zero"], state["desk"]) == (False, False, None)
+    assert state["fixed"] == {"exposure": False}
+    assert state["warnings"] == [hand.unfixed]
 
 
 def test_a_lesson_ends_the_test_press(hand, tmp_path):
@@ -173,13 +172,16 @@ def test_a_lesson_ends_the_test_press(hand, tmp_path):
 def test_the_touches_of_an_episode_begin_a_lesson(make_session, drawn):
     session = make_session()
     with session:
-        for image in drawn.images[:3]:
-            session.post_touch(image)
+        place = {"position_mm": (1.0, 2.0, 3.0), "direction": (0.0, 0.0, -1.0)}
+        for image, placed in zip(drawn.images[:3], (None, place, None), strict=True):
+            session.post_touch(image, placed)
         session.teach("disc", 2, keep_episode=True)
         assert session.teacher.lesson is None  # two were wanted
-        kept = session.teacher.library.touches("object = disc")
+        kept = session.teacher.touches("disc")
         # The last two: before them something else may have lain there.
         np.testing.assert_array_equal(kept.images, drawn.images[1:3])
+        positions_mm = [[1, 2, 3], [np.nan] * 3]
+        np.testing.assert_array_equal(kept.columns["position_mm"], positions_mm)
         session.post_touch(drawn.images[5])
         session.teach("bar", 4, keep_episode=True)
         lesson = session.to_dict()["lesson"]
@@ -195,16 +197,6 @@ def test_a_sensor_that_has_changed_since_learning_is_warned_of(model, drawn):
     other = LiveSession(ReplaySensor(moved), model=model)
     (warning,) = other.to_dict()["sensor"]["warnings"]
     assert "At rest the sensor differs" in warning
-
-
-def test_a_sensor_that_is_lost_is_reported_and_comes_back(hand):
-    hand.retry_s = 0.02
-    with LiveSession(hand) as session:
-        session.take_baseline()
-        hand.unplugged = True
-        assert waited(lambda: session.to_dict()["sensor"]["lost"] == "it is unplugged")
-        hand.unplugged = False
-        assert waited(lambda: session.to_dict()["sensor"]["lost"] == "")
 
 
 def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
@@ -243,39 +235,6 @@ def test_a_missing_sensor_leaves_no_library_behind(hand, tmp_path):
     with pytest.raises(SensorError, match="unplugged"):
         session.start()
     assert not (tmp_path / "library").exists()
-
-
-def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
-    model, drawn, tmp_path
-):
-    """The job of the learning process runs in this one."""
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        library.add(drawn[drawn.object == "both"][::2])
-    output = tmp_path / "out.palpate"
-    answer = learn_job(tmp_path / "library", output, model)
-    assert answer["objects"] == ["bar", "both", "disc"]
-    assert sorted(answer["kept"]) == ["bar", "disc"]
-    again = learn_job(tmp_path / "library", output, output, [("disc", "")])
-    assert again["objects"] == ["bar", "both"]
-    with TouchLibrary.open(tmp_path / "more", create=True) as library:
-        library.add(drawn[drawn.object == "bar"][20:])
-    fresh = learn_job(tmp_path / "more", output, model)
-    assert fresh["objects"] == ["bar", "disc"]
-    # The model had fifteen of each; five of the ten touches here are among them.
-    assert fresh["n_touches"] == 35
-    assert fresh["n_elsewhere"] == 25
-
-
-def test_a_model_of_the_library_knows_its_touches_and_its_sensor(drawn, tmp_path):
-    with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        ids = library.add(drawn[::3])
-    output = tmp_path / "out.palpate"
-    assert learn_job(tmp_path / "library", output)["n_touches"] == 30
-    recogniser = ObjectRecogniser.load(output)
-    assert recogniser.memory_.touch_ids.tolist() == ids
-    memory = SensorMemory.from_dict(recogniser.memory_.sensor)
-    assert memory.n_touches == 30
-    assert (memory.no_contact == drawn.no_contact).all()
 
 
 def test_touches_too_few_for_two_objects_make_no_model(drawn, tmp_path):
@@ -325,8 +284,8 @@ def test_frames_go_on_while_a_session_learns(make_session, drawn, learning_apart
         assert session.health.to_dict()["n_dropped"] == 0
 
 
-def test_a_lesson_begins_while_another_is_learnt(make_session, learner_busy):
-    with make_session() as session:
+def test_a_lesson_begins_while_another_is_learnt(make_session, learning_apart):
+    with _learning._LEARNER._lock, make_session() as session:
         begins = threading.Thread(target=session.teach, args=("cup", 3), daemon=True)
         begins.start()
         assert waited(lambda: session.teacher.lesson is not None, 5.0)
@@ -415,44 +374,18 @@ def test_touches_without_contact_do_not_count_towards_the_mounting(
         assert session.alarm
 
 
-@pytest.fixture
-def library_with_empty_touches(drawn, tmp_path):
-    """Give a library of float images, two of which hold no number, and their ids."""
+def test_learning_leaves_out_touches_without_a_number_and_names_them(drawn, tmp_path):
     images = drawn.images[:60].astype(np.float32)
     images[[5, 41]] = np.nan
     touches = Touches(images, object=drawn.object[:60], geometry="array")
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        ids = library.add(touches=touches, session="one", progress=False)
-    return tmp_path / "library", [ids[5], ids[41]]
-
-
-def test_learning_leaves_out_touches_without_a_number_and_names_them(
-    library_with_empty_touches, tmp_path
-):
-    folder, empty = library_with_empty_touches
-    answer = learn_job(folder, tmp_path / "m.palpate")
-    assert sorted(answer["left_out"]) == sorted(empty)
-    assert answer["n_touches"] == 58
-    assert sorted(answer["objects"]) == ["bar", "disc"]
-
-
-def test_the_page_says_what_learning_left_out(library_with_empty_touches):
-    folder, empty = library_with_empty_touches
-    with LiveSession(library=folder) as session:
+        ids = library.add(touches)
+        empty = ids[5], ids[41]
+        with pytest.raises(ValueError, match=f"NaN in touch {', '.join(empty)}.*id"):
+            ObjectRecogniser("liu2014").fit(library.select())
+    with LiveSession(library=tmp_path / "library") as session:
         session.learn(wait=True)
         assert session.learn_error == ""
-        for key in empty:
-            assert key in session.message
-
-
-def test_a_library_is_refused_with_the_ids_of_touches_without_a_number(
-    library_with_empty_touches,
-):
-    folder, empty = library_with_empty_touches
-    with TouchLibrary.open(folder) as library:
-        with pytest.raises(
-            ValueError, match=f"NaN in touch {empty[0]}, {empty[1]}.*id"
-        ):
-            ObjectRecogniser("liu2014").fit(library.select())
-        others = library.select(f"id != '{empty[0]}' and id != '{empty[1]}'")
-        assert len(ObjectRecogniser("liu2014").fit(others).memory_) == 58
+        assert session.recogniser.classes_.tolist() == ["bar", "disc"]
+        assert len(session.recogniser.memory_) == 58
+        assert all(key in session.message for key in empty)

@@ -1,16 +1,20 @@
-"""The state of a sensor that is followed, without threads and without a server."""
+"""Sensors that are followed: what each tells, and several at one server."""
 
 import json
-import queue
 import threading
 import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
+from websockets.sync.client import connect
 
+from palpate import TouchLibrary
+from palpate.cli import app
+from palpate.recognition import ModelFileError
 from palpate.sensors import Frame, SensorError
-from palpate.web import LiveSession
+from palpate.web import LiveSession, PageServer
 
 from .conftest import Event, Still
 
@@ -32,68 +36,33 @@ def frame(image, number=0):
     return Frame(np.asarray(image), time.monotonic(), number)
 
 
+GREY, COLOUR = "4 x 5 taxels in grey", "4 x 5 taxels in colour"
+
+
 @pytest.mark.parametrize(
-    ("shape", "other", "sizes"),
+    ("shape", "other", "kinds", "fix"),
     [
-        ((4, 5), (6, 7), ("4 x 5 taxels", "6 x 7 taxels")),
-        ((4, 5, 3), (6, 7, 3), ("4 x 5 taxels", "6 x 7 taxels")),
-        ((4, 5), (4, 5, 3), ("4 x 5 taxels in grey", "4 x 5 taxels in colour")),
-        ((4, 5, 3), (4, 5), ("4 x 5 taxels in colour", "4 x 5 taxels in grey")),
+        ((4, 5), (6, 7), ("4 x 5 taxels", "6 x 7 taxels"), "learnt from."),
+        ((4, 5, 3), (6, 7, 3), ("4 x 5 taxels", "6 x 7 taxels"), "learnt from."),
+        ((4, 5), (4, 5, 3), (GREY, COLOUR), "with colour=1."),
+        ((4, 5, 3), (4, 5), (COLOUR, GREY), "with colour=0."),
     ],
 )
-def test_a_misfit_names_both_sizes_and_colour_where_that_differs(shape, other, sizes):
+def test_a_misfit_names_both_sizes_and_colour_where_that_differs(
+    shape, other, kinds, fix
+):
     watch = LiveSession(Still(shape)).watch
-    watch.compare_with(learnt(other))
-    sensor_size, model_size = sizes
-    assert (
-        f"images of {sensor_size}, which still gives, got one of {model_size}."
-        in watch.misfit
-    )
-
-
-def test_a_model_of_other_images_is_a_misfit(watch):
-    watch.compare_with(learnt((4, 4)))
+    watch.compare_with(learnt(shape))
     assert watch.misfit == ""
     assert watch.to_dict()["warnings"] == []
-    watch.compare_with(learnt((5, 4)))
-    sizes = "of 4 x 4 taxels, which still gives, got one of 5 x 4 taxels."
-    assert sizes in watch.misfit
-    assert watch.misfit.endswith("that the model learnt from.")
+    watch.compare_with(learnt(other))
+    of_sensor, of_model = kinds
+    words = f"images of {of_sensor}, which still gives, got one of {of_model}."
+    assert words in watch.misfit
+    assert watch.misfit.endswith(fix)
     assert watch.to_dict()["warnings"] == [watch.misfit]
-    watch.compare_with(learnt((4, 4, 3)))
-    assert "taxels in grey, which still gives, got one of 4 x 4 taxels in colour" in (
-        watch.misfit
-    )
-    assert watch.misfit.endswith("with colour=1.")
     watch.compare_with(None)
     assert watch.to_dict()["warnings"] == []
-
-
-@pytest.mark.parametrize(("level", "lower"), [(30, False), (10, True), (20, False)])
-def test_a_press_of_an_array_that_reads_lower_is_reported(watch, level, lower):
-    image = np.full((4, 4), 20, np.uint8)
-    watch.detector.take_baseline([image] * 3)
-    with pytest.raises(SensorError, match="There was no test press"):
-        watch.press_difference()
-    watch._asking, watch.press = True, np.full((4, 4), level, np.uint8)
-    assert watch.to_dict()["press"] == {"found": True, "lower": lower, "number": 0}
-    assert (watch.press_difference() == abs(level - 20)).all()
-    watch.end_press()
-    assert watch.press is None
-    assert watch.to_dict()["press"] is None
-
-
-def test_the_state_of_a_sensor_has_its_name_shape_and_baseline(watch):
-    state = watch.to_dict()
-    assert state["name"] == "still"
-    assert state["shape"] == [4, 4]
-    assert (state["baseline"], state["zero"], state["desk"]) == (False, False, None)
-    watch.address, watch.failed = "serial:x", "It is left out."
-    assert watch.to_dict()["name"] == "still (serial:x)"
-    assert watch.to_dict()["lost"] == "It is left out."
-    watch.detector.take_baseline([np.zeros((4, 4), np.uint8)] * 3)
-    assert watch.to_dict()["baseline"]
-    assert watch.to_dict()["zero"]
 
 
 def test_frames_go_to_those_who_take_frames(watch):
@@ -189,22 +158,6 @@ def test_two_who_ask_at_once_both_get_a_baseline(hand):
     assert [baseline.max() for baseline in taken] == [20, 20]
 
 
-def test_touches_are_tried_while_a_press_is_asked_for(watch, monkeypatch):
-    touch = SimpleNamespace(image=np.ones((4, 4), np.uint8))
-    monkeypatch.setattr(watch.detector, "update", lambda _: touch)
-    watch._asking = True
-    for number in (1, 2):
-        watch._step(frame(touch.image))
-        assert watch.to_dict()["press"]["number"] == number
-    assert watch._detected.empty()
-    watch.end_press()
-    last = frame(touch.image)
-    watch._step(last)
-    assert watch._detected.get_nowait() == (touch, last.time_s)
-    with pytest.raises(queue.Empty):
-        watch._detected.get_nowait()
-
-
 def test_the_last_forty_touches_are_compared(watch):
     taken = []
     watch._take = lambda touch, ended_s: taken.append((touch, ended_s))
@@ -251,3 +204,128 @@ def test_a_sensor_silent_for_two_seconds_has_no_rate(ago_s, rate_hz):
 
 def test_two_events_alike_are_two_events():
     assert Event("state") != Event("state")
+
+
+@pytest.fixture
+def missing(hand):
+    """Give a sensor that is not plugged in."""
+    hand.unplugged = True
+    return hand
+
+
+@pytest.fixture
+def fingers(make_session, drawn_model):
+    """Two sensors before which nothing lies yet, and the model of both."""
+    options = {"model": drawn_model, "library": None, "rate_hz": 100.0}
+    return [make_session(**options) for _ in range(2)]
+
+
+def test_each_sensor_has_an_episode_of_its_own(fingers, connected, drawn):
+    discs = drawn.images[drawn.object == "disc"]
+    with connected(fingers) as client:
+        for number, count in ((1, 2), (2, 3)):
+            for image in discs[:count]:
+                body = {"image": image.tolist()}
+                request = {"params": {"sensor": number}, "json": body}
+                assert client.post("/api/touch", **request).status_code == 200
+        episodes = [
+            client.get("/api/episode", params={"sensor": number}).json()["touches"]
+            for number in (1, 2)
+        ]
+        assert [len(touches) for touches in episodes] == [2, 3]
+        assert client.get("/api/episode").json()["touches"] == episodes[0]
+        client.post("/api/episode/start", params={"sensor": 2})
+        assert len(fingers[0].episode.touches) == 2
+        assert fingers[1].episode.touches == []
+        refused = client.get("/api/state", params={"sensor": 3})
+        assert refused.status_code == 404
+        assert refused.json()["detail"] == "sensor must be at most 2, got 3."
+
+
+def test_frames_and_states_of_all_go_through_one_websocket(fingers, serving):
+    with (
+        serving(fingers, "token") as (address, _),
+        connect(f"ws{address[4:]}/ws?token=token") as socket,
+    ):
+        seen = set()
+        while len(seen) < 4:
+            data = socket.recv(timeout=10)
+            if isinstance(data, bytes):
+                data = data[4 : 4 + int.from_bytes(data[:4], "big")]
+            event = json.loads(data)
+            if event["kind"] in ("frame", "state"):
+                seen.add((event["kind"], event["sensor_number"]))
+    assert seen == {(kind, n) for kind in ("frame", "state") for n in (1, 2)}
+
+
+def test_a_sensor_that_fails_is_reported_and_the_other_goes_on(
+    fingers, missing, connected
+):
+    with connected([LiveSession(missing), fingers[1]]) as client:
+        first = client.get("/api/state").json()["sensor"]
+        assert first["lost"] == "It is left out: it is unplugged"
+        second = client.get("/api/state", params={"sensor": 2}).json()["sensor"]
+        assert second["lost"] == ""
+        assert client.get("/api/frame", params={"sensor": 2}).status_code == 200
+    with pytest.raises(SensorError, match="it is unplugged"):
+        LiveSession.start_all([LiveSession(missing), LiveSession(missing)])
+
+
+def test_serve_refuses_a_sensor_named_twice_and_a_library_of_one_sensor(
+    tmp_path, monkeypatch
+):
+    def refusal(*arguments):
+        result = CliRunner().invoke(app, ["serve", "--port", "0", *arguments])
+        assert result.exit_code
+        return " ".join(f"{result.output} {result.exception}".split())
+
+    two = "--sensor", "sim:mug", "--sensor", "sim:mug"
+    assert "--sensor must name each once, got sim:mug, sim:mug. Sim" in refusal(*two)
+    (tmp_path / "library.sqlite").touch()
+    several = "--sensor", "sim:mug", "--sensor", "sim:box", "--library", str(tmp_path)
+    assert "name a --library that is none of one sensor" in refusal(*several)
+    (tmp_path / "library.sqlite").unlink()
+    copied = []
+    monkeypatch.setattr(
+        "palpate.cli.serve.model_file", lambda *of: copied.append(of) or of[0]
+    )
+    assert "leave --model out" in refusal(*several, "--model", "sim-dome")
+    assert copied == []
+
+
+def test_two_sensors_of_one_kind_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
+    """Folders of the library, and names on the page, differ by the address."""
+    served = []
+    monkeypatch.setattr("palpate.web.create_app", lambda all_, *_, **__: [*all_])
+    monkeypatch.setattr(PageServer, "run", lambda _, app: served.extend(app))
+    monkeypatch.setattr(LiveSession, "start_all", lambda sessions: None)
+    two = "--sensor", "sim:bar10?seed=1", "--sensor", "sim:bar10?seed=2"
+    words = ["serve", "--port", "0", *two, "--library", str(tmp_path / "hand")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    names = [session.watch.to_dict()["name"] for session in served]
+    assert [name[-18:] for name in names] == [
+        "(sim:bar10?seed=1)",
+        "(sim:bar10?seed=2)",
+    ]
+    folders = [session.teacher.folder.name for session in served]
+    assert folders == ["sim-bar10-seed-1", "sim-bar10-seed-2"]
+
+
+def test_a_session_that_cannot_begin_lets_go_of_its_library(
+    missing, tmp_path, monkeypatch
+):
+    closed, plain = [], TouchLibrary.close
+
+    def close(library):
+        closed.append(library)
+        plain(library)
+
+    TouchLibrary.open(tmp_path / "lab", create=True).close()
+    monkeypatch.setattr(TouchLibrary, "close", close)
+    with pytest.raises(SensorError), LiveSession(missing, library=tmp_path / "lab"):
+        pass
+    (tmp_path / "m.palpate").write_bytes(b"no model")
+    with pytest.raises(ModelFileError):
+        LiveSession(model=tmp_path / "m.palpate", library=tmp_path / "lab")
+    assert len(closed) == 2
