@@ -1,5 +1,6 @@
 """Stored touches removed and moved, undone also after a restart; a lesson resumed."""
 
+import json
 import os
 import time
 

@@ -222,12 +222,12 @@ class Memory:
 
     @property
     def copied_elsewhere(self) -> Bools:
-        """Which touches have a copy, as above, in another session; (n_touches,)."""
+        """Which touches are in another session as well, but for rounding."""
         copied = np.zeros(len(self), dtype=bool)
         for rows in rows_of_each(self.objects):
             if len(rows) < 2:
                 continue
-            copies = _copies(self.features[rows])
+            copies = _copies(self.features[rows], _SAME**2)
             touch = connected_components(copies, directed=False)[1]
             pairs = np.unique(np.stack([touch, _codes(self.sessions[rows])]), axis=1)
             copied[rows] = np.bincount(pairs[0])[touch] > 1
@@ -495,13 +495,16 @@ def n_met(objects: Array, visits: Array) -> Indices:
     return np.unique(np.unique(pairs, axis=1)[0], return_counts=True)[1]
 
 
-def _copies(features: Floats) -> csr_array:
-    """Return which touches of one object are copies of each other, as a graph."""
+def _copies(features: Floats, share: float = COPY) -> csr_array:
+    """Return which touches of one object are copies of each other, as a graph.
+
+    They are nearer than a `share` of the median squared distance.
+    """
     centred = features - features.mean(axis=0)
     squares = np.einsum("ij,ij->i", centred, centred)
     sampled = centred[:: -(-len(centred) // MOST_MARKS)]
     # What is less is rounding.
-    limit = COPY * np.median(pdist(sampled, "sqeuclidean")) + 1e-13 * squares.max()
+    limit = share * np.median(pdist(sampled, "sqeuclidean")) + 1e-13 * squares.max()
     pairs = []
     for start in range(0, len(centred), AT_ONCE):
         here = slice(start, start + AT_ONCE)
