@@ -539,13 +539,28 @@ def test_a_touch_without_a_living_taxel_in_one_channel_is_named_by_its_id(rng):
 
 def test_senses_and_objects_must_have_names(learnt):
     examples = np.eye(6), ["ball"] * 3 + ["mug"] * 3
-    for name in ("", None, 5, "unknown"):
+    for name in ("", "  ", "a\nmug", None, 5, "unknown"):
         with pytest.raises(ValueError, match="name must"):
             learnt.learn_modality(name, *examples)
         with pytest.raises(ValueError, match="name must"):
             learnt.add_object(name, drawn(1)[:4])
     learnt.learn_modality("sight", *examples)
     assert list(learnt.modalities_) == ["sight"]
+
+
+def test_both_spellings_of_a_letter_name_one_object():
+    """A folder of macOS is spelt with accents of their own; `Touches` are not."""
+    of_touches, of_folder = "caf\u00e9", "cafe\u0301"
+    touches = drawn(0, n_each=5)
+    names = np.where(touches.object == "mug", of_folder, touches.object)
+    learnt = ObjectRecogniser().fit(touches.with_columns(object=names))
+    with pytest.raises(ValueError, match="name must be new"):
+        learnt.add_object(of_folder, touches[:4])
+    learnt.extend_object(of_folder, touches[:4])
+    assert learnt.memory_.labels[-4:].tolist() == [of_touches] * 4
+    deepcopy(learnt).forget_object(of_folder)
+    learnt.replace_objects(None, forget=[of_folder]).add_object(of_folder, touches[:4])
+    assert learnt.classes_.tolist() == ["ball", of_touches, "pen"]
 
 
 def test_labels_of_touches_or_beside_them_teach_the_same():

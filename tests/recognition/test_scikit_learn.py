@@ -55,6 +55,21 @@ def test_labels_keep_their_kind(images_and_labels):
         learnt.add_object("cup", images[:4])
 
 
+WRONG_NUMBERS = {"01": "as int8 is the known label 1", "200": "of int8, got '200'"}
+
+
+def test_a_name_that_no_new_label_stands_for_is_refused(images_and_labels):
+    images, labels = images_and_labels
+    is_ball = labels == labels[0]
+    learnt = ObjectRecogniser().fit(images, is_ball)
+    assert learnt.extend_object("False", images[:4]).memory_.labels[-4:].sum() == 0
+    learnt.fit(images, is_ball.astype(np.int8))
+    for name, message in WRONG_NUMBERS.items():
+        with pytest.raises(ValueError, match=message):
+            learnt.add_object(name, images[:4])
+    assert learnt.memory_.labels.tolist() == is_ball.tolist()
+
+
 @pytest.mark.parametrize("label", ["object", "category"])
 def test_touches_name_numbers_that_were_learnt_in_texts(images_and_labels, label):
     images, labels = images_and_labels

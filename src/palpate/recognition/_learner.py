@@ -19,6 +19,7 @@ from .._checks import (
     check_number,
     check_option,
     check_targets,
+    one_spelling,
     unmasked,
 )
 from .._numbers import log_softmax, with_floor, without_gaps
@@ -166,6 +167,7 @@ class Learner(BaseEstimator):
             If the object is known, or has fewer than two touches.
         """
         self._check_fitted()
+        name = self._spelt(name)
         if name in self._names():
             raise ValueError(
                 f"name must be new, got {name!r}, which is known already. Add touches "
@@ -184,7 +186,7 @@ class Learner(BaseEstimator):
         met again every day neither grows for ever nor forgets its first days.
         """
         self._check_fitted()
-        check_option("name", name, self._names())
+        name = check_option("name", self._spelt(name), self._names())
         memory = self.memory_.plus(self._memory_of(name, touches, 1))
         if most is not None:
             memory = memory.newest(name, check_count("most", most, at_least=2))
@@ -208,7 +210,7 @@ class Learner(BaseEstimator):
             If fewer than two objects would remain, or labels are missing.
         """
         self._check_fitted()
-        memory = self.memory_.without(forget)
+        memory = self.memory_.without(map(self._spelt, forget))
         for name, of_object in _memory.by_label(touches, self.label):
             memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
@@ -240,7 +242,7 @@ class Learner(BaseEstimator):
             If it is not known, or fewer than two would remain.
         """
         self._check_fitted()
-        check_option("name", name, self._names())
+        name = check_option("name", self._spelt(name), self._names())
         return self._relearn(self.memory_.without([name]))
 
     def remount(self, touches: Touches) -> Self:
@@ -464,17 +466,32 @@ class Learner(BaseEstimator):
         X = unmasked("X", X)
         return without_places(validate_data(self, X, reset=False, dtype=np.float64))
 
+    def _spelt(self, name: str) -> str:
+        """Return a name as it was learnt, else in the one spelling of `Touches`."""
+        if name in self._names() or not isinstance(name, str):
+            return name
+        return one_spelling(name) or name
+
     def _as_label(self, name: str) -> Any:
         """Return a name as a label of the kind of the known ones."""
-        dtype = self.memory_.labels.dtype
+        dtype, known = self.memory_.labels.dtype, self._names()
         if dtype.kind == "U":
             return name
+        if name in known:
+            return self.classes_[known.index(name)]
         try:
-            return dtype.type(name)
-        except ValueError as error:
+            label = dtype.type(name)
+        except (OverflowError, ValueError) as error:
             raise ValueError(
-                f"name must be a number like the known labels, got {name!r}."
+                f"name must be a number like the known labels, of {dtype}, got "
+                f"{name!r}."
             ) from error
+        if label in self.classes_:
+            raise ValueError(
+                f"name must be new, got {name!r}, which as {dtype} is the known label "
+                f"{label}. Add touches to that with extend_object, or learn texts."
+            )
+        return label
 
     def _relearn(self, memory: Memory) -> Self:
         """Learn a memory with the encoding and the choices made; all or nothing."""

@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist, pdist
 
-from .._checks import check_label_kinds
+from .._checks import check_label_kinds, one_spelling
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import KernelRidgeClassifier
 from ..touches import Touches, TouchSource
@@ -430,6 +430,11 @@ def check_name(name: object) -> str:
     """Return the name of an object or category, or say what it should be."""
     if not isinstance(name, str) or not name:
         raise ValueError(f"name must be a text that is not empty, got {name!r}.")
+    if one_spelling(name) is None or not name.strip():
+        raise ValueError(
+            f"name must be of letters that can be printed, got {name!r}. Leave out "
+            "line breaks and control characters."
+        )
     if name == UNKNOWN:
         raise ValueError(
             f"name must not be {UNKNOWN!r}, which is what `decide` says of things that "
