@@ -507,6 +507,30 @@ def test_of_categories_whole_objects_are_left_out_where_there_are_several():
     )
 
 
+LATER = {
+    "add": (["mug 0", "mug 1"], lambda model, new: model.add_object("mug", new)),
+    "replace": (["mug 0", "mug 1"], lambda model, new: model.replace_objects(new)),
+    "extend": (["mug 1"], lambda model, new: model.extend_object("mug", new)),
+    "beside": (["mug 1"], lambda model, new: model.learn_beside(model.memory_, new)),
+}
+
+
+@pytest.mark.parametrize("change", LATER)
+def test_objects_of_a_category_are_left_out_whole_whenever_they_are_learnt(change):
+    """Of seven touches each, so that blocks of fourteen would hold some of both."""
+    touches = drawn(0, n_each=14)
+    objects = [f"{kind} {k // 7 % 2}" for k, kind in enumerate(touches.object)]
+    touches = touches.with_columns(object=objects, category=touches.object)
+    names, learn = LATER[change]
+    is_later = np.isin(objects, names)
+    recogniser = ObjectRecogniser(label="category").fit(touches[~is_later])
+    memory = learn(recogniser, touches[is_later]).memory_
+    blocks = [set(memory.blocks[memory.objects == n]) for n in ("mug 0", "mug 1")]
+    assert [*map(len, blocks)] == [1, 1]
+    assert blocks[0] != blocks[1]
+    assert memory.units == (6, "these objects, recorded as when they were learnt")
+
+
 @pytest.mark.parametrize(
     ("labels", "error", "message"),
     [

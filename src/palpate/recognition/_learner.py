@@ -188,6 +188,7 @@ class Learner(BaseEstimator):
         self._check_fitted()
         name = check_option("name", self._spelt(name), self._names())
         memory = self.memory_.plus(self._memory_of(name, touches, 1))
+        memory = memory.with_whole_objects(name)
         if most is not None:
             memory = memory.newest(name, check_count("most", most, at_least=2))
         return self._relearn(memory)
@@ -231,6 +232,7 @@ class Learner(BaseEstimator):
         for name, of_object in _memory.by_label(touches, self.label):
             least = 1 if name in memory.labels.astype(str) else 2
             memory = memory.plus_once(self._memory_of(name, of_object, least))
+            memory = memory.with_whole_objects(name)
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
@@ -438,12 +440,13 @@ class Learner(BaseEstimator):
             )
         labels = np.full(len(checked), self._as_label(name))
         objects: Array = labels
+        blocks = _memory.blocks_in_order(labels, checked.order)
         if self.label == "category" and checked.object is not None:
             objects = checked.object
+            blocks = _memory.left_out_groups(checked, labels, objects, self.label)
         encoding = encoded(self.encoder_, self.contact_, checked)
-        blocks = _memory.blocks_in_order(labels, checked.order)
-        memory = memory_of(checked, encoding, labels, labels, blocks)
-        return replace(memory.with_copies_together(), objects=objects)
+        memory = memory_of(checked, encoding, labels, objects, blocks)
+        return memory.with_copies_together()
 
     def _validated_input(self, X: Any, y: Any) -> tuple[Any, Any]:
         """Return what `fit` is given; feature vectors as touches without geometry."""

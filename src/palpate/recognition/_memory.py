@@ -220,6 +220,19 @@ class Memory:
                 blocks[rows] = blocks.max() + 1 + touch * n_blocks // n_touches
         return replace(self, blocks=blocks)
 
+    def with_whole_objects(self, label: object) -> Self:
+        """Return this with each object of a category in one block, as `fit` has them.
+
+        See `left_out_groups`; a label that is one object keeps its blocks.
+        """
+        rows = np.flatnonzero(self.labels.astype(str) == str(label))
+        names, codes = np.unique(self.objects[rows], return_inverse=True)
+        if len(names) < 2:
+            return self
+        blocks = self.blocks.copy()
+        blocks[rows] = blocks.max() + 1 + codes
+        return replace(self, blocks=blocks)
+
     @property
     def copied_elsewhere(self) -> Bools:
         """Which touches have a copy, as above, in another session; (n_touches,)."""
