@@ -2,6 +2,7 @@
 
 import json
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -297,6 +298,26 @@ def test_a_category_is_told_by_all_touches_and_never_called_unknown():
     assert memory.category_of.tolist() == ["toy", "", "", "tool"]
 
 
+@pytest.mark.parametrize(
+    "learn",
+    [
+        lambda model, new: model.extend_object("ball", new[:4]),
+        lambda model, new: model.remount(new),
+        lambda model, new: model.learn_beside(model.memory_, new),
+    ],
+    ids=["extend", "remount", "beside"],
+)
+def test_later_touches_that_tell_no_category_leave_the_objects_theirs(learn):
+    touches = drawn(0)
+    kinds = np.where(touches.object == "pen", "tool", "vessel")
+    learnt = ObjectRecogniser().fit(touches.with_columns(category=kinds))
+    learn(learnt, drawn(1, n_each=4))
+    assert learnt.memory_.category_of.tolist() == ["vessel", "vessel", "tool"]
+    assert set(learnt.start().categories) == {"vessel", "tool"}
+    learnt.add_object("cup", drawn(3, ("ball",), 4))
+    assert learnt.memory_.category_of.tolist() == ["vessel", "", "vessel", "tool"]
+
+
 def test_units_are_objects_or_objects_in_a_session():
     labels = ["a"] * 4 + ["b"] * 4 + ["c"] * 4
     alone = memory_of(labels, np.arange(12) // 2)
@@ -324,7 +345,7 @@ def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
     assert both.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 2, 5, 5]
     assert both.sensor == {"kind": "mat"}
     other = memory_of(["c"] * 2, [0, 1], sensor={"kind": "pad"})
-    bare = Memory(**{**vars(first), "sensor": None}).plus(other)
+    bare = replace(first, sensor=None).plus(other)
     # Of another object even the same features are no copy.
     assert bare.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 5]
     assert bare.sensor == {"kind": "pad"}

@@ -179,11 +179,18 @@ class Memory:
     def plus(self, other: Self) -> Self:
         """Return both, the other one last, its blocks numbered after these.
 
-        Touches of the other that are copies of these join their blocks.
+        Touches of the other that are copies of these join their blocks; those that tell
+        no category are of their object's.
         """
         if not len(self):
             return replace(other, sensor=self.sensor or other.sensor)
-        later = replace(other, blocks=other.blocks + self.blocks.max() + 1)
+        known = dict(zip(self.classes.tolist(), self.category_of, strict=True))
+        usual = np.array([known.get(label, "") for label in other.labels.tolist()])
+        later = replace(
+            other,
+            blocks=other.blocks + self.blocks.max() + 1,
+            categories=np.where(other.categories == "", usual, other.categories),
+        )
         rows = {
             name: np.concatenate([getattr(self, name), getattr(later, name)])
             for name in _COLUMNS
