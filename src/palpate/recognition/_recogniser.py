@@ -429,7 +429,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         try:
             model.encodings = model._user_encodings() or None
             for encoding in model._user_encodings().values():
-                encoding.check_again()
+                _check_as_learnt(encoding)
             model._check_parameters()
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
                 model.strangers_ = model._learnt_strangers()
@@ -441,6 +441,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
                     blank = model.evidence(model.encoder_.blank_touch())
                     row = model.classifier_.log_likelihood(blank.features)
                     try_one_touch(model.start(), blank, row)
+        except ModelFileError:
+            raise
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
@@ -495,6 +497,18 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         tags.input_tags.three_d_array = True
         tags.input_tags.allow_nan = True
         return tags
+
+
+def _check_as_learnt(encoding: UserEncoding) -> None:
+    """Refuse an encoding that was given with a file and is not as it was learnt."""
+    try:
+        encoding.check_again()
+    except Exception as error:
+        raise ModelFileError(
+            f"encodings[{encoding.name!r}] must be as it was learnt: "
+            f"{str(error).rstrip('.')}. What a file cannot hold it must still have: "
+            "give it as it was fitted."
+        ) from error
 
 
 def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
