@@ -136,6 +136,7 @@ def test_clone_has_learnt_nothing(images_and_labels):
         lambda: fresh.save("m.palpate"),
         lambda: fresh.add_object("cup", images_and_labels[0]),
         fresh.summary,
+        fresh.limits_message,
     ):
         with pytest.raises(NotFittedError, match="learnt nothing yet; call fit"):
             use()

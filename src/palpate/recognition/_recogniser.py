@@ -323,7 +323,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
                 "This recogniser has learnt no poses; `ObjectRecogniser.fit_pose` "
                 "learns them."
             )
-        return self.pose_.estimate(touches.images, labels)
+        return self.pose_.estimate(touches.images, np.asarray(labels).astype(str))
 
     def summary(self) -> dict[str, Any]:
         """Return what was learnt, as plain values for people and for JSON."""
@@ -385,6 +385,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
 
     def limits_message(self) -> str:
         """Return what a name is worth where few objects, or touches, were learnt."""
+        self._check_fitted()
         names, counts = np.unique(self.memory_.labels.astype(str), return_counts=True)
         sentences = few_objects_warning(len(names), self.label)
         few = names[counts < FEW_TOUCHES].tolist()
