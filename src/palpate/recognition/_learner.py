@@ -504,7 +504,12 @@ class Learner(BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        return self.serve(self.learnt().relearnt(memory))
+        self.serve(self.learnt().relearnt(memory))
+        if remount := self.chosen_.get("remount"):
+            names = self._names()
+            confirm = [name for name in remount.get("confirm", ()) if name in names]
+            self.chosen_ = {**self.chosen_, "remount": {**remount, "confirm": confirm}}
+        return self
 
     def serve(self, learnt: Learnt) -> Self:
         """Recognise by what was learnt from now on; all or nothing."""
