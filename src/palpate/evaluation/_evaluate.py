@@ -279,8 +279,10 @@ def _meet_unknown(
     objects = unknown.object if unknown.object is not None else unknown.category
     if objects is None:
         objects = np.full(len(unknown), "unknown")
-    memory = recogniser.memory_
-    learnt = np.intersect1d(objects, np.union1d(memory.objects, memory.labels))
+    memory, names = recogniser.memory_, objects
+    if plan.label == "category" and unknown.category is not None:
+        names = np.union1d(objects, unknown.category)
+    learnt = np.intersect1d(names, np.union1d(memory.objects, memory.labels))
     if len(learnt):
         raise ValueError(
             f"unknown touches must be of objects that were not learnt, got "
