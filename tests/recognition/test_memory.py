@@ -193,6 +193,9 @@ def test_sessions_are_remembered():
     assert set(memory.sessions) == {"mon", "tue"}
     assert len(set(memory.blocks)) == 2
     assert set(ObjectRecogniser().fit(drawn(0)).memory_.sessions) == {""}
+    days = np.tile([1.0, 2.0, np.nan], 12)  # a data frame's, where some are not known
+    memory = ObjectRecogniser().fit(drawn(0).with_columns(session=days)).memory_
+    assert set(memory.sessions) == {"1.0", "2.0", ""}
 
 
 @pytest.mark.parametrize(

@@ -227,7 +227,8 @@ def _remounted(
         return {None: recogniser}, tested, evidence, test[confirmed]
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
-    of_sessions = {s: in_order[session[in_order] == s] for s in np.unique(session)}
+    names, codes = np.unique(session, return_inverse=True)
+    of_sessions = {s: in_order[codes[in_order] == k] for k, s in enumerate(names)}
     recognisers = {s: copy(recogniser) for s in of_sessions}
     for s, rows in of_sessions.items():
         recognisers[s].remount(test[rows[:number]].without(*labels))
