@@ -147,6 +147,8 @@ def test_groups_are_left_out_together(images_and_labels):
     groups = np.arange(48) // 12
     learnt = ObjectRecogniser().fit(images, labels, groups=groups)
     assert_array_equal(learnt.memory_.blocks, groups)
+    with pytest.raises(ValueError, match=r"groups must be .* two.* got one"):
+        learnt.fit(images, labels, groups=["monday"] * 48)
 
 
 def test_bad_input_is_refused(images_and_labels):
