@@ -140,6 +140,28 @@ def test_a_belief_goes_on_by_what_was_learnt_when_it_began(learnt):
     assert [*learnt.start().update(ball).posterior] == ["ball", "cup", "pen"]
 
 
+ASKED = {
+    "start": lambda model, touches: [*model.start().update(touches).posterior],
+    "predict": lambda model, touches: model.predict(touches).tolist(),
+    "predict_proba": lambda model, touches: model.predict_proba(touches).shape,
+}
+
+
+@pytest.mark.parametrize("ask", ASKED.values(), ids=ASKED)
+def test_what_another_thread_learns_meanwhile_is_not_mixed_in(learnt, monkeypatch, ask):
+    balls, prior = drawn(2)[:2], ObjectRecogniser.log_prior
+    expected = ask(learnt, balls)
+    later = deepcopy(learnt).add_object("cup", drawn(3, ("mug",)))
+
+    def prior_while_another_learns(self):
+        vars(learnt).update(vars(later))
+        return prior(self)
+
+    monkeypatch.setattr(ObjectRecogniser, "log_prior", prior_while_another_learns)
+    assert ask(learnt, balls) == expected
+    assert "cup" in learnt.classes_
+
+
 def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
     test, before = drawn(2), learnt.memory_
     likelihood = learnt.log_likelihood(test)
