@@ -137,6 +137,11 @@ def test_a_touch_classifier_of_the_user_gives_the_whole_belief(touches):
     [
         ({"encodings": [Means()]}, TypeError, "encodings must map names"),
         ({"encodings": {"m": Means}}, TypeError, "must be a transformer with fit"),
+        (
+            {"encodings": {"m": [Means(), LinearDiscriminantAnalysis()]}},
+            TypeError,
+            r"encodings\['m'\] must learn without labels, got LinearDiscriminant",
+        ),
         ({"encodings": {"": Means()}}, ValueError, "must have texts as names"),
         ({"encodings": {"m": []}}, ValueError, "a transformer each"),
         ({"encodings": {"taxels": Means()}}, ValueError, "'taxels', which is one of"),

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.utils import check_array
+from sklearn.utils import check_array, get_tags
 
 from .._checks import check_number
 from .._numbers import with_floor
@@ -173,6 +173,12 @@ def user_encodings(encodings: Mapping[str, Encoding] | None) -> dict[str, UserEn
                 raise TypeError(
                     f"encodings[{name!r}] must be a transformer with fit and "
                     f"transform, or a list of them, got {step!r}."
+                )
+            has_tags = hasattr(step, "__sklearn_tags__")
+            if has_tags and get_tags(step).target_tags.required:
+                raise TypeError(
+                    f"encodings[{name!r}] must learn without labels, got {step!r}. Put "
+                    "it before a classifier: classifier=make_pipeline(...)."
                 )
         already = len(steps) == 1 and isinstance(steps[0], UserEncoding)
         checked[name] = UserEncoding(name, steps[0].steps if already else steps)
