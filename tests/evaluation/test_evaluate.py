@@ -279,6 +279,15 @@ def test_text_in_backticks_is_code_in_a_report(result, tmp_path):
         ({"test": drawn(1, ("mug_a", "key_a"))}, "'key_a', which was not learnt"),
         ({"split": "last", "plan": Plan(touches=(500,))}, "a number up to 4"),
         ({"split": "last", "unknown": drawn(1, ("mug_a",))}, "got 'mug_a'"),
+        # A mug that was never learnt is no stranger where mugs are.
+        (
+            {
+                "split": "last",
+                "unknown": drawn(1, ("key_a", "mug_c")),
+                "plan": Plan(label="category"),
+            },
+            "unknown touches must be of .* got 'mug'",
+        ),
     ],
 )
 def test_arguments_that_cannot_be_are_refused(arguments, message):

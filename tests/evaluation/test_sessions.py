@@ -70,6 +70,20 @@ def test_using_the_touches_of_a_session_without_labels_helps():
     assert trial.recogniser.chosen_["remount"]["n_touches"] == 10
 
 
+def test_touches_of_no_known_session_get_used_to_one_of_their_own():
+    train, test = visited("mon", 8, 0), visited("mon", 6, 1)
+    days = {n: np.tile([1, 2, none], 10) for n, none in (("nan", np.nan), ("3", 3))}
+    figures = [
+        evaluate(
+            train,
+            test.with_columns(session=session),
+            plan=Plan(touches=(1,), orders=2, remount="recentre"),
+        )[0]["accuracy"]
+        for session in days.values()
+    ]
+    assert figures[0] == figures[1]
+
+
 def test_for_test_touches_of_another_session_remounting_is_recommended():
     train, test = visited("mon", 12, 0), visited("tue", 12, 1)
     figures, (trial,) = evaluate(train, test, plan=PLAN)

@@ -148,6 +148,10 @@ def test_evidence_taken_apart_is_put_together_again(rng):
     whole = Evidence(features, log_likelihood, flags, *others)
     alone = [whole.of_touch(k) for k in range(5)]
     assert [part.flags for part in alone] == [[flag] for flag in flags]
+    assert whole.of_touch(-2).flags == ["saturated"]
+    for beyond in (5, -6):
+        with pytest.raises(IndexError, match=f"{beyond} is out of range: there are 5"):
+            whole.of_touch(beyond)
     assert {len(array) for part in alone for array in part} == {1}
     for joined, original in zip(Evidence.together(alone), whole, strict=True):
         assert np.array_equal(joined, original)

@@ -2,6 +2,7 @@
 
 import json
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -125,6 +126,28 @@ def test_a_belief_goes_on_by_what_was_learnt_when_it_began(learnt):
     assert [*learnt.start().update(ball).posterior] == ["ball", "cup", "pen"]
 
 
+ASKED = {
+    "start": lambda model, touches: [*model.start().update(touches).posterior],
+    "predict": lambda model, touches: model.predict(touches).tolist(),
+    "predict_proba": lambda model, touches: model.predict_proba(touches).shape,
+}
+
+
+@pytest.mark.parametrize("ask", ASKED.values(), ids=ASKED)
+def test_what_another_thread_learns_meanwhile_is_not_mixed_in(learnt, monkeypatch, ask):
+    balls, prior = drawn(2)[:2], ObjectRecogniser.log_prior
+    expected = ask(learnt, balls)
+    later = deepcopy(learnt).add_object("cup", drawn(3, ("mug",)))
+
+    def prior_while_another_learns(self):
+        vars(learnt).update(vars(later))
+        return prior(self)
+
+    monkeypatch.setattr(ObjectRecogniser, "log_prior", prior_while_another_learns)
+    assert ask(learnt, balls) == expected
+    assert "cup" in learnt.classes_
+
+
 def test_a_failed_change_leaves_the_recogniser_as_it_was(learnt):
     test, before = drawn(2), learnt.memory_
     likelihood = learnt.log_likelihood(test)
@@ -170,6 +193,12 @@ def test_learning_anew_that_fails_leaves_what_was_learnt(learnt, monkeypatch):
     # What is learnt anew is nothing but that.
     learnt.learn_modality("sight", np.arange(8.0)[:, None], ["ball", "mug"] * 4)
     assert learnt.fit(drawn(3)).modalities_ == {}
+
+
+def test_a_session_that_is_not_a_number_is_not_known():
+    days = np.tile([1.0, 2.0, np.nan], 12)  # a data frame's
+    memory = ObjectRecogniser().fit(drawn(0).with_columns(session=days)).memory_
+    assert set(memory.sessions) == {"1.0", "2.0", ""}
 
 
 @pytest.mark.parametrize(
@@ -251,6 +280,26 @@ def test_a_memory_gives_its_length_classes_categories_and_looks():
     assert memory_of(["a"] * 8, looks=looks).looks is looks
 
 
+@pytest.mark.parametrize(
+    "learn",
+    [
+        lambda model, new: model.extend_object("ball", new[:4]),
+        lambda model, new: model.remount(new),
+        lambda model, new: model.learn_beside(model.memory_, new),
+    ],
+    ids=["extend", "remount", "beside"],
+)
+def test_later_touches_that_tell_no_category_leave_the_objects_theirs(learn):
+    touches = drawn(0)
+    kinds = np.where(touches.object == "pen", "tool", "vessel")
+    learnt = ObjectRecogniser().fit(touches.with_columns(category=kinds))
+    learn(learnt, drawn(1, n_each=4))
+    assert learnt.memory_.category_of.tolist() == ["vessel", "vessel", "tool"]
+    assert set(learnt.start().categories) == {"vessel", "tool"}
+    learnt.add_object("cup", drawn(3, ("ball",), 4))
+    assert learnt.memory_.category_of.tolist() == ["vessel", "", "vessel", "tool"]
+
+
 def test_units_are_objects_or_objects_in_a_session():
     labels = ["a"] * 4 + ["b"] * 4 + ["c"] * 4
     alone = memory_of(labels, np.arange(12) // 2)
@@ -279,7 +328,7 @@ def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
     assert both.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 2, 5, 5]
     assert both.sensor == {"kind": "mat"}
     other = memory_of(["c"] * 2, [0, 1], sensor={"kind": "pad"})
-    bare = Memory(**{**vars(first), "sensor": None}).plus(other)
+    bare = replace(first, sensor=None).plus(other)
     # Of another object even the same features are no copy.
     assert bare.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 5]
     assert bare.sensor == {"kind": "pad"}
@@ -471,6 +520,30 @@ def test_of_categories_whole_objects_are_left_out_where_there_are_several():
     )
 
 
+LATER = {
+    "add": (["mug 0", "mug 1"], lambda model, new: model.add_object("mug", new)),
+    "replace": (["mug 0", "mug 1"], lambda model, new: model.replace_objects(new)),
+    "extend": (["mug 1"], lambda model, new: model.extend_object("mug", new)),
+    "beside": (["mug 1"], lambda model, new: model.learn_beside(model.memory_, new)),
+}
+
+
+@pytest.mark.parametrize("change", LATER)
+def test_objects_of_a_category_are_left_out_whole_whenever_they_are_learnt(change):
+    """Of seven touches each, so that blocks of fourteen would hold some of both."""
+    touches = drawn(0, n_each=14)
+    objects = [f"{kind} {k // 7 % 2}" for k, kind in enumerate(touches.object)]
+    touches = touches.with_columns(object=objects, category=touches.object)
+    names, learn = LATER[change]
+    is_later = np.isin(objects, names)
+    recogniser = ObjectRecogniser(label="category").fit(touches[~is_later])
+    memory = learn(recogniser, touches[is_later]).memory_
+    blocks = [set(memory.blocks[memory.objects == n]) for n in ("mug 0", "mug 1")]
+    assert [*map(len, blocks)] == [1, 1]
+    assert blocks[0] != blocks[1]
+    assert memory.units == (6, "these objects, recorded as when they were learnt")
+
+
 @pytest.mark.parametrize(
     ("labels", "error", "message"),
     [
@@ -508,7 +581,7 @@ def test_a_touch_without_a_living_taxel_in_one_channel_is_named_by_its_id(rng):
 
 def test_senses_and_objects_must_have_names(learnt):
     examples = np.eye(6), ["ball"] * 3 + ["mug"] * 3
-    for name in ("", None, 5, "unknown"):
+    for name in ("", "  ", "a\nmug", None, 5, "unknown"):
         with pytest.raises(ValueError, match="name must"):
             learnt.learn_modality(name, *examples)
         with pytest.raises(ValueError, match="name must"):
@@ -517,12 +590,27 @@ def test_senses_and_objects_must_have_names(learnt):
     assert list(learnt.modalities_) == ["sight"]
 
 
+def test_both_spellings_of_a_letter_name_one_object():
+    """A folder of macOS is spelt with accents of their own; `Touches` are not."""
+    of_touches, of_folder = "caf\u00e9", "cafe\u0301"
+    touches = drawn(0, n_each=5)
+    names = np.where(touches.object == "mug", of_folder, touches.object)
+    learnt = ObjectRecogniser().fit(touches.with_columns(object=names))
+    with pytest.raises(ValueError, match="name must be new"):
+        learnt.add_object(of_folder, touches[:4])
+    learnt.extend_object(of_folder, touches[:4])
+    assert learnt.memory_.labels[-4:].tolist() == [of_touches] * 4
+    deepcopy(learnt).forget_object(of_folder)
+    learnt.replace_objects(None, forget=[of_folder]).add_object(of_folder, touches[:4])
+    assert learnt.classes_.tolist() == ["ball", of_touches, "pen"]
+
+
 def test_labels_of_touches_or_beside_them_teach_the_same():
     touches = drawn(0, n_each=5)
     from_labels = ObjectRecogniser("corradi2015").fit(
         touches.without("object"), touches.object
     )
-    from_touches = ObjectRecogniser("corradi2015").fit(touches)
+    from_touches = ObjectRecogniser("corradi2015").fit([touches[:8], touches[8:]])
     assert_array_equal(from_labels.predict(drawn(1)), from_touches.predict(drawn(1)))
     assert_array_equal(from_labels.memory_.objects, from_touches.memory_.objects)
     kinds = np.where(touches.object == "pen", "tool", "thing")

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.pipeline import FeatureUnion, make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.svm import LinearSVC
 
@@ -123,6 +124,11 @@ def test_a_touch_classifier_of_the_user_gives_the_whole_belief(touches):
     [
         ({"encodings": [Means()]}, TypeError, "encodings must map names"),
         ({"encodings": {"m": Means}}, TypeError, "must be a transformer with fit"),
+        (
+            {"encodings": {"m": [Means(), LinearDiscriminantAnalysis()]}},
+            TypeError,
+            r"encodings\['m'\] must learn without labels, got LinearDiscriminant",
+        ),
         ({"encodings": {"": Means()}}, ValueError, "must have texts as names"),
         ({"encodings": {"m": []}}, ValueError, "a transformer each"),
         ({"encodings": {"taxels": Means()}}, ValueError, "'taxels', which is one of"),
@@ -193,6 +199,21 @@ def test_an_encoding_of_foreign_code_is_given_again(alone, tmp_path):
     clone(again).fit(drawn())
     # Steps that the file holds need not be given, and may be.
     ObjectRecogniser.load(path, encodings=encodings | {"means": [Means(2.0), PCA(2)]})
+
+
+def test_a_pipeline_is_kept_as_its_steps_and_a_union_is_given_as_it_was_fitted(
+    touches, tmp_path
+):
+    """What a pipeline has learnt is in its steps, where no file looks for it."""
+    pipeline = make_pipeline(Means(), "passthrough", make_pipeline(StandardScaler()))
+    own = {"steps": [pipeline, PCA(3)], "union": FeatureUnion([("means", Means(2.0))])}
+    learnt = ObjectRecogniser(None, encodings=own).fit(touches)
+    path = learnt.save(tmp_path / "m.palpate")
+    with pytest.raises(ModelFileError, match=r"\['union'\] must be as it was learnt"):
+        ObjectRecogniser.load(path, encodings=own)
+    fitted = learnt.encoder_.encodings_["union"][0].steps_
+    again = ObjectRecogniser.load(path, encodings=own | {"union": fitted})
+    assert_array_equal(again.predict_proba(touches), learnt.predict_proba(touches))
 
 
 def test_foreign_code_may_call_something_stored(touches, tmp_path):

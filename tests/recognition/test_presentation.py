@@ -5,7 +5,7 @@ import pytest
 
 from palpate import Touches
 from palpate.images import repose
-from palpate.recognition import ObjectRecogniser, find_geometry
+from palpate.recognition import ObjectRecogniser, adapt, find_geometry
 from palpate.simulation import DomeCamera, simulate_touches
 
 
@@ -118,6 +118,24 @@ def test_channels_in_another_order_are_refused(rng):
             take(turned)
     assert learnt.start().update(touches[:2]).touches_used == 2
     assert learnt.start().update(images[:2]).touches_used == 2
+
+
+def test_pads_that_lie_elsewhere_are_refused(rng):
+    """As of a left hand that is asked of a right one."""
+    hand, names = rng.random((24, 10, 21)), np.repeat(["cup", "pen"], 12)
+    hand[:12, 2:5, 2:5] += 5
+    touches = Touches(hand, object=names, pads=[[0, 0, 10, 12], [0, 13, 10, 8]])
+    learnt = ObjectRecogniser(rehearse=False).fit(touches)
+    before = learnt.evidence(touches).log_likelihood
+    other = touches.with_columns(pads=[[0, 0, 10, 8], [0, 9, 10, 12]])
+    for model in (learnt, adapt(learnt, touches[::6])):
+        for take in (model.evidence, model.remount):
+            with pytest.raises(ValueError, match=r"pads .* got \[\[0, 0, 10, 8"):
+                take(other)
+    turned = touches.with_columns(pads=touches.pads[::-1])
+    for same in (turned, touches.without("pads")):
+        again = learnt.evidence(same).log_likelihood
+        np.testing.assert_array_equal(again, before)
 
 
 def test_geometry_is_found_from_the_images_unless_touches_name_it(rng):

@@ -80,6 +80,10 @@ def test_poses_need_a_pitch(presses):
     with pytest.raises(ValueError, match="learnt no poses"):
         learnt.pose(bare, bare.object)
     assert learnt.fit_pose(bare, pitch_mm=2).pose(bare[:1], ["bar10"]).symmetry[0] == 2
+    numbers = np.unique(bare.object, return_inverse=True)[1]
+    learnt.fit(bare.images, numbers)
+    learnt.fit_pose(bare.with_columns(object=numbers), pitch_mm=2)
+    assert learnt.pose(bare[:1], learnt.predict(bare[:1])).symmetry[0] == 2
 
 
 def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():

@@ -56,6 +56,21 @@ def test_labels_keep_their_kind(images_and_labels):
         learnt.add_object("cup", images[:4])
 
 
+WRONG_NUMBERS = {"01": "as int8 is the known label 1", "200": "of int8, got '200'"}
+
+
+def test_a_name_that_no_new_label_stands_for_is_refused(images_and_labels):
+    images, labels = images_and_labels
+    is_ball = labels == labels[0]
+    learnt = ObjectRecogniser().fit(images, is_ball)
+    assert learnt.extend_object("False", images[:4]).memory_.labels[-4:].sum() == 0
+    learnt.fit(images, is_ball.astype(np.int8))
+    for name, message in WRONG_NUMBERS.items():
+        with pytest.raises(ValueError, match=message):
+            learnt.add_object(name, images[:4])
+    assert learnt.memory_.labels.tolist() == is_ball.tolist()
+
+
 @pytest.mark.parametrize("label", ["object", "category"])
 def test_touches_name_numbers_that_were_learnt_in_texts(images_and_labels, label):
     images, labels = images_and_labels
@@ -111,6 +126,7 @@ def test_clone_has_learnt_nothing(images_and_labels):
         lambda: fresh.save("m.palpate"),
         lambda: fresh.add_object("cup", images_and_labels[0]),
         fresh.summary,
+        fresh.limits_message,
     ):
         with pytest.raises(NotFittedError, match="learnt nothing yet; call fit"):
             use()
@@ -121,6 +137,8 @@ def test_groups_are_left_out_together(images_and_labels):
     groups = np.arange(48) // 12
     learnt = ObjectRecogniser().fit(images, labels, groups=groups)
     assert_array_equal(learnt.memory_.blocks, groups)
+    with pytest.raises(ValueError, match=r"groups must be .* two.* got one"):
+        learnt.fit(images, labels, groups=["monday"] * 48)
 
 
 def test_bad_input_is_refused(images_and_labels):

@@ -481,6 +481,15 @@ def test_data_frames_become_touches_and_touches_data_frames(csv):
         Touches.from_frame(frame[["object"]])
 
 
+@pytest.mark.parametrize("names", [[0, 1, 0, 1], [0, 1, 2, "1"]])
+def test_columns_of_one_name_in_a_data_frame_are_refused(names):
+    """Of two pads side by side, touches would be of one pad, or lack a taxel."""
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(np.eye(4), columns=names)
+    with pytest.raises(TouchesError, match="names that differ, got several called"):
+        Touches.from_frame(frame)
+
+
 @pytest.mark.parametrize("nothing", [None, float("nan")])
 def test_texts_that_a_data_frame_lacks_are_empty(nothing):
     pandas = pytest.importorskip("pandas")

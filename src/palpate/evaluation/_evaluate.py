@@ -227,7 +227,8 @@ def _remounted(
         return {None: recogniser}, tested, evidence, test[confirmed]
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
-    of_sessions = {s: in_order[session[in_order] == s] for s in np.unique(session)}
+    names, codes = np.unique(session, return_inverse=True)
+    of_sessions = {s: in_order[codes[in_order] == k] for k, s in enumerate(names)}
     recognisers = {s: copy(recogniser) for s in of_sessions}
     for s, rows in of_sessions.items():
         recognisers[s].remount(test[rows[:number]].without(*labels))
@@ -279,8 +280,10 @@ def _meet_unknown(
     objects = unknown.object if unknown.object is not None else unknown.category
     if objects is None:
         objects = np.full(len(unknown), "unknown")
-    memory = recogniser.memory_
-    learnt = np.intersect1d(objects, np.union1d(memory.objects, memory.labels))
+    memory, names = recogniser.memory_, objects
+    if plan.label == "category" and unknown.category is not None:
+        names = np.union1d(objects, unknown.category)
+    learnt = np.intersect1d(names, np.union1d(memory.objects, memory.labels))
     if len(learnt):
         raise ValueError(
             f"unknown touches must be of objects that were not learnt, got "

@@ -195,19 +195,33 @@ class TouchEncoder(Encoder, BaseEstimator):
     def clean(self, touches: Touches) -> Array:
         """Return the images after the clean-up alone; other sizes are refused."""
         images = touches.images
-        self.check_size(images, touches.channels)
+        self.check_size(images, touches.channels, touches.pads)
         return self.cleaned(self.living(images))
 
     def check_size(
-        self, images: Array, channels: tuple[str, ...] | None = None
+        self,
+        images: Array,
+        channels: tuple[str, ...] | None = None,
+        pads: Array | None = None,
     ) -> None:
-        """Refuse images of another size than those that were learnt."""
+        """Refuse images of another size than those that were learnt.
+
+        And `pads` that lie elsewhere in them.
+        """
         self.check_channels(images, channels)
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
             raise ValueError(
                 f"touches must have {size_text(taught)} like the training touches, got "
                 f"{size_text(got)}. Use the same sensor and resolution, or learn again."
+            )
+        if pads is None or self.pads_ is None:
+            return
+        learnt, seen = sorted(self.pads_.tolist()), sorted(pads.tolist())
+        if seen != learnt:
+            raise ValueError(
+                f"pads must be {learnt} like those of the training touches, got {seen}."
+                " Bring the arrays to these places, or learn again."
             )
 
     def check_channels(

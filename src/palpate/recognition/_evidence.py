@@ -66,9 +66,13 @@ class Evidence(NamedTuple):
         return cls(**arrays, flags=flags)
 
     def of_touch(self, touch: int) -> Evidence:
-        """Return the evidence of a single touch."""
+        """Return the evidence of a single touch; -1 is the last one."""
+        n_touches = len(self.flags)
+        if not -n_touches <= touch < n_touches:
+            raise IndexError(f"touch {touch} is out of range: there are {n_touches}.")
         parts: tuple[Any, ...] = self
-        return Evidence(*(part[touch : touch + 1] for part in parts))
+        row = touch % n_touches
+        return Evidence(*(part[row : row + 1] for part in parts))
 
 
 @dataclass(frozen=True)

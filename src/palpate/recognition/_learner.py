@@ -19,6 +19,7 @@ from .._checks import (
     check_number,
     check_option,
     check_targets,
+    one_spelling,
     unmasked,
 )
 from .._numbers import log_softmax, with_floor, without_gaps
@@ -105,8 +106,8 @@ class Learner(BaseEstimator):
         ------
         ValueError
             If labels are missing, there are fewer than two of them, or one has
-            fewer than two touches; or it would take too much memory. What was learnt
-            before is then as it was.
+            fewer than two touches; there is one group; or it would take too much
+            memory. What was learnt before is then as it was.
         """
         preset, later = self._check_parameters(), copy(self)
         X, y = later._validated_input(X, y)
@@ -121,6 +122,11 @@ class Learner(BaseEstimator):
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
+            if not blocks.any():
+                raise ValueError(
+                    "groups must be at least two, one left out while others teach, "
+                    "got one. Give sessions or runs of a recording, or none."
+                )
         with on_one_thread(), naming_empty(touches):
             encoder, contact, chosen, encoding = learn_encoding(
                 preset, touches, labels, blocks, self.presentation
@@ -166,6 +172,7 @@ class Learner(BaseEstimator):
             If the object is known, or has fewer than two touches.
         """
         self._check_fitted()
+        name = self._spelt(name)
         if name in self._names():
             raise ValueError(
                 f"name must be new, got {name!r}, which is known already. Add touches "
@@ -184,8 +191,9 @@ class Learner(BaseEstimator):
         met again every day neither grows for ever nor forgets its first days.
         """
         self._check_fitted()
-        check_option("name", name, self._names())
+        name = check_option("name", self._spelt(name), self._names())
         memory = self.memory_.plus(self._memory_of(name, touches, 1))
+        memory = memory.with_whole_objects(name)
         if most is not None:
             memory = memory.newest(name, check_count("most", most, at_least=2))
         return self._relearn(memory)
@@ -208,7 +216,7 @@ class Learner(BaseEstimator):
             If fewer than two objects would remain, or labels are missing.
         """
         self._check_fitted()
-        memory = self.memory_.without(forget)
+        memory = self.memory_.without(map(self._spelt, forget))
         for name, of_object in _memory.by_label(touches, self.label):
             memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
@@ -229,6 +237,7 @@ class Learner(BaseEstimator):
         for name, of_object in _memory.by_label(touches, self.label):
             least = 1 if name in memory.labels.astype(str) else 2
             memory = memory.plus_once(self._memory_of(name, of_object, least))
+            memory = memory.with_whole_objects(name)
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
@@ -240,7 +249,7 @@ class Learner(BaseEstimator):
             If it is not known, or fewer than two would remain.
         """
         self._check_fitted()
-        check_option("name", name, self._names())
+        name = check_option("name", self._spelt(name), self._names())
         return self._relearn(self.memory_.without([name]))
 
     def remount(self, touches: Touches) -> Self:
@@ -436,12 +445,13 @@ class Learner(BaseEstimator):
             )
         labels = np.full(len(checked), self._as_label(name))
         objects: Array = labels
+        blocks = _memory.blocks_in_order(labels, checked.order)
         if self.label == "category" and checked.object is not None:
             objects = checked.object
+            blocks = _memory.left_out_groups(checked, labels, objects, self.label)
         encoding = encoded(self.encoder_, self.contact_, checked)
-        blocks = _memory.blocks_in_order(labels, checked.order)
-        memory = memory_of(checked, encoding, labels, labels, blocks)
-        return replace(memory.with_copies_together(), objects=objects)
+        memory = memory_of(checked, encoding, labels, objects, blocks)
+        return memory.with_copies_together()
 
     def _validated_input(self, X: Any, y: Any) -> tuple[Any, Any]:
         """Return what `fit` is given; feature vectors as touches without geometry."""
@@ -464,17 +474,32 @@ class Learner(BaseEstimator):
         X = unmasked("X", X)
         return without_places(validate_data(self, X, reset=False, dtype=np.float64))
 
+    def _spelt(self, name: str) -> str:
+        """Return a name as it was learnt, else in the one spelling of `Touches`."""
+        if name in self._names() or not isinstance(name, str):
+            return name
+        return one_spelling(name) or name
+
     def _as_label(self, name: str) -> Any:
         """Return a name as a label of the kind of the known ones."""
-        dtype = self.memory_.labels.dtype
+        dtype, known = self.memory_.labels.dtype, self._names()
         if dtype.kind == "U":
             return name
+        if name in known:
+            return self.classes_[known.index(name)]
         try:
-            return dtype.type(name)
-        except ValueError as error:
+            label = dtype.type(name)
+        except (OverflowError, ValueError) as error:
             raise ValueError(
-                f"name must be a number like the known labels, got {name!r}."
+                f"name must be a number like the known labels, of {dtype}, got "
+                f"{name!r}."
             ) from error
+        if label in self.classes_:
+            raise ValueError(
+                f"name must be new, got {name!r}, which as {dtype} is the known label "
+                f"{label}. Add touches to that with extend_object, or learn texts."
+            )
+        return label
 
     def _relearn(self, memory: Memory) -> Self:
         """Learn a memory with the encoding and the choices made; all or nothing."""
@@ -484,7 +509,12 @@ class Learner(BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        return self.serve(self.learnt().relearnt(memory))
+        self.serve(self.learnt().relearnt(memory))
+        if remount := self.chosen_.get("remount"):
+            names = self._names()
+            confirm = [name for name in remount.get("confirm", ()) if name in names]
+            self.chosen_ = {**self.chosen_, "remount": {**remount, "confirm": confirm}}
+        return self
 
     def serve(self, learnt: Learnt) -> Self:
         """Recognise by what was learnt from now on; all or nothing."""

@@ -149,7 +149,10 @@ def memory_of(
     """Return what is kept of touches that were encoded."""
 
     def texts(column: Array | None) -> Array:
-        return np.full(len(labels), "") if column is None else column.astype(str)
+        if column is None:
+            return np.full(len(labels), "")
+        told = column == column  # NaN, as in a data frame, is what is not known
+        return np.where(told, column.astype(str), "")
 
     return Memory(
         features=encoding.features,

@@ -98,7 +98,7 @@ class RemountedEncoder(Encoder):
     def clean(self, touches: Touches) -> Array:
         """Return the images as in the session of learning, after the clean-up."""
         images = touches.images
-        self.encoder.check_size(images, touches.channels)
+        self.encoder.check_size(images, touches.channels, touches.pads)
         images = self.encoder.living(images, self.broken)
         if self.gain != 1:
             images = self.gain * images

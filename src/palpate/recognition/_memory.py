@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist, pdist
 
-from .._checks import check_label_kinds
+from .._checks import check_label_kinds, one_spelling
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import KernelRidgeClassifier
 from ..touches import Touches, TouchSource
@@ -179,11 +179,18 @@ class Memory:
     def plus(self, other: Self) -> Self:
         """Return both, the other one last, its blocks numbered after these.
 
-        Touches of the other that are copies of these join their blocks.
+        Touches of the other that are copies of these join their blocks; those that tell
+        no category are of their object's.
         """
         if not len(self):
             return replace(other, sensor=self.sensor or other.sensor)
-        later = replace(other, blocks=other.blocks + self.blocks.max() + 1)
+        known = dict(zip(self.classes.tolist(), self.category_of, strict=True))
+        usual = np.array([known.get(label, "") for label in other.labels.tolist()])
+        later = replace(
+            other,
+            blocks=other.blocks + self.blocks.max() + 1,
+            categories=np.where(other.categories == "", usual, other.categories),
+        )
         rows = {
             name: np.concatenate([getattr(self, name), getattr(later, name)])
             for name in _COLUMNS
@@ -218,6 +225,19 @@ class Memory:
             if several and 2 * np.bincount(touch).max() <= len(rows):
                 n_blocks = min(N_BLOCKS, n_touches)
                 blocks[rows] = blocks.max() + 1 + touch * n_blocks // n_touches
+        return replace(self, blocks=blocks)
+
+    def with_whole_objects(self, label: object) -> Self:
+        """Return this with each object of a category in one block, as `fit` has them.
+
+        See `left_out_groups`; a label that is one object keeps its blocks.
+        """
+        rows = np.flatnonzero(self.labels.astype(str) == str(label))
+        names, codes = np.unique(self.objects[rows], return_inverse=True)
+        if len(names) < 2:
+            return self
+        blocks = self.blocks.copy()
+        blocks[rows] = blocks.max() + 1 + codes
         return replace(self, blocks=blocks)
 
     @property
@@ -384,6 +404,8 @@ def labelled(X: Any, y: ArrayLike | None, label: str) -> Touches | TouchSource:
     """Return what is to be learnt as touches with labels, or explain."""
     if isinstance(X, Touches | TouchSource) and y is None:
         return X
+    if isinstance(X, list) and X and isinstance(X[0], Touches) and y is None:
+        return as_touches(X)
     if y is None:
         raise TypeError(
             f"touches must be Touches, got {type(X).__name__} without labels. "
@@ -430,6 +452,11 @@ def check_name(name: object) -> str:
     """Return the name of an object or category, or say what it should be."""
     if not isinstance(name, str) or not name:
         raise ValueError(f"name must be a text that is not empty, got {name!r}.")
+    if one_spelling(name) is None or not name.strip():
+        raise ValueError(
+            f"name must be of letters that can be printed, got {name!r}. Leave out "
+            "line breaks and control characters."
+        )
     if name == UNKNOWN:
         raise ValueError(
             f"name must not be {UNKNOWN!r}, which is what `decide` says of things that "

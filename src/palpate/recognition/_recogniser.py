@@ -177,8 +177,9 @@ class ObjectRecogniser(ClassifierMixin, Learner):
 
     def predict(self, X: Touches | ArrayLike) -> Array:
         """Return the most probable label after each touch alone, (n_touches,)."""
-        best = self.predict_log_proba(X).argmax(axis=1)
-        return np.asarray(self.classes_[best])
+        now = copy(self)  # another thread may learn meanwhile
+        best = now.predict_log_proba(X).argmax(axis=1)
+        return np.asarray(now.classes_[best])
 
     def predict_proba(self, X: Touches | ArrayLike) -> Floats:
         """Return the belief after each touch alone, shape (n_touches, n_objects)."""
@@ -187,11 +188,12 @@ class ObjectRecogniser(ClassifierMixin, Learner):
     def predict_log_proba(self, X: Touches | ArrayLike) -> Floats:
         """Return the log belief after each touch alone, (n_touches, n_objects)."""
         self._check_fitted()
-        log_likelihood = self.log_likelihood(self._as_touches(X))
-        floored = with_floor(log_likelihood, self.floor_)
-        used, how = _evidence.is_informative(floored), self.sequence_calibration_
+        now = copy(self)
+        log_likelihood = now.log_likelihood(now._as_touches(X))
+        floored = with_floor(log_likelihood, now.floor_)
+        used, how = _evidence.is_informative(floored), now.sequence_calibration_
         alone = used[:, np.newaxis], floored[:, np.newaxis]
-        return _evidence.beliefs_after(*alone, self.log_prior(), how)[0][:, 0]
+        return _evidence.beliefs_after(*alone, now.log_prior(), how)[0][:, 0]
 
     def score(
         self,
@@ -225,15 +227,16 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         says.
         """
         self._check_fitted()
-        seen = touches if isinstance(touches, Touches) else self._one_or_more(touches)
+        now = copy(self)
+        seen = touches if isinstance(touches, Touches) else now._one_or_more(touches)
         if len(seen) <= SHARD:
-            return self._evidence_of(seen)
+            return now._evidence_of(seen)
 
         def shard(number: int) -> tuple[Touches]:
             return (seen[number * SHARD : (number + 1) * SHARD],)
 
         n_shards = -(-len(seen) // SHARD)
-        return Evidence.together([*results_of(self._evidence_of, n_shards, shard)])
+        return Evidence.together([*results_of(now._evidence_of, n_shards, shard)])
 
     def log_prior(self) -> Floats:
         """Return the log prior of the objects (nats), shape (n_objects,)."""
@@ -257,10 +260,10 @@ class ObjectRecogniser(ClassifierMixin, Learner):
             below 1. 0 is a closed world, such as the parts of one line or the tools of
             a drawer: it is always one of the learnt objects.
         """
-        model = self.belief_model()
-        log_prior = model.log_prior_of(prior)
         # It goes on by what was learnt when it began, whatever is learnt meanwhile.
-        return Belief(model, copy(self).evidence, log_prior, strangers)
+        now = copy(self)
+        model = now.belief_model()
+        return Belief(model, now.evidence, model.log_prior_of(prior), strangers)
 
     def episode(
         self,
@@ -323,7 +326,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
                 "This recogniser has learnt no poses; `ObjectRecogniser.fit_pose` "
                 "learns them."
             )
-        return self.pose_.estimate(touches.images, labels)
+        return self.pose_.estimate(touches.images, np.asarray(labels).astype(str))
 
     def summary(self) -> dict[str, Any]:
         """Return what was learnt, as plain values for people and for JSON."""
@@ -385,6 +388,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
 
     def limits_message(self) -> str:
         """Return what a name is worth where few objects, or touches, were learnt."""
+        self._check_fitted()
         names, counts = np.unique(self.memory_.labels.astype(str), return_counts=True)
         sentences = few_objects_warning(len(names), self.label)
         few = names[counts < FEW_TOUCHES].tolist()
@@ -429,7 +433,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         try:
             model.encodings = model._user_encodings() or None
             for encoding in model._user_encodings().values():
-                encoding.check_again()
+                _check_as_learnt(encoding)
             model._check_parameters()
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
                 model.strangers_ = model._learnt_strangers()
@@ -441,6 +445,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
                     blank = model.evidence(model.encoder_.blank_touch())
                     row = model.classifier_.log_likelihood(blank.features)
                     try_one_touch(model.start(), blank, row)
+        except ModelFileError:
+            raise
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
@@ -495,6 +501,18 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         tags.input_tags.three_d_array = True
         tags.input_tags.allow_nan = True
         return tags
+
+
+def _check_as_learnt(encoding: UserEncoding) -> None:
+    """Refuse an encoding that was given with a file and is not as it was learnt."""
+    try:
+        encoding.check_again()
+    except Exception as error:
+        raise ModelFileError(
+            f"encodings[{encoding.name!r}] must be as it was learnt: "
+            f"{str(error).rstrip('.')}. What a file cannot hold it must still have: "
+            "give it as it was fitted."
+        ) from error
 
 
 def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:

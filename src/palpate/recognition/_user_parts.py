@@ -15,8 +15,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, TransformerMixin, clone
+from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.utils import check_array
+from sklearn.utils import check_array, get_tags
 
 from .._checks import check_number
 from .._numbers import with_floor
@@ -158,6 +159,8 @@ def user_encodings(encodings: Mapping[str, Encoding] | None) -> dict[str, UserEn
     checked = {}
     for name, recipe in encodings.items():
         steps = list(recipe) if isinstance(recipe, list | tuple) else [recipe]
+        # A file keeps what steps have learnt, of a pipeline nothing.
+        steps = [part for step in steps for part in _parts_of(step)]
         if not isinstance(name, str) or not name or not steps:
             raise ValueError(
                 "encodings must have texts as names and a transformer each, got "
@@ -171,9 +174,23 @@ def user_encodings(encodings: Mapping[str, Encoding] | None) -> dict[str, UserEn
                     f"encodings[{name!r}] must be a transformer with fit and "
                     f"transform, or a list of them, got {step!r}."
                 )
+            has_tags = hasattr(step, "__sklearn_tags__")
+            if has_tags and get_tags(step).target_tags.required:
+                raise TypeError(
+                    f"encodings[{name!r}] must learn without labels, got {step!r}. Put "
+                    "it before a classifier: classifier=make_pipeline(...)."
+                )
         already = len(steps) == 1 and isinstance(steps[0], UserEncoding)
         checked[name] = UserEncoding(name, steps[0].steps if already else steps)
     return checked
+
+
+def _parts_of(step: Any) -> list[Any]:
+    """Return the transformers of a pipeline, those in it too, else the step."""
+    if not isinstance(step, Pipeline):
+        return [step]
+    steps = [part for _, part in step.steps if part not in (None, "passthrough")]
+    return [part for each in steps for part in _parts_of(each)]
 
 
 class Modality(BaseEstimator):

@@ -6,6 +6,7 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from os import PathLike
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import nearest_path
+from .._checks import listed, nearest_path
 from .._extras import needed
 from .._types import Array
 from . import _columns
@@ -305,8 +306,14 @@ class Touches(Labelled):
 
         Columns that `Touches` knows by name, or that hold text, are columns; all other
         numbers are taxels, in their order, `shape` (n_rows, n_cols) of them or else
-        `TouchesError`. Text that lacks is empty.
+        `TouchesError`. Text that lacks is empty. Names of columns must differ.
         """
+        counts = Counter(str(name) for name in frame.columns)
+        if twice := [name for name, count in counts.items() if count > 1]:
+            raise TouchesError(
+                "frame must have columns of names that differ, got several called "
+                f"{listed(twice, 3)}. Name them apart, such as with add_prefix."
+            )
         table = {str(name): np.asarray(frame[name]) for name in frame.columns}
         lacks = {str(name): np.asarray(frame[name].isna()) for name in frame.columns}
         for name, column in table.items():
