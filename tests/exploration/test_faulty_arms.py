@@ -330,6 +330,23 @@ def test_too_small_readings_are_told_where_the_stiffness_is_known():
     assert blind.peak_n > 1.5 * arm.peak_n
 
 
+@pytest.mark.parametrize("look", [(1, 0, 0), (0, 0, -1)])
+def test_an_arm_that_looks_another_way_does_not_move_in(look):
+    class Locked(FaultyArm):
+        """Its wrist does not turn: pulled back, it goes through the ball, or aside."""
+
+        def move_to(self, pose):
+            super().move_to(SensorPose(pose.position_mm, look))
+
+    arm, start = Locked(), NEAR.pose(0.0, 0.3)
+    arm.pose = SensorPose(start.position_mm, look)
+    record = guarded_touch(arm, arm, start, GUARD)
+    assert (record.outcome, record.retracted) == ("robot error", True)
+    assert "looks another way than it was sent" in record.message
+    assert arm.peak_n == 0
+    assert np.allclose(arm.pose.position_mm, start.position_mm)
+
+
 def test_a_load_on_the_way_is_in_the_record():
     arm = FaultyArm("object too large")
     history = faulty_arms.exploring(arm)

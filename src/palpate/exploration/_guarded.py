@@ -25,7 +25,7 @@ from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
 from ._record import TouchRecord, tip_mm
-from ._robot import Robot
+from ._robot import LEAST_COSINE, Robot
 
 Clock = Callable[[], float]
 _LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3, "lag_readings": 0}
@@ -242,7 +242,7 @@ class _Approach:
         self._in_contact: list[tuple[float, float]] = []
         self._fine_until_mm = self._look_at_mm = 0.0
         self._last, self._n_equal = math.nan, 0
-        self._was_at_start = False
+        self._was_at_start, self._cosine = False, 1.0
         self._began = self.clock()
 
     def attempt(self, part: Callable[[], None]) -> None:
@@ -316,7 +316,10 @@ class _Approach:
             raise interrupt
 
     def _here(self) -> Floats:
-        here = np.asarray(self.robot.read_pose().position_mm, dtype=np.float64)
+        pose = self.robot.read_pose()
+        line = np.asarray(self.start.direction)
+        self._cosine = float(np.asarray(pose.direction) @ line)
+        here = np.asarray(pose.position_mm, dtype=np.float64)
         if not np.isfinite(here).all():  # of a pose that is no SensorPose
             raise _Fault(f"The arm says that it is at {here} mm.", "robot error")
         return here
@@ -575,6 +578,13 @@ class _Approach:
             raise _Fault(
                 f"The arm is {self._missed_mm:.2f} mm from where it was sent, more "
                 f"than max_miss_mm = {self.guard.max_miss_mm:g}.",
+                "robot error",
+            )
+        if not self._cosine > LEAST_COSINE:
+            raise _Fault(
+                "The arm looks another way than it was sent, by "
+                f"{math.degrees(math.acos(max(self._cosine, -1.0))):.0f} degrees: "
+                "pulled back, it would go aside. Does its wrist reach that far?",
                 "robot error",
             )
 

@@ -34,6 +34,8 @@ _FEWEST_LEVELS = 2
 _OVERSHOOT_MM = 14.0
 _SLOW_S = 1e4
 _AWAY_MM = 1e5
+# An arm looks the way that it was sent where it is off by less than this (rad).
+LEAST_COSINE = math.cos(0.05)
 
 
 class RobotError(RuntimeError):
@@ -54,7 +56,8 @@ class Robot(Protocol):
     def read_pose(self) -> SensorPose:
         """Return where the tip is now, as measured and not as it was sent.
 
-        A touch ends as a fault where the two differ, see `Guard.max_miss_mm`.
+        A touch ends as a fault where the two differ: by more than `Guard.max_miss_mm`,
+        or by 0.05 rad in the way it looks.
         """
 
     def read_force(self) -> float:
@@ -311,7 +314,7 @@ def _check_place(
         f"mm, got {missed_mm:.2f} mm from there",
     )
     cosine = float(np.asarray(pose.direction) @ np.asarray(wanted.direction))
-    _say(cosine > math.cos(0.05), f"after {after} it must look the same way")
+    _say(cosine > LEAST_COSINE, f"after {after} it must look the same way")
 
 
 def _check_force(robot: Robot, max_offset_n: float) -> None:
