@@ -374,6 +374,20 @@ def test_a_driver_that_breaks_the_contract_is_told_how(fault):
     assert arm.peak_n == 0
 
 
+def test_a_driver_of_two_units_is_not_sent_anywhere():
+    class Metres(FaultyArm):
+        """Says its place in metres, and is sent in millimetres."""
+
+        def read_pose(self):
+            return SensorPose(self.pose.position_mm / 1000, self.pose.direction)
+
+    arm = Metres()
+    with pytest.raises(AssertionError, match="where it was sent"):
+        check_robot(arm)
+    assert arm.peak_n == 0
+    assert arm.pose.position_mm.tolist() == [0, 0, 305]  # pulled back, no more
+
+
 def test_a_driver_that_keeps_the_contract_passes():
     arm = FaultyArm()
     before = arm.pose
