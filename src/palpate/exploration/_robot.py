@@ -8,6 +8,7 @@ that way. Forces are newtons along that way, positive when something pushes back
 import math
 from collections.abc import Callable, Container, Mapping
 from contextlib import suppress
+from numbers import Real
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -319,7 +320,7 @@ def _check_place(
 
 def _check_force(robot: Robot, max_offset_n: float) -> None:
     forces = [robot.read_force() for _ in range(_N_READINGS)]
-    numbers = all(isinstance(force, float | int) for force in forces)
+    numbers = all(isinstance(force, Real) for force in forces)
     _say(numbers, "read_force() must return a number")
     _say(all(map(math.isfinite, forces)), "read_force() must be finite in the air")
     greatest = max(map(abs, forces))
