@@ -184,6 +184,25 @@ def test_a_driver_that_fails_to_open_in_its_own_way_is_tried_again():
     assert sensor.opened == 4
 
 
+def test_a_device_that_comes_back_in_another_size_is_lost():
+    class Resized(Counting):
+        def _open(self):
+            super()._open()
+            if self.opened > 1:
+                self.image_shape, self.dtype = (4, 5), np.dtype(np.int64)
+
+        def _grab(self):
+            frames = super()._grab()
+            return frames if self.opened == 1 else [np.zeros((4, 5), np.int64)]
+
+    sensor = Resized(fails={3})
+    sensor.retry_s = 0.01
+    with sensor:
+        with pytest.raises(SensorError, match=r"are \(4, 5\), it promised \(2, 3\)"):
+            [sensor.read_next(0.5) for _ in range(9)]
+        assert (sensor.image_shape, sensor.dtype) == ((2, 3), np.int32)
+
+
 @pytest.mark.parametrize("method", ["_grab", "_open"])
 def test_a_driver_that_wants_to_end_the_program_is_lost_and_tried_again(method):
     class Ending(Counting):

@@ -350,6 +350,7 @@ class LiveSensor(ABC):
             self._close()
 
     def _recover(self, error: BaseException) -> None:
+        promised = self.image_shape, self.dtype
         while True:
             self.lost = str(error) if isinstance(error, SensorError) else repr(error)
             with suppress(BaseException):  # that it cannot even be closed is no news
@@ -361,6 +362,8 @@ class LiveSensor(ABC):
             except BaseException as still:  # as in `_run`: whatever it is, try again
                 error = still
             else:
+                # What came back in another size is refused: all who read know this one.
+                self.image_shape, self.dtype = promised
                 self.lost = ""
                 return
 
