@@ -69,6 +69,24 @@ def test_a_model_of_other_images_is_a_misfit(watch):
     assert watch.to_dict()["warnings"] == []
 
 
+def test_a_sensor_that_knows_its_size_once_it_is_open_suits_its_model():
+    class Late(Still):
+        def _open(self):
+            self.image_shape = (64, 48)
+
+    session = LiveSession(Late((1, 1), geometry=None))
+    session.recogniser = learnt((64, 48))
+    with session:
+        assert session.watch.misfit == ""
+        # A picture of a camera: one of an array would be in false colour.
+        assert not session.watch._painter.coloured
+    session = LiveSession(late := Late((1, 1)))
+    session.recogniser = learnt((5, 4))
+    with pytest.raises(ValueError, match="of 64 x 48 pixels, which still gives"):
+        session.start()
+    assert not late.connected
+
+
 @pytest.mark.parametrize(("level", "lower"), [(30, False), (10, True), (20, False)])
 def test_a_press_of_an_array_that_reads_lower_is_reported(watch, level, lower):
     image = np.full((4, 4), 20, np.uint8)
