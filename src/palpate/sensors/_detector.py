@@ -185,12 +185,14 @@ class TouchDetector:
                 f"{len(stack)} among {len(frames)}: the others are NaN alone. Look at "
                 "the sensor and its cable."
             )
-        if not force and _moving(stack, self._least(frames[0])):
+        # One reading again and again: its means may differ from it by rounding.
+        alike = all(np.array_equal(frame, stack[0], equal_nan=True) for frame in stack)
+        if not force and not alike and _moving(stack, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
                 "Leave it alone for a second and take the baseline again."
             )
-        mean = stack.mean(axis=0)
+        mean = stack[0] if alike else stack.mean(axis=0)
         first = self.baseline is None and not force
         if first and (where := _pressed(mean, self._least(frames[0]))):
             raise ContactError(
@@ -198,9 +200,8 @@ class TouchDetector:
                 "baseline again; if nothing touches it, take it anyway (force)."
             )
         self._before = self.baseline, self.noise
-        # One reading again and again tells no noise: it is learnt from the next ones.
-        alike = all(np.array_equal(frame, stack[0], equal_nan=True) for frame in stack)
         levels = [_rms(frame - mean) for frame in stack]
+        # That tells no noise: it is learnt from the next ones.
         self.noise = 0.0 if alike else float(np.median(levels))
         self._set_baseline(as_kind(mean, np.asarray(frames[0]).dtype))
 
