@@ -86,6 +86,14 @@ def test_every_sensor_without_hardware_keeps_the_contract(sensor):
             "gave no frame in 0.1 s",
         ),
         ({"read_next": lambda self, t=2.0: self.read_latest(t)}, "numbers must rise"),
+        (
+            {"_grab": lambda self: [Reading(i, 3.0) for i in Counting._grab(self)]},
+            r"time_s must be of now, got \d+.\d s ago",
+        ),
+        (
+            {"_grab": lambda self: [Reading(i, np.nan) for i in Counting._grab(self)]},
+            "time_s must be of now, got nan s ago",
+        ),
     ],
 )
 def test_the_check_says_what_a_driver_breaks(change, message):

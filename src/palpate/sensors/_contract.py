@@ -497,7 +497,11 @@ def _check_promises(sensor: LiveSensor) -> None:
 
 def _check_frames(sensor: LiveSensor, n_frames: int) -> None:
     started_s = time.monotonic()
-    frames = [sensor.read_next() for _ in range(n_frames)]
+    frames = []
+    for _ in range(n_frames):
+        frames.append(sensor.read_next())
+        old_s = time.monotonic() - frames[-1].time_s
+        _say(old_s <= _FRESH_S, f"time_s must be of now, got {old_s:.1f} s ago")
     for frame in frames:
         _check_frame(sensor, frame)
         late = frame.time_s > time.monotonic()
