@@ -192,6 +192,26 @@ def test_a_driver_that_fails_to_open_in_its_own_way_is_tried_again():
     assert sensor.opened == 4
 
 
+def test_a_vendor_error_of_its_own_kind_is_an_error_of_the_sensor():
+    class VendorError(Exception):
+        pass
+
+    class Refusing(Counting):
+        closed = 0
+
+        def _open(self):
+            raise VendorError("code 17")
+
+        def _close(self):
+            self.closed += 1
+
+    sensor = Refusing()
+    with pytest.raises(SensorError, match=r"counting cannot be opened.*code 17"):
+        check_sensor(sensor)
+    assert sensor.closed == 1
+    assert not sensor.connected
+
+
 def test_a_device_that_comes_back_in_another_size_is_lost():
     class Resized(Counting):
         def _open(self):

@@ -41,6 +41,10 @@ class SensorError(RuntimeError):
     """A sensor that is missing or busy, or a frame that did not arrive or is none."""
 
 
+# What opening a device may raise; vendors have kinds of their own.
+_EXPECTED = SensorError, ValueError, OSError, ImportError
+
+
 @dataclass(frozen=True, eq=False)
 class Reading:
     """A frame as a driver gives it, with what else the device tells of it.
@@ -240,10 +244,13 @@ class LiveSensor(ABC):
             self._open()
             if self._stop.is_set():  # by another thread, meanwhile
                 raise SensorError(f"{self.name} was disconnected.")
-        except BaseException:  # an interrupt too: the device may be half open
+        except BaseException as error:  # an interrupt too: it may be half open
             with suppress(Exception):
                 self._close()
-            raise
+            if isinstance(error, _EXPECTED) or not isinstance(error, Exception):
+                raise
+            what = f"{self.name} cannot be opened: {error!r}"
+            raise SensorError(f"{what}. Look at its cable and its driver.") from error
         self._thread = threading.Thread(
             target=self._run, name=f"palpate {self.name}", daemon=True
         )
