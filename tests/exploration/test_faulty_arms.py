@@ -330,6 +330,18 @@ def test_too_small_readings_are_told_where_the_stiffness_is_known():
     assert blind.peak_n > 1.5 * arm.peak_n
 
 
+@pytest.mark.parametrize("path", ["explore", "gather"])
+@pytest.mark.parametrize("scene", ["object beside the way", "object too large"])
+@pytest.mark.parametrize("fault", ["lags by 8", "lags by 60", "filtered by 0.97"])
+def test_a_late_force_is_waited_for_on_ways_too(fault, scene, path):
+    arm = FaultyArm(scene, 5.0)
+    arm.fault = fault
+    attempts, error = ended(arm, path)
+    assert error is not None or any(record.faulty for record in attempts)
+    assert arm.peak_n <= GUARD.limit_n + 5.0 * GUARD.way_step_mm
+    assert not arm.stopped  # it went back, which its late readings show in time
+
+
 @pytest.mark.parametrize("look", [(1, 0, 0), (0, 0, -1)])
 def test_an_arm_that_looks_another_way_does_not_move_in(look):
     class Locked(FaultyArm):

@@ -78,13 +78,14 @@ class Guard:
     max_miss_mm : float, default=0.5
         How far from where it was sent the arm may say that it is.
     way_step_mm : float, default=2.5
-        Longest step on ways between touches, where the force is read once a step: what
-        is met there may press by `limit_n` and what one such step adds.
+        Longest step on ways between touches, after each of which the force is read:
+        what is met there may press by `limit_n` and what one such step adds.
     lag_readings : int, default=64
         Readings by which a late or filtered force sensor may lag. The first touches of
-        an episode wait for so many at every step, until the force has changed once and
-        its lag is known; later ones wait for that lag. 0 for a sensor that is known
-        not to lag. One that lags by more is outside what is promised.
+        an episode, and the ways to them, wait for so many at every step, until the
+        force has changed once and its lag is known; later ones wait for that lag. 0 for
+        a sensor that is known not to lag. One that lags by more is outside what is
+        promised.
     expected_n_mm : float or None, default=None
         Stiffness of the softest part between arm and object (N/mm), the rubber of the
         sensor: by half of it at least the force must rise over `flat_mm` of contact. A
