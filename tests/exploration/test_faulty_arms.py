@@ -342,6 +342,18 @@ def test_a_late_force_is_waited_for_on_ways_too(fault, scene, path):
     assert not arm.stopped  # it went back, which its late readings show in time
 
 
+@pytest.mark.parametrize("lag", [1, 3])
+def test_a_lag_that_a_step_of_a_touch_covers_is_waited_for_on_ways(lag):
+    arm = FaultyArm("object too tall", 5.0)
+    arm.fault = f"lags by {lag}"
+    options = {"guard": GUARD, "max_attempts": 5}
+    end = explore(arm, arm, SlowlySure(), RandomHemisphere(NEAR, 0), **options)
+    outcomes = [record.outcome for record in end.history]
+    assert outcomes.index("touched") < outcomes.index("limit exceeded")
+    assert arm.peak_n <= GUARD.limit_n + 5.0 * GUARD.way_step_mm
+    assert not arm.stopped
+
+
 @pytest.mark.parametrize("look", [(1, 0, 0), (0, 0, -1)])
 def test_an_arm_that_looks_another_way_does_not_move_in(look):
     class Locked(FaultyArm):

@@ -196,13 +196,16 @@ class Toucher:
 
     @property
     def wait_readings(self) -> int:
-        """Readings to wait for after each step."""
+        """Readings to wait for after each step of a way."""
         return self.guard.lag_readings if self.lag is None else self.lag
 
     def touch(self, start: SensorPose) -> TouchRecord:
         """Touch once from a pose that is clear of everything; see `guarded_touch`."""
         arm = self.robot, self.sensor
-        approach = _Approach(*arm, start, self.guard, self.clock, self.wait_readings)
+        # A step of a touch takes `n_readings` anyway.
+        covered = self.lag is not None and self.lag < 2 * self.guard.n_readings
+        n_waits = 0 if covered else self.wait_readings
+        approach = _Approach(*arm, start, self.guard, self.clock, n_waits)
         try:
             approach.attempt(approach.run)
         finally:
@@ -211,7 +214,7 @@ class Toucher:
         lag = approach.lag_readings
         if self.lag is None and lag is not None:
             # With room for a filter, which only comes near to the force in its time.
-            self.lag = 2 * lag if lag >= self.guard.n_readings else 0
+            self.lag = 2 * lag
         return approach.record()
 
 

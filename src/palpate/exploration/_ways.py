@@ -10,8 +10,8 @@ limit by what that step adds, and is told.
 A force sensor that is filtered, or read through a slow bus, follows the contact late.
 Nothing in the air shows that, so the first touches of an episode, and the ways to them,
 wait for `Guard.lag_readings` at every step; where the force then changes, it is known
-by how many readings it lags. Later ones wait for so many, if it is more than those that
-a step takes anyway.
+by how many readings it lags. Later ones wait for so many, touches only if it is more
+than those that a step takes anyway.
 """
 
 from __future__ import annotations
