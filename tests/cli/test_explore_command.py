@@ -135,6 +135,19 @@ def test_an_episode_goes_on_in_its_folder(palpate, model, tmp_path):
     assert third["n_attempts"] == len(read_episode(tmp_path / "kept"))
 
 
+@pytest.mark.parametrize("more", [("--yaw", 90), ("--face", 1), ("--seed", 1)])
+def test_an_episode_does_not_go_on_with_what_stands_otherwise(
+    palpate, model, tmp_path, more
+):
+    command = (
+        "explore", "recognise", model, "mug", "--strategy", "raster",
+        "--error", 1e-6, "--max-touches", 1, "--folder", tmp_path / "kept",
+    )  # fmt: skip
+    palpate.printed(*command)
+    assert "was begun with" in palpate.refusal(*command, *more)
+    assert len(read_episode(tmp_path / "kept")) == 1
+
+
 @pytest.mark.slow
 def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
     arguments = (

@@ -56,6 +56,15 @@ def test_records_come_back_as_they_were(tmp_path):
             assert written.image.dtype == restored.image.dtype
 
 
+def test_numbers_of_a_policy_are_recorded_in_single_precision_too(tmp_path):
+    start = Hemisphere().pose(0.0, 0.3, roll_rad=np.float32(0.5))
+    record = _record(travel_mm=np.float32(2.25))
+    with EpisodeLog(tmp_path) as log:
+        log.append(replace(record, start=start))
+    (restored,) = read_episode(tmp_path)
+    assert (restored.start.roll_rad, restored.travel_mm) == (0.5, 2.25)
+
+
 def test_an_episode_goes_on_where_it_ended(tmp_path):
     for number in range(3):
         with EpisodeLog(tmp_path, {"seed": 1}) as log:

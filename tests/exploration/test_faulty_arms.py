@@ -330,6 +330,47 @@ def test_too_small_readings_are_told_where_the_stiffness_is_known():
     assert blind.peak_n > 1.5 * arm.peak_n
 
 
+@pytest.mark.parametrize("path", ["explore", "gather"])
+@pytest.mark.parametrize("scene", ["object beside the way", "object too large"])
+@pytest.mark.parametrize("fault", ["lags by 8", "lags by 60", "filtered by 0.97"])
+def test_a_late_force_is_waited_for_on_ways_too(fault, scene, path):
+    arm = FaultyArm(scene, 5.0)
+    arm.fault = fault
+    attempts, error = ended(arm, path)
+    assert error is not None or any(record.faulty for record in attempts)
+    assert arm.peak_n <= GUARD.limit_n + 5.0 * GUARD.way_step_mm
+    assert not arm.stopped  # it went back, which its late readings show in time
+
+
+@pytest.mark.parametrize("lag", [1, 3])
+def test_a_lag_that_a_step_of_a_touch_covers_is_waited_for_on_ways(lag):
+    arm = FaultyArm("object too tall", 5.0)
+    arm.fault = f"lags by {lag}"
+    options = {"guard": GUARD, "max_attempts": 5}
+    end = explore(arm, arm, SlowlySure(), RandomHemisphere(NEAR, 0), **options)
+    outcomes = [record.outcome for record in end.history]
+    assert outcomes.index("touched") < outcomes.index("limit exceeded")
+    assert arm.peak_n <= GUARD.limit_n + 5.0 * GUARD.way_step_mm
+    assert not arm.stopped
+
+
+@pytest.mark.parametrize("look", [(1, 0, 0), (0, 0, -1)])
+def test_an_arm_that_looks_another_way_does_not_move_in(look):
+    class Locked(FaultyArm):
+        """Its wrist does not turn: pulled back, it goes through the ball, or aside."""
+
+        def move_to(self, pose):
+            super().move_to(SensorPose(pose.position_mm, look))
+
+    arm, start = Locked(), NEAR.pose(0.0, 0.3)
+    arm.pose = SensorPose(start.position_mm, look)
+    record = guarded_touch(arm, arm, start, GUARD)
+    assert (record.outcome, record.retracted) == ("robot error", True)
+    assert "looks another way than it was sent" in record.message
+    assert arm.peak_n == 0
+    assert np.allclose(arm.pose.position_mm, start.position_mm)
+
+
 def test_a_load_on_the_way_is_in_the_record():
     arm = FaultyArm("object too large")
     history = faulty_arms.exploring(arm)
@@ -357,6 +398,20 @@ def test_a_driver_that_breaks_the_contract_is_told_how(fault):
     assert arm.peak_n == 0
 
 
+def test_a_driver_of_two_units_is_not_sent_anywhere():
+    class Metres(FaultyArm):
+        """Says its place in metres, and is sent in millimetres."""
+
+        def read_pose(self):
+            return SensorPose(self.pose.position_mm / 1000, self.pose.direction)
+
+    arm = Metres()
+    with pytest.raises(AssertionError, match="where it was sent"):
+        check_robot(arm)
+    assert arm.peak_n == 0
+    assert arm.pose.position_mm.tolist() == [0, 0, 305]  # pulled back, no more
+
+
 def test_a_driver_that_keeps_the_contract_passes():
     arm = FaultyArm()
     before = arm.pose
@@ -364,6 +419,12 @@ def test_a_driver_that_keeps_the_contract_passes():
     assert np.allclose(arm.pose.position_mm, before.position_mm)
     check_robot(arm)
     assert arm.stopped
+
+    class Single(FaultyArm):
+        def read_force(self):
+            return np.float32(super().read_force())
+
+    check_robot(Single())
 
     class Deaf(FaultyArm):
         def stop(self):

@@ -1,5 +1,7 @@
 """Putting objects down before the arm, and exploring to learn them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -75,15 +77,22 @@ def test_an_episode_that_was_begun_goes_on(tmp_path):
 
 @pytest.mark.parametrize(
     "otherwise",
-    [{"turned": True}, {"faces": "all"}, {"placement_sd_mm": 1.0}, {"drift": True}],
-    ids=str,
+    [
+        {"turned": True},
+        {"faces": "all"},
+        {"placement_sd_mm": 1.0},
+        {"drift": True},
+        {"camera": replace(CAMERA, gain=0.5)},
+    ],
+    ids=lambda otherwise: next(iter(otherwise)),
 )
 def test_what_was_begun_otherwise_is_refused(tmp_path, otherwise):
     # At one height whatever the face: the hemisphere does not tell them apart.
     how = {"n_sessions": 2, "known_height": False, "folder": tmp_path, "n_jobs": 1}
-    explore_to_learn([BOX], 2, CAMERA, **how)
+    how |= {"camera": CAMERA}
+    explore_to_learn([BOX], 2, **how)
     with pytest.raises(ValueError, match="Go on with the same settings"):
-        explore_to_learn([BOX], 2, CAMERA, **how | otherwise)
+        explore_to_learn([BOX], 2, **how | otherwise)
 
 
 @pytest.mark.parametrize("random_state", [None, -1, 0.5])

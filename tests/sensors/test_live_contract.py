@@ -86,6 +86,14 @@ def test_every_sensor_without_hardware_keeps_the_contract(sensor):
             "gave no frame in 0.1 s",
         ),
         ({"read_next": lambda self, t=2.0: self.read_latest(t)}, "numbers must rise"),
+        (
+            {"_grab": lambda self: [Reading(i, 3.0) for i in Counting._grab(self)]},
+            r"time_s must be of now, got \d+.\d s ago",
+        ),
+        (
+            {"_grab": lambda self: [Reading(i, np.nan) for i in Counting._grab(self)]},
+            "time_s must be of now, got nan s ago",
+        ),
     ],
 )
 def test_the_check_says_what_a_driver_breaks(change, message):
@@ -182,6 +190,45 @@ def test_a_driver_that_fails_to_open_in_its_own_way_is_tried_again():
         assert sensor.lost == ""
     assert numbers[-1] > 3
     assert sensor.opened == 4
+
+
+def test_a_vendor_error_of_its_own_kind_is_an_error_of_the_sensor():
+    class VendorError(Exception):
+        pass
+
+    class Refusing(Counting):
+        closed = 0
+
+        def _open(self):
+            raise VendorError("code 17")
+
+        def _close(self):
+            self.closed += 1
+
+    sensor = Refusing()
+    with pytest.raises(SensorError, match=r"counting cannot be opened.*code 17"):
+        check_sensor(sensor)
+    assert sensor.closed == 1
+    assert not sensor.connected
+
+
+def test_a_device_that_comes_back_in_another_size_is_lost():
+    class Resized(Counting):
+        def _open(self):
+            super()._open()
+            if self.opened > 1:
+                self.image_shape, self.dtype = (4, 5), np.dtype(np.int64)
+
+        def _grab(self):
+            frames = super()._grab()
+            return frames if self.opened == 1 else [np.zeros((4, 5), np.int64)]
+
+    sensor = Resized(fails={3})
+    sensor.retry_s = 0.01
+    with sensor:
+        with pytest.raises(SensorError, match=r"are \(4, 5\), it promised \(2, 3\)"):
+            [sensor.read_next(0.5) for _ in range(9)]
+        assert (sensor.image_shape, sensor.dtype) == ((2, 3), np.int32)
 
 
 @pytest.mark.parametrize("method", ["_grab", "_open"])

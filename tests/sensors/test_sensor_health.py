@@ -102,6 +102,14 @@ def test_a_steady_drift_is_measured_beside_the_noise(rng):
     assert not report["ok"]
 
 
+def test_rest_that_does_not_move_has_no_drift():
+    # The mean of 150 times 0.1 is 0.1 less a rounding error, of 40 times it is another.
+    times = np.arange(590) / 50
+    report = health(as_frames(np.full((590, 6, 6), 0.1), times))
+    assert report["findings"] == []
+    assert report["figures"]["drift"] == 0
+
+
 def test_a_baseline_under_load_is_named_with_its_place(rng):
     images, times = frames(rng, noise=1.0)
     images[:, 3:7, 3:7] += 200

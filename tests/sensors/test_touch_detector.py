@@ -401,6 +401,18 @@ def test_noise_beyond_the_steps_of_a_given_baseline_is_learnt(
     assert touches.columns["duration_s"][-1] == 5
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("n_frames", [10, 11])
+def test_rest_that_reads_one_decimal_is_no_touch(dtype, n_frames):
+    # Ten times 0.1, one after the other, over ten is 0.1 less a rounding error; of
+    # eleven the means of the first six and of the other five differ.
+    rest = np.full((4, 4), 0.1, dtype)
+    detector = TouchDetector()
+    detector.take_baseline([rest] * n_frames)
+    assert_array_equal(detector.baseline, rest)
+    assert len(touches_of(detector, [0, 0, 0, 9, 9, 0, 0], rest)) == 1
+
+
 def test_readings_that_are_given_again_and_again_do_not_hide_the_noise(rng):
     """A driver that is asked ten times as often as its device measures."""
     levels = np.repeat([0.0, 60.0, 0.0], [20, 5, 5])

@@ -314,6 +314,17 @@ def test_a_touch_that_is_dropped_leaves_its_like_new(rng):
     assert variety.like == [None, None]
 
 
+def test_a_driver_may_not_name_its_columns_as_those_of_every_touch(tmp_path):
+    teacher = lesson_of(Still((4, 4)), tmp_path / "library")
+    teacher.begin("mug", 2)
+    image, columns = np.zeros((4, 4), np.uint8), {"time_s": 1.0, "images": 2.0}
+    message = "must not be called images, time_s: .* Rename them in its driver"
+    with pytest.raises(ValueError, match=message):
+        teacher.take(image, None, 1.0, columns)
+    assert teacher.lesson.to_dict()["done"] == 0
+    teacher.close()
+
+
 def test_colours_are_compared_one_by_one(rng):
     """Two touches of one grey that differ in their colours are not alike."""
     base = rng.uniform(0, 99, (6, 8))

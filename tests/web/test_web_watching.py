@@ -65,6 +65,24 @@ def test_a_misfit_names_both_sizes_and_colour_where_that_differs(
     assert watch.to_dict()["warnings"] == []
 
 
+def test_a_sensor_that_knows_its_size_once_it_is_open_suits_its_model():
+    class Late(Still):
+        def _open(self):
+            self.image_shape = (64, 48)
+
+    session = LiveSession(Late((1, 1), geometry=None))
+    session.recogniser = learnt((64, 48))
+    with session:
+        assert session.watch.misfit == ""
+        # A picture of a camera: one of an array would be in false colour.
+        assert not session.watch._painter.coloured
+    session = LiveSession(late := Late((1, 1)))
+    session.recogniser = learnt((5, 4))
+    with pytest.raises(ValueError, match="of 64 x 48 pixels, which still gives"):
+        session.start()
+    assert not late.connected
+
+
 def test_frames_go_to_those_who_take_frames(watch):
     all_events, others = [], []
     listeners = watch._listeners

@@ -1,6 +1,7 @@
 """`palpate explore`: a simulated arm touches objects, to learn or to recognise them."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
         TouchRecord,
     )
     from ..recognition import ObjectRecogniser
-    from ..simulation import SimObject
+    from ..simulation import SensorPose, SimObject
 
 STRATEGIES = ("informative", "random", "raster")
 _LEAST_SIDE = 16
@@ -146,11 +147,12 @@ def recognise(
     target = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
+    yaw_rad = float(drawn if yaw is None else np.deg2rad(check_number("yaw", yaw)))
     stand = exploration.put_down(
         target,
         _camera(recogniser),
         face=face,
-        yaw_rad=float(drawn if yaw is None else np.deg2rad(check_number("yaw", yaw))),
+        yaw_rad=yaw_rad,
         random_state=seed,
         faults=_faults(fault),
     )
@@ -168,7 +170,7 @@ def recognise(
         stand.robot,
         stand.sensor,
         knower,
-        way,
+        _Standing(way, target.name, yaw_rad, face, seed),
         folder,
         guard=stand.quick_guard,
         max_attempts=most,
@@ -196,6 +198,24 @@ def recognise(
         f"  {end.reason}",
         *standing,
     )
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """A strategy before an object that stands so: an episode goes on only if it is."""
+
+    way: "Strategy"
+    object: str
+    yaw_rad: float
+    face: int
+    seed: int
+
+    @property
+    def hemisphere(self) -> "Hemisphere":
+        return self.way.hemisphere
+
+    def next_pose(self, belief: Any, history: "Sequence[TouchRecord]") -> "SensorPose":
+        return self.way.next_pose(belief, history)
 
 
 def _way(

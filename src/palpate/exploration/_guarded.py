@@ -25,7 +25,7 @@ from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
 from ._record import TouchRecord, tip_mm
-from ._robot import Robot
+from ._robot import LEAST_COSINE, Robot
 
 Clock = Callable[[], float]
 _LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3, "lag_readings": 0}
@@ -78,13 +78,14 @@ class Guard:
     max_miss_mm : float, default=0.5
         How far from where it was sent the arm may say that it is.
     way_step_mm : float, default=2.5
-        Longest step on ways between touches, where the force is read once a step: what
-        is met there may press by `limit_n` and what one such step adds.
+        Longest step on ways between touches, after each of which the force is read:
+        what is met there may press by `limit_n` and what one such step adds.
     lag_readings : int, default=64
         Readings by which a late or filtered force sensor may lag. The first touches of
-        an episode wait for so many at every step, until the force has changed once and
-        its lag is known; later ones wait for that lag. 0 for a sensor that is known
-        not to lag. One that lags by more is outside what is promised.
+        an episode, and the ways to them, wait for so many at every step, until the
+        force has changed once and its lag is known; later ones wait for that lag. 0 for
+        a sensor that is known not to lag. One that lags by more is outside what is
+        promised.
     expected_n_mm : float or None, default=None
         Stiffness of the softest part between arm and object (N/mm), the rubber of the
         sensor: by half of it at least the force must rise over `flat_mm` of contact. A
@@ -195,13 +196,16 @@ class Toucher:
 
     @property
     def wait_readings(self) -> int:
-        """Readings to wait for after each step."""
+        """Readings to wait for after each step of a way."""
         return self.guard.lag_readings if self.lag is None else self.lag
 
     def touch(self, start: SensorPose) -> TouchRecord:
         """Touch once from a pose that is clear of everything; see `guarded_touch`."""
         arm = self.robot, self.sensor
-        approach = _Approach(*arm, start, self.guard, self.clock, self.wait_readings)
+        # A step of a touch takes `n_readings` anyway.
+        covered = self.lag is not None and self.lag < 2 * self.guard.n_readings
+        n_waits = 0 if covered else self.wait_readings
+        approach = _Approach(*arm, start, self.guard, self.clock, n_waits)
         try:
             approach.attempt(approach.run)
         finally:
@@ -210,7 +214,7 @@ class Toucher:
         lag = approach.lag_readings
         if self.lag is None and lag is not None:
             # With room for a filter, which only comes near to the force in its time.
-            self.lag = 2 * lag if lag >= self.guard.n_readings else 0
+            self.lag = 2 * lag
         return approach.record()
 
 
@@ -242,7 +246,7 @@ class _Approach:
         self._in_contact: list[tuple[float, float]] = []
         self._fine_until_mm = self._look_at_mm = 0.0
         self._last, self._n_equal = math.nan, 0
-        self._was_at_start = False
+        self._was_at_start, self._cosine = False, 1.0
         self._began = self.clock()
 
     def attempt(self, part: Callable[[], None]) -> None:
@@ -316,7 +320,10 @@ class _Approach:
             raise interrupt
 
     def _here(self) -> Floats:
-        here = np.asarray(self.robot.read_pose().position_mm, dtype=np.float64)
+        pose = self.robot.read_pose()
+        line = np.asarray(self.start.direction)
+        self._cosine = float(np.asarray(pose.direction) @ line)
+        here = np.asarray(pose.position_mm, dtype=np.float64)
         if not np.isfinite(here).all():  # of a pose that is no SensorPose
             raise _Fault(f"The arm says that it is at {here} mm.", "robot error")
         return here
@@ -575,6 +582,13 @@ class _Approach:
             raise _Fault(
                 f"The arm is {self._missed_mm:.2f} mm from where it was sent, more "
                 f"than max_miss_mm = {self.guard.max_miss_mm:g}.",
+                "robot error",
+            )
+        if not self._cosine > LEAST_COSINE:
+            raise _Fault(
+                "The arm looks another way than it was sent, by "
+                f"{math.degrees(math.acos(max(self._cosine, -1.0))):.0f} degrees: "
+                "pulled back, it would go aside. Does its wrist reach that far?",
                 "robot error",
             )
 

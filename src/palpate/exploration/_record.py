@@ -106,9 +106,10 @@ class TouchRecord:
             "outcome": self.outcome,
             "start_mm": np.asarray(self.start.position_mm).tolist(),
             "direction": self.direction.tolist(),
-            "roll_rad": self.start.roll_rad,
+            "roll_rad": float(self.start.roll_rad),
             "position_mm": list(self.position_mm),
-            **{name: getattr(self, name) for name in (*_NUMBERS, *_NOTES)},
+            **{name: float(getattr(self, name)) for name in _NUMBERS},
+            **{name: getattr(self, name) for name in _NOTES},
         }
 
     @classmethod

@@ -274,6 +274,7 @@ class _PutDown(RandomHemisphere):
     face: int = 0
     placement_sd_mm: float = 5.0
     drift: bool = False
+    camera: DomeCamera | None = None
 
 
 def _session(
@@ -304,7 +305,8 @@ def _session(
         **where,
     )
     placement_sd_mm = float(where["placement_sd_mm"])
-    strategy = _PutDown(stand.hemisphere, seed, yaw, face, placement_sd_mm, drift)
+    stood = yaw, face, placement_sd_mm, drift, camera
+    strategy = _PutDown(stand.hemisphere, seed, *stood)
     if guarded:
         history = gather(
             stand.robot,

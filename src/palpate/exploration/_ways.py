@@ -1,17 +1,17 @@
 """Touches of one episode and the ways between them: guarded, in short steps.
 
 Between two touches nothing should be met. So the arm moves in steps of at most
-`Guard.way_step_mm`, and after each the force is read once. A reading beyond
+`Guard.way_step_mm`, and after each the force is read. A reading beyond
 `Guard.limit_n` ends the way: the last step is taken back, and where that does not help
 the arm is stopped. One step against something of k N/mm adds k x `way_step_mm`: with
 the default of 2.5 mm it stays below 3 N up to 1.2 N/mm, and what is stiffer passes the
 limit by what that step adds, and is told.
 
 A force sensor that is filtered, or read through a slow bus, follows the contact late.
-Nothing in the air shows that, so the first touches of an episode wait for
-`Guard.lag_readings` at every step; where the force then changes, it is known by how
-many readings it lags. Later touches wait for so many, if it is more than those that a
-step takes anyway.
+Nothing in the air shows that, so the first touches of an episode, and the ways to them,
+wait for `Guard.lag_readings` at every step; where the force then changes, it is known
+by how many readings it lags. Later ones wait for so many, touches only if it is more
+than those that a step takes anyway.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def follow(
 ) -> None:
     """Move round the object to a pose on the hemisphere, in guarded steps.
 
-    First so many readings are passed over, which may still be of the last touch.
-    `WayError` says that one was beyond `guard.limit_n`, or no number.
+    First, and after each step, so many readings are waited for, which may still be of
+    before. `WayError` says that one was beyond `guard.limit_n`, or no number.
     """
     for _ in range(wait_readings):
         robot.read_force()
@@ -88,8 +88,8 @@ def follow(
         for pose in _steps(here, waypoint, guard.way_step_mm):
             with _stopping_pressed(robot, guard):
                 robot.move_to(pose)
-                force_n = _reading(robot)
-            _refuse_load(robot, force_n, here, guard)
+                force_n = _late_reading(robot, guard, wait_readings)
+            _refuse_load(robot, force_n, here, guard, wait_readings)
             here = pose
 
 
@@ -216,7 +216,7 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
 
 
 def _refuse_load(
-    robot: Robot, force_n: float, before: SensorPose, guard: Guard
+    robot: Robot, force_n: float, before: SensorPose, guard: Guard, wait_readings: int
 ) -> None:
     """Where the force is beyond the limit take the last step back, and say so."""
     if abs(force_n) <= guard.limit_n:
@@ -224,6 +224,8 @@ def _refuse_load(
     clear, why, end = False, "", ""
     try:
         robot.move_to(before)
+        for _ in range(wait_readings):
+            robot.read_force()
         clear = abs(_reading(robot)) <= guard.limit_n
     except Exception as error:
         why = f" ({type(error).__name__}: {error})"
@@ -264,6 +266,15 @@ def _stop(robot: Robot) -> str:
     if interrupt is not None:
         raise interrupt
     return end
+
+
+def _late_reading(robot: Robot, guard: Guard, wait_readings: int) -> float:
+    """Return the reading after so many, or the first that is beyond the limit."""
+    for _ in range(wait_readings):
+        force_n = _reading(robot)
+        if not abs(force_n) <= guard.limit_n:
+            return force_n
+    return _reading(robot)
 
 
 def _reading(robot: Robot) -> float:

@@ -41,6 +41,10 @@ class SensorError(RuntimeError):
     """A sensor that is missing or busy, or a frame that did not arrive or is none."""
 
 
+# What opening a device may raise; vendors have kinds of their own.
+_EXPECTED = SensorError, ValueError, OSError, ImportError
+
+
 @dataclass(frozen=True, eq=False)
 class Reading:
     """A frame as a driver gives it, with what else the device tells of it.
@@ -240,10 +244,13 @@ class LiveSensor(ABC):
             self._open()
             if self._stop.is_set():  # by another thread, meanwhile
                 raise SensorError(f"{self.name} was disconnected.")
-        except BaseException:  # an interrupt too: the device may be half open
+        except BaseException as error:  # an interrupt too: it may be half open
             with suppress(Exception):
                 self._close()
-            raise
+            if isinstance(error, _EXPECTED) or not isinstance(error, Exception):
+                raise
+            what = f"{self.name} cannot be opened: {error!r}"
+            raise SensorError(f"{what}. Look at its cable and its driver.") from error
         self._thread = threading.Thread(
             target=self._run, name=f"palpate {self.name}", daemon=True
         )
@@ -350,6 +357,7 @@ class LiveSensor(ABC):
             self._close()
 
     def _recover(self, error: BaseException) -> None:
+        promised = self.image_shape, self.dtype
         while True:
             self.lost = str(error) if isinstance(error, SensorError) else repr(error)
             with suppress(BaseException):  # that it cannot even be closed is no news
@@ -361,6 +369,8 @@ class LiveSensor(ABC):
             except BaseException as still:  # as in `_run`: whatever it is, try again
                 error = still
             else:
+                # What came back in another size is refused: all who read know this one.
+                self.image_shape, self.dtype = promised
                 self.lost = ""
                 return
 
@@ -494,7 +504,11 @@ def _check_promises(sensor: LiveSensor) -> None:
 
 def _check_frames(sensor: LiveSensor, n_frames: int) -> None:
     started_s = time.monotonic()
-    frames = [sensor.read_next() for _ in range(n_frames)]
+    frames = []
+    for _ in range(n_frames):
+        frames.append(sensor.read_next())
+        old_s = time.monotonic() - frames[-1].time_s
+        _say(old_s <= _FRESH_S, f"time_s must be of now, got {old_s:.1f} s ago")
     for frame in frames:
         _check_frame(sensor, frame)
         late = frame.time_s > time.monotonic()

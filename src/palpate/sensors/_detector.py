@@ -39,7 +39,6 @@ _LEAST_NOISES, _N_LIMITS = 3.0, 60
 _MAX_PIXELS = 50_000_000  # of a film
 _LEAST_REST = 3  # frames of a baseline
 _REST_FRAMES = 10  # of a film, taken for touching nothing
-_ROUNDING = 1e-12  # of the largest level
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
 
@@ -186,12 +185,14 @@ class TouchDetector:
                 f"{len(stack)} among {len(frames)}: the others are NaN alone. Look at "
                 "the sensor and its cable."
             )
-        if not force and _moving(stack, self._least(frames[0])):
+        # One reading again and again: its means may differ from it by rounding.
+        alike = all(np.array_equal(frame, stack[0], equal_nan=True) for frame in stack)
+        if not force and not alike and _moving(stack, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
                 "Leave it alone for a second and take the baseline again."
             )
-        mean = stack.mean(axis=0)
+        mean = stack[0] if alike else stack.mean(axis=0)
         first = self.baseline is None and not force
         if first and (where := _pressed(mean, self._least(frames[0]))):
             raise ContactError(
@@ -200,7 +201,8 @@ class TouchDetector:
             )
         self._before = self.baseline, self.noise
         levels = [_rms(frame - mean) for frame in stack]
-        self.noise = float(np.median(levels))
+        # That tells no noise: it is learnt from the next ones.
+        self.noise = 0.0 if alike else float(np.median(levels))
         self._set_baseline(as_kind(mean, np.asarray(frames[0]).dtype))
 
     def undo_baseline(self) -> None:
@@ -366,9 +368,6 @@ class TouchDetector:
     def _set_baseline(self, baseline: Array | None) -> None:
         self.baseline = None if baseline is None else np.array(baseline)
         self._small_baseline = np.empty(0) if baseline is None else _small(baseline)
-        # Less is no noise: one reading again and again differs from its mean.
-        levels = np.abs(np.nan_to_num(self._small_baseline))
-        self._rounding = _ROUNDING * float(levels.max(initial=0.0))
         self.touching, self.change = False, 0.0
         self._n_frames, self._peak, self._began_s = 0, -1.0, 0.0
         self._peak_frame = None
@@ -385,7 +384,7 @@ class TouchDetector:
 
         Two frames differ by chance by the square root of two times their noise.
         """
-        if self.noise > self._rounding or len(self._steps) >= _NOISE_STEPS:
+        if self.noise or len(self._steps) >= _NOISE_STEPS:
             return
         still = _small(image)
         if self._still is not None:
@@ -403,8 +402,7 @@ class TouchDetector:
         Of a baseline that came without its noise, noise beyond the steps of the
         sensor's numbers would be a touch that never ends.
         """
-        noisy = self.noise > self._rounding
-        if self._rested or noisy or self._begin is not None:
+        if self._rested or self.noise or self._begin is not None:
             return False
         self._changes.append(self.change)
         self._learn_noise(image)

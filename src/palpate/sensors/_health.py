@@ -175,7 +175,9 @@ def sensor_health(
     n_touched = sum(detector.update(frame) is not None for frame in frames)
     rest, noise = stack.mean(axis=0, dtype=np.float64), _noise(stack)
     parts = np.array_split(stack, _PARTS)
-    means = [part.mean(axis=0, dtype=np.float64) for part in parts]
+    # From the first frame on: a mean of equal numbers may differ from them by rounding.
+    first = stack[0].astype(np.float64)
+    means = [first + (part - first).mean(axis=0) for part in parts]
     figures = {
         **_times(frames),
         "noise": float(np.nanmedian(noise)),

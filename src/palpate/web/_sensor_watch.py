@@ -167,8 +167,6 @@ class SensorWatch:
         self.sensor = sensor
         self.detector = TouchDetector(sensor.no_contact(), summary=summary)
         self._take, self._listeners, self._health = take, listeners, health
-        of_array = sensor.geometry == "array"
-        self._painter = FramePainter(sensor.image_shape, sensor.channels, of_array)
         self._memory: SensorMemory | None = None
         self.misfit = self.failed = self.address = ""
         self._recent: list[Array] = []
@@ -180,6 +178,12 @@ class SensorWatch:
         self._stop = threading.Event()
         self._detected: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
         self._threads: list[threading.Thread] = []
+
+    @cached_property
+    def _painter(self) -> FramePainter:
+        """Made for the first frame: until it is connected a sensor may have no size."""
+        of_array = self.sensor.geometry == "array"
+        return FramePainter(self.sensor.image_shape, self.sensor.channels, of_array)
 
     def start(self) -> None:
         """Connect the sensor and follow it; nothing happens where that is done."""

@@ -149,7 +149,10 @@ class LiveSession:
         leaves none behind.
         """
         if self.watch is not None:
+            self.watch.sensor.connect()  # it may know its size only now
+            self.watch.compare_with(self.recogniser)
             if self.watch.misfit and self.teacher is None:
+                self.watch.sensor.disconnect()
                 raise ValueError(self.watch.misfit)
             self.watch.start()
         try:

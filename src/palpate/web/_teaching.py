@@ -189,15 +189,21 @@ class Teacher:
         What is not `posted` is of the lesson under way.
         """
         tidy = teachable_name(name)
-        touch = Touches(
-            image[np.newaxis],
-            object=[tidy],
-            time_s=[time.time()],
-            no_contact=baseline,
-            channels=channels,
-            geometry=self._described.geometry,
-            **{name: [value] for name, value in (columns or {}).items()},
-        )
+        own: dict[str, Any] = {
+            "images": image[np.newaxis],
+            "object": [tidy],
+            "time_s": [time.time()],
+            "no_contact": baseline,
+            "channels": channels,
+            "geometry": self._described.geometry,
+        }
+        measured = {name: [value] for name, value in (columns or {}).items()}
+        if taken := sorted(own.keys() & measured):
+            raise ValueError(
+                "Columns beside the frames of a sensor must not be called "
+                f"{', '.join(taken)}: every touch has these. Rename them in its driver."
+            )
+        touch = Touches(**own, **measured)
         (key,) = self.library.add(
             touches=touch,
             session=self._session,
