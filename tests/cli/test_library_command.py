@@ -27,6 +27,21 @@ def test_adding_twice_adds_once(palpate, folder, archive):
     assert result.stdout.startswith("0 new of 60 touches; 60 in")
 
 
+def test_what_others_add_meanwhile_is_not_counted(
+    palpate, folder, archive, monkeypatch
+):
+    add = TouchLibrary.add
+
+    def add_beside(library, touches, **named):
+        add(library, touches[:5], session="another")
+        return add(library, touches, **named)
+
+    monkeypatch.setattr(TouchLibrary, "add", add_beside)
+    for n_new in (60, 0):
+        words = "library", "add", folder, archive, "--session", "tuesday"
+        assert palpate.answer(*words)["added"] == n_new
+
+
 def test_touches_are_listed_and_shown(palpate, folder, tmp_path):
     rows = palpate.answer("library", "list", folder, "--where", "object = mug")["rows"]
     assert len(rows) == 20

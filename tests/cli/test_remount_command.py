@@ -59,6 +59,19 @@ def test_remount_writes_a_model_for_the_session(remounted, files, unlabelled):
     assert ObjectRecogniser.load(files / "m.palpate").score(tuesday) < 0.9
 
 
+def test_what_was_not_learnt_is_remounted_without_labels(palpate, files):
+    """The refusal names what to type, and a model so made can be extended."""
+    tuesday = Touches.load(files / "tue.npz")
+    names = np.where(tuesday.object == "d", "new", tuesday.object)
+    tuesday.with_columns(object=names).save(files / "new.npz")
+    words = "remount", files / "m.palpate", files / "new.npz", "-o"
+    refusal = palpate.refusal(*words, files / "o.palpate")
+    assert "got 'new', which was not learnt. Say --unlabelled, and add it" in refusal
+    palpate.printed(*words, files / "o.palpate", "--unlabelled")
+    extended = "learn", files / "new.npz", "--extend", files / "o.palpate", "-o"
+    assert palpate.answer(*extended, files / "p.palpate")["n_labels"] == 5
+
+
 def test_remount_says_that_the_mounting_differs_and_what_to_confirm(remounted, files):
     tuesday = Touches.load(files / "tue.npz")
     few = np.concatenate([np.flatnonzero(tuesday.object == n)[:2] for n in "abcd"])

@@ -330,9 +330,11 @@ def test_touches_of_unlike_columns_come_back(library, tmp_path):
     first = library.add(touches(session=np.arange(6), episode=["x", "", "y"] * 2))
     second = library.add(touches(seed=1, session=["s", "t", "u"] * 2))
     third = library.add(touches(seed=2))
+    placed = {"position_mm": np.ones((6, 3)), "position_raw": np.ones((6, 2))}
+    fourth = library.add(touches(seed=3, **placed))
     library.rename_object("c", "cup")
-    assert library.add(_exported(library, tmp_path)) == first + second + third
-    assert len(library) == 18
+    assert library.add(_exported(library, tmp_path)) == first + second + third + fourth
+    assert len(library) == 24
 
 
 def test_an_export_given_twice_at_once_adds_nothing(library, tmp_path):

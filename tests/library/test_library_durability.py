@@ -7,6 +7,7 @@ import os
 import random
 import shutil
 import signal
+import sqlite3
 import time
 import warnings
 from collections import Counter
@@ -203,6 +204,33 @@ def _files(folder):
 def _backup(folder):
     with TouchLibrary.open(folder) as library:
         return library.backup(folder.with_name("copy"))
+
+
+def _export(folder):
+    with TouchLibrary.open(folder) as library:
+        return library.export(folder.with_name("e.npz"))
+
+
+def test_a_full_disk_is_said_of_the_place_that_is_full(tmp_path, monkeypatch):
+    folder = tmp_path / "lab"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(press_of(1, 100, 20))
+    outcome = _under_limit(4096, _export, folder)
+    assert f"{tmp_path / 'e.npz'} must be a place with room for 100 to" in outcome
+    assert list(tmp_path.iterdir()) == [folder]
+    connect = sqlite3.connect
+
+    def with_little_room(place, **how):
+        connection = connect(place, **how)
+        if how == {}:  # where the copy goes
+            connection.execute("PRAGMA max_page_count = 5")
+        return connection
+
+    with TouchLibrary.open(folder) as library:
+        monkeypatch.setattr(sqlite3, "connect", with_little_room)
+        with pytest.raises(LibraryError, match="copy must be a place with room for a"):
+            library.backup(tmp_path / "copy")
+    assert not list((tmp_path / "copy").iterdir())
 
 
 def test_a_real_failing_write_is_reported_and_the_library_stays_whole(tmp_path):

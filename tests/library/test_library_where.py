@@ -50,7 +50,9 @@ def known_words(library):
     forms = ("{} is null", "{} is not null", "not {} = 1", "{} != 1", "{} contains 1")
     filters = [form.format(name) for form in forms for name in names]
     filters += [
-        f"order {sign} 1 and order = 1 or order = 2" for sign in ("<", "<=", ">", ">=")
+        f"order {sign} {than} and order = 1 or order = 2"
+        for sign in ("<", "<=", ">", ">=")
+        for than in ("1", "a")
     ]
     return {
         w for f in filters for sql, _ in _statements(library, f) for w in _words(sql)
@@ -94,6 +96,11 @@ def library(tmp_path_factory):
         ("force_n is not null and order >= 3", [3, 4]),
         ("session = 2", [2, 3]),
         ("session = '2'", []),
+        ("object > 6", [2]),
+        ("object <= 6 or object < 7.5", [2]),
+        ("not object >= 7", [0, 1, 3, 4, 5]),
+        ("object >= pen", [1, 4, 5]),
+        ("force_n < 0.25N or session <= monday or wear < three", []),
         ("object = cup or object = pen and force_n = 0.5", [0, 4]),
         ("(object = cup or object = pen) and force_n = 0.5", [4]),
         ("not object = pen", [0, 1, 2, 3]),
@@ -153,6 +160,18 @@ def test_filters_select(library, where, orders):
 def test_what_is_no_filter_is_refused(library, where, message):
     with pytest.raises(LibraryError, match=message):
         library.list(where)
+
+
+def test_texts_that_spell_numbers_are_ordered_as_these(tmp_path):
+    """As `library add --session 2` writes them; a day is no number."""
+    sessions = ["1", "02", "10", "-3", "2.5", "2024-05-01", "monday", ".", ""]
+    touches = Touches(np.arange(36).reshape(9, 2, 2), session=sessions)
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(touches)
+        for sign, expected in (("<", ["1", "-3"]), (">=", ["02", "10", "2.5"])):
+            rows = library.list(f"session {sign} 2")
+            assert [row.session for row in rows] == expected
+        assert library.count("session > 2024-04-30") == 2  # the day, and Monday
 
 
 @pytest.mark.parametrize("limit", [2**63 - 1, 2**63, 2**64, -(2**63), -(2**64)])

@@ -73,6 +73,39 @@ def test_arrays_are_read_with_their_columns(tmp_path, images, name, write):
         Touches.load(tmp_path / name, max_bytes=50)
 
 
+def _h5_labels(path, labels):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file["X"], file["label"] = np.zeros((len(labels), 4, 5)), labels
+
+
+def _mat_labels(path, labels):
+    content = {"X": np.zeros((len(labels), 4, 5)), "label": labels}
+    scipy.io.savemat(path, content)
+
+
+@pytest.mark.parametrize("values", [["T", "brain"], ["a b", "c"], [3.0, 12.0]])
+def test_labels_of_matlab_are_read_as_meant(tmp_path, values):
+    """Rows of text are filled up with blanks there, and numbers are doubles."""
+    _mat_labels(tmp_path / "t.mat", np.array(values))
+    names = [f"{value:g}" if isinstance(value, float) else value for value in values]
+    assert Touches.load(tmp_path / "t.mat").object.tolist() == names
+
+
+@pytest.mark.parametrize("name", ["t.h5", "t.mat"])
+@pytest.mark.parametrize("odd", [0.5, np.nan, np.inf, 1e19])
+def test_labels_that_are_not_whole_numbers_are_refused(tmp_path, name, odd):
+    write = _mat_labels if name.endswith("mat") else _h5_labels
+    write(tmp_path / name, np.array([1.0, odd]))
+    with pytest.raises(TouchesError, match=r"object must (be text or|name every)"):
+        Touches.load(tmp_path / name)
+
+
+def test_bytes_of_hdf5_are_utf_8(tmp_path):
+    _h5_labels(tmp_path / "t.h5", np.array(["café".encode(), b"mug"]))
+    assert Touches.load(tmp_path / "t.h5").object.tolist() == ["café", "mug"]
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 def test_every_page_of_a_tiff_is_a_touch(tmp_path, images, dtype):
     tifffile = pytest.importorskip("tifffile")

@@ -102,14 +102,14 @@ def add(
             f"All of {touches} is added."
         )
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
-    n_given = 0
+    n_given = n_new = 0
     begin = reading.begin
     detect = detect and touches.suffix.lower() not in FILMS
     if detect:  # where touches begin is told here
         reading = replace(reading, read=None, begin=None)
     parts = reading.parts(touches, topic)  # before a library is made
     with _opened(folder, create=True) as opened:
-        before = opened.stats()
+        n_there = sum(opened.stats()[:2])
         for part in parts:
             if detect:
                 from ..sensors import TouchDetector
@@ -117,14 +117,16 @@ def add(
                 part = TouchDetector(begin=begin).touches_in(part)
             if object_name is not None:
                 part = part.with_columns(object=[object_name] * len(part))
-            opened.add(part, session=session, episode=episode, sensor=described)
+            ids = opened.add(part, session=session, episode=episode, sensor=described)
             n_given += len(part)
-        after = opened.stats()
-    n_new = sum(after[:2]) - sum(before[:2])
+            later = opened.list(None, None, n_there, retracted=True)
+            n_new += len({row.id for row in later} & {*ids})  # others may add meanwhile
+            n_there += len(later)
+        n_touches = opened.stats().n_touches
     answer(
         as_json,
         {"library": str(folder), "given": n_given, "added": n_new},
-        f"{n_new} new of {counted(n_given)}; {after.n_touches} in {folder}.",
+        f"{n_new} new of {counted(n_given)}; {n_touches} in {folder}.",
     )
 
 

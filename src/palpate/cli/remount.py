@@ -1,9 +1,13 @@
 """`palpate remount`: a model for another day."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from . import _options
 from ._output import answer, stages
+
+if TYPE_CHECKING:
+    from ..recognition import ObjectRecogniser
+    from ..touches import Touches
 
 TO_CONFIRM = 5  # objects
 
@@ -41,6 +45,7 @@ def remount(
         if unlabelled:
             named = {"object", "category"} & set(session.columns)
             session = session.without(*named)
+        _refuse_new(recogniser, session)
         stage(f"getting used to {len(session)} touches")
         same_shape = session.images.shape[1:] == tuple(recogniser.encoder_.image_shape_)
         check = recogniser.check_mounting(session) if same_shape else None
@@ -63,6 +68,18 @@ def remount(
         "n_objects": len(weakest),
     }
     answer(as_json, values, *_sentences(values), written)
+
+
+def _refuse_new(recogniser: "ObjectRecogniser", session: "Touches") -> None:
+    """Refuse labels that were not learnt, in words of the command."""
+    labels = session.columns.get(recogniser.label, ())
+    new = sorted({*map(str, labels)} - {*map(str, recogniser.classes_)})
+    if new:
+        raise ValueError(
+            f"TOUCHES must be of what MODEL knows, got {new[0]!r}, which was not "
+            "learnt. Say --unlabelled, and add it to the new model with `palpate learn "
+            "--extend`; or leave its touches out."
+        )
 
 
 def _sentences(values: dict[str, Any]) -> list[str]:

@@ -20,7 +20,6 @@ from .._types import GEOMETRIES
 from ..touches import Touches
 from ._changes import Names, find_object
 from ._content import (
-    CELLS,
     IDENTITY,
     Column,
     earlier_cell,
@@ -37,7 +36,6 @@ from ._rows import (
     FROM,
     Batch,
     Recording,
-    StoredTouch,
     enter_array,
     new_rows,
     plain_values,
@@ -330,10 +328,11 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
     ids = [row.key for row in batch.rows]
     maybe: dict[bytes, tuple[bytes, str | None]] = {}
     parts = wide_identities(batch.layout, [image.more for image in batch.images])
-    for row, wide in zip(batch.rows, parts, strict=True):
+    values = plain_values(batch.rows)
+    for row, cells, wide in zip(batch.rows, values, parts, strict=True):
         called = [row.label, now[row.label], *names.former(now[row.label])]
-        for cells in _earlier(row, list(dict.fromkeys(called))):
-            key = identity(row.image, cells, wide)
+        for earlier in _earlier(cells, list(dict.fromkeys(called))):
+            key = identity(row.image, earlier, wide)
             if key != row.key:
                 maybe.setdefault(key, (row.key, now[row.label]))
     if not maybe:
@@ -348,15 +347,16 @@ def _matched(store: Store, batch: Batch) -> list[bytes]:
     return [before.get(key, key) for key in ids]
 
 
-def _earlier(row: StoredTouch, names: list[str | None]) -> Iterator[dict[str, Any]]:
+def _earlier(
+    values: dict[str, Any], names: list[str | None]
+) -> Iterator[dict[str, Any]]:
     """Return what may have set a touch apart from others when it was first added."""
-    pairs = zip(CELLS, row.cells, strict=True)
-    now = {n: cell for n, cell in pairs if cell is not None and n in IDENTITY}
+    now = {n: values[n] for n in IDENTITY if values.get(n) is not None}
+    pairs = {name: (cell, earlier_cell(cell)) for name, cell in now.items()}
     forms = [
-        names if name == "object" else list(dict.fromkeys([cell, earlier_cell(cell)]))
-        for name, cell in now.items()
+        names if name == "object" else [cell, *[before] * (before != cell)]
+        for name, (cell, before) in pairs.items()
     ]
     if any(len(form) > 1 for form in forms):
-        [values] = plain_values([row])
         for cells in product(*forms):
             yield {**values, **dict(zip(now, cells, strict=True))}

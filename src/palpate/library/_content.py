@@ -324,7 +324,9 @@ def plain_cells(name: str, array: Array) -> list[Any]:
 
 
 def earlier_cell(cell: Any) -> Any:
-    """Return nothing for an empty text, and the number that a text spells."""
+    """Return nothing for an empty text or place, and the number that a text spells."""
+    if isinstance(cell, list):
+        return None if all(number is None for number in cell) else cell
     if not isinstance(cell, str):
         return cell
     for kind in (int, float):

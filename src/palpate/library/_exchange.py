@@ -436,8 +436,17 @@ _TASKS_PANDAS = {
 }
 
 
+def _write_archive(path: Path, picked: Selection) -> None:
+    try:
+        picked.touches().save(path)
+    except TouchesError as error:
+        if isinstance(error.__cause__, OSError):  # `path` is not what was asked for
+            raise error.__cause__ from None
+        raise
+
+
 _WRITERS: dict[str, Callable[[Path, Selection], None]] = {
-    ".npz": lambda path, picked: picked.touches().save(path),
+    ".npz": _write_archive,
     ".parquet": _write_parquet,
     "": _write_lerobot,
 }

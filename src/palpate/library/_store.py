@@ -22,6 +22,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack, closing, contextmanager, suppress
+from errno import ENOSPC
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -294,9 +295,16 @@ class Store:
             source.execute("BEGIN")
             stack.callback(source.execute, "COMMIT")
             source.execute("SELECT 1 FROM tally").fetchall()
-            source.backup(
-                copy, pages=1024, progress=lambda _, left, total: advance(left, total)
-            )
+            try:
+                source.backup(
+                    copy,
+                    pages=1024,
+                    progress=lambda _, left, total: advance(left, total),
+                )
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorname == "SQLITE_FULL":  # where the copy goes
+                    raise OSError(ENOSPC, str(error)) from error
+                raise
 
     def n_lost(self) -> tuple[int, int]:
         """Return how many touches and changes fewer there are than there once were."""

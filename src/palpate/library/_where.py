@@ -156,7 +156,7 @@ class _Parser:
                 f"where must compare with a number or a text, got {token.text!r} "
                 'after a column. Write "is null" for values that are not known.'
             )
-        return Condition(f"({column} {operator} ?)", [*bound, _value(token)])
+        return _in_order(column, bound, operator, _value(token))
 
     def _column(self) -> tuple[str, list[Any]]:
         token = self._literal("the name of a column")
@@ -229,6 +229,22 @@ def _within(column: str, bound: list[Any], tokens: list[_Token]) -> Condition:
     different = list(dict.fromkeys((type(v), v) for v in values))
     sql = f"({column} IN {placeholders(len(different))})"
     return Condition(sql, [*bound, *(v for _, v in different)])
+
+
+def _in_order(column: str, bound: list[Any], operator: str, value: Any) -> Condition:
+    """Compare with a text or a number; to SQLite every number is below every text.
+
+    A text that spells a number, such as the session "02", is compared as that number.
+    """
+    if isinstance(value, str):
+        sql = f"(typeof({column}) = 'text' AND {column} {operator} ?)"
+    else:
+        sql = (
+            f"(CASE WHEN typeof({column}) != 'text' THEN {column} "
+            f"WHEN {column} GLOB '*[0-9]*' AND ltrim({column}, '-') NOT GLOB "
+            f"'*[^0-9.]*' THEN CAST({column} AS NUMERIC) END {operator} ?)"
+        )
+    return Condition(sql, [*bound * sql.count(column), value])
 
 
 def _negated(condition: Condition) -> Condition:

@@ -153,7 +153,13 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
             chosen[name] = column
     n_bytes = sum(plain[name].n_bytes for name in chosen)
     _refuse_large(f"The arrays of {path}", n_bytes, max_bytes)
-    return {column: _text(plain[name].read()) for name, column in chosen.items()}
+    arrays = {column: _text(plain[name].read()) for name, column in chosen.items()}
+    objects = arrays.get("object")
+    if objects is not None and objects.dtype.kind == "f":  # MATLAB's numbers are all so
+        with np.errstate(invalid="ignore"):  # NaN and infinity, which are not whole
+            whole = objects.astype(np.int64)
+        arrays["object"] = whole if np.array_equal(whole, objects) else objects
+    return arrays
 
 
 def _text(array: Array) -> Array:
@@ -202,7 +208,7 @@ def _hdf5_entry(h5py: Any, item: Any, max_bytes: int) -> _Entry:
 
     def texts() -> Array:
         _refuse_large(item.name, item.id.get_storage_size(), max_bytes)
-        return np.array(item.asstr()[()], dtype=np.str_)
+        return np.array(item.asstr("utf-8")[()], dtype=np.str_)
 
     return _Entry(item.shape, np.dtype("U16"), texts)
 
@@ -307,6 +313,8 @@ def _mat(path: Path, max_bytes: int) -> Arrays:
     entries = {}
     for name in numbers:
         array = np.asarray(read[name])
+        if array.dtype.kind == "U":  # rows of text are filled up with blanks
+            array = np.char.rstrip(array, " ")
         flat = array.ravel() if 1 in array.shape and array.ndim == 2 else array
         entries[name] = _Entry(flat.shape, flat.dtype, lambda a=flat: a)  # type: ignore[misc]
     return _chosen(path, entries, max_bytes)
