@@ -28,7 +28,7 @@ CORE = {
     "recognition/_belief.py": "belief beside_touch recogniser",
     "recognition/_calibration.py": "calibration strangers beside_touch fair_weight",
     "recognition/_contact.py": "contact",
-    "recognition/_evidence.py": "calibration belief recogniser",
+    "recognition/_evidence.py": "calibration belief beside_touch recogniser",
     "recognition/_memory.py": "memory belief recogniser",
     "recognition/_model_checks.py": "hostile_models model_file",
     "recognition/_remounting.py": "remounting",

@@ -40,6 +40,9 @@ def test_of_many_sentences_the_first_three_are_said(monkeypatch):
     assert recommendations({}, []) == sentences[:3]
 
 
+NEW = {"n_test_touches": 40, "n_test_touches_taught": 0}
+
+
 def figures_of(accuracy=(0.5, 0.6), **more):
     """Return figures that call for no advice, except by what `more` changes."""
     usual = {
@@ -51,6 +54,7 @@ def figures_of(accuracy=(0.5, 0.6), **more):
         "split": "last",
         "remount": "none",
         "sessions": {"asked": 2},
+        **NEW,
     }
     return usual | more
 
@@ -149,7 +153,7 @@ def test_of_two_objects_and_of_few_mistakes_no_pair_is_told():
 def figured(right, control):
     after = {"1": 0.5, "5": right}
     controls = {"brightness": {"1": 0.1, "5": control}, "no contact": {"1": 1, "5": 1}}
-    return {"accuracy": after, "controls": controls, "chance": 0.25}
+    return {"accuracy": after, "controls": controls, "chance": 0.25, **NEW}
 
 
 def test_the_verdict_is_one_sentence_on_how_good_and_why():
@@ -165,7 +169,7 @@ def test_the_verdict_is_one_sentence_on_how_good_and_why():
         "are 100 %."
     )
     always = {"accuracy": {"1": 1.0, "5": 1.0}, "controls": {"b": {"1": 1, "5": 1}}}
-    assert verdict({**always, "chance": 0.25}).startswith("This does not show")
+    assert verdict({**always, "chance": 0.25, **NEW}).startswith("This does not show")
     assert verdict({**figured(0.9, 0.1), "accuracy": {}}).startswith("Nothing can be")
 
 

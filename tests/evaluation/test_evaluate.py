@@ -50,6 +50,16 @@ def test_distinct_objects_are_told_apart(result):
     json.dumps(figures)
 
 
+@pytest.mark.parametrize(("n_again", "is_said"), [(6, False), (7, True)])
+def test_a_tenth_of_touches_that_were_taught_too_is_the_verdict(n_again, is_said):
+    train, test = drawn(0, NAMES), drawn(1, NAMES)
+    met = Touches.concatenate([train[:n_again], test[n_again:]])
+    figures, _ = evaluate(train, met, plan=PLAN)
+    assert figures["n_test_touches_taught"] == n_again
+    said = figures["verdict"].startswith("This says little of new touches: 7 of 64 ")
+    assert said == is_said
+
+
 def test_controls_without_their_cause_are_absent(result):
     controls = result[0]["controls"]
     assert controls["disc centre"] is None

@@ -43,7 +43,7 @@ _MOST = 3
 _GOOD, _FAIR = 0.95, 0.8
 # A share of touches without contact, an accuracy gained, and a share of all mistakes,
 # at which something is worth saying.
-_IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES = 0.1, 0.05, 1 / 3
+_IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES, _TAUGHT_SHARE = 0.1, 0.05, 1 / 3, 0.1
 # Touches of an object: fewer than the first are few, the second are good.
 A_START, GOOD = 20, 60
 _NAMED = 5
@@ -393,6 +393,13 @@ def _verdict(figures: dict[str, Any]) -> str:
     accuracy = figures["accuracy"]
     if not accuracy:
         return "Nothing can be said: no object has as many test touches as asked for."
+    n_taught, n_test = figures["n_test_touches_taught"], figures["n_test_touches"]
+    if n_taught >= _TAUGHT_SHARE * n_test:
+        return (
+            f"This says little of new touches: {n_taught} of {n_test} test touches "
+            "were taught too, to the bit. Leave them out, or evaluate one set by a "
+            "`split`."
+        )
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
     after = f"{100 * right:.0f} % right after {n_touches_of(last)}"

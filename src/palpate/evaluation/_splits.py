@@ -48,6 +48,12 @@ class Fold:
             return False
         return not np.isin(tested, taught).any()
 
+    @property
+    def n_taught(self) -> int:
+        """How many test touches have the image of a training touch, to the bit."""
+        taught = {hash(image.tobytes()) for image in self.train.images}
+        return sum(hash(image.tobytes()) in taught for image in self.test.images)
+
 
 class RowFold(NamedTuple):
     """A fold by row numbers: what is asked, in words, and who teaches and is asked."""

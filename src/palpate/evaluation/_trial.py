@@ -193,6 +193,7 @@ def figures_of(
         "sessions": first.across_sessions(),
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
         "n_test_touches": sum(len(t.fold.test) for t in trials),
+        "n_test_touches_taught": sum(t.fold.n_taught for t in trials),
         "chance": 1 / len(first.classes_),
         "orders": plan.orders,
         "seed": plan.seed,
