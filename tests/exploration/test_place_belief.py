@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from known_surfaces import standing_ellipse
 from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.exceptions import NotFittedError
 
 from palpate import Touches
 from palpate.exploration import (
@@ -14,6 +15,7 @@ from palpate.exploration import (
     InformativeTouch,
     RandomHemisphere,
     SurfaceMap,
+    TouchMap,
     TouchRecord,
     advice,
     as_touches,
@@ -369,6 +371,13 @@ def test_forces_that_are_all_missing_are_as_none(recogniser, taught):
     assert np.isnan(surface_map.force_n_)
     belief = surface_map.start().update(taught[[0]])
     assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
+
+
+@pytest.mark.parametrize("kind", [SurfaceMap, TouchMap])
+def test_a_map_that_learnt_nothing_is_refused(kind):
+    for use in (InformativeTouch, kind.start):
+        with pytest.raises(NotFittedError, match=f"{kind.__name__} has learnt"):
+            use(kind())
 
 
 def test_touches_without_places_and_meshes_of_other_objects_are_refused(

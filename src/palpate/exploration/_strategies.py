@@ -43,7 +43,7 @@ from ._place_belief import PlaceBelief
 from ._place_filter import PlaceGain
 from ._record import History, as_touches
 from ._surface_map import SurfaceMap
-from ._touch_map import PlacedBelief, TouchMap, freshness
+from ._touch_map import PlacedBelief, TouchMap, check_learnt, freshness
 
 if TYPE_CHECKING:
     from ..recognition import Belief
@@ -304,6 +304,7 @@ class InformativeTouch:
         nats_per_second: float = 0.005,
         speed_mm_s: float = 100.0,
     ) -> None:
+        check_learnt(touch_map)
         self.touch_map = touch_map
         self.hemisphere = Hemisphere() if hemisphere is None else hemisphere
         self.n_rings = check_count("n_rings", n_rings)

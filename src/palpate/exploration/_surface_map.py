@@ -36,7 +36,7 @@ from ._surface import (
     one_aim,
     turned_surfaces,
 )
-from ._touch_map import TouchMap
+from ._touch_map import TouchMap, check_learnt
 
 if TYPE_CHECKING:
     from ._strategies import Hemisphere
@@ -281,6 +281,7 @@ class SurfaceMap:
         centre_mm : tuple of float, default=(0, 0, 0)
             Where the middle of the object is assumed, in the frame of the arm.
         """
+        check_learnt(self)
         log_prior = self.recogniser.belief_model().log_prior_of(prior)
         return PlaceBelief(self, centre_mm, log_prior, strangers)
 

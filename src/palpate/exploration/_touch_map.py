@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import logsumexp
+from sklearn.exceptions import NotFittedError
 
 from .._checks import STRANGERS, check_count
 from .._numbers import exp, log_softmax, with_floor
@@ -215,6 +216,7 @@ class TouchMap:
         prior, strangers : optional
             As in `ObjectRecogniser.start`.
         """
+        check_learnt(self)
         log_prior = self.recogniser.belief_model().log_prior_of(prior)
         return PlacedBelief(self, log_prior, strangers)
 
@@ -299,6 +301,13 @@ class TouchMap:
         """N of features but for a factor per touch, at most 1."""
         least = squared.min(axis=1, keepdims=True)
         return np.asarray(np.exp((squared - least) / (-2 * self.bandwidth_**2)))
+
+
+def check_learnt(touch_map: object) -> None:
+    """Refuse a map that was not fitted."""
+    if not hasattr(touch_map, "recogniser"):
+        name = type(touch_map).__name__
+        raise NotFittedError(f"{name} has learnt nothing yet; call fit first.")
 
 
 class BeliefOfPlaces(Belief):
