@@ -252,7 +252,7 @@ class EpisodeLog:
     def __enter__(self) -> Self:
         if self.folder is None:
             return self
-        _make_folder(self.folder)
+        make_folder(self.folder)
         self._lock = _locked(self.folder)
         try:
             for partial in self.folder.glob(f"{PARTIAL}*"):
@@ -344,7 +344,8 @@ def _read_record(path: Path) -> TouchRecord:
         ) from error
 
 
-def _make_folder(folder: Path) -> None:
+def make_folder(folder: Path) -> None:
+    """Make a folder of episodes; `EpisodeError` says that a file is there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:

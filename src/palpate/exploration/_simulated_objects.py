@@ -29,7 +29,7 @@ from ..simulation import (
 from ..touches import Touches
 from ._episode import gather, gather_by
 from ._guarded import Guard, Toucher
-from ._record import EpisodeLog, TouchRecord, as_touches, tip_mm
+from ._record import EpisodeLog, TouchRecord, as_touches, make_folder, tip_mm
 from ._robot import SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
 from ._ways import touch_from_hemisphere
@@ -252,6 +252,8 @@ def explore_to_learn(
     seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     home = None if folder is None else Path(folder)
     check_option("faces", faces, ("usual", "all"))
+    if home is not None:
+        make_folder(home)
     turns = turned, faces == "all"
     where = {"placement_sd_mm": placement_sd_mm, "known_height": known_height}
     how = (seen_by, turns, drift, where, guarded, home, random_state)
