@@ -482,11 +482,11 @@ class Learner(BaseEstimator):
 
     def _as_label(self, name: str) -> Any:
         """Return a name as a label of the kind of the known ones."""
-        dtype, known = self.memory_.labels.dtype, self._names()
+        dtype, names = self.memory_.labels.dtype, self._names()
         if dtype.kind == "U":
             return name
-        if name in known:
-            return self.classes_[known.index(name)]
+        if name in names:
+            return self.classes_[names.index(name)]
         try:
             label = dtype.type(name)
         except (OverflowError, ValueError) as error:

@@ -151,8 +151,8 @@ def memory_of(
     def texts(column: Array | None) -> Array:
         if column is None:
             return np.full(len(labels), "")
-        told = column == column  # NaN, as in a data frame, is what is not known
-        return np.where(told, column.astype(str), "")
+        is_nan = column != column  # as a data frame has what is not known
+        return np.where(is_nan, "", column.astype(str))
 
     return Memory(
         features=encoding.features,

@@ -184,8 +184,8 @@ class Memory:
         """
         if not len(self):
             return replace(other, sensor=self.sensor or other.sensor)
-        known = dict(zip(self.classes.tolist(), self.category_of, strict=True))
-        usual = np.array([known.get(label, "") for label in other.labels.tolist()])
+        category_of = dict(zip(self.classes.tolist(), self.category_of, strict=True))
+        usual = np.array([category_of.get(x, "") for x in other.labels.tolist()])
         later = replace(
             other,
             blocks=other.blocks + self.blocks.max() + 1,

@@ -189,7 +189,7 @@ class Teacher:
         What is not `posted` is of the lesson under way.
         """
         tidy = teachable_name(name)
-        own: dict[str, Any] = {
+        fixed: dict[str, Any] = {
             "images": image[np.newaxis],
             "object": [tidy],
             "time_s": [time.time()],
@@ -198,12 +198,12 @@ class Teacher:
             "geometry": self._described.geometry,
         }
         measured = {name: [value] for name, value in (columns or {}).items()}
-        if taken := sorted(own.keys() & measured):
+        if taken := sorted(fixed.keys() & measured):
             raise ValueError(
                 "Columns beside the frames of a sensor must not be called "
                 f"{', '.join(taken)}: every touch has these. Rename them in its driver."
             )
-        touch = Touches(**own, **measured)
+        touch = Touches(**fixed, **measured)
         (key,) = self.library.add(
             touches=touch,
             session=self._session,
