@@ -119,7 +119,7 @@ def test_later_touches_are_of_the_object_that_is_named_whatever_their_own_labels
 def test_a_belief_goes_on_by_what_was_learnt_when_it_began(learnt):
     """Columns of another object would be taken for those of the one forgotten."""
     ball, belief = drawn(2)[:2], learnt.start()
-    expected = learnt.start().update(ball).posterior
+    expected = learnt.start().update(ball[0]).update(ball[1]).posterior
     learnt.forget_object("mug").add_object("cup", drawn(3, ("mug",)))
     assert learnt.classes_.tolist() == ["ball", "cup", "pen"]
     assert belief.update(ball[0]).update(ball[1]).posterior == expected

@@ -314,7 +314,7 @@ def _mat(path: Path, max_bytes: int) -> Arrays:
     for name in numbers:
         array = np.asarray(read[name])
         if array.dtype.kind == "U":  # rows of text are filled up with blanks
-            array = np.char.rstrip(array, " ")
+            array = np.char.rstrip(array)
         flat = array.ravel() if 1 in array.shape and array.ndim == 2 else array
         entries[name] = _Entry(flat.shape, flat.dtype, lambda a=flat: a)  # type: ignore[misc]
     return _chosen(path, entries, max_bytes)
