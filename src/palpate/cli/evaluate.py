@@ -109,9 +109,10 @@ def evaluate(
 
 
 def in_options(figures: dict[str, Any]) -> dict[str, Any]:
-    """Return figures whose recommendations name options of `palpate evaluate`."""
+    """Return figures whose sentences name options of `palpate evaluate`."""
     todo = [as_typed(sentence, "evaluate") for sentence in figures["recommendations"]]
-    return {**figures, "recommendations": todo}
+    verdict = as_typed(figures["verdict"], "evaluate")
+    return {**figures, "verdict": verdict, "recommendations": todo}
 
 
 def print_figures(figures: dict[str, Any]) -> None:

@@ -41,8 +41,8 @@ from ._trial import Plan, Trial, confusion_of, figures_of
 _MOST = 3
 # Right after the most touches that were asked for: good, and worth going on with.
 _GOOD, _FAIR = 0.95, 0.8
-# A share of touches without contact, an accuracy gained, and a share of all mistakes,
-# at which something is worth saying.
+# A share of touches without contact, an accuracy gained, a share of all mistakes, and a
+# share of test touches that were taught too, at which something is worth saying.
 _IDLE_SHARE, _GAIN, _SHARE_OF_MISTAKES, _TAUGHT_SHARE = 0.1, 0.05, 1 / 3, 0.1
 # Touches of an object: fewer than the first are few, the second are good.
 A_START, GOOD = 20, 60
@@ -397,8 +397,8 @@ def _verdict(figures: dict[str, Any]) -> str:
     if n_taught >= _TAUGHT_SHARE * n_test:
         return (
             f"This says little of new touches: {n_taught} of {n_test} test touches "
-            "were taught too, to the bit. Leave them out, or evaluate one set by a "
-            "`split`."
+            "were taught too, to the bit. Leave them out, or evaluate one set with "
+            "`split=last`."
         )
     *_, last = accuracy
     right, chance = accuracy[last], figures["chance"]
