@@ -173,6 +173,13 @@ def test_a_split_by_session_needs_sessions_and_says_how(palpate, archive):
     assert "--levels object/session" in result
 
 
+def test_evaluate_of_what_was_taught_says_so_in_words_of_the_command(palpate, archive):
+    words = ["evaluate", "--train", archive, "--test", archive, "--touches", "1"]
+    verdict = palpate.answer(*words)["verdict"]
+    assert verdict.startswith("This says little of new touches: ")
+    assert verdict.endswith("or evaluate one set with --split last.")
+
+
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     report = tmp_path / "r.html"

@@ -140,10 +140,7 @@ def recognise(
     from ..recognition import ObjectRecogniser
 
     if picture is not None:
-        if picture.suffix.lower() != ".png":
-            raise ValueError(f"--picture must end in .png, got {picture.name!r}.")
-        _options.check_folder_of(picture)
-        needed("matplotlib", "plot", "--picture")
+        _check_picture(picture)
     target = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
@@ -198,6 +195,13 @@ def recognise(
         f"  {end.reason}",
         *standing,
     )
+
+
+def _check_picture(picture: Path) -> None:
+    if picture.suffix.lower() != ".png":
+        raise ValueError(f"--picture must end in .png, got {picture.name!r}.")
+    _options.check_folder_of(picture)
+    needed("matplotlib", "plot", "--picture")
 
 
 @dataclass(frozen=True)
