@@ -4,10 +4,16 @@ import re
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches, simulate_touches
-from palpate.evaluation import Plan, evaluate, summary, write_report
+from palpate.evaluation import (
+    Plan,
+    evaluate,
+    explained_episodes,
+    summary,
+    write_report,
+)
 from palpate.recognition import sessions_message
 from palpate.simulation import DomeCamera
 
@@ -112,13 +118,27 @@ def test_strangers_are_asked_of_what_got_used_to_their_session():
     days = [visited(day, 10, seed, "abcd") for seed, day in enumerate(("tue", "wed"))]
     strangers = [visited(day, 6, 3, "e") for day in ("wed", "tue")]
     unknown = Touches.concatenate(strangers).with_columns(object=[*"xxxxxxyyyyyy"])
-    plan = Plan(touches=(1,), orders=2, remount="recentre")
-    _, (both,) = evaluate(train, Touches.concatenate(days), unknown=unknown, plan=plan)
+    # Without strangers all of them get a name, which the report explains.
+    named = {"error": 0.5, "strangers": 0.0}
+    plan = Plan(touches=(1,), orders=2, remount="recentre", **named)
+    figures, trials = evaluate(
+        train, Touches.concatenate(days), unknown=unknown, plan=plan
+    )
+    (both,) = trials
     assert both.unknown.session.tolist() == ["tue"] * 6 + ["wed"] * 6
     beliefs = dict(zip("xy", both.unknown_episodes.singles.beliefs, strict=True))
     for name, test, stranger in zip("yx", days, strangers[::-1], strict=True):
         _, (alone,) = evaluate(train, test, unknown=stranger, plan=plan)
         assert_array_equal(alone.unknown_episodes.singles.beliefs[0], beliefs[name])
+    explained = [e for e in explained_episodes(figures, trials) if e.is_stranger]
+    assert {episode.name for episode in explained} == {"x", "y"}
+    for episode in explained:
+        place, n = both.unknown_episodes.objects.index(episode.name), len(episode.rows)
+        order = (both.unknown_episodes.rows[place][:, :n] == episode.rows).all(axis=1)
+        met = both.unknown_episodes.beliefs[place][order.argmax(), n - 1]
+        belief = both.recogniser.start(strangers=0.0).update(episode.evidence)
+        # Up to rounding of sums.
+        assert_allclose(belief.log_posterior, met, atol=1e-9)
 
 
 @pytest.mark.parametrize("remount", ["recentre", "confirm:2"])

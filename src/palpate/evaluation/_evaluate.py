@@ -192,7 +192,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
         met = _meet_unknown(recognisers, unknown, plan)
-        trial.unknown, trial.unknown_episodes = met
+        trial.unknown, trial.unknown_episodes, trial.unknown_evidence = met
     progress(f"{fold.name}: nuisance controls")
     trial.controls = _controls(trial, labels, objects, plan)
     return trial
@@ -265,7 +265,7 @@ def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Arr
 
 def _meet_unknown(
     recognisers: dict[Any, ObjectRecogniser], unknown: Touches, plan: Plan
-) -> tuple[Touches, Episodes]:
+) -> tuple[Touches, Episodes, Evidence]:
     """Ask strangers of what got used to their session, if test touches are of it.
 
     Others of the last. Returned in the order of sessions.
@@ -294,7 +294,7 @@ def _meet_unknown(
     )
     args = (objects, None, plan.orders, plan.seed + 1, evidence)
     episodes = run_episodes(recogniser, evidence.log_likelihood, *args)
-    return unknown, episodes
+    return unknown, episodes, evidence
 
 
 def _controls(

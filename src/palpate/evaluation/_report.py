@@ -64,10 +64,10 @@ class Explained(NamedTuple):
     @property
     def evidence(self) -> Evidence:
         """What they told, in the session in which they were asked."""
-        if self.is_stranger:
-            return self.trial.recogniser.evidence(self.touches)
-        of_test = self.trial.evidence
-        return Evidence.together([*map(of_test.of_touch, self.rows.tolist())])
+        trial = self.trial
+        told = trial.unknown_evidence if self.is_stranger else trial.evidence
+        assert told is not None
+        return Evidence.together([*map(told.of_touch, self.rows.tolist())])
 
 
 def write_report(

@@ -131,6 +131,8 @@ class Trial:
         Touches of unknown objects, where there are any.
     unknown_episodes : Episodes or None
         Their episodes, like `episodes`.
+    unknown_evidence : Evidence or None
+        All that they told, each in its session.
     flags : dict
         Share of the test touches with each flag, such as "no contact".
     controls : dict
@@ -146,6 +148,7 @@ class Trial:
     confirmed: Touches | None = None
     unknown: Touches | None = None
     unknown_episodes: Episodes | None = None
+    unknown_evidence: Evidence | None = None
     flags: dict[str, float] = field(default_factory=dict)
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
 
