@@ -69,6 +69,11 @@ def test_as_many_touches_of_each_object_are_drawn_as_asked_for(recordings):
         (lambda t: t.without("category"), "unseen-objects", "column 'category'"),
         (lambda t: t[:3], "last", "at least 4 touches to be split, got 3"),
         (lambda t: t[:8], "unseen-objects", "at least two objects"),
+        (
+            lambda t: t.with_columns(object=[name[4:] for name in t.object]),
+            "unseen-objects",
+            "one category each, got 'a' of mug, pen",
+        ),
         (lambda t: t, "subject", "must have a column 'subject'"),
     ],
 )

@@ -12,7 +12,7 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
-from .._checks import check_count, check_option
+from .._checks import check_count, check_option, listed
 from .._types import Array, Bools, Indices, Split
 from ..touches import Touches
 
@@ -156,13 +156,23 @@ def protocol_folds(
 
 
 def column_of(touches: Touches, name: str) -> Array:
-    """Return a column, or say that it is missing."""
+    """Return a column, or say that it is missing; objects are of one category each."""
     if name not in touches.columns:
         held = ", ".join(touches.columns) or "none"
         raise ValueError(
             f"The touches must have a column {name!r}, got {held}. Add it, or name "
             "folders after objects or pass `name_pattern`."
         )
+    if name == "category" and touches.object is not None:
+        pairs = np.unique(np.stack([touches.object, touches.columns[name]]), axis=1)
+        objects, counts = np.unique(pairs[0], return_counts=True)
+        if counts.max() > 1:
+            several = str(objects[counts.argmax()])
+            listing = listed(pairs[1, pairs[0] == several].tolist(), 3)
+            raise ValueError(
+                f"Objects must be of one category each, got {several!r} of {listing}. "
+                "Name different objects differently, such as after their category too."
+            )
     return touches.columns[name]
 
 
