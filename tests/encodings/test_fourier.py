@@ -156,6 +156,16 @@ def test_holes_and_fragments_do_not_count(hexagon):
         assert_array_equal(encoder.transform(same), encoder.transform(hexagon))
 
 
+@pytest.mark.parametrize("down", range(4))
+def test_of_equal_fragments_the_first_row_by_row_counts(down):
+    """Wherever they lie: OpenCV numbers fragments by blocks of two rows."""
+    line, corner = np.zeros((2, 12, 12), dtype=bool)
+    line[down + 2, 1:4] = True
+    corner[down + 1, 7:9] = corner[down + 2, 8] = True
+    outline = FourierDescriptors.outline(line | corner)
+    assert_array_equal(outline, FourierDescriptors.outline(corner))
+
+
 def test_diagonal_neighbours_are_one_component():
     image = np.zeros((9, 9), dtype=bool)
     image[1:4, 1:4] = image[4:7, 4:7] = True

@@ -149,8 +149,11 @@ class FourierDescriptors(ImageEstimator):
         n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(pixels)
         if n_labels == 1:
             return np.empty((0, 2))
-        largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-        mask = (labels == largest).astype(np.uint8)
+        area = stats[:, cv2.CC_STAT_AREA]
+        area[0] = 0  # the background
+        # OpenCV numbers components by blocks of pixels, not row by row.
+        first_of_largest = labels[area[labels] == area.max()][0]
+        mask = (labels == first_of_largest).astype(np.uint8)
         walks, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         return np.asarray(walks[0].reshape(-1, 2).astype(np.float64))
 
