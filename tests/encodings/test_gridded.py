@@ -230,6 +230,12 @@ def test_untouched_gel_has_no_slopes(dented):
     assert_allclose(encoder.transform(touches[:1]), 0, atol=1e-6)
 
 
+@pytest.mark.parametrize("shape", [(), (12, 16), (12, 16, 1), (11, 16, 3)])
+def test_a_baseline_that_is_no_such_image_is_refused(shape, dented):
+    with pytest.raises(ValueError, match=r"of shape \(12, 16, 3\) .* got one of shape"):
+        PhotometricGradients(LIGHTS, baseline=np.ones(shape)).fit(lit(dented))
+
+
 @pytest.mark.parametrize(
     "lights", [[[1, 0], [2, 0], [3, 0]], [[1, 0], [0, 1]], [1, 0, 0]]
 )

@@ -307,7 +307,14 @@ class PhotometricGradients(ImageEstimator, by_channel=False):
         self.slopes_ = np.linalg.pinv(lights)
         baseline = self.baseline
         if not isinstance(baseline, str):
-            baseline = self._slopes(np.asarray(baseline))
+            frame = np.asarray(baseline)
+            if frame.shape != images.shape[1:]:
+                raise ValueError(
+                    f"baseline must be 'median' or an image of shape "
+                    f"{images.shape[1:]} like the others, got one of shape "
+                    f"{frame.shape}."
+                )
+            baseline = self._slopes(frame)
         self.grid_ = GridLevels(self.cells, baseline=baseline)
         self.grid_.fit(self._slopes(images))
 
