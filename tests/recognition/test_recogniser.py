@@ -258,12 +258,14 @@ def test_half_precision_is_learnt_as_single_is_without_a_warning():
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 @pytest.mark.parametrize("preset", ["default", "corradi2015"])
 @pytest.mark.parametrize("level", [0.0, 7.0, 1e-300])
+@pytest.mark.parametrize("names", [("mug", "pen"), ("a", "b", "c", "d", "e", "f")])
 def test_touches_that_are_all_alike_are_learnt_without_a_warning(
-    preset, geometry, level
+    preset, geometry, level, names
 ):
-    touches = Touches(np.full((12, 20, 20), level), object=LABELS, geometry=geometry)
+    images, objects = np.full((12, 20, 20), level), np.repeat(names, 12 // len(names))
+    touches = Touches(images, object=objects, geometry=geometry)
     belief = ObjectRecogniser(preset).fit(touches).start().update(touches[:2])
-    shares = dict.fromkeys(("pen", "mug"), (1 - belief.unknown) / 2)
+    shares = dict.fromkeys(names, (1 - belief.unknown) / len(names))
     assert belief.posterior == pytest.approx(shares)
 
 

@@ -252,7 +252,8 @@ def _low_curve(known_track: Track, strangers: Track, n_names: int) -> Curve:
 
 
 def _spread(values: Floats) -> Floats:
-    """Return levels that are spread evenly over values."""
+    """Return levels that are spread evenly over values; 0 where no touch tells any."""
+    values = values if len(values) else np.zeros(1)
     return np.unique(np.quantile(values, np.linspace(0, 1, _N_LEVELS)))
 
 
