@@ -59,6 +59,13 @@ def test_a_network_encodes_images_brought_to_mean_0_and_variance_1(images):
     assert_allclose(vectors, expected, atol=1e-5)
 
 
+def test_half_precision_is_encoded_as_single_is(images):
+    # Squares of these sum up to 2.4 million; half precision ends at 65,504.
+    half = (200 * images).astype(np.float16)
+    single = OnnxEncoding(network()).fit_transform(half.astype(np.float32))
+    assert_allclose(OnnxEncoding(network()).fit_transform(half), single, atol=1e-5)
+
+
 def test_levels_may_be_given(images):
     encoding = OnnxEncoding(network(), mean=0.5, std=2.0).fit(images)
     expected = (images.reshape(5, -1).mean(axis=1) - 0.5) / 2

@@ -96,8 +96,10 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
         self.network_ = np.frombuffer(network, dtype=np.uint8)
         self.__dict__.pop("_session", None)
         n_channels = images.shape[3] if images.ndim == 4 else 1
-        spread = float(np.std(images)) or 1.0
-        self.mean_ = _levels("mean", self.mean, float(np.mean(images)), n_channels)
+        # numpy sums squares of half precision in half precision.
+        levels = images.astype(np.float32) if images.dtype == np.float16 else images
+        spread = float(np.std(levels)) or 1.0
+        self.mean_ = _levels("mean", self.mean, float(np.mean(levels)), n_channels)
         self.std_ = _levels("std", self.std, spread, n_channels)
         if not (self.std_ > 0).all():
             raise ValueError(f"std must be positive, got {self.std!r}.")
