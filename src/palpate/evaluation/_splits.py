@@ -3,7 +3,8 @@
 Protocols make folds of row numbers. A recording is what was touched of one object in
 one session (and of one `part`, where there is such a column), in order. Near copies
 stay on one side: touches of one press (columns `press`, `episode`, `squeeze` or
-`idle_of`) are taught together or asked together.
+`idle_of`) are taught together or asked together. Splits know of neither: "between" and
+"last" count the touches of an object, in all of its sessions.
 """
 
 from collections.abc import Callable, Iterator
@@ -73,7 +74,8 @@ def split_touches(touches: Touches, split: str, label: str = "object") -> list[F
         the recording where it is given, else the order in the set counts.
     split : {"between", "last", "unseen-objects", "session", "subject"}
         "between" tests every fourth touch of each object, "last" the last quarter
-        of each recording (places and times not trained on), "unseen-objects" one
+        of each object's touches (places and times not trained on; of several sessions
+        with one running order, those of the last session), "unseen-objects" one
         object of every category, in as many folds as the largest category has
         objects. "session" and "subject" test each session or person in turn, of many
         several at a time, and the others train; objects that no other met are left
