@@ -205,7 +205,7 @@ def test_sessions_that_share_no_two_labels_are_refused():
     )
     with pytest.raises(ValueError, match="must find two object labels"):
         protocol_folds(touches, "sessions", "object", 1, 0)
-    with pytest.raises(ValueError, match="at least two values of 'session', got 1"):
+    with pytest.raises(ValueError, match=r"values of 'session', got 1\. .* split or"):
         protocol_folds(
             touches.with_columns(session=["mon"] * 4), "sessions", "object", 1, 0
         )

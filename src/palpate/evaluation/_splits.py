@@ -150,7 +150,7 @@ def protocol_folds(
         raise ValueError(
             f"protocol {protocol!r} must find two {label} labels with touches both to "
             "learn and to test, got fewer. Record them again, in another session or by "
-            "another person, or choose another protocol."
+            "another person, or choose another split or protocol."
         )
     met = np.concatenate([fold.test for fold in folds])
     left_out = np.setdiff1d(objects, objects[met])
@@ -213,7 +213,7 @@ def _column(touches: Touches, name: str) -> TestMasks:
     if len(values) < 2:
         raise ValueError(
             f"touches must have at least two values of {name!r}, got {len(values)}. "
-            "Choose another protocol."
+            "Record another one, or choose another split or protocol."
         )
     for k in range(min(len(values), MOST_FOLDS)):
         yield ", ".join(map(str, values[k::MOST_FOLDS])), codes % MOST_FOLDS == k
