@@ -270,7 +270,7 @@ def test_common_layouts_are_read_as_objects_and_sessions(
         assert ", ".join(np.unique(touches.session)) == sessions
 
 
-def test_two_folders_of_the_same_names_are_reported(palpate, tmp_path):
+def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     for part in ("teach", "later"):
         put_each(tmp_path / "set" / part, 2)
     advice = palpate.answer("check", tmp_path / "set")["advice"]
@@ -280,6 +280,9 @@ def test_two_folders_of_the_same_names_are_reported(palpate, tmp_path):
     put_each(tmp_path / "other", 2, ["tools/saw", "tools/awl", "toys/car", "toys/top"])
     advice = palpate.answer("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)
+    put_each(tmp_path / "met", 2, ["mug", "pen", "unknown"])
+    advice = palpate.answer("check", tmp_path / "met")["advice"]
+    assert any(line.startswith("no object can be called unknown") for line in advice)
 
 
 def test_many_pictures_wrong_in_one_way_are_one_row(palpate, tmp_path):

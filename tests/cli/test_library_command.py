@@ -197,6 +197,9 @@ def test_what_is_extended_stays_as_it_is(palpate, tmp_path):
     # Where parts lie is learnt from images, which the model does not keep.
     poses = ObjectRecogniser.load(new).pose_
     assert poses.labels_.tolist() == ["bar10", "disc13"]
+    # An archive has no ids: what is learnt already is known by what it is like.
+    refused = palpate.refusal("learn", part, "--extend", new, "-o", old)
+    assert "has not learnt, got none" in refused
     for option, value, usual in (
         ("--preset", "default", "'liu2014'"),
         ("--seed", "1", "0"),

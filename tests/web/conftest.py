@@ -72,7 +72,7 @@ def drawn_model(tmp_path_factory, drawn):
 def make_session(tmp_path_factory, drawn):
     """Return a function that makes a session over a fast replay of drawn touches."""
 
-    def make(sensor=True, rate_hz=250.0, **options):
+    def make(sensor=True, rate_hz=100.0, **options):
         options.setdefault("library", tmp_path_factory.mktemp("live") / "library")
         replay = None
         if sensor:

@@ -429,6 +429,7 @@ def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
         page.select_option("#placed", "disc")
         expect(mixed).to_be_hidden()
         page.select_option("#placed", "bar")
+        expect(mixed).to_contain_text("On the desk lies bar")
         page.click("#start")
         page.get_by_role("button", name="Put disc there and start").click()
         expect(page.locator("#placed")).to_have_value("disc")

@@ -220,6 +220,11 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
         )
     if folders := _sets_of_same_names(touches):
         advice.append(folders)
+    if any(row["object"] == "unknown" for row in objects):
+        advice.append(
+            "no object can be called unknown, which is said of things never learnt: "
+            "name it otherwise, or give it by itself to `palpate evaluate --unknown`"
+        )
     if len(objects) == 1:
         advice.append("there is one object: add others, or nothing can be told apart")
     few = few_touches({row["object"]: row["touches"] for row in objects})

@@ -158,17 +158,18 @@ def _extended(
     for name in new.tolist():
         recogniser.add_object(name, training[np.flatnonzero(labels == name)])
     if not len(new):
+        n_before = len(recogniser.memory_)
         fresh = np.ones(len(labels), dtype=bool)
         if training.touch_id is not None:
             fresh = ~np.isin(training.touch_id, recogniser.memory_.touch_ids)
-        if not fresh.any():
+        for name in np.unique(labels[fresh]).tolist():
+            rows = np.flatnonzero(fresh & (labels == name))
+            recogniser.extend_object(name, training[rows])
+        if len(recogniser.memory_) == n_before:
             raise ValueError(
                 "TOUCHES must hold some that the model has not learnt, got none. Add "
                 "touches, or name other ones with --where."
             )
-        for name in np.unique(labels[fresh]).tolist():
-            rows = np.flatnonzero(fresh & (labels == name))
-            recogniser.extend_object(name, training[rows])
     return recogniser
 
 

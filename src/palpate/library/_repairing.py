@@ -322,6 +322,7 @@ def _array(tables: Tables, digest: str) -> Array | None:
 def backup_library(store: Store, folder: Path, *, progress: bool | None = None) -> int:
     """Copy a library to a new folder while it is used; return how many touches."""
     refuse_used(folder)
+    made = not folder.exists()
     copy = folder / f"{PARTIAL}{secrets.token_hex(8)}"
     n_pages = store.count("PRAGMA page_count")
     try:
@@ -338,6 +339,9 @@ def backup_library(store: Store, folder: Path, *, progress: bool | None = None) 
     finally:
         with suppress(OSError):
             copy.unlink()
+        if made:
+            with suppress(OSError):  # not where the copy is whole
+                folder.rmdir()
     with closing(Store(folder)) as done:
         done.accept()
         return done.tally().n_touches

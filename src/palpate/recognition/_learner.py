@@ -186,13 +186,14 @@ class Learner(BaseEstimator):
         """Learn more touches of a known object, beside those it has.
 
         Parameters and errors as of `add_object`, but the object must be known, and one
-        touch is enough. With `most` no more touches of it are kept: of its sessions
+        touch is enough. What it has without an id and is given once more counts once.
+        With `most` no more touches of it are kept: of its sessions
         the same number where there are enough, of each the newest, so that what is
         met again every day neither grows for ever nor forgets its first days.
         """
         self._check_fitted()
         name = check_option("name", self._spelt(name), self._names())
-        memory = self.memory_.plus(self._memory_of(name, touches, 1))
+        memory = self.memory_.plus_once(self._memory_of(name, touches, 1))
         memory = memory.with_whole_objects(name)
         if most is not None:
             memory = memory.newest(name, check_count("most", most, at_least=2))
