@@ -41,6 +41,42 @@ def test_a_touch_moved_keeps_all_but_its_object_and_can_go_there_and_back(folder
             session.move_touches([row.id], "disc")
 
 
+def test_a_touch_is_moved_to_a_name_that_its_object_had_before(folder):
+    with LiveSession(library=folder) as session:
+        (row,) = session.teacher.newest("disc", 1)
+        image = session.teacher.library.image(row.id)
+        session.rename("disc", "coin")
+        for _ in range(2):
+            session.move_touches([row.id], "disc")
+            assert counts(session) == {"bar": 8, "coin": 7, "disc": 1}
+            (copy,) = session.teacher.newest("disc", 1)
+            assert (session.teacher.library.image(copy.id) == image).all()
+            assert (copy.session, copy.time_s) == (row.session, row.time_s)
+            assert session.undo() == "coin"
+            assert counts(session) == {"bar": 8, "coin": 8}
+
+
+def test_a_touch_whose_copy_is_called_otherwise_by_now_is_moved_anew(folder):
+    with LiveSession(library=folder) as session:
+        ids = [row.id for row in session.teacher.newest("disc", 2)]
+        session.move_touches(ids, "bar")
+        session.undo()  # both copies are left out
+        session.rename("bar", "rod")
+        session.move_touches(ids, "bar")
+        assert counts(session) == {"bar": 2, "disc": 6, "rod": 8}
+
+
+def test_a_touch_is_not_moved_to_a_name_that_was_merged_into_its_object(folder):
+    with LiveSession(library=folder) as session:
+        bar = session.teacher.newest("bar", 1)[0].id
+        disc = session.teacher.newest("disc", 1)[0].id
+        session.rename("disc", "bar", merge=True)
+        for key in (bar, disc):
+            with pytest.raises(ValueError, match="disc was merged into it"):
+                session.move_touches([key], "disc")
+            assert counts(session) == {"bar": 16}
+
+
 def test_touches_of_several_objects_are_counted_by_their_own_names(folder):
     with LiveSession(library=folder) as session:
         journal, newest = session.teacher.journal, session.teacher.newest

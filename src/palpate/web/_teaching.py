@@ -348,12 +348,23 @@ class Teacher:
             if newest and newest[0].category is not None:
                 touch = touch.with_columns(category=[newest[0].category])
         sensors = {sensor.name: sensor for sensor in self.library.sensors()}
-        (key,) = self.library.add(
-            touch.with_columns(object=[name]),
-            sensor=sensors.get(row.sensor or ""),
-            progress=False,
-        )
-        if any(row.retracted for row in self._row(key)):  # it was there before
+        about: dict[str, Any] = {"sensor": sensors.get(row.sensor or "")}
+        about["progress"] = False
+        touch = touch.with_columns(object=[name])
+        (key,) = self.library.add(touch, **about)
+        (stored,) = self._row(key)
+        if key == row.id or (stored.retracted and stored.object != name):
+            # The library knows it again, by a name that its object had before.
+            episode = f"{row.episode or ''} moved at {time.time():.6f}".strip()
+            (key,) = self.library.add(touch.with_columns(episode=[episode]), **about)
+            (stored,) = self._row(key)
+            if stored.object == row.object:
+                self.library.retract([key], reason="the move failed on the page")
+                raise ValueError(
+                    f"The touch is of {row.object} already: {name} was merged into it. "
+                    "Choose another object."
+                )
+        if stored.retracted:  # it was there before
             self.library.restore([key])
         return key
 
