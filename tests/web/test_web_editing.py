@@ -10,7 +10,7 @@ import pytest
 from palpate.sensors import DetectedTouch, ReplaySensor, open_sensor
 from palpate.web import LiveSession
 
-from .conftest import LearningError, waited
+from .conftest import LearningError, learn_job, waited
 
 
 def _detected(image):
@@ -213,6 +213,26 @@ def test_an_object_put_back_as_it_was_learnt_counts_as_unchanged(folder):
         session.undo()
     with LiveSession(library=folder) as session:
         assert session.to_dict()["library"]["changed"] == []
+        assert not session.unlearnt
+
+
+def test_what_is_undone_while_it_learns_is_still_to_be_learnt(folder, drawn, learn_by):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        session.post_lesson("disc", drawn.images[20])
+
+        def learn(*job):
+            answer = learn_job(*job)  # with that touch
+            session.undo()
+            return answer
+
+        learn_by(learn)
+        session.learn(wait=True)
+        assert len(session.recogniser.memory_) == 17
+        assert session.unlearnt
+        learn_by(learn_job)
+        session.learn(wait=True)
+        assert len(session.recogniser.memory_) == 16
         assert not session.unlearnt
 
 

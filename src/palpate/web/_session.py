@@ -321,8 +321,11 @@ class LiveSession:
             return name
 
     def _note_as_learnt(self) -> None:
-        """Note which changed objects have just the touches again that were learnt."""
-        if self.recogniser is None:
+        """Note which changed objects have just the touches again that were learnt.
+
+        While it is learning nobody knows yet which these will be.
+        """
+        if self.recogniser is None or self.learning:
             return
         teacher, memory = self._teacher(), self.recogniser.memory_
         labels, stored = memory.labels.astype(str), teacher.known_ids()
