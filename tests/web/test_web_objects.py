@@ -76,6 +76,25 @@ def test_a_rename_that_would_lose_what_the_model_knows_is_refused(
         assert settled(session) == ["bar", "coin"]
 
 
+def test_a_name_that_the_model_knows_from_elsewhere_is_taken(
+    tmp_path, drawn, model_of_elsewhere
+):
+    model = model_of_elsewhere(tmp_path / "m.palpate")  # 15 of each
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        for image in drawn.images[60:64]:
+            session.post_lesson("both", image)
+        session.learn(wait=True)
+        with pytest.raises(ValueError, match="'disc', which the model knows"):
+            session.rename("both", "disc")
+        assert counts(session) == {"bar": 15, "both": 4, "disc": 15}
+        session.rename("both", "disc", merge=True)
+        assert settled(session) == ["bar", "disc"]
+        assert counts(session) == {"bar": 15, "disc": 19}
+        assert session.teacher.to_dict()["objects"] == [
+            {"name": "disc", "n_touches": 4}
+        ]
+
+
 def test_an_object_renamed_elsewhere_is_known_by_its_touches(folder):
     model = folder / "model.palpate"
     learn_job(folder, model)

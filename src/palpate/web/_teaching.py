@@ -401,6 +401,12 @@ class Teacher:
         few touches of it to learn it by its new name.
         """
         tidy = teachable_name(new)
+        of_model = tidy in self.elsewhere and tidy not in {old, *self._counts()}
+        if of_model and not merge:
+            raise ValueError(
+                f"The new name must not be taken, got {tidy!r}, which the model knows "
+                f"from elsewhere. To make two objects one, merge {old!r} into it."
+            )
         rows, size = self._rows(old), self.image_shape()
         n_usable = sum(row.image_shape == size for row in rows)
         if learnt and not merge and n_usable < LEAST_TOUCHES:
@@ -409,7 +415,7 @@ class Teacher:
                 f"be learnt by another name, got {n_usable}. Teach it some more first."
             )
         self.verdicts.pop(old, None)
-        if merge:
+        if merge and not of_model:
             self.library.merge_objects(old, tidy)
         else:
             self.library.rename_object(old, tidy)
