@@ -135,6 +135,7 @@ def test_a_journal_that_is_torn_or_foreign_costs_nothing_but_the_undo(folder):
         {"action": {"kind": "taught", "object": "disc", "ids": "abc"}},
         {"action": {"kind": "taught", "object": "disc", "ids": [7]}},
         {"lesson": {"name": 3, "wanted": 5, "ids": []}},
+        {"changed": ["disc"], "renamed": [["disc"]]},
         {"lesson": {"name": "disc", "wanted": "many", "ids": []}},
         {"lesson": {"name": "disc", "wanted": 5, "ids": [None]}},
     ],

@@ -296,6 +296,38 @@ def test_a_name_changed_while_the_first_model_is_learnt_is_learnt_next(
         assert waited(lambda: not session.learning)
 
 
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [("rename", ["bar", "both", "coin"]), ("forget", ["bar", "both"])],
+)
+def test_a_name_changed_is_learnt_after_a_restart_before_it_was(
+    tmp_path, drawn, model_of_elsewhere, learn_by, change, names
+):
+    def killed(*job):
+        raise OSError("it is ended")
+
+    model = model_of_elsewhere(tmp_path / "m.palpate")
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        for row in (0, 1, 60, 61):
+            session.post_lesson("disc" if row < 60 else "both", drawn.images[row])
+        session.learn(wait=True)
+        learn_by(killed)
+        if change == "rename":
+            session.rename("disc", "coin")
+        else:
+            session.forget("disc")
+        assert waited(lambda: not session.learning)
+    learn_by(learn_job)
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        assert session.unlearnt
+        session.learn(wait=True)
+        assert settled(session) == names
+        assert not session.unlearnt
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        assert session.teacher.journal.renamed == []
+        assert not session.unlearnt
+
+
 def test_touches_that_a_model_has_without_ids_count_once(
     tmp_path, drawn, model_of_elsewhere
 ):

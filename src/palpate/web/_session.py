@@ -125,7 +125,6 @@ class LiveSession:
         self.message = self.trouble = self.alarm = ""
         self._contact_evidence: list[Evidence] = []
         self._n_contacts = 0
-        self._changes: list[tuple[str, str]] = []  # of names, to be learnt
         self._learn_next = False
         self._changed_before: set[str] = set()
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
@@ -141,6 +140,7 @@ class LiveSession:
             journal = None if self.teacher is None else self.teacher.journal
             if journal is not None and not is_newer(journal.path, path):
                 journal.changed.clear()  # learnt since, by another program
+                journal.renamed.clear()
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -397,7 +397,7 @@ class LiveSession:
         self.learning, self.learn_error = True, ""
         with self._lock:
             self._changed_before, journal.changed = journal.changed, set()
-            changes = list(self._changes)
+            changes = list(journal.renamed)
             self.message = message or self.message
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(changes,), daemon=True)
@@ -686,7 +686,10 @@ class LiveSession:
             if self.recogniser is None and not self.learning:
                 self._notify_state()
                 return
-            self._changes += changes
+            journal = self._teacher().journal
+            journal.renamed += changes
+            journal.changed |= {name for change in changes for name in change} - {""}
+            journal.learnt()  # a restart before the end loses none
             try:
                 self._begin_learning()
             except LearningError:
@@ -698,11 +701,13 @@ class LiveSession:
         try:
             self._learn_in_process(changes)
             with self._lock:
+                del journal.renamed[: len(changes)]
                 journal.learnt()
-                del self._changes[: len(changes)]
         except (ValueError, OSError, MemoryError) as error:
             self.learn_error, self.message = str(error), ""
-            journal.changed |= self._changed_before
+            with self._lock:
+                journal.changed |= self._changed_before
+                journal.learnt()
         finally:
             with self._lock:
                 self.learning = False
@@ -746,6 +751,7 @@ class LiveSession:
             return
         self._use(None)
         path.unlink(missing_ok=True)
+        self.teacher.journal.renamed.clear()  # nothing is known from elsewhere
         raise LearningError(
             "Too little to learn: at least two objects with two touches each."
         )
