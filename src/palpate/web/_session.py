@@ -41,6 +41,7 @@ ONE_SESSION = (
     "All was taught in one session. For another day: lift the sensor, place it again, "
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
+BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
 
@@ -112,7 +113,7 @@ class LiveSession:
             observers = self.listeners, self.health
             self.watch = SensorWatch(sensor, self._on_touch, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
-        self._stopped, self._placed_s = False, -math.inf
+        self._stopped, self._placed_s, self._baseline_s = False, -math.inf, -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -268,7 +269,8 @@ class LiveSession:
         """Store the next touches of the sensor as touches of an object.
 
         With `keep_episode` the last `wanted` of the episode become its first: earlier
-        ones may be of a thing that lay there before.
+        ones may be of a thing that lay there before. Those from before the baseline was
+        taken do not: it is not theirs.
         """
         teacher = self._teacher()
         start_learning()
@@ -276,12 +278,13 @@ class LiveSession:
             teacher.begin(name, wanted)
             self._watched().end_press()
             self.message = self.trouble = ""
-            episode = self.episode
-            touched = list(episode.pictured())[-wanted:]
-            for touch, image in touched if keep_episode else ():
+            touched = self.episode.taken_since(self._baseline_s)[-wanted:]
+            if keep_episode and not touched:
+                self.message = BEFORE_BASELINE
+            for image, columns in touched if keep_episode else ():
                 if teacher.lesson is None:  # the whole recording is stored already
                     break
-                self.message = self._take(image, touch.columns)
+                self.message = self._take(image, columns)
             self._new_episode()
 
     def stop_teaching(self) -> None:
@@ -423,7 +426,7 @@ class LiveSession:
                 f"{desk.placed} touches the sensor. Put nothing on the desk, then take "
                 "the baseline again."
             ) from error
-        self.message = "The baseline is taken."
+        self.message, self._baseline_s = "The baseline is taken.", time.time()
         self._contact_evidence, self._n_contacts, self.alarm = [], 0, ""
         if self.teacher is not None:
             self.teacher.begin_session(changed or "new baseline")
@@ -434,6 +437,7 @@ class LiveSession:
         watch = self._watched()
         if undo:
             watch.undo_baseline()
+            self._baseline_s = time.time()
             self.message = "The baseline is undone."
         else:
             watch.end_press()
@@ -619,7 +623,7 @@ class LiveSession:
                 when = ended_s, detected.device_time_s
                 is_placed = columns.keys() >= {"position_mm", "direction"}
                 place = columns if is_placed else None
-                self._recognise(detected.image, channels, *when, place)
+                self._recognise(detected.image, channels, *when, place, columns)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
@@ -635,6 +639,7 @@ class LiveSession:
         ended_s: float,
         device_time_s: float | None = None,
         place: Mapping[str, Any] | None = None,
+        columns: Mapping[str, Any] | None = None,
     ) -> None:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
@@ -642,7 +647,7 @@ class LiveSession:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
             self._use_places(place)
-            touch = self.episode.add(image, channels, place)
+            touch = self.episode.add(image, channels, place, columns)
             touch.device_time_s = device_time_s
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
