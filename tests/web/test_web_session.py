@@ -227,6 +227,29 @@ def test_touches_of_an_episode_keep_what_the_sensor_told_beside_them(tmp_path):
         assert session.teacher.touches("mug").columns["temperature_c"] == [21.5]
 
 
+@pytest.mark.parametrize("unknown", ["x_mm", "direction_z", "force_n"])
+def test_a_place_that_is_not_known_yet_is_none(connected, tmp_path, unknown):
+    ways = [f"direction_{axis}" for axis in "xyz"]
+    names = ["x_mm", "y_mm", "z_mm", *ways, "force_n"]
+    values = 1.0, 2.0, 3.0, 0.0, 0.0, -1.0, 0.5
+
+    class Arm(HandSensor):
+        def _grab(self):
+            (image,) = super()._grab()
+            columns = dict(zip(names, values, strict=True)) | {unknown: np.nan}
+            return [Reading(image, columns=columns)]
+
+    hand = Arm()
+    with connected(LiveSession(hand, library=tmp_path / "library")) as client:
+        client.session.take_baseline()
+        press_once(hand, client.session)
+        assert waited(lambda: len(client.session.episode.touches) == 1)
+        (touch,) = client.get("/api/state").json()["episode"]["touches"]
+        assert touch["force_n"] is None
+        where = [1.0, 2.0, 3.0] if unknown == "force_n" else None
+        assert touch["position_mm"] == where
+
+
 def test_a_sensor_that_has_changed_since_learning_is_warned_of(model, drawn):
     same = LiveSession(ReplaySensor(drawn), model=model)
     assert same.to_dict()["sensor"]["warnings"] == []

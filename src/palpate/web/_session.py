@@ -26,7 +26,7 @@ from ..sensors import (
     channels_of,
 )
 from ..touches import Touches
-from ._episode import LiveEpisode, TopView, archive_beside
+from ._episode import PLACED, LiveEpisode, TopView, archive_beside
 from ._images import ImageKind, Names, check_image
 from ._learning import (
     LearningError,
@@ -616,13 +616,18 @@ class LiveSession:
                     return
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 columns = detected.touch_columns
+                finite = {
+                    name: columns[name]
+                    for name in PLACED
+                    if name in columns and np.isfinite(columns[name]).all()
+                }
                 if teaching:
                     self.message = self._take(detected.image, columns)
             if not teaching:
                 channels = self._watched().sensor.channels
                 when = ended_s, detected.device_time_s
-                is_placed = columns.keys() >= {"position_mm", "direction"}
-                place = columns if is_placed else None
+                is_placed = finite.keys() >= {"position_mm", "direction"}
+                place = finite if is_placed else None
                 self._recognise(detected.image, channels, *when, place, columns)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
