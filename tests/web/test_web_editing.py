@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from palpate.library import TouchLibrary
 from palpate.sensors import DetectedTouch, ReplaySensor, open_sensor
 from palpate.web import LiveSession
 
@@ -370,6 +371,23 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
             session.resume_teaching()
     with make_session(library=folder) as session:
         assert session.to_dict()["library"]["interrupted"] is None
+
+
+def test_an_interrupted_lesson_lacks_what_was_left_out_meanwhile(
+    make_session, folder, drawn
+):
+    with make_session(library=folder) as session:
+        session.teach("shoe", 8)
+        for image in drawn.images[:3]:
+            session._on_touch(_detected(image), 0.0)
+        key = session.teacher.lesson.ids[0]
+    with TouchLibrary.open(folder) as library:
+        library.retract(key, reason="it was another shoe")
+    with make_session(library=folder) as session:
+        session.resume_teaching()
+        assert session.to_dict()["lesson"]["done"] == 2
+        assert session.undo() == "shoe"
+        assert session.to_dict()["lesson"]["done"] == counts(session)["shoe"] == 1
 
 
 def test_a_touch_posted_meanwhile_is_none_of_the_lesson(make_session, folder, drawn):

@@ -155,7 +155,9 @@ class Teacher:
         interrupted = self.journal.interrupted
         if interrupted is None:
             raise ValueError("There is no interrupted lesson. Start one with a name.")
-        name, keys = self._name_now(interrupted.name, interrupted.ids), interrupted.ids
+        name = self._name_now(interrupted.name, interrupted.ids)
+        rows = [row for key in interrupted.ids for row in self._row(key)]
+        keys = [row.id for row in rows if not row.retracted]  # elsewhere, meanwhile
         wanted = max(interrupted.wanted, interrupted.done + 1)
         self.begin(name, wanted)
         assert self.lesson is not None
