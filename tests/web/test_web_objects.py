@@ -328,6 +328,18 @@ def test_a_name_changed_is_learnt_after_a_restart_before_it_was(
         assert not session.unlearnt
 
 
+def test_a_model_of_the_library_is_learnt_again_as_it_was_made(folder, drawn):
+    path = folder / "model.palpate"
+    with TouchLibrary.open(folder) as library:
+        ObjectRecogniser("liu2014", floor=0.03).fit(library.select()).save(path)
+    with LiveSession(library=folder) as session:
+        session.post_lesson("disc", drawn.images[20])
+        session.learn(wait=True)
+        recogniser = session.recogniser
+        assert counts(session) == {"bar": 8, "disc": 9}
+        assert (recogniser.preset, recogniser.floor) == ("liu2014", 0.03)
+
+
 def test_touches_that_a_model_has_without_ids_count_once(
     tmp_path, drawn, model_of_elsewhere
 ):
