@@ -521,13 +521,20 @@ class LiveSession:
         return self.teacher
 
     def _kind(self) -> ImageKind | None:
-        """Return what images are like: the sensor's, newest stored, or the model's."""
+        """Return what images are like: the sensor's, newest stored, or the model's.
+
+        Without these as the first of the episode.
+        """
         if self.watch is not None:
             sensor = self.watch.sensor
             return ImageKind(sensor.image_shape, sensor.dtype, sensor.channels)
         stored = None if self.teacher is None else self.teacher.newest_kind()
-        if stored is not None or self.recogniser is None:
+        if stored is not None:
             return stored
+        if self.recogniser is None:
+            episode = self.episode
+            first = next(episode.pictured(), None) if episode.open else None
+            return first and ImageKind(first[1].shape, None, episode.channels)
         encoder = self.recogniser.encoder_
         return ImageKind(encoder.image_shape_, None, encoder.channels_)
 
