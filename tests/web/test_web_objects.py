@@ -352,6 +352,20 @@ def test_touches_that_a_model_has_without_ids_count_once(
         assert session.to_dict()["model"]["n_elsewhere"] == {"bar": 15, "disc": 12}
 
 
+def test_a_posted_touch_has_its_taxels_where_those_before_it_had(tmp_path, drawn):
+    disc, bar = np.flatnonzero(drawn.object == "disc"), drawn.object == "bar"
+    few = drawn[np.concatenate([disc[:6], np.flatnonzero(bar)[:6]])]
+    halves = np.array([[0, 0, 12, 6], [0, 6, 12, 6]])
+    hand = Touches(few.images, object=few.object, geometry="none", pads=halves)
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(hand)
+    with LiveSession(library=tmp_path / "library") as session:
+        session.post_lesson("disc", drawn.images[disc[7]])
+        kept = session.teacher.touches("disc")
+        assert (len(kept), kept.geometry) == (7, "none")
+        np.testing.assert_array_equal(kept.whole["pads"], halves)
+
+
 @pytest.mark.parametrize(("with_sensor", "side"), [(True, 12), (False, 8)])
 def test_of_an_object_of_two_sizes_those_of_the_sensor_are_exported(
     folder, make_session, with_sensor, side

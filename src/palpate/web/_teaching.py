@@ -198,6 +198,7 @@ class Teacher:
             "no_contact": baseline,
             "channels": channels,
             "geometry": self._described.geometry,
+            **({} if self._sensor is not None else self._layout()),
         }
         measured = {name: [value] for name, value in (columns or {}).items()}
         if taken := sorted(fixed.keys() & measured):
@@ -504,6 +505,16 @@ class Teacher:
         touch = self.library.select(f"id = {quoted(key)}")
         names: list[str] = touch.whole["channels"].tolist()
         return names
+
+    def _layout(self) -> dict[str, Any]:
+        """Return how the taxels of the newest touch lie, as far as that is told."""
+        rows = self.library.list(limit=1, offset=max(0, len(self.library) - 1))
+        if not rows:
+            return {}
+        whole = self.library.select(f"id = {quoted(rows[0].id)}").whole
+        names = "geometry", "pads", "pad_names"
+        layout = {name: whole[name] for name in names if name in whole}
+        return {n: str(v) if n == "geometry" else v for n, v in layout.items()}
 
     def newest_kind(self) -> ImageKind | None:
         """Return what the newest touch's image is like, or None."""
