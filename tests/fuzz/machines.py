@@ -412,7 +412,7 @@ class SessionMachine(RuleBasedStateMachine):
         self.lesson = None
         self.has_baseline = self.had_baseline = False
         self.asking = self.pressed = False
-        self.n_touches, self.closed = 0, False
+        self.n_touches, self.n_before, self.closed = 0, 0, False
 
     def teardown(self):
         self.session.stop()
@@ -472,7 +472,8 @@ class SessionMachine(RuleBasedStateMachine):
 
     @rule(name=names, wanted=st.integers(1, 3), keep=st.booleans())
     def teach(self, name, wanted, keep):
-        n_kept = min(wanted, self.n_touches) if keep else 0
+        # Those from before the baseline are not kept.
+        n_kept = min(wanted, self.n_touches - self.n_before) if keep else 0
         self.session.teach(name, wanted, keep_episode=keep)
         self.lesson, self.asking, self.pressed = [name, wanted, n_kept], False, False
         rows = self._rows()
@@ -508,11 +509,13 @@ class SessionMachine(RuleBasedStateMachine):
         self.session.take_baseline(ask_press=ask)
         self.had_baseline, self.has_baseline = self.has_baseline, True
         self.asking, self.pressed = ask, False
+        self.n_before = self.n_touches
 
     @rule()
     def undo_baseline(self):
         self.session.end_press(undo=True)
         self.has_baseline, self.asking, self.pressed = self.had_baseline, False, False
+        self.n_before = self.n_touches
 
     @rule()
     def end_press(self):
@@ -606,10 +609,12 @@ class SessionMachine(RuleBasedStateMachine):
         self._begun()
 
     def _begun(self):
-        self.n_touches, self.closed = 0, False
+        self.n_touches, self.n_before, self.closed = 0, 0, False
 
     def _touch_counted(self):
-        self.n_touches = 1 if self.closed else self.n_touches + 1
+        if self.closed:
+            self.n_touches = self.n_before = 0
+        self.n_touches += 1
         self.closed = False
 
     def _stored(self, name):

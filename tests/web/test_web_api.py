@@ -371,6 +371,21 @@ def test_what_this_server_cannot_do_is_refused_with_the_reason(
     assert untaught.get("/api/state").json()["lesson"] is None
 
 
+def test_with_nothing_to_compare_the_first_touch_decides(client):
+    def sent(side):
+        body = {"image": np.eye(side).tolist()}
+        return client.post("/api/touch", json=body)
+
+    assert sent(12).status_code == 200
+    answer = sent(16)
+    assert answer.status_code == 422
+    assert answer.json()["detail"] == "The image must have 12 x 12 taxels, got 16 x 16."
+    assert sent(12).json()["n_counted"] == 2
+    assert client.get("/api/episode/archive").status_code == 200
+    client.post("/api/episode/end")
+    assert sent(16).json()["n_counted"] == 1
+
+
 def test_without_a_library_nothing_is_taught(make_session, connected):
     with connected(make_session(sensor=False, library=None)) as client:
         answer = client.post("/api/teach", json={"object": "cup"})

@@ -7,10 +7,11 @@ import time
 import numpy as np
 import pytest
 
+from palpate.library import TouchLibrary
 from palpate.sensors import DetectedTouch, ReplaySensor, open_sensor
 from palpate.web import LiveSession
 
-from .conftest import LearningError, waited
+from .conftest import LearningError, learn_job, waited
 
 
 def _detected(image):
@@ -39,6 +40,42 @@ def test_a_touch_moved_keeps_all_but_its_object_and_can_go_there_and_back(folder
         assert session.undo() == "disc"
         with pytest.raises(ValueError, match="of disc already"):
             session.move_touches([row.id], "disc")
+
+
+def test_a_touch_is_moved_to_a_name_that_its_object_had_before(folder):
+    with LiveSession(library=folder) as session:
+        (row,) = session.teacher.newest("disc", 1)
+        image = session.teacher.library.image(row.id)
+        session.rename("disc", "coin")
+        for _ in range(2):
+            session.move_touches([row.id], "disc")
+            assert counts(session) == {"bar": 8, "coin": 7, "disc": 1}
+            (copy,) = session.teacher.newest("disc", 1)
+            assert (session.teacher.library.image(copy.id) == image).all()
+            assert (copy.session, copy.time_s) == (row.session, row.time_s)
+            assert session.undo() == "coin"
+            assert counts(session) == {"bar": 8, "coin": 8}
+
+
+def test_a_touch_whose_copy_is_called_otherwise_by_now_is_moved_anew(folder):
+    with LiveSession(library=folder) as session:
+        ids = [row.id for row in session.teacher.newest("disc", 2)]
+        session.move_touches(ids, "bar")
+        session.undo()  # both copies are left out
+        session.rename("bar", "rod")
+        session.move_touches(ids, "bar")
+        assert counts(session) == {"bar": 2, "disc": 6, "rod": 8}
+
+
+def test_a_touch_is_not_moved_to_a_name_that_was_merged_into_its_object(folder):
+    with LiveSession(library=folder) as session:
+        bar = session.teacher.newest("bar", 1)[0].id
+        disc = session.teacher.newest("disc", 1)[0].id
+        session.rename("disc", "bar", merge=True)
+        for key in (bar, disc):
+            with pytest.raises(ValueError, match="disc was merged into it"):
+                session.move_touches([key], "disc")
+            assert counts(session) == {"bar": 16}
 
 
 def test_touches_of_several_objects_are_counted_by_their_own_names(folder):
@@ -99,6 +136,7 @@ def test_a_journal_that_is_torn_or_foreign_costs_nothing_but_the_undo(folder):
         {"action": {"kind": "taught", "object": "disc", "ids": "abc"}},
         {"action": {"kind": "taught", "object": "disc", "ids": [7]}},
         {"lesson": {"name": 3, "wanted": 5, "ids": []}},
+        {"changed": ["disc"], "renamed": [["disc"]]},
         {"lesson": {"name": "disc", "wanted": "many", "ids": []}},
         {"lesson": {"name": "disc", "wanted": 5, "ids": [None]}},
     ],
@@ -177,6 +215,26 @@ def test_an_object_put_back_as_it_was_learnt_counts_as_unchanged(folder):
         session.undo()
     with LiveSession(library=folder) as session:
         assert session.to_dict()["library"]["changed"] == []
+        assert not session.unlearnt
+
+
+def test_what_is_undone_while_it_learns_is_still_to_be_learnt(folder, drawn, learn_by):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+        session.post_lesson("disc", drawn.images[20])
+
+        def learn(*job):
+            answer = learn_job(*job)  # with that touch
+            session.undo()
+            return answer
+
+        learn_by(learn)
+        session.learn(wait=True)
+        assert len(session.recogniser.memory_) == 17
+        assert session.unlearnt
+        learn_by(learn_job)
+        session.learn(wait=True)
+        assert len(session.recogniser.memory_) == 16
         assert not session.unlearnt
 
 
@@ -313,6 +371,23 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
             session.resume_teaching()
     with make_session(library=folder) as session:
         assert session.to_dict()["library"]["interrupted"] is None
+
+
+def test_an_interrupted_lesson_lacks_what_was_left_out_meanwhile(
+    make_session, folder, drawn
+):
+    with make_session(library=folder) as session:
+        session.teach("shoe", 8)
+        for image in drawn.images[:3]:
+            session._on_touch(_detected(image), 0.0)
+        key = session.teacher.lesson.ids[0]
+    with TouchLibrary.open(folder) as library:
+        library.retract(key, reason="it was another shoe")
+    with make_session(library=folder) as session:
+        session.resume_teaching()
+        assert session.to_dict()["lesson"]["done"] == 2
+        assert session.undo() == "shoe"
+        assert session.to_dict()["lesson"]["done"] == counts(session)["shoe"] == 1
 
 
 def test_a_touch_posted_meanwhile_is_none_of_the_lesson(make_session, folder, drawn):

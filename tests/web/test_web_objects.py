@@ -76,6 +76,25 @@ def test_a_rename_that_would_lose_what_the_model_knows_is_refused(
         assert settled(session) == ["bar", "coin"]
 
 
+def test_a_name_that_the_model_knows_from_elsewhere_is_taken(
+    tmp_path, drawn, model_of_elsewhere
+):
+    model = model_of_elsewhere(tmp_path / "m.palpate")  # 15 of each
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        for image in drawn.images[60:64]:
+            session.post_lesson("both", image)
+        session.learn(wait=True)
+        with pytest.raises(ValueError, match="'disc', which the model knows"):
+            session.rename("both", "disc")
+        assert counts(session) == {"bar": 15, "both": 4, "disc": 15}
+        session.rename("both", "disc", merge=True)
+        assert settled(session) == ["bar", "disc"]
+        assert counts(session) == {"bar": 15, "disc": 19}
+        assert session.teacher.to_dict()["objects"] == [
+            {"name": "disc", "n_touches": 4}
+        ]
+
+
 def test_an_object_renamed_elsewhere_is_known_by_its_touches(folder):
     model = folder / "model.palpate"
     learn_job(folder, model)
@@ -277,6 +296,50 @@ def test_a_name_changed_while_the_first_model_is_learnt_is_learnt_next(
         assert waited(lambda: not session.learning)
 
 
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [("rename", ["bar", "both", "coin"]), ("forget", ["bar", "both"])],
+)
+def test_a_name_changed_is_learnt_after_a_restart_before_it_was(
+    tmp_path, drawn, model_of_elsewhere, learn_by, change, names
+):
+    def killed(*job):
+        raise OSError("it is ended")
+
+    model = model_of_elsewhere(tmp_path / "m.palpate")
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        for row in (0, 1, 60, 61):
+            session.post_lesson("disc" if row < 60 else "both", drawn.images[row])
+        session.learn(wait=True)
+        learn_by(killed)
+        if change == "rename":
+            session.rename("disc", "coin")
+        else:
+            session.forget("disc")
+        assert waited(lambda: not session.learning)
+    learn_by(learn_job)
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        assert session.unlearnt
+        session.learn(wait=True)
+        assert settled(session) == names
+        assert not session.unlearnt
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        assert session.teacher.journal.renamed == []
+        assert not session.unlearnt
+
+
+def test_a_model_of_the_library_is_learnt_again_as_it_was_made(folder, drawn):
+    path = folder / "model.palpate"
+    with TouchLibrary.open(folder) as library:
+        ObjectRecogniser("liu2014", floor=0.03).fit(library.select()).save(path)
+    with LiveSession(library=folder) as session:
+        session.post_lesson("disc", drawn.images[20])
+        session.learn(wait=True)
+        recogniser = session.recogniser
+        assert counts(session) == {"bar": 8, "disc": 9}
+        assert (recogniser.preset, recogniser.floor) == ("liu2014", 0.03)
+
+
 def test_touches_that_a_model_has_without_ids_count_once(
     tmp_path, drawn, model_of_elsewhere
 ):
@@ -287,6 +350,20 @@ def test_touches_that_a_model_has_without_ids_count_once(
         session.learn(wait=True)
         assert counts(session) == {"bar": 15, "disc": 15}
         assert session.to_dict()["model"]["n_elsewhere"] == {"bar": 15, "disc": 12}
+
+
+def test_a_posted_touch_has_its_taxels_where_those_before_it_had(tmp_path, drawn):
+    disc, bar = np.flatnonzero(drawn.object == "disc"), drawn.object == "bar"
+    few = drawn[np.concatenate([disc[:6], np.flatnonzero(bar)[:6]])]
+    halves = np.array([[0, 0, 12, 6], [0, 6, 12, 6]])
+    hand = Touches(few.images, object=few.object, geometry="none", pads=halves)
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(hand)
+    with LiveSession(library=tmp_path / "library") as session:
+        session.post_lesson("disc", drawn.images[disc[7]])
+        kept = session.teacher.touches("disc")
+        assert (len(kept), kept.geometry) == (7, "none")
+        np.testing.assert_array_equal(kept.whole["pads"], halves)
 
 
 @pytest.mark.parametrize(("with_sensor", "side"), [(True, 12), (False, 8)])

@@ -15,10 +15,16 @@ import pytest
 from palpate import Touches
 from palpate.library import TouchLibrary
 from palpate.recognition import ModelFileError, ObjectRecogniser
-from palpate.sensors import ContactError, ReplaySensor, SensorError, SensorMemory
+from palpate.sensors import (
+    ContactError,
+    Reading,
+    ReplaySensor,
+    SensorError,
+    SensorMemory,
+)
 from palpate.web import LiveSession, _learning
 
-from .conftest import LearningError, Still, learn_job, waited
+from .conftest import HandSensor, LearningError, Still, learn_job, waited
 
 
 @pytest.fixture(scope="module")
@@ -188,6 +194,60 @@ def test_the_touches_of_an_episode_begin_a_lesson(make_session, drawn):
         assert (lesson["name"], lesson["wanted"], lesson["done"]) == ("bar", 4, 1)
         assert session.episode.touches == []
         session.stop_teaching()
+
+
+def test_touches_from_before_a_baseline_begin_no_lesson_after_it(hand, tmp_path):
+    with LiveSession(hand, library=tmp_path / "library") as session:
+        session.take_baseline()
+        press_once(hand, session)
+        assert waited(lambda: len(session.episode.touches) == 1)
+        session.take_baseline()
+        session.teach("mug", 3, keep_episode=True)
+        assert session.teacher.lesson.done == 0
+        assert "since the baseline" in session.message
+        session.stop_teaching()
+        press_once(hand, session)
+        assert waited(lambda: len(session.episode.touches) == 1)
+        session.teach("mug", 3, keep_episode=True)
+        assert session.teacher.lesson.done == 1
+
+
+def test_touches_of_an_episode_keep_what_the_sensor_told_beside_them(tmp_path):
+    class Warm(HandSensor):
+        def _grab(self):
+            (image,) = super()._grab()
+            return [Reading(image, columns={"temperature_c": 21.5})]
+
+    hand = Warm()
+    with LiveSession(hand, library=tmp_path / "library") as session:
+        session.take_baseline()
+        press_once(hand, session)
+        assert waited(lambda: len(session.episode.touches) == 1)
+        session.teach("mug", 1, keep_episode=True)
+        assert session.teacher.touches("mug").columns["temperature_c"] == [21.5]
+
+
+@pytest.mark.parametrize("unknown", ["x_mm", "direction_z", "force_n"])
+def test_a_place_that_is_not_known_yet_is_none(connected, tmp_path, unknown):
+    ways = [f"direction_{axis}" for axis in "xyz"]
+    names = ["x_mm", "y_mm", "z_mm", *ways, "force_n"]
+    values = 1.0, 2.0, 3.0, 0.0, 0.0, -1.0, 0.5
+
+    class Arm(HandSensor):
+        def _grab(self):
+            (image,) = super()._grab()
+            columns = dict(zip(names, values, strict=True)) | {unknown: np.nan}
+            return [Reading(image, columns=columns)]
+
+    hand = Arm()
+    with connected(LiveSession(hand, library=tmp_path / "library")) as client:
+        client.session.take_baseline()
+        press_once(hand, client.session)
+        assert waited(lambda: len(client.session.episode.touches) == 1)
+        (touch,) = client.get("/api/state").json()["episode"]["touches"]
+        assert touch["force_n"] is None
+        where = [1.0, 2.0, 3.0] if unknown == "force_n" else None
+        assert touch["position_mm"] == where
 
 
 def test_a_sensor_that_has_changed_since_learning_is_warned_of(model, drawn):

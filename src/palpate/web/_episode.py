@@ -114,6 +114,7 @@ class LiveEpisode:
         self.touches: list[LiveTouch] = []
         self.images: list[Array | None] = []
         self._evidences: list[Evidence | None] = []
+        self._columns: list[Mapping[str, Any]] = []
         self.channels: Sequence[str] | None = None
         self.open = True
 
@@ -121,17 +122,19 @@ class LiveEpisode:
         self,
         image: Array | None,
         channels: Sequence[str] | None,
+        place: Mapping[str, Any] | None = None,
         columns: Mapping[str, Any] | None = None,
     ) -> LiveTouch:
         """Take in a touch and return it; one that is refused changes nothing.
 
-        Without an `image` it is a miss. `columns` holds its `position_mm`, `direction`
-        and `force_n`, where they are known.
+        Without an `image` it is a miss. `place` holds its `position_mm`, `direction`
+        and `force_n`, where they are known; `columns` all that was measured with it, by
+        default these.
         """
-        of_place = columns or {}
-        place = {name: of_place[name] for name in PLACED if name in of_place}
+        of_place = place or {}
+        placed = {name: of_place[name] for name in PLACED if name in of_place}
         touch = LiveTouch(
-            len(self.touches) + 1, time.time(), miss=image is None, **place
+            len(self.touches) + 1, time.time(), miss=image is None, **placed
         )
         evidence = None
         if self.recogniser is not None and image is not None:
@@ -142,6 +145,7 @@ class LiveEpisode:
             self.channels = channels
         self._take_in(touch, image, evidence)
         self._evidences.append(evidence)
+        self._columns.append(touch.columns if columns is None else columns)
         self.images.append(image)  # first, for those who read meanwhile
         self.touches.append(touch)
         return touch
@@ -277,6 +281,15 @@ class LiveEpisode:
         for touch, image in zip(self.touches, self.images, strict=False):
             if image is not None:
                 yield touch, image
+
+    def taken_since(self, time_s: float) -> list[tuple[Array, Mapping[str, Any]]]:
+        """Return pictures, and what was measured with each, from a time on."""
+        rows = zip(self.touches, self.images, self._columns, strict=False)
+        return [
+            (image, columns)
+            for touch, image, columns in rows
+            if image is not None and touch.time_s >= time_s
+        ]
 
     def as_touches(self) -> Touches:
         pictured = list(self.pictured())

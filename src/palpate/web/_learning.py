@@ -18,6 +18,7 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from sklearn.base import clone
 
 from .._checks import size_text
 from .._types import Array
@@ -263,11 +264,17 @@ def _taught(
 def _learnt(
     base: ObjectRecogniser | None, elsewhere: Memory | None, touches: Any
 ) -> ObjectRecogniser:
-    """Return a model of touches, beside those of the base model from elsewhere."""
+    """Return a model of touches, beside those of the base model from elsewhere.
+
+    It is as the base model was made (preset, floor...), where that is of their size.
+    """
+    shape = () if touches is None else touches.touches([0]).images.shape[1:]
     if base is None or elsewhere is None:
-        return ObjectRecogniser().fit(touches)
+        made = ObjectRecogniser()
+        if base is not None and tuple(base.encoder_.image_shape_) == shape:
+            made = clone(base).set_params(label="object")
+        return made.fit(touches)
     if touches is not None:
-        shape = touches.touches([0]).images.shape[1:]
         names = ", ".join(map(repr, elsewhere.classes.astype(str).tolist()))
         _refuse_other_size(base, shape, _NOT_FURTHER, names)
     return base.learn_beside(elsewhere, touches)

@@ -217,14 +217,16 @@ class Journal:
 
     `interrupted` is the lesson that was under way when the file was written last (of
     its touches the ids alone), until one begins or it is ended. `changed` are the
-    objects whose touches are others than when the model learnt last. `session` is that
-    of the touches stored last, with the name of their sensor.
+    objects whose touches are others than when the model learnt last, `renamed` those
+    to be learnt under another name, or forgotten: "", in order. `session` is that of
+    the touches stored last, with the name of their sensor.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.actions: list[Action] = []
         self.changed: set[str] = set()
+        self.renamed: list[tuple[str, str]] = []
         self.session: tuple[str, str] | None = None
         self.n_lessons = 0
         self._lesson: Lesson | None = None
@@ -267,7 +269,7 @@ class Journal:
 
     def learnt(self) -> None:
         """Note which objects are still others than what was learnt."""
-        self._write({"changed": sorted(self.changed)})
+        self._write({"changed": sorted(self.changed), "renamed": self.renamed})
 
     def begin_lesson(self, name: str, wanted: int, ids: Sequence[str] = ()) -> None:
         """Note that a lesson begins, with the touches that it has already."""
@@ -295,7 +297,9 @@ class Journal:
             self._change(undone)
             self._drop(undone)
         elif "changed" in line:
+            renamed = [(str(old), str(new)) for old, new in line.get("renamed", ())]
             self.changed = {str(name) for name in line["changed"]}
+            self.renamed = renamed
         elif "no_contact" in line and self._lesson is not None:
             self._lesson.no_contact_ids.add(str(line["no_contact"]))
         elif "session" in line:

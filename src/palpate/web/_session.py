@@ -26,7 +26,7 @@ from ..sensors import (
     channels_of,
 )
 from ..touches import Touches
-from ._episode import LiveEpisode, TopView, archive_beside
+from ._episode import PLACED, LiveEpisode, TopView, archive_beside
 from ._images import ImageKind, Names, check_image
 from ._learning import (
     LearningError,
@@ -41,6 +41,7 @@ ONE_SESSION = (
     "All was taught in one session. For another day: lift the sensor, place it again, "
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
+BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
 
@@ -112,7 +113,7 @@ class LiveSession:
             observers = self.listeners, self.health
             self.watch = SensorWatch(sensor, self._on_touch, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
-        self._stopped, self._placed_s = False, -math.inf
+        self._stopped, self._placed_s, self._baseline_s = False, -math.inf, -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -125,7 +126,6 @@ class LiveSession:
         self.message = self.trouble = self.alarm = ""
         self._contact_evidence: list[Evidence] = []
         self._n_contacts = 0
-        self._changes: list[tuple[str, str]] = []  # of names, to be learnt
         self._learn_next = False
         self._changed_before: set[str] = set()
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
@@ -141,6 +141,7 @@ class LiveSession:
             journal = None if self.teacher is None else self.teacher.journal
             if journal is not None and not is_newer(journal.path, path):
                 journal.changed.clear()  # learnt since, by another program
+                journal.renamed.clear()
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -268,7 +269,8 @@ class LiveSession:
         """Store the next touches of the sensor as touches of an object.
 
         With `keep_episode` the last `wanted` of the episode become its first: earlier
-        ones may be of a thing that lay there before.
+        ones may be of a thing that lay there before. Those from before the baseline was
+        taken do not: it is not theirs.
         """
         teacher = self._teacher()
         start_learning()
@@ -276,12 +278,13 @@ class LiveSession:
             teacher.begin(name, wanted)
             self._watched().end_press()
             self.message = self.trouble = ""
-            episode = self.episode
-            touched = list(episode.pictured())[-wanted:]
-            for touch, image in touched if keep_episode else ():
+            touched = self.episode.taken_since(self._baseline_s)[-wanted:]
+            if keep_episode and not touched:
+                self.message = BEFORE_BASELINE
+            for image, columns in touched if keep_episode else ():
                 if teacher.lesson is None:  # the whole recording is stored already
                     break
-                self.message = self._take(image, touch.columns)
+                self.message = self._take(image, columns)
             self._new_episode()
 
     def stop_teaching(self) -> None:
@@ -321,8 +324,11 @@ class LiveSession:
             return name
 
     def _note_as_learnt(self) -> None:
-        """Note which changed objects have just the touches again that were learnt."""
-        if self.recogniser is None:
+        """Note which changed objects have just the touches again that were learnt.
+
+        While it is learning nobody knows yet which these will be.
+        """
+        if self.recogniser is None or self.learning:
             return
         teacher, memory = self._teacher(), self.recogniser.memory_
         labels, stored = memory.labels.astype(str), teacher.known_ids()
@@ -394,7 +400,7 @@ class LiveSession:
         self.learning, self.learn_error = True, ""
         with self._lock:
             self._changed_before, journal.changed = journal.changed, set()
-            changes = list(self._changes)
+            changes = list(journal.renamed)
             self.message = message or self.message
         self._notify_state()
         thread = threading.Thread(target=self._learn, args=(changes,), daemon=True)
@@ -420,7 +426,7 @@ class LiveSession:
                 f"{desk.placed} touches the sensor. Put nothing on the desk, then take "
                 "the baseline again."
             ) from error
-        self.message = "The baseline is taken."
+        self.message, self._baseline_s = "The baseline is taken.", time.time()
         self._contact_evidence, self._n_contacts, self.alarm = [], 0, ""
         if self.teacher is not None:
             self.teacher.begin_session(changed or "new baseline")
@@ -431,6 +437,7 @@ class LiveSession:
         watch = self._watched()
         if undo:
             watch.undo_baseline()
+            self._baseline_s = time.time()
             self.message = "The baseline is undone."
         else:
             watch.end_press()
@@ -514,13 +521,20 @@ class LiveSession:
         return self.teacher
 
     def _kind(self) -> ImageKind | None:
-        """Return what images are like: the sensor's, newest stored, or the model's."""
+        """Return what images are like: the sensor's, newest stored, or the model's.
+
+        Without these as the first of the episode.
+        """
         if self.watch is not None:
             sensor = self.watch.sensor
             return ImageKind(sensor.image_shape, sensor.dtype, sensor.channels)
         stored = None if self.teacher is None else self.teacher.newest_kind()
-        if stored is not None or self.recogniser is None:
+        if stored is not None:
             return stored
+        if self.recogniser is None:
+            episode = self.episode
+            first = next(episode.pictured(), None) if episode.open else None
+            return first and ImageKind(first[1].shape, None, episode.channels)
         encoder = self.recogniser.encoder_
         return ImageKind(encoder.image_shape_, None, encoder.channels_)
 
@@ -609,14 +623,19 @@ class LiveSession:
                     return
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 columns = detected.touch_columns
+                finite = {
+                    name: columns[name]
+                    for name in PLACED
+                    if name in columns and np.isfinite(columns[name]).all()
+                }
                 if teaching:
                     self.message = self._take(detected.image, columns)
             if not teaching:
                 channels = self._watched().sensor.channels
                 when = ended_s, detected.device_time_s
-                is_placed = columns.keys() >= {"position_mm", "direction"}
-                place = columns if is_placed else None
-                self._recognise(detected.image, channels, *when, place)
+                is_placed = finite.keys() >= {"position_mm", "direction"}
+                place = finite if is_placed else None
+                self._recognise(detected.image, channels, *when, place, columns)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
@@ -632,6 +651,7 @@ class LiveSession:
         ended_s: float,
         device_time_s: float | None = None,
         place: Mapping[str, Any] | None = None,
+        columns: Mapping[str, Any] | None = None,
     ) -> None:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
@@ -639,7 +659,7 @@ class LiveSession:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
             self._use_places(place)
-            touch = self.episode.add(image, channels, place)
+            touch = self.episode.add(image, channels, place, columns)
             touch.device_time_s = device_time_s
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
@@ -683,7 +703,10 @@ class LiveSession:
             if self.recogniser is None and not self.learning:
                 self._notify_state()
                 return
-            self._changes += changes
+            journal = self._teacher().journal
+            journal.renamed += changes
+            journal.changed |= {name for change in changes for name in change} - {""}
+            journal.learnt()  # a restart before the end loses none
             try:
                 self._begin_learning()
             except LearningError:
@@ -695,11 +718,13 @@ class LiveSession:
         try:
             self._learn_in_process(changes)
             with self._lock:
+                del journal.renamed[: len(changes)]
                 journal.learnt()
-                del self._changes[: len(changes)]
         except (ValueError, OSError, MemoryError) as error:
             self.learn_error, self.message = str(error), ""
-            journal.changed |= self._changed_before
+            with self._lock:
+                journal.changed |= self._changed_before
+                journal.learnt()
         finally:
             with self._lock:
                 self.learning = False
@@ -743,6 +768,7 @@ class LiveSession:
             return
         self._use(None)
         path.unlink(missing_ok=True)
+        self.teacher.journal.renamed.clear()  # nothing is known from elsewhere
         raise LearningError(
             "Too little to learn: at least two objects with two touches each."
         )

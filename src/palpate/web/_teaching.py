@@ -155,7 +155,9 @@ class Teacher:
         interrupted = self.journal.interrupted
         if interrupted is None:
             raise ValueError("There is no interrupted lesson. Start one with a name.")
-        name, keys = self._name_now(interrupted.name, interrupted.ids), interrupted.ids
+        name = self._name_now(interrupted.name, interrupted.ids)
+        rows = [row for key in interrupted.ids for row in self._row(key)]
+        keys = [row.id for row in rows if not row.retracted]  # elsewhere, meanwhile
         wanted = max(interrupted.wanted, interrupted.done + 1)
         self.begin(name, wanted)
         assert self.lesson is not None
@@ -196,6 +198,7 @@ class Teacher:
             "no_contact": baseline,
             "channels": channels,
             "geometry": self._described.geometry,
+            **({} if self._sensor is not None else self._layout()),
         }
         measured = {name: [value] for name, value in (columns or {}).items()}
         if taken := sorted(fixed.keys() & measured):
@@ -348,12 +351,23 @@ class Teacher:
             if newest and newest[0].category is not None:
                 touch = touch.with_columns(category=[newest[0].category])
         sensors = {sensor.name: sensor for sensor in self.library.sensors()}
-        (key,) = self.library.add(
-            touch.with_columns(object=[name]),
-            sensor=sensors.get(row.sensor or ""),
-            progress=False,
-        )
-        if any(row.retracted for row in self._row(key)):  # it was there before
+        about: dict[str, Any] = {"sensor": sensors.get(row.sensor or "")}
+        about["progress"] = False
+        touch = touch.with_columns(object=[name])
+        (key,) = self.library.add(touch, **about)
+        (stored,) = self._row(key)
+        if key == row.id or (stored.retracted and stored.object != name):
+            # The library knows it again, by a name that its object had before.
+            episode = f"{row.episode or ''} moved at {time.time():.6f}".strip()
+            (key,) = self.library.add(touch.with_columns(episode=[episode]), **about)
+            (stored,) = self._row(key)
+            if stored.object == row.object:
+                self.library.retract([key], reason="the move failed on the page")
+                raise ValueError(
+                    f"The touch is of {row.object} already: {name} was merged into it. "
+                    "Choose another object."
+                )
+        if stored.retracted:  # it was there before
             self.library.restore([key])
         return key
 
@@ -390,6 +404,12 @@ class Teacher:
         few touches of it to learn it by its new name.
         """
         tidy = teachable_name(new)
+        of_model = tidy in self.elsewhere and tidy not in {old, *self._counts()}
+        if of_model and not merge:
+            raise ValueError(
+                f"The new name must not be taken, got {tidy!r}, which the model knows "
+                f"from elsewhere. To make two objects one, merge {old!r} into it."
+            )
         rows, size = self._rows(old), self.image_shape()
         n_usable = sum(row.image_shape == size for row in rows)
         if learnt and not merge and n_usable < LEAST_TOUCHES:
@@ -398,7 +418,7 @@ class Teacher:
                 f"be learnt by another name, got {n_usable}. Teach it some more first."
             )
         self.verdicts.pop(old, None)
-        if merge:
+        if merge and not of_model:
             self.library.merge_objects(old, tidy)
         else:
             self.library.rename_object(old, tidy)
@@ -485,6 +505,16 @@ class Teacher:
         touch = self.library.select(f"id = {quoted(key)}")
         names: list[str] = touch.whole["channels"].tolist()
         return names
+
+    def _layout(self) -> dict[str, Any]:
+        """Return how the taxels of the newest touch lie, as far as that is told."""
+        rows = self.library.list(limit=1, offset=max(0, len(self.library) - 1))
+        if not rows:
+            return {}
+        whole = self.library.select(f"id = {quoted(rows[0].id)}").whole
+        names = "geometry", "pads", "pad_names"
+        layout = {name: whole[name] for name in names if name in whole}
+        return {n: str(v) if n == "geometry" else v for n, v in layout.items()}
 
     def newest_kind(self) -> ImageKind | None:
         """Return what the newest touch's image is like, or None."""
