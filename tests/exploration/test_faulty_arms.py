@@ -41,11 +41,19 @@ def ended(arm, path):
         return [], error
 
 
+def most_in_haste(paths):
+    """Return paths; gathering and teaching move as exploring does, and take longest."""
+    return [
+        pytest.param(path, marks=[pytest.mark.slow] * (path in ("gather", "teach")))
+        for path in paths
+    ]
+
+
 # Five times as stiff, the same faults press harder: the softer takes its time.
 @pytest.mark.parametrize(
     "stiffness_n_mm", [pytest.param(1.0, marks=pytest.mark.slow), 5.0]
 )
-@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("path", most_in_haste(PATHS))
 @pytest.mark.parametrize("fault", faulty_arms.FAULTS)
 def test_no_force_above_the_promise_goes_untold(fault, path, stiffness_n_mm):
     arm = FaultyArm(fault, stiffness_n_mm)
@@ -330,7 +338,7 @@ def test_too_small_readings_are_told_where_the_stiffness_is_known():
     assert blind.peak_n > 1.5 * arm.peak_n
 
 
-@pytest.mark.parametrize("path", ["explore", "gather"])
+@pytest.mark.parametrize("path", most_in_haste(["explore", "gather"]))
 @pytest.mark.parametrize("scene", ["object beside the way", "object too large"])
 @pytest.mark.parametrize("fault", ["lags by 8", "lags by 60", "filtered by 0.97"])
 def test_a_late_force_is_waited_for_on_ways_too(fault, scene, path):

@@ -112,7 +112,13 @@ def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():
 
 
 @pytest.mark.parametrize("with_rest", [True, False])
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(
+    "preset",
+    [
+        pytest.param(preset, marks=[pytest.mark.slow] * (preset == "liu2014"))
+        for preset in PRESETS
+    ],
+)
 def test_a_taxel_that_is_dead_is_filled(preset, with_rest, presses):
     images = presses.images.astype(np.float32)
     rest = np.zeros(images.shape[1:], np.float32)

@@ -233,8 +233,13 @@ def touched(n_each, seed, side=48):
 
 @pytest.mark.parametrize(
     ("preset", "recorded"),
-    [("default", pressed_at_rest), ("liu2014", pressed_at_rest), ("default", touched)],
-    ids=["array", "array, liu2014", "dome"],
+    [
+        pytest.param("default", pressed_at_rest, id="array"),
+        pytest.param(
+            "liu2014", pressed_at_rest, id="array, liu2014", marks=pytest.mark.slow
+        ),
+        pytest.param("default", touched, id="dome"),
+    ],
 )
 @pytest.mark.parametrize("taught_with", [True, False])
 def test_a_baseline_that_comes_or_goes_raises_no_alarm(
