@@ -75,7 +75,7 @@ class Exploration:
         belief = _begun(recogniser, hemisphere, strangers)
         attempts: list[dict[str, Any]] = []
         for record in self.history:
-            _take_in(belief, record)
+            _taken_in(belief, record)
             plain = record.to_dict()
             attempts.append(
                 {
@@ -281,7 +281,9 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
         _take_in(belief, record)
     except Exception as error:
         why = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
-        message = f"{record.message} {why}".strip()
+        message = record.message
+        if why not in message:  # as it was read again
+            message = f"{message} {why}".strip()
         refused = replace(record, outcome="no frame", message=message)
         if record.touched:
             # Its contact counts, as it does when the episode goes on another day.
