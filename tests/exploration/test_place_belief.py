@@ -337,6 +337,17 @@ def test_a_contact_whose_frame_cannot_be_taken_counts_at_once_and_when_read_agai
 # --- bad input
 
 
+def test_touches_taken_in_together_are_believed_as_one_after_another(surface_map):
+    belief, history, stand = _touched(surface_map, "box", 3)
+    touches = as_touches(history)
+    together = surface_map.start_before(stand.hemisphere).update(touches)
+    assert together.flags == belief.flags
+    assert_allclose(together.log_joint, belief.log_joint, atol=1e-6)
+    # Encoded together and alone, features agree in single precision.
+    assert together.unknown == pytest.approx(belief.unknown, abs=1e-5)
+    assert together.posterior == pytest.approx(belief.posterior, abs=1e-5)
+
+
 @pytest.mark.parametrize("name", ["position_mm", "direction"])
 def test_a_touch_without_a_place_counts_by_its_picture(surface_map, name):
     belief, history, _ = _touched(surface_map, "mug", 1)

@@ -141,14 +141,19 @@ class PlaceBelief(BeliefOfPlaces):
         if evidence is None:
             assert isinstance(touch, Touches)
             evidence = self._evidence_of(touch)
+        pictures = np.zeros((len(tips), *self._pictures.shape))
         if self.map.use_pictures:
             log_pictures = log_softmax(evidence.log_likelihood, axis=1)
             pictures = self.map.picture_evidence(log_pictures, evidence.features, -ways)
             pictures[~evidence.log_likelihood.any(axis=1)] = 0.0
-            self._pictures = self._pictures + pictures.sum(axis=0)
-        for row in np.flatnonzero(np.isfinite(middles).all(axis=1)):
-            self._met(tips[row], ways[row], middles[row])
-        return super().update(evidence)
+        # One after another: how low an episode came hangs on their order.
+        is_placed = np.asarray(np.isfinite(middles).all(axis=1))
+        for row, placed in enumerate(is_placed):
+            self._pictures = self._pictures + pictures[row]
+            if placed:
+                self._met(tips[row], ways[row], middles[row])
+            super().update(evidence.of_touch(row))
+        return self
 
     def update_from_record(self, record: TouchRecord) -> Self:
         """Take in an attempt of the arm: a touch, a contact without frame, a miss.
