@@ -141,6 +141,13 @@ def test_an_episode_in_pieces_is_the_whole_episode(tmp_path, strategy):
         assert np.array_equal(record.image, image)
 
 
+def test_an_error_that_is_none_begins_no_folder(arm, sensor, recogniser, tmp_path):
+    with pytest.raises(ValueError, match="error must be"):
+        explore(arm, sensor, recogniser, STRATEGY, tmp_path / "new", error=2.0)
+    assert list(tmp_path.iterdir()) == []
+    assert arm.visited == []
+
+
 def test_a_finished_episode_is_not_touched_again(arm, sensor, tmp_path):
     explore(arm, sensor, SlowlySure(3), STRATEGY, tmp_path)
     arm.visited.clear()

@@ -168,9 +168,10 @@ def explore(
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
     hemisphere = strategy.hemisphere
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
+    belief = _begun(recogniser, hemisphere, strangers)
+    belief.decide(**accepted)  # what it refuses begins no folder
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before = len(log.history)
-        belief = _begun(recogniser, hemisphere, strangers)
         log.history = [_taken_in(belief, record) for record in log.history]
 
         def ended(gave_up: str) -> tuple[str | None, str, str] | None:
