@@ -1,5 +1,7 @@
 """Episodes end when they should, and go on after anything."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from ball_world import BallSensor, SlowlySure
@@ -139,6 +141,26 @@ def test_an_episode_in_pieces_is_the_whole_episode(tmp_path, strategy):
         assert record.position_mm == in_pieces.position_mm
         assert np.array_equal(record.image, in_pieces.image)
         assert np.array_equal(record.image, image)
+
+
+@pytest.mark.parametrize(
+    ("pose", "error", "message"),
+    [
+        (None, TypeError, "must return a SensorPose, got NoneType"),
+        (NEAR.pose(0.3, 0.9).advanced(60), ValueError, "must return a pose on Hemi"),
+        (NEAR.pose(0.3, -0.5), ValueError, r"got one at \(84, 26, -48\) mm"),
+    ],
+    ids=["none", "inside", "below"],
+)
+def test_a_strategy_of_ones_own_sends_no_arm_inside_the_hemisphere(
+    arm, sensor, pose, error, message
+):
+    strategy = SimpleNamespace(hemisphere=NEAR, next_pose=lambda belief, history: pose)
+    with pytest.raises(error, match=message):
+        explore(arm, sensor, SlowlySure(), strategy)
+    with pytest.raises(error, match=message):
+        gather(arm, sensor, strategy)
+    assert arm.visited == []
 
 
 def test_an_error_that_is_none_begins_no_folder(arm, sensor, recogniser, tmp_path):

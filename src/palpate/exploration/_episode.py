@@ -162,6 +162,8 @@ def explore(
     RobotError
         The arm stands inside the hemisphere and cannot be brought out of it: it does
         not look at the object, its way out does not lead outward, or it did not move.
+    TypeError, ValueError
+        `strategy` chose what is no pose on its hemisphere, and the arm was not moved.
     """
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)

@@ -55,7 +55,11 @@ class WayError(RobotError):
 def touch_from_hemisphere(
     toucher: Toucher, hemisphere: Hemisphere, pose: SensorPose
 ) -> TouchRecord:
-    """Go to a pose on the hemisphere and touch; what goes wrong is in the record."""
+    """Go to a pose on the hemisphere and touch; what goes wrong is in the record.
+
+    TypeError or ValueError where it is no such pose: the arm is not moved then.
+    """
+    _check_on(hemisphere, pose)
     how: dict[str, Any]
     try:
         follow(toucher.robot, hemisphere, pose, toucher.guard, toucher.wait_readings)
@@ -171,6 +175,23 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
             retracted=False,
             force_n=0.0 if math.isnan(force_n) else force_n,
         ) from error
+
+
+def _check_on(hemisphere: Hemisphere, pose: object) -> None:
+    """Refuse a start, of a strategy of one's own, that is not on the hemisphere."""
+    if not isinstance(pose, SensorPose):
+        raise TypeError(
+            f"next_pose must return a SensorPose, got {type(pose).__name__}. Write "
+            "hemisphere.pose(azimuth_rad, elevation_rad)."
+        )
+    up_mm = float(np.asarray(pose.position_mm)[2]) - hemisphere.centre_mm[2]
+    least_mm = hemisphere.radius_mm * math.sin(hemisphere.lowest_rad) - _OUTSIDE_MM
+    if hemisphere.way_out_mm(pose) > 0 or up_mm < least_mm:
+        place = ", ".join(f"{v:.0f}" for v in np.asarray(pose.position_mm))
+        raise ValueError(
+            f"next_pose must return a pose on {hemisphere!r}, got one at ({place}) mm, "
+            "inside or too low. Write hemisphere.pose(azimuth_rad, elevation_rad)."
+        )
 
 
 def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) -> None:
