@@ -337,6 +337,11 @@ def test_a_contact_whose_frame_cannot_be_taken_counts_at_once_and_when_read_agai
 # --- bad input
 
 
+def test_the_pose_of_what_was_never_learnt_is_refused(surface_map):
+    with pytest.raises(ValueError, match=r"name must be one of .*'pen', got 'fork'"):
+        surface_map.start().pose("fork")
+
+
 def test_touches_taken_in_together_are_believed_as_one_after_another(surface_map):
     belief, history, stand = _touched(surface_map, "box", 3)
     touches = as_touches(history)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
+from .._checks import check_option
 from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
@@ -308,7 +309,7 @@ class PlaceBelief(BeliefOfPlaces):
         """
         shares = np.exp(self.log_joint).reshape(self._pictures.shape)
         names = self._model.classes.tolist()
-        code = names.index(self.best if name is None else name)
+        code = names.index(check_option("name", name or self.best, names))
         is_it = (self.map.object_of_state_ == code) & ~self.map.is_other_
         rows = np.flatnonzero(is_it)
         state = int(rows[shares[rows].sum(axis=1).argmax()])
