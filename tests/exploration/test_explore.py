@@ -49,6 +49,14 @@ def test_an_episode_stops_when_its_budget_is_spent(arm, sensor):
     assert "6 attempts" in end.reason
 
 
+def test_an_episode_longer_than_the_budget_tells_how_long_it_is(arm, sensor, tmp_path):
+    for budget in (3, 2):
+        end = explore(
+            arm, sensor, SlowlySure(), STRATEGY, tmp_path, max_attempts=budget
+        )
+    assert end.reason.startswith("3 attempts made.")
+
+
 def test_nothing_counts_against_the_budget_but_not_for_the_belief(arm, sensor):
     arm.radius_mm = 0.0
     end = explore(arm, sensor, SlowlySure(1), STRATEGY, max_attempts=5)

@@ -186,7 +186,7 @@ def explore(
                 return None, "faults", gave_up
             if len(log.history) >= max_attempts:
                 why = belief.reason(**accepted)
-                return None, "budget", f"{max_attempts} attempts made. {why}"
+                return None, "budget", f"{len(log.history)} attempts made. {why}"
             return None
 
         end = ended("")
