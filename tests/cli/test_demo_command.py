@@ -40,6 +40,12 @@ def test_demo_explores_shows_beliefs_and_controls_and_ends_with_the_report(
     assert (tmp_path / "demo" / "six-objects.palpate").is_file()
 
 
+def test_a_file_in_place_of_the_demo_s_folder_is_refused_at_once(palpate, tmp_path):
+    (tmp_path / "file").touch()
+    refusal = palpate.refusal("demo", "--output", "file", cwd=tmp_path)
+    assert "--output must be a folder, got the file 'file'" in refusal
+
+
 @pytest.mark.slow
 def test_demo_prints_everything_as_one_json_object(palpate, small, tmp_path):
     answer = palpate.answer("demo", cwd=tmp_path)

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+import trimesh
 
 from palpate import Touches
 from palpate.cli.explore import STRATEGIES, _way
@@ -145,6 +146,20 @@ def test_an_episode_does_not_go_on_with_what_stands_otherwise(
     )  # fmt: skip
     palpate.printed(*command)
     assert "was begun with" in palpate.refusal(*command, *more)
+    assert len(read_episode(tmp_path / "kept")) == 1
+
+
+def test_an_episode_does_not_go_on_with_another_mesh_of_the_same_name(
+    palpate, model, tmp_path
+):
+    command = (
+        "explore", "recognise", model, "thing.stl", "--strategy", "raster",
+        "--error", 1e-6, "--max-touches", 1, "--folder", "kept",
+    )  # fmt: skip
+    trimesh.creation.box((40, 40, 40)).export(tmp_path / "thing.stl")
+    palpate.printed(*command, cwd=tmp_path)
+    trimesh.creation.cylinder(radius=20, height=40).export(tmp_path / "thing.stl")
+    assert "was begun with" in palpate.refusal(*command, cwd=tmp_path)
     assert len(read_episode(tmp_path / "kept")) == 1
 
 

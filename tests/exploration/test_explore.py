@@ -1,5 +1,7 @@
 """Episodes end when they should, and go on after anything."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from ball_world import BallSensor, SlowlySure
@@ -45,6 +47,14 @@ def test_an_episode_stops_when_its_budget_is_spent(arm, sensor):
     end = explore(arm, sensor, SlowlySure(), STRATEGY, max_attempts=6)
     assert (end.decision, end.ended_by, end.n_touches) == (None, "budget", 6)
     assert "6 attempts" in end.reason
+
+
+def test_an_episode_longer_than_the_budget_tells_how_long_it_is(arm, sensor, tmp_path):
+    for budget in (3, 2):
+        end = explore(
+            arm, sensor, SlowlySure(), STRATEGY, tmp_path, max_attempts=budget
+        )
+    assert end.reason.startswith("3 attempts made.")
 
 
 def test_nothing_counts_against_the_budget_but_not_for_the_belief(arm, sensor):
@@ -139,6 +149,33 @@ def test_an_episode_in_pieces_is_the_whole_episode(tmp_path, strategy):
         assert record.position_mm == in_pieces.position_mm
         assert np.array_equal(record.image, in_pieces.image)
         assert np.array_equal(record.image, image)
+
+
+@pytest.mark.parametrize(
+    ("pose", "error", "message"),
+    [
+        (None, TypeError, "must return a SensorPose, got NoneType"),
+        (NEAR.pose(0.3, 0.9).advanced(60), ValueError, "must return a pose on Hemi"),
+        (NEAR.pose(0.3, -0.5), ValueError, r"got one at \(84, 26, -48\) mm"),
+    ],
+    ids=["none", "inside", "below"],
+)
+def test_a_strategy_of_ones_own_sends_no_arm_inside_the_hemisphere(
+    arm, sensor, pose, error, message
+):
+    strategy = SimpleNamespace(hemisphere=NEAR, next_pose=lambda belief, history: pose)
+    with pytest.raises(error, match=message):
+        explore(arm, sensor, SlowlySure(), strategy)
+    with pytest.raises(error, match=message):
+        gather(arm, sensor, strategy)
+    assert arm.visited == []
+
+
+def test_an_error_that_is_none_begins_no_folder(arm, sensor, recogniser, tmp_path):
+    with pytest.raises(ValueError, match="error must be"):
+        explore(arm, sensor, recogniser, STRATEGY, tmp_path / "new", error=2.0)
+    assert list(tmp_path.iterdir()) == []
+    assert arm.visited == []
 
 
 def test_a_finished_episode_is_not_touched_again(arm, sensor, tmp_path):

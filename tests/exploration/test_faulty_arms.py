@@ -299,6 +299,46 @@ def test_a_force_sensor_that_dies_in_contact_on_a_way_is_believed_to_press():
     assert arm.peak_n <= 5.0 * GUARD.way_step_mm
 
 
+class FreezesInContact(FaultyArm):
+    """Its force sensor repeats what it read in the air; some hold after some steps."""
+
+    air_n, n_steps, holds_after = 0.0, 0, np.inf
+
+    def read_force(self):
+        if not self.inside:
+            self.air_n = super().read_force()
+        return self.air_n
+
+    def move_to(self, pose):
+        if self.n_steps < self.holds_after:
+            super().move_to(pose)
+        self.n_steps += self.inside
+
+
+@pytest.mark.parametrize(
+    ("lag_readings", "holds_after"), [(0, np.inf), (0, 6), (8, np.inf), (64, np.inf)]
+)
+def test_a_force_sensor_that_freezes_on_a_way_ends_it(lag_readings, holds_after):
+    arm = FreezesInContact()
+    arm.ball_mm, arm.radius_mm = np.array([0.0, 90.0, 60.0]), 30.0
+    arm.pose, arm.holds_after = NEAR.pose(0.8, 0.6), holds_after
+    way = SimpleNamespace(hemisphere=NEAR, next_pose=lambda *_: NEAR.pose(2.3, 0.6))
+    guard = replace(GUARD, way_step_mm=0.5, lag_readings=lag_readings)
+    end = explore(arm, arm, SlowlySure(), way, guard=guard, max_attempts=1)
+    (record,) = end.history
+    assert record.outcome == "force sensor"
+    assert "stuck at" in record.message
+    # Where it read the air, or else stopped.
+    is_held = holds_after < np.inf
+    assert (arm.inside, record.retracted, arm.stopped) == (
+        is_held,
+        not is_held,
+        is_held,
+    )
+    n_steps = guard.stuck_after if lag_readings < guard.stuck_after else 1
+    assert arm.peak_n <= arm.stiffness * guard.way_step_mm * n_steps
+
+
 def test_an_arm_that_stands_in_contact_comes_out_and_goes_on():
     arm = FaultyArm("parked in contact")
     assert [record.outcome for record in faulty_arms.gathering(arm)] == ["touched"] * 4

@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ball_world import BallArm
 from known_surfaces import standing_ellipse
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.exceptions import NotFittedError
 
 from palpate import Touches
 from palpate.exploration import (
+    Guard,
     Hemisphere,
     InformativeTouch,
     RandomHemisphere,
@@ -29,6 +31,7 @@ from palpate.simulation import DomeCamera, find_object
 
 CAMERA = DomeCamera(image_shape=(48, 48), n_nodes=24)
 NAMES = ("box", "mug", "pen")
+FAR = Hemisphere(radius_mm=400)
 
 
 @pytest.fixture(scope="module")
@@ -217,16 +220,13 @@ def test_choosing_is_the_same_after_the_same_history(surface_map):
     assert gains.shape == (6 * 16,)
 
 
-def test_what_precedes_an_attempt_that_is_refused_is_taken_in_once(surface_map):
+def test_an_attempt_far_from_all_that_is_known_tells_the_strategy_nothing(surface_map):
     _, history, stand = _touched(surface_map, "mug", 3)
     strategy = InformativeTouch(surface_map, stand.hemisphere)
     far = replace(history[-1], position_mm=(0.0, 0.0, 5000.0))
-    for _ in range(2):
-        with pytest.raises(ValueError, match="Is it another unit"):
-            strategy.expected_gain(None, [*history[:2], far])
+    with_far = strategy.expected_gain(None, [*history[:2], far, history[2]])
     again = InformativeTouch(surface_map, stand.hemisphere)
-    gain = again.expected_gain(None, history)
-    assert_array_equal(strategy.expected_gain(None, history), gain)
+    assert_array_equal(with_far, again.expected_gain(None, history))
 
 
 def test_the_next_touch_is_where_what_may_stand_there_differs(recogniser, taught):
@@ -283,6 +283,42 @@ def test_an_episode_with_the_arm_ends_with_a_pose(surface_map):
     assert end.decision == end.belief.pose().object == "pen"
 
 
+class BlankSensor:
+    """Shows the frame of no contact, whatever is touched."""
+
+    image_shape = (48, 48)
+    geometry = "dome"
+
+    def read(self):
+        return CAMERA.no_contact()
+
+    def no_contact(self):
+        return CAMERA.no_contact()
+
+
+@pytest.mark.parametrize(
+    ("by_places", "outcome"), [(True, "no frame"), (False, "touched")]
+)
+def test_a_contact_far_from_all_that_is_known_ends_no_episode(
+    surface_map, tmp_path, by_places, outcome
+):
+    # Something stands near the hemisphere; what is known is some 100 mm at most.
+    arm = BallArm(radius_mm=390.0, stiffness_n_mm=1.0)
+    arm.pose = FAR.pose(0.0, 1.5)
+    knower = surface_map if by_places else surface_map.recogniser
+    strategy = InformativeTouch(surface_map, FAR)
+    arms = arm, BlankSensor(), knower, strategy, tmp_path / "far"
+    options = {"guard": Guard(lag_readings=0), "max_attempts": 2}
+    end, again = (explore(*arms, **options) for _ in range(2))
+    assert [record.outcome for record in end.history] == [outcome] * 2
+    # Read again it says the same.
+    told = end.to_dict(knower, 0.05, strategy.hemisphere)
+    assert told == again.to_dict(knower, 0.05, strategy.hemisphere)
+    messages = [attempt["message"] for attempt in told["attempts"]]
+    told_once = [message.count("Is it another unit") for message in messages]
+    assert told_once == [int(by_places)] * 2
+
+
 def test_a_contact_whose_frame_cannot_be_taken_counts_at_once_and_when_read_again(
     surface_map, tmp_path
 ):
@@ -299,6 +335,22 @@ def test_a_contact_whose_frame_cannot_be_taken_counts_at_once_and_when_read_agai
 
 
 # --- bad input
+
+
+def test_the_pose_of_what_was_never_learnt_is_refused(surface_map):
+    with pytest.raises(ValueError, match=r"name must be one of .*'pen', got 'fork'"):
+        surface_map.start().pose("fork")
+
+
+def test_touches_taken_in_together_are_believed_as_one_after_another(surface_map):
+    belief, history, stand = _touched(surface_map, "box", 3)
+    touches = as_touches(history)
+    together = surface_map.start_before(stand.hemisphere).update(touches)
+    assert together.flags == belief.flags
+    assert_allclose(together.log_joint, belief.log_joint, atol=1e-6)
+    # Encoded together and alone, features agree in single precision.
+    assert together.unknown == pytest.approx(belief.unknown, abs=1e-5)
+    assert together.posterior == pytest.approx(belief.posterior, abs=1e-5)
 
 
 @pytest.mark.parametrize("name", ["position_mm", "direction"])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose
 
 from palpate.exploration import (
@@ -93,6 +94,20 @@ def test_what_was_begun_otherwise_is_refused(tmp_path, otherwise):
     explore_to_learn([BOX], 2, **how)
     with pytest.raises(ValueError, match="Go on with the same settings"):
         explore_to_learn([BOX], 2, **how | otherwise)
+
+
+def test_another_surface_of_the_same_name_and_size_is_refused(tmp_path):
+    box, can = (
+        SimObject("thing", "thing", mesh.copy)
+        for mesh in (
+            trimesh.creation.box((40, 40, 40)),
+            trimesh.creation.cylinder(radius=20, height=40),
+        )
+    )
+    how = {"n_sessions": 1, "folder": tmp_path, "n_jobs": 1}
+    explore_to_learn([box], 1, CAMERA, **how)
+    with pytest.raises(ValueError, match="Go on with the same settings"):
+        explore_to_learn([can], 1, CAMERA, **how)
 
 
 @pytest.mark.parametrize("random_state", [None, -1, 0.5])

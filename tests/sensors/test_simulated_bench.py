@@ -5,7 +5,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.sensors import SensorError, SimulatedBench, SimulatedSensor, TouchSensor
-from palpate.simulation import DomeCamera, PlacedObject, SensorPose, find_object
+from palpate.simulation import (
+    DomeCamera,
+    GelCamera,
+    PlacedObject,
+    SensorPose,
+    TacTipPins,
+    find_object,
+)
 
 CAMERA = DomeCamera(image_shape=(48, 48), n_nodes=24)
 OUT = np.array([0.5, 0.3, 0.8]) / np.sqrt(0.98)
@@ -187,3 +194,9 @@ def test_chosen_frames_are_missing():
 def test_a_share_that_is_none_is_refused():
     with pytest.raises(ValueError, match="shift_share must be finite and between"):
         _bench(shift_share=-0.1)
+
+
+@pytest.mark.parametrize("camera", [TacTipPins(), GelCamera()], ids=["pins", "gel"])
+def test_what_is_no_dome_is_refused(camera):
+    with pytest.raises(TypeError, match=r"must be a DomeCamera, got (TacTip|Gel)"):
+        SimulatedBench(PlacedObject(find_object("box")), camera)

@@ -54,6 +54,8 @@ def demo(
     which two are not learnt but met as unknown ones. The last line printed is the path
     of the report.
     """
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"--output must be a folder, got the file {str(folder)!r}.")
     pictures = _pictures(data) if real else None
     from .._page import check_report_path
     from ..evaluation import Plan, evaluate, write_report

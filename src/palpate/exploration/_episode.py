@@ -75,7 +75,7 @@ class Exploration:
         belief = _begun(recogniser, hemisphere, strangers)
         attempts: list[dict[str, Any]] = []
         for record in self.history:
-            _take_in(belief, record)
+            _taken_in(belief, record)
             plain = record.to_dict()
             attempts.append(
                 {
@@ -162,15 +162,18 @@ def explore(
     RobotError
         The arm stands inside the hemisphere and cannot be brought out of it: it does
         not look at the object, its way out does not lead outward, or it did not move.
+    TypeError, ValueError
+        `strategy` chose what is no pose on its hemisphere, and the arm was not moved.
     """
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
     hemisphere = strategy.hemisphere
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
+    belief = _begun(recogniser, hemisphere, strangers)
+    belief.decide(**accepted)  # what it refuses begins no folder
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before = len(log.history)
-        belief = _begun(recogniser, hemisphere, strangers)
         log.history = [_taken_in(belief, record) for record in log.history]
 
         def ended(gave_up: str) -> tuple[str | None, str, str] | None:
@@ -183,7 +186,7 @@ def explore(
                 return None, "faults", gave_up
             if len(log.history) >= max_attempts:
                 why = belief.reason(**accepted)
-                return None, "budget", f"{max_attempts} attempts made. {why}"
+                return None, "budget", f"{len(log.history)} attempts made. {why}"
             return None
 
         end = ended("")
@@ -281,7 +284,9 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
         _take_in(belief, record)
     except Exception as error:
         why = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
-        message = f"{record.message} {why}".strip()
+        message = record.message
+        if why not in message:  # as it was read again
+            message = f"{message} {why}".strip()
         refused = replace(record, outcome="no frame", message=message)
         if record.touched:
             # Its contact counts, as it does when the episode goes on another day.

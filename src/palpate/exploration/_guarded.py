@@ -72,7 +72,7 @@ class Guard:
     stuck_after : int or None, default=12
         So many equal readings in a row mean that the force sensor is stuck; None
         for one so coarse or so quiet that it repeats itself. 12 readings are three
-        steps, 0.75 mm in contact.
+        steps, 0.75 mm in contact; on ways 12 steps at most, of `way_step_mm`.
     flat_mm : float, default=2.0
         Way into contact over which the force must change, by more than its noise.
     max_miss_mm : float, default=0.5

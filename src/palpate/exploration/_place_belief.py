@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
+from .._checks import check_option
 from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
@@ -141,14 +142,19 @@ class PlaceBelief(BeliefOfPlaces):
         if evidence is None:
             assert isinstance(touch, Touches)
             evidence = self._evidence_of(touch)
+        pictures = np.zeros((len(tips), *self._pictures.shape))
         if self.map.use_pictures:
             log_pictures = log_softmax(evidence.log_likelihood, axis=1)
             pictures = self.map.picture_evidence(log_pictures, evidence.features, -ways)
             pictures[~evidence.log_likelihood.any(axis=1)] = 0.0
-            self._pictures = self._pictures + pictures.sum(axis=0)
-        for row in np.flatnonzero(np.isfinite(middles).all(axis=1)):
-            self._met(tips[row], ways[row], middles[row])
-        return super().update(evidence)
+        # One after another: how low an episode came hangs on their order.
+        is_placed = np.asarray(np.isfinite(middles).all(axis=1))
+        for row, placed in enumerate(is_placed):
+            self._pictures = self._pictures + pictures[row]
+            if placed:
+                self._met(tips[row], ways[row], middles[row])
+            super().update(evidence.of_touch(row))
+        return self
 
     def update_from_record(self, record: TouchRecord) -> Self:
         """Take in an attempt of the arm: a touch, a contact without frame, a miss.
@@ -303,7 +309,7 @@ class PlaceBelief(BeliefOfPlaces):
         """
         shares = np.exp(self.log_joint).reshape(self._pictures.shape)
         names = self._model.classes.tolist()
-        code = names.index(self.best if name is None else name)
+        code = names.index(check_option("name", name or self.best, names))
         is_it = (self.map.object_of_state_ == code) & ~self.map.is_other_
         rows = np.flatnonzero(is_it)
         state = int(rows[shares[rows].sum(axis=1).argmax()])

@@ -277,6 +277,7 @@ class _PutDown(RandomHemisphere):
     placement_sd_mm: float = 5.0
     drift: bool = False
     camera: DomeCamera | None = None
+    surface: str = ""
 
 
 def _session(
@@ -307,7 +308,9 @@ def _session(
         **where,
     )
     placement_sd_mm = float(where["placement_sd_mm"])
-    stood = yaw, face, placement_sd_mm, drift, camera
+    # Another mesh may have the same name.
+    surface = f"{thing.mesh.area:.6g} mm2, {len(thing.mesh.faces)} triangles"
+    stood = yaw, face, placement_sd_mm, drift, camera, surface
     strategy = _PutDown(stand.hemisphere, seed, *stood)
     if guarded:
         history = gather(

@@ -27,6 +27,7 @@ place near one that was touched before reads the same again: its gain is scaled 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import is_not
 from typing import TYPE_CHECKING, Any, Protocol, cast
@@ -377,10 +378,10 @@ class InformativeTouch:
             self._placed, self._seen, n_seen = self._begun(), (), 0
         records = history[n_seen:]
         if isinstance(self._placed, PlaceBelief):
-            for n_taken, record in enumerate(records, n_seen + 1):
-                self._placed.update_from_record(record)
-                # At once: a later one may be refused, and none is taken in twice.
-                self._seen = [*history[:n_taken]]
+            for record in records:
+                # What is far from all that is known tells nothing here.
+                with suppress(ValueError):
+                    self._placed.update_from_record(record)
         elif any(record.touched for record in records):
             self._placed.update(as_touches(records))
         self._seen = [*history]

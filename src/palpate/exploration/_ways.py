@@ -3,9 +3,10 @@
 Between two touches nothing should be met. So the arm moves in steps of at most
 `Guard.way_step_mm`, and after each the force is read. A reading beyond
 `Guard.limit_n` ends the way: the last step is taken back, and where that does not help
-the arm is stopped. One step against something of k N/mm adds k x `way_step_mm`: with
-the default of 2.5 mm it stays below 3 N up to 1.2 N/mm, and what is stiffer passes the
-limit by what that step adds, and is told.
+the arm is stopped. Readings that repeat themselves, `Guard.stuck_after` of them, end it
+too: the arm goes back to where another one came last. One step against something of
+k N/mm adds k x `way_step_mm`: with the default of 2.5 mm it stays below 3 N up to 1.2
+N/mm, and what is stiffer passes the limit by what that step adds, and is told.
 
 A force sensor that is filtered, or read through a slow bus, follows the contact late.
 Nothing in the air shows that, so the first touches of an episode, and the ways to them,
@@ -19,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -53,7 +55,11 @@ class WayError(RobotError):
 def touch_from_hemisphere(
     toucher: Toucher, hemisphere: Hemisphere, pose: SensorPose
 ) -> TouchRecord:
-    """Go to a pose on the hemisphere and touch; what goes wrong is in the record."""
+    """Go to a pose on the hemisphere and touch; what goes wrong is in the record.
+
+    TypeError or ValueError where it is no such pose: the arm is not moved then.
+    """
+    _check_on(hemisphere, pose)
     how: dict[str, Any]
     try:
         follow(toucher.robot, hemisphere, pose, toucher.guard, toucher.wait_readings)
@@ -78,17 +84,22 @@ def follow(
     """Move round the object to a pose on the hemisphere, in guarded steps.
 
     First, and after each step, so many readings are waited for, which may still be of
-    before. `WayError` says that one was beyond `guard.limit_n`, or no number.
+    before. `WayError` says that one was beyond `guard.limit_n`, or no number, or that
+    they repeat themselves.
     """
     for _ in range(wait_readings):
         robot.read_force()
-    _refuse_load_before(robot, guard)
-    here = robot.read_pose()
+    readings = _Readings(robot, guard, _refuse_load_before(robot, guard))
+    here = fresh_at = robot.read_pose()
     for waypoint in hemisphere.way(here, end):
         for pose in _steps(here, waypoint, guard.way_step_mm):
             with _stopping_pressed(robot, guard):
                 robot.move_to(pose)
-                force_n = _late_reading(robot, guard, wait_readings)
+                force_n = readings.late(wait_readings)
+            if readings.n_equal <= 1 + wait_readings:  # it changed here
+                fresh_at = pose
+            if guard.stuck_after and readings.n_equal >= guard.stuck_after:
+                _refuse_stuck(readings, fresh_at)
             _refuse_load(robot, force_n, here, guard, wait_readings)
             here = pose
 
@@ -166,6 +177,23 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
         ) from error
 
 
+def _check_on(hemisphere: Hemisphere, pose: object) -> None:
+    """Refuse a start, of a strategy of one's own, that is not on the hemisphere."""
+    if not isinstance(pose, SensorPose):
+        raise TypeError(
+            f"next_pose must return a SensorPose, got {type(pose).__name__}. Write "
+            "hemisphere.pose(azimuth_rad, elevation_rad)."
+        )
+    up_mm = float(np.asarray(pose.position_mm)[2]) - hemisphere.centre_mm[2]
+    least_mm = hemisphere.radius_mm * math.sin(hemisphere.lowest_rad) - _OUTSIDE_MM
+    if hemisphere.way_out_mm(pose) > 0 or up_mm < least_mm:
+        place = ", ".join(f"{v:.0f}" for v in np.asarray(pose.position_mm))
+        raise ValueError(
+            f"next_pose must return a pose on {hemisphere!r}, got one at ({place}) mm, "
+            "inside or too low. Write hemisphere.pose(azimuth_rad, elevation_rad)."
+        )
+
+
 def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) -> None:
     """Refuse a pose whose straight way back would lead through the object."""
     arm = np.asarray(pose.position_mm) - np.asarray(hemisphere.centre_mm)
@@ -198,9 +226,10 @@ def _steps(
     yield end
 
 
-def _refuse_load_before(robot: Robot, guard: Guard) -> None:
-    """Refuse to set out with a load on: the last touch is not over."""
-    force_n = abs(_reading(robot))
+def _refuse_load_before(robot: Robot, guard: Guard) -> float:
+    """Refuse to set out with a load on: the last touch is not over; return it."""
+    reading_n = _reading(robot)
+    force_n = abs(reading_n)
     if math.isnan(force_n):
         message = "The force sensor reads no number before the way."
         raise WayError(message, "force sensor", retracted=True)
@@ -213,6 +242,7 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> None:
             retracted=False,
             force_n=force_n,
         )
+    return reading_n
 
 
 def _refuse_load(
@@ -248,6 +278,27 @@ def _refuse_load(
     )
 
 
+def _refuse_stuck(readings: _Readings, before: SensorPose) -> None:
+    """Go back to where the force last changed, and say why."""
+    robot, clear, why = readings.robot, False, ""
+    try:
+        robot.move_to(before)
+        robot.retract(0.0)  # as a touch ends that did not move in
+        missed = np.subtract(robot.read_pose().position_mm, before.position_mm)
+        clear = bool(np.linalg.norm(missed) <= readings.guard.max_miss_mm)
+    except Exception as error:
+        why = f" ({type(error).__name__}: {error})"
+    finally:
+        end = "" if clear else f"did not come back{why} and {_stop(robot)}"
+    raise WayError(
+        f"The force sensor is stuck at {readings.last_n:.4f} N for {readings.n_equal} "
+        f"readings on the way: the arm {end or 'went back to where it changed'}. If it "
+        "is that coarse, set stuck_after.",
+        "force sensor",
+        retracted=clear,
+    )
+
+
 def _stop(robot: Robot) -> str:
     """Stop the arm, in a second attempt if need be; return whether it was stopped.
 
@@ -268,13 +319,24 @@ def _stop(robot: Robot) -> str:
     return end
 
 
-def _late_reading(robot: Robot, guard: Guard, wait_readings: int) -> float:
-    """Return the reading after so many, or the first that is beyond the limit."""
-    for _ in range(wait_readings):
-        force_n = _reading(robot)
-        if not abs(force_n) <= guard.limit_n:
-            return force_n
-    return _reading(robot)
+@dataclass
+class _Readings:
+    """Readings of the force on a way; the last `n_equal` of them were `last_n`."""
+
+    robot: Robot
+    guard: Guard
+    last_n: float
+    n_equal: int = 1
+
+    def late(self, wait_readings: int) -> float:
+        """Return the reading after so many, or the first that is beyond the limit."""
+        for _ in range(1 + wait_readings):
+            force_n = _reading(self.robot)
+            self.n_equal = self.n_equal + 1 if force_n == self.last_n else 1
+            self.last_n = force_n
+            if not abs(force_n) <= self.guard.limit_n:
+                break
+        return self.last_n
 
 
 def _reading(robot: Robot) -> float:

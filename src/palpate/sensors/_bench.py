@@ -74,7 +74,13 @@ class SimulatedBench:
         random_state: int = 0,
     ) -> None:
         self.target = target
-        self.camera = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+        usual: object = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+        if not isinstance(usual, DomeCamera):
+            raise TypeError(
+                f"camera must be a DomeCamera, got {type(usual).__name__}. Other "
+                "sensors are simulated by simulate_touches alone."
+            )
+        self.camera = usual
         self.centre_mm = np.asarray(target.centre_mm)
         self.pose: SensorPose | None = None
         self.force_n = self.peak_force_n = 0.0
