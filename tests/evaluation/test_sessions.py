@@ -221,5 +221,16 @@ def test_where_sessions_were_tested_the_measured_accuracy_is_expected(week):
         f"{right:.1f} % right after 3 touches (remount recentre) is what to expect of "
         "another session."
     ) in summary(elsewhere)
+    # The last quarter may be the last day: as good as another set.
+    moves = enumerate({"mon": 8, "tue": 8, "wed": 5}.items())
+    days = [visited(day, n_touches, n) for n, (day, n_touches) in moves]
+    days = [d.with_columns(order=d.order + 8 * n) for n, d in enumerate(days)]
+    plan = Plan(touches=(1,), orders=4)
+    last_day, _ = evaluate(Touches.concatenate(days), split="last", plan=plan)
+    assert (
+        "Nothing was learnt from the sessions of the test touches: "
+        f"{100 * last_day['accuracy']['1']:.1f} % right after 1 touch is what to "
+        "expect of another session."
+    ) in summary(last_day)
     here, _ = evaluate(train, split="last", plan=Plan(touches=(1,), orders=4))
     assert sessions_message(here["sessions"]) in summary(here)

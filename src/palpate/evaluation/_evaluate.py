@@ -460,7 +460,8 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             f"{100 * idle:.0f} % of the test touches are without contact, and not "
             "counted: press until the picture changes, or record with a higher `begin`."
         )
-    if best > 1.5 * figures["chance"] and as_good_alone(figures):
+    nuisance = best > 1.5 * figures["chance"] and as_good_alone(figures)
+    if nuisance and not all(map(_all_met_elsewhere, trials)):
         turns = "What is no touch does as well as touch: record objects in turns, "
         yield turns + (
             "so that each is met in every session."
@@ -503,10 +504,16 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
         )
 
 
+def _all_met_elsewhere(trial: Trial) -> bool:
+    """Return whether all that was taught is asked, in sessions that taught nothing."""
+    taught, asked = trial.recogniser.memory_.objects, trial.episodes.objects
+    return trial.fold.elsewhere and set(taught) == set(asked)
+
+
 def _of_unknown(figures: dict[str, Any], elsewhere: bool) -> Iterator[str]:
     """Yield what to do where known things are unknown, or strangers are named."""
     ends = figures.get("decision", {})
-    if ends and ends["refused"] > ends["n_episodes"] / 2:
+    if ends and ends["refused"] > (ends["refusal"] + _GAIN) * ends["n_episodes"]:
         again = ""
         if elsewhere and figures["remount"] == "none":
             again = " or try `remount=recentre:10`"

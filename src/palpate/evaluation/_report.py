@@ -28,6 +28,7 @@ from ..touches import Touches
 from . import plots
 from ._comparisons import as_good_alone
 from ._episodes import Decisions, answers_of
+from ._splits import VISITS
 from ._trial import Trial, calibration_bins, confusion_of, scored, spread
 
 EXAMPLES = 6
@@ -271,15 +272,16 @@ def _other_day(figures: dict[str, Any]) -> str:
         return ""
     if not (figures["elsewhere"] and accuracy):
         return sessions_message(figures["sessions"])
-    split, (k, *_) = figures["split"], accuracy
+    visit = figures["split"] if figures["split"] in VISITS else ""
+    k, *_ = accuracy
     how = "Nothing was learnt from the sessions of the test touches"
-    if split:
-        how = f"Each {split} was left out of learning in turn"
+    if visit:
+        how = f"Each {visit} was left out of learning in turn"
     used = figures["remount"]
     return (
         f"{how}: {as_text(accuracy[k], 100)} % right after "
         f"{n_touches_of(k)}{f' (remount {used})' * (used != 'none')} is what "
-        f"to expect of another {split or 'session'}."
+        f"to expect of another {visit or 'session'}."
     )
 
 
