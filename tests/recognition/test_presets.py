@@ -111,6 +111,54 @@ def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():
     assert ObjectRecogniser().fit(without_colours).score(test_without) < 0.75
 
 
+@pytest.fixture(scope="module")
+def beside_rest():
+    """Presses of all parts, taught and new, and a level at which each taxel rests."""
+    taught, new = (simulate_presses(None, 8, random_state=seed) for seed in (0, 1))
+    reach = np.ptp(taught.images.astype(float))
+    rest = np.random.default_rng(0).normal(0, 0.3 * reach, taught.images.shape[1:])
+
+    def resting(touches, rest, **about):
+        about = {"object": touches.object, "geometry": "array", **about}
+        return Touches(touches.images + rest, **about)
+
+    return taught, new, rest, resting
+
+
+def test_levels_that_taxels_rest_at_hide_nothing(beside_rest, tmp_path):
+    taught, new, rest, resting = beside_rest
+    with_rest = resting(taught, rest, no_contact=rest)
+    learnt = ObjectRecogniser().fit(with_rest)
+    losses = learnt.chosen_["log_loss"]
+    assert learnt.chosen_["encoding"].startswith("change from no contact: ")
+    assert losses["change from no contact"] < losses["whole picture"]
+    without = ObjectRecogniser().fit(resting(taught, 0))
+    assert "log_loss" not in without.chosen_
+    assert learnt.score(resting(new, rest)) >= without.score(resting(new, 0)) - 0.05
+    blinded = ObjectRecogniser().fit(resting(taught, rest))
+    assert learnt.score(resting(new, rest)) > blinded.score(resting(new, rest)) + 0.1
+    # Levels that drifted since are found in the frame of no contact of the new session.
+    drifted = rest + 0.3 * rest[::-1]
+    there = resting(new, drifted, no_contact=drifted)
+    again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
+    evidence = learnt.evidence(there).log_likelihood
+    assert_array_equal(again.evidence(there).log_likelihood, evidence)
+    before = again.score(there)
+    assert again.remount(there[::4].without("object")).score(there) > before
+
+
+def test_a_picture_that_rests_at_one_level_or_is_of_a_camera_is_taken_as_it_is(
+    beside_rest,
+):
+    taught, _, rest, resting = beside_rest
+    flat = np.full(rest.shape, 7.0)
+    for touches in (
+        resting(taught, flat, no_contact=flat),
+        resting(taught, rest, no_contact=rest, geometry="plane"),
+    ):
+        assert "log_loss" not in ObjectRecogniser().fit(touches).chosen_
+
+
 @pytest.mark.parametrize("with_rest", [True, False])
 @pytest.mark.parametrize(
     "preset",

@@ -76,6 +76,9 @@ class TouchEncoder(Encoder, BaseEstimator):
     channels : bool, default=False
         Whether the clean-up cleans channels one by one (`DomeCrop.by_channel`); else
         their mean.
+    as_changes : bool, default=False
+        Whether images that are not cleaned up are less the frame of no contact: of an
+        array whose taxels rest at levels of their own.
 
     Attributes
     ----------
@@ -119,9 +122,10 @@ class TouchEncoder(Encoder, BaseEstimator):
         clean_up: Any,
         encodings: Mapping[str, Sequence[Any]],
         channels: bool = False,
+        as_changes: bool = False,
     ) -> None:
         self.clean_up, self.encodings = clean_up, encodings
-        self.channels = channels
+        self.channels, self.as_changes = channels, as_changes
 
     def fit_clean(self, touches: Touches) -> Array:
         """Learn the clean-up and return the cleaned images."""
@@ -253,6 +257,8 @@ class TouchEncoder(Encoder, BaseEstimator):
     def cleaned(self, images: Array) -> Array:
         """Return images that `living` has checked, after the clean-up."""
         if self.clean_up_ is None:
+            if self.as_changes and self.baseline_ is not None:
+                images = images - self.baseline_.astype(np.float64)
             return images
         if self.channels and images.ndim == 4:
             batches = in_batches(images)

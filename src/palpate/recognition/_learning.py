@@ -94,15 +94,13 @@ def learn_encoding(
     # What it takes a search for rims to know is found out once.
     shown = shown.with_columns(geometry=find_geometry(shown))
     labels_and_groups = labels[rows], group[rows]
-    encoder, chosen = choose_encoder(preset, shown, *labels_and_groups, presentation)
-    cleaned = encoder.fit_clean(shown)
-    learnt_steps: dict[str, Any] = {}
-    if len(encoder.encodings) > 1:
-        encoder, why_chosen = choose_encodings(
-            encoder, cleaned, *labels_and_groups, learnt_steps
-        )
-        why_chosen["encoding"] = f"{chosen['encoding']}: {why_chosen['encoding']}"
-        chosen |= why_chosen
+    recipes = preset.encoders(shown, presentation)
+    if any(len(recipe.encodings) > 1 for recipe in recipes.values()):
+        pooled = choose_pool(recipes, shown, *labels_and_groups)
+        encoder, cleaned, learnt_steps, chosen = pooled
+    else:
+        encoder, chosen = choose_encoder(preset, recipes, shown, *labels_and_groups)
+        cleaned, learnt_steps = encoder.fit_clean(shown), {}
     blind = [encoder.blind_to(name) for name in encoder.encodings]
     unmet = " and ".join(sorted(PRESENTATIONS[presentation].difference(*blind)))
     if unmet:
@@ -186,19 +184,39 @@ def shown_rows(labels: Array, n_shown: int = SHOWN) -> Indices:
     return np.sort(np.concatenate(chosen))
 
 
+def choose_pool(
+    recipes: Mapping[str, TouchEncoder], touches: Touches, labels: Array, group: Indices
+) -> tuple[TouchEncoder, Array, dict[str, Any], dict[str, Any]]:
+    """Return the recipe whose pool of encodings has the least log loss (nats).
+
+    With cleaned images, steps as `choose_encodings` has learnt them, and the reasons.
+    """
+    pools: dict[str, tuple[TouchEncoder, Array, dict[str, Any], dict[str, Any]]] = {}
+    for name, recipe in recipes.items():
+        cleaned, learnt_steps = recipe.fit_clean(touches), dict[str, Any]()
+        encoder, why = choose_encodings(recipe, cleaned, labels, group, learnt_steps)
+        why["encoding"] = f"{name}: {why['encoding']}"
+        pools[name] = encoder, cleaned, learnt_steps, why
+    losses = {name: why.pop("log_loss") for name, (*_, why) in pools.items()}
+    encoder, cleaned, learnt_steps, why = pools[min(losses, key=losses.__getitem__)]
+    chosen = {"geometry": find_geometry(touches), **why}
+    if len(losses) > 1:
+        chosen["log_loss"] = losses
+    return encoder, cleaned, learnt_steps, chosen
+
+
 def choose_encoder(
     preset: Preset,
+    recipes: Mapping[str, TouchEncoder],
     touches: Touches,
     labels: Array,
     group: Indices,
-    presentation: str,
 ) -> tuple[TouchEncoder, dict[str, Any]]:
     """Return the preset's best recipe for these touches, not fitted, and the reasons.
 
     With several recipes each learns two thirds of the groups (at most `AT_MOST`
     touches) and is asked about the rest; the least log loss (nats) wins.
     """
-    recipes = preset.encoders(touches, presentation)
     chosen: dict[str, Any] = {"geometry": find_geometry(touches)}
     if len(recipes) == 1:
         name, encoder = next(iter(recipes.items()))
@@ -256,7 +274,9 @@ def choose_encodings(
     least = LEAST_SHARE * sum(counts.values())
     most = sorted(counts, key=lambda name: -counts[name])[:MOST_KEPT]
     names = [n for n in counts if n in most and (counts[n] >= least or n == most[0])]
+    pooled = pool.left_out_log_likelihood()[np.arange(len(codes)), codes]
     return encoder.only(names), {
+        "log_loss": float(-pooled.mean()),
         "encoding": " + ".join(names),
         "why": "pooled by least log loss on touches left out, as they are",
         "candidates": figures,

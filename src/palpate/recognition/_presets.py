@@ -1,9 +1,11 @@
 """Presets: named recipes from image to log-likelihood, in one table."""
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from sklearn.base import clone
 from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
@@ -133,7 +135,9 @@ def _joined(
         )
     chains = {name: [encoding] for name, encoding in from_user.items()}
     encodings = {**encoder.encodings, **chains}
-    return TouchEncoder(encoder.clean_up, encodings, channels=encoder.channels)
+    joined = copy(encoder)
+    joined.encodings = encodings
+    return joined
 
 
 def _no_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
@@ -173,7 +177,11 @@ def _check_auto(preset: str, presentation: str) -> None:
 
 
 def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
-    """One encoder of all encodings that the presentation allows."""
+    """One encoder of all encodings that the presentation allows.
+
+    Two of an array whose taxels rest at levels of their own: of what it reads, in which
+    such levels lie on every touch, and of what changes.
+    """
     geometry = find_geometry(touches)
     if geometry == "none":
         levels = [TaxelVector(), StandardScaler()]
@@ -193,8 +201,16 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": _allowed(candidates, presentation)}
-    candidates = TouchEncoder(None, _plane_encodings(touches))
-    return {"whole picture": _allowed(candidates, presentation)}
+    idle, baseline = touches.no_contact, "median"
+    if idle is not None:  # as the touches are looked at: without dead taxels
+        baseline = living(idle[None], touches.pads)[0]
+    pictures = TouchEncoder(None, _plane_encodings(touches, baseline))
+    recipes = {"whole picture": _allowed(pictures, presentation)}
+    if geometry == "array" and idle is not None and np.ptp(baseline):
+        rest = np.zeros_like(baseline)
+        changes = TouchEncoder(None, _plane_encodings(touches, rest), as_changes=True)
+        recipes["change from no contact"] = _allowed(changes, presentation)
+    return recipes
 
 
 def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
@@ -208,12 +224,8 @@ def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
     return encoder.only(n for n in blind if blind[n] == max(blind.values()))
 
 
-def _plane_encodings(touches: Touches) -> dict[str, list[Any]]:
+def _plane_encodings(touches: Touches, baseline: Any) -> dict[str, list[Any]]:
     """Encodings of an array, a gel or pins, whose picture is looked at as it is."""
-    idle = touches.no_contact
-    baseline: Any = "median"
-    if idle is not None:  # as the touches are looked at: without dead taxels
-        baseline = living(idle[None], touches.pads)[0]
     principal = PrincipalShare(KEPT_SHARE)
     levels = {
         "levels": GridLevels(baseline=baseline),
