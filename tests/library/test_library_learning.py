@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
+from palpate.simulation import simulate_presses
 from palpate.touches import ParquetTouches, TouchesError
 
 NAMES = ("ball", "mug", "pen")
@@ -38,6 +39,23 @@ def sums(touches):
 def filled(library):
     library.add(_touches(0), episode="first")
     return library
+
+
+def test_of_several_baselines_of_an_array_the_newest_is_tried(library):
+    rng, rests = np.random.default_rng(0), np.zeros((2, 10, 10))
+    for rest, seed in zip(rests, (0, 1), strict=True):
+        presses = simulate_presses(None, 6, random_state=seed)
+        rest[:] = rests[0] + rng.normal(0, 60 if seed == 0 else 3, rest.shape)
+        about = {"object": presses.object, "geometry": "array"}
+        day = Touches(presses.images + rest, no_contact=rest, **about)
+        library.add(day, session=f"day {seed}")
+    assert library.touches().no_contact is None
+    learnt = ObjectRecogniser(rehearse=False).fit(library.select())
+    assert_array_equal(learnt.encoder_.baseline_, rests[1])
+    held = ObjectRecogniser(rehearse=False).fit(library.touches())
+    losses = learnt.chosen_["log_loss"]
+    assert losses["change from no contact"] < losses["whole picture"]
+    assert "log_loss" not in held.chosen_
 
 
 @pytest.fixture

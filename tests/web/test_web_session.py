@@ -24,7 +24,7 @@ from palpate.sensors import (
 )
 from palpate.web import LiveSession, _learning
 
-from .conftest import HandSensor, LearningError, Still, learn_job, waited
+from .conftest import SIDE, HandSensor, LearningError, Still, learn_job, waited
 
 
 @pytest.fixture(scope="module")
@@ -397,6 +397,39 @@ def test_a_missing_model_and_wrong_arguments_are_refused(tmp_path, drawn):
     with pytest.raises(ValueError, match="wanted must be at most 1000"):
         session.teach("cup", 5000)
     session.stop()
+
+
+class RestingSensor(HandSensor):
+    """An array whose taxels rest at levels of their own."""
+
+    def _grab(self):
+        super()._grab()
+        return [self.rest]
+
+
+def test_an_array_that_rests_at_other_levels_today_is_no_other_array(drawn, tmp_path):
+    two = drawn[drawn.object != "both"]
+    rest = np.random.default_rng(0).integers(0, 80, (SIDE, SIDE)).astype(np.uint8)
+    taught = Touches(
+        two.images // 2 + rest, object=two.object, no_contact=rest, geometry="array"
+    )
+    learnt = ObjectRecogniser(rehearse=False).fit(taught[::2])
+    assert learnt.encoder_.as_changes
+    path = learnt.save(tmp_path / "m.palpate")
+    sensor = RestingSensor()
+    sensor.rest = today = np.ascontiguousarray(rest[::-1])
+    new = (two.images // 2 + today)[1::6]
+    with LiveSession(sensor, library=None, model=path) as session:
+        session.take_baseline()
+        there = []
+        for image in new:
+            session.post_touch(image)
+            there.append(session.episode.evidence.log_likelihood[0])
+        assert session.alarm == ""
+    here = learnt.evidence(Touches(new, no_contact=today)).log_likelihood
+    np.testing.assert_allclose(there, here, atol=1e-4)
+    right = learnt.classes_[here.argmax(axis=1)] == two.object[1::6]
+    assert right.mean() > 0.8
 
 
 def test_another_mounting_is_reported_after_ten_touches(make_session, drawn, model):

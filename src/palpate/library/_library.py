@@ -27,7 +27,7 @@ from ._reading import (
     IN_MEMORY,
     NO_LIMIT,
     Selection,
-    read_array,
+    newest_no_contact,
     sound_numbers,
 )
 from ._repairing import RepairReport, backup_library, repair_library
@@ -291,13 +291,7 @@ class TouchLibrary:
             "ORDER BY max(number) DESC",
             [] if session is None else [number],
         )
-        for (key,) in rows:
-            digest = self._tables.recording(key).whole.get("no_contact")
-            if digest is not None:
-                image = read_array(self._tables, "no_contact", digest)
-                if image is not None:
-                    return image
-        return None
+        return newest_no_contact(self._tables, (key for (key,) in rows))
 
     def sensors(self) -> Sensors:
         """Return the sensors that took the touches, in the order first met."""

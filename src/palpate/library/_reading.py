@@ -12,7 +12,7 @@ import os
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
 from math import prod
@@ -79,6 +79,20 @@ def common_kind(
     return recordings[0].image_shape, recordings[0].dtype
 
 
+def newest_no_contact(tables: Tables, recordings: Iterable[int]) -> Array | None:
+    """Return the first no-contact image of recordings, the newest first, or None.
+
+    One that is missing or altered is passed over with a warning.
+    """
+    for key in recordings:
+        digest = tables.recording(key).whole.get("no_contact")
+        if digest is not None:
+            image = read_array(tables, "no_contact", digest)
+            if image is not None:
+                return image
+    return None
+
+
 class Selection(Labelled):
     """Touches of a library without their images, in the order added.
 
@@ -112,6 +126,11 @@ class Selection(Labelled):
     def touch_id(self) -> NDArray[np.str_]:
         """Id of each touch, shape (n_touches,): 32 hexadecimal digits."""
         return np.array([key.hex() for key in self._cells("id")])
+
+    @property
+    def no_contact(self) -> Array | None:
+        """The newest no-contact image of these touches, or None."""
+        return newest_no_contact(self.tables, self._recordings[::-1])
 
     def recordings(self) -> list[int]:
         """Return the key of each touch's recording."""

@@ -77,8 +77,9 @@ class TouchEncoder(Encoder, BaseEstimator):
         Whether the clean-up cleans channels one by one (`DomeCrop.by_channel`); else
         their mean.
     as_changes : bool, default=False
-        Whether images that are not cleaned up are less the frame of no contact: of an
-        array whose taxels rest at levels of their own.
+        Whether images that are not cleaned up are less the frame of no contact, of
+        theirs where they have one: of an array whose taxels rest at levels of their
+        own.
 
     Attributes
     ----------
@@ -198,9 +199,11 @@ class TouchEncoder(Encoder, BaseEstimator):
 
     def clean(self, touches: Touches) -> Array:
         """Return the images after the clean-up alone; other sizes are refused."""
-        images = touches.images
+        images, idle = touches.images, touches.no_contact
         self.check_size(images, touches.channels, touches.pads)
-        return self.cleaned(self.living(images))
+        if not self.as_changes or idle is None:
+            return self.cleaned(self.living(images))
+        return self.living(images) - self.living(idle[np.newaxis]).astype(np.float64)
 
     def check_size(
         self,

@@ -93,6 +93,10 @@ def learn_encoding(
         shown = touches.touches(rows)
     # What it takes a search for rims to know is found out once.
     shown = shown.with_columns(geometry=find_geometry(shown))
+    lacks_rest = shown.geometry == "array" and shown.no_contact is None
+    if lacks_rest and (newest := touches.no_contact) is not None:
+        # Levels that taxels rest at are mostly theirs: it serves earlier sessions too.
+        shown = shown.with_columns(no_contact=newest)
     labels_and_groups = labels[rows], group[rows]
     recipes = preset.encoders(shown, presentation)
     if any(len(recipe.encodings) > 1 for recipe in recipes.values()):

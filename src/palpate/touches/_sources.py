@@ -69,6 +69,11 @@ class TouchSource(Protocol):
     @property
     def touch_id(self) -> NDArray[np.str_] | None: ...
 
+    @property
+    def no_contact(self) -> Array | None:
+        """The frame of no contact, of several the newest."""
+        ...
+
     def __len__(self) -> int: ...
 
     def __getitem__(self, rows: NDArray[np.intp]) -> TouchSource:

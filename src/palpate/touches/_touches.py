@@ -81,6 +81,11 @@ class Labelled:
         """Person or unit of each touch, shape (n_touches,), or None."""
         return self.columns.get("subject")
 
+    @property
+    def no_contact(self) -> Array | None:
+        """The frame of no contact, where one is known."""
+        return None
+
 
 class Touches(Labelled):
     """A set of touches: one image each, with columns of what is known of them.

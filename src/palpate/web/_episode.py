@@ -124,12 +124,13 @@ class LiveEpisode:
         channels: Sequence[str] | None,
         place: Mapping[str, Any] | None = None,
         columns: Mapping[str, Any] | None = None,
+        rest: Array | None = None,
     ) -> LiveTouch:
         """Take in a touch and return it; one that is refused changes nothing.
 
         Without an `image` it is a miss. `place` holds its `position_mm`, `direction`
         and `force_n`, where they are known; `columns` all that was measured with it, by
-        default these.
+        default these; `rest` is the frame of no contact of today.
         """
         of_place = place or {}
         placed = {name: of_place[name] for name in PLACED if name in of_place}
@@ -138,7 +139,7 @@ class LiveEpisode:
         )
         evidence = None
         if self.recogniser is not None and image is not None:
-            touches = Touches(image[np.newaxis], channels=channels)
+            touches = Touches(image[np.newaxis], channels=channels, no_contact=rest)
             evidence = self.recogniser.evidence(touches)
             self.nearest = self._nearest(self.recogniser, evidence)
         if image is not None:

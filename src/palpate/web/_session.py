@@ -659,7 +659,7 @@ class LiveSession:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
             self._use_places(place)
-            touch = self.episode.add(image, channels, place, columns)
+            touch = self.episode.add(image, channels, place, columns, self._rest)
             touch.device_time_s = device_time_s
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
@@ -668,6 +668,12 @@ class LiveSession:
             self.listeners.notify(Event("touch", values, b"", image, channels))
         if image is not None:
             self._check_mounting()
+
+    @property
+    def _rest(self) -> Array | None:
+        """What an array reads at rest since its baseline was taken; None of others."""
+        is_array = self.watch is not None and self.watch.sensor.geometry == "array"
+        return self.baseline if is_array else None
 
     def _use_places(self, place: Mapping[str, Any] | None) -> None:
         """Let the belief be by places from the first touch on that has one."""
