@@ -1,6 +1,7 @@
 """Putting objects down before the arm, and exploring to learn them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -122,6 +123,15 @@ def test_a_seed_that_is_none_is_refused(random_state):
 def test_no_objects_are_refused():
     with pytest.raises(ValueError, match="things must hold at least one object"):
         explore_to_learn([], 2, CAMERA)
+
+
+@pytest.mark.parametrize("name", ["../elsewhere", "/elsewhere", "box/../../elsewhere"])
+def test_a_name_that_leads_out_of_the_folder_is_refused(tmp_path, name):
+    box = SimObject(name, "box", partial(trimesh.creation.box, (40, 40, 40)))
+    folder = tmp_path / "taught"
+    with pytest.raises(ValueError, match="names of folders within `folder`"):
+        explore_to_learn([box], 1, CAMERA, folder=folder)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_two_objects_of_one_name_are_refused_before_any_touch(tmp_path):

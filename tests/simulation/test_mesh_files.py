@@ -125,8 +125,8 @@ def test_what_is_no_solid_is_refused(tmp_path, lines, message):
 @pytest.mark.parametrize(
     ("scale", "unit", "message"),
     [
-        (1e-3, "mm", r"0\.04 mm.*in metres\? Pass unit='m'"),
-        (1, "m", r"in millimetres\? Pass unit='mm'"),
+        (1e-3, "mm", r"0\.04 mm.*in metres\? Pass `unit=m`"),
+        (1, "m", r"in millimetres\? Pass `unit=mm`"),
         (1e9, "mm", "Scale it first"),
     ],
 )

@@ -6,6 +6,7 @@ known to the teacher, so the places and directions of touches are in the object'
 frame, as a `TouchMap` wants them.
 """
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -253,6 +254,12 @@ def explore_to_learn(
     home = None if folder is None else Path(folder)
     check_option("faces", faces, ("usual", "all"))
     if home is not None:
+        outside = [o.name for o in objects if {"..", os.sep} & {*Path(o.name).parts}]
+        if outside:
+            raise ValueError(
+                f"things must have names of folders within `folder`, got {outside[0]!r}"
+                ". Give a mesh another name: load_mesh(path, name=...)."
+            )
         make_folder(home)
     turns = turned, faces == "all"
     where = {"placement_sd_mm": placement_sd_mm, "known_height": known_height}

@@ -155,7 +155,7 @@ def _refuse_size(file: Path, extent_mm: Floats, unit: str) -> None:
     likely = [word for word, size_mm in sizes.items() if 10 <= size_mm <= 2000]
     hint = "Scale it first."
     if likely:
-        hint = f"Is it in {_LIKELY[likely[0]]}? Pass unit={likely[0]!r}."
+        hint = f"Is it in {_LIKELY[likely[0]]}? Pass `unit={likely[0]}`."
     raise MeshError(
         f"{file.name} must be {LEAST_SIZE_MM:g} to {MOST_SIZE_MM:g} mm across, got "
         f"{largest:.4g} mm (read as {unit}). {hint}"

@@ -137,7 +137,8 @@ def find_parts(
     Raises
     ------
     ValueError
-        For a name or number that is not among `PARTS`, or for none at all.
+        For a name or number that is not among `PARTS`, for none at all, or for two of
+        one name, whose presses would be taken for those of one.
     """
     if parts is None:
         return [*PARTS]
@@ -153,6 +154,12 @@ def find_parts(
                 f"among {', '.join(part.name for part in PARTS)}, got {item!r}."
             )
         resolved += [item] if isinstance(item, Part) else matches[:1]
+    names = [part.name for part in resolved]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(
+            f"parts must have names of their own, got {twice[0]!r} twice. Leave one "
+            "out, or ask for more presses of each."
+        )
     return resolved
 
 
