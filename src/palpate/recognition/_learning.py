@@ -191,18 +191,24 @@ def shown_rows(labels: Array, n_shown: int = SHOWN) -> Indices:
 def choose_pool(
     recipes: Mapping[str, TouchEncoder], touches: Touches, labels: Array, group: Indices
 ) -> tuple[TouchEncoder, Array, dict[str, Any], dict[str, Any]]:
-    """Return the recipe whose pool of encodings has the least log loss (nats).
+    """Return the first recipe, or one whose pool of encodings has less log loss (nats).
 
-    With cleaned images, steps as `choose_encodings` has learnt them, and the reasons.
+    By more than its standard error. With cleaned images, steps as `choose_encodings`
+    has learnt them, and the reasons.
     """
-    pools: dict[str, tuple[TouchEncoder, Array, dict[str, Any], dict[str, Any]]] = {}
+    best, losses = None, {}
     for name, recipe in recipes.items():
         cleaned, learnt_steps = recipe.fit_clean(touches), dict[str, Any]()
         encoder, why = choose_encodings(recipe, cleaned, labels, group, learnt_steps)
-        why["encoding"] = f"{name}: {why['encoding']}"
-        pools[name] = encoder, cleaned, learnt_steps, why
-    losses = {name: why.pop("log_loss") for name, (*_, why) in pools.items()}
-    encoder, cleaned, learnt_steps, why = pools[min(losses, key=losses.__getitem__)]
+        why["encoding"], loss = f"{name}: {why['encoding']}", why.pop("log_loss")
+        losses[name] = float(loss.mean())
+        if best is not None:
+            better = best[0] - loss
+            if better.mean() <= better.std() / np.sqrt(len(better)):
+                continue
+        best = loss, (encoder, cleaned, learnt_steps, why)
+    assert best is not None
+    encoder, cleaned, learnt_steps, why = best[1]
     chosen = {"geometry": find_geometry(touches), **why}
     if len(losses) > 1:
         chosen["log_loss"] = losses
@@ -249,7 +255,8 @@ def choose_encodings(
 
     Each is learnt from about `AT_MOST` of the touches, evenly spread over each label,
     and asked about them as they are, each left out with its group; those that weigh
-    little in the pool of least log loss (nats) are dropped. What the steps make
+    little in the pool of least log loss (nats) are dropped. The reasons have this loss,
+    one number a touch asked, as `log_loss`. What the steps make
     of all the touches is kept in `learnt_steps`, by the encoding's name.
     """
     few = shown_rows(labels, AT_MOST)
@@ -280,7 +287,7 @@ def choose_encodings(
     names = [n for n in counts if n in most and (counts[n] >= least or n == most[0])]
     pooled = pool.left_out_log_likelihood()[np.arange(len(codes)), codes]
     return encoder.only(names), {
-        "log_loss": float(-pooled.mean()),
+        "log_loss": -pooled,
         "encoding": " + ".join(names),
         "why": "pooled by least log loss on touches left out, as they are",
         "candidates": figures,

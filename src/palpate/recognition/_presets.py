@@ -104,8 +104,10 @@ def resolved_preset(
         return preset
 
     def encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
-        recipes = preset.encoders(touches, presentation)
-        return {name: _joined(recipe, from_user) for name, recipe in recipes.items()}
+        recipes = preset.encoders(touches, presentation).items()
+        # A user's own take images as they are read.
+        as_read = {name: recipe for name, recipe in recipes if not recipe.as_changes}
+        return {name: _joined(recipe, from_user) for name, recipe in as_read.items()}
 
     return replace(preset, encoders=encoders)
 
@@ -206,10 +208,10 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
         baseline = living(idle[None], touches.pads)[0]
     pictures = TouchEncoder(None, _plane_encodings(touches, baseline))
     recipes = {"whole picture": _allowed(pictures, presentation)}
-    if geometry == "array" and idle is not None and np.ptp(baseline):
-        rest = np.zeros_like(baseline)
+    if geometry == "array" and (idle is None or np.ptp(baseline)):
+        rest = np.zeros(touches.images.shape[1:])
         changes = TouchEncoder(None, _plane_encodings(touches, rest), as_changes=True)
-        recipes["change from no contact"] = _allowed(changes, presentation)
+        recipes["change from rest"] = _allowed(changes, presentation)
     return recipes
 
 
