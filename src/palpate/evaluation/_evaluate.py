@@ -506,8 +506,8 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
 
 def _all_met_elsewhere(trial: Trial) -> bool:
     """Return whether all that was taught is asked, in sessions that taught nothing."""
-    taught, asked = trial.recogniser.memory_.objects, trial.episodes.objects
-    return trial.fold.elsewhere and set(taught) == set(asked)
+    taught, tested = trial.recogniser.memory_.objects, trial.episodes.objects
+    return trial.fold.elsewhere and set(taught) == set(tested)
 
 
 def _of_unknown(figures: dict[str, Any], elsewhere: bool) -> Iterator[str]:

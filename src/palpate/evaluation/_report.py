@@ -66,9 +66,9 @@ class Explained(NamedTuple):
     def evidence(self) -> Evidence:
         """What they told, in the session in which they were asked."""
         trial = self.trial
-        told = trial.unknown_evidence if self.is_stranger else trial.evidence
-        assert told is not None
-        return Evidence.together([*map(told.of_touch, self.rows.tolist())])
+        of_all = trial.unknown_evidence if self.is_stranger else trial.evidence
+        assert of_all is not None
+        return Evidence.together([*map(of_all.of_touch, self.rows.tolist())])
 
 
 def write_report(

@@ -322,7 +322,7 @@ def _array(tables: Tables, digest: str) -> Array | None:
 def backup_library(store: Store, folder: Path, *, progress: bool | None = None) -> int:
     """Copy a library to a new folder while it is used; return how many touches."""
     refuse_used(folder)
-    made = not folder.exists()
+    is_new = not folder.exists()
     copy = folder / f"{PARTIAL}{secrets.token_hex(8)}"
     n_pages = store.count("PRAGMA page_count")
     try:
@@ -339,7 +339,7 @@ def backup_library(store: Store, folder: Path, *, progress: bool | None = None) 
     finally:
         with suppress(OSError):
             copy.unlink()
-        if made:
+        if is_new:
             with suppress(OSError):  # not where the copy is whole
                 folder.rmdir()
     with closing(Store(folder)) as done:

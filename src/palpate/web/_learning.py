@@ -270,10 +270,10 @@ def _learnt(
     """
     shape = () if touches is None else touches.touches([0]).images.shape[1:]
     if base is None or elsewhere is None:
-        made = ObjectRecogniser()
+        model = ObjectRecogniser()
         if base is not None and tuple(base.encoder_.image_shape_) == shape:
-            made = clone(base).set_params(label="object")
-        return made.fit(touches)
+            model = clone(base).set_params(label="object")
+        return model.fit(touches)
     if touches is not None:
         names = ", ".join(map(repr, elsewhere.classes.astype(str).tolist()))
         _refuse_other_size(base, shape, _NOT_FURTHER, names)
