@@ -78,8 +78,8 @@ class TouchEncoder(Encoder, BaseEstimator):
         their mean.
     as_changes : bool, default=False
         Whether images that are not cleaned up are less the frame of no contact, of
-        theirs where they have one; or, where none was learnt, less the median of the
-        training touches. Of an array whose taxels rest at levels of their own.
+        theirs where they have one: of an array whose taxels rest at levels of their
+        own.
 
     Attributes
     ----------
@@ -100,8 +100,6 @@ class TouchEncoder(Encoder, BaseEstimator):
         What the touches' channels are called.
     baseline_ : ndarray of the shape of a touch, or None
         The frame of no contact, where images are looked at as they are.
-    usual_ : ndarray of the shape of a touch, or None
-        The median of the training touches, of changes without a frame of no contact.
     rest_ : ndarray of shape (n_rows, n_cols), or None
         The frame of no contact in grey, where images are cleaned up.
     with_rest_ : bool
@@ -115,7 +113,6 @@ class TouchEncoder(Encoder, BaseEstimator):
 
     image_shape_: tuple[int, ...]
     baseline_: Array | None = None
-    usual_: Array | None = None
     rest_: Array | None = None
     with_rest_: bool = True
     still_: Array | None = None
@@ -135,16 +132,13 @@ class TouchEncoder(Encoder, BaseEstimator):
         """Learn the clean-up and return the cleaned images."""
         self.image_shape_ = touches.images.shape[1:]
         self.pads_, self.channels_ = touches.pads, touches.channels
-        self.clean_up_ = self.rest_ = self.still_ = None
-        self.baseline_ = self.usual_ = None
+        self.clean_up_ = self.baseline_ = self.rest_ = self.still_ = None
         self.with_rest_ = touches.no_contact is not None
         if self.clean_up is None:
             self.still_ = _still(touches)
             self.reach_ = float(np.nanmax(touches.images)) - np.nanmin(touches.images)
             if touches.no_contact is not None:
                 self.baseline_ = self.living(touches.no_contact[np.newaxis])[0]
-            elif self.as_changes:
-                self.usual_ = np.median(self.living(touches.images), axis=0)
         if self.clean_up is not None:
             images, idle = self.living(touches.images), self._idle(touches)
             self.rest_ = idle
@@ -266,9 +260,8 @@ class TouchEncoder(Encoder, BaseEstimator):
     def cleaned(self, images: Array) -> Array:
         """Return images that `living` has checked, after the clean-up."""
         if self.clean_up_ is None:
-            rest = self.usual_ if self.baseline_ is None else self.baseline_
-            if self.as_changes and rest is not None:
-                images = images - rest.astype(np.float64)
+            if self.as_changes and self.baseline_ is not None:
+                images = images - self.baseline_.astype(np.float64)
             return images
         if self.channels and images.ndim == 4:
             batches = in_batches(images)

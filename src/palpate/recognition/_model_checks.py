@@ -144,7 +144,6 @@ def _check_encoder(encoder: AnyEncoder, n_features: int) -> None:
     _check_kind("encoder_", encoder, TouchEncoder)
     _check_shape("still_", encoder.still_, image_shape)
     _check_shape("baseline_", encoder.baseline_, image_shape)
-    _check_shape("usual_", encoder.usual_, image_shape)
 
 
 def _check_shape(name: str, array: Array | None, shape: tuple[int, ...]) -> None:

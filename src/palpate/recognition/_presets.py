@@ -208,8 +208,8 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
         baseline = living(idle[None], touches.pads)[0]
     pictures = TouchEncoder(None, _plane_encodings(touches, baseline))
     recipes = {"whole picture": _allowed(pictures, presentation)}
-    if geometry == "array" and (idle is None or np.ptp(baseline)):
-        rest = np.zeros(touches.images.shape[1:])
+    if geometry == "array" and idle is not None and np.ptp(baseline):
+        rest = np.zeros_like(baseline)
         changes = TouchEncoder(None, _plane_encodings(touches, rest), as_changes=True)
         recipes["change from rest"] = _allowed(changes, presentation)
     return recipes
