@@ -161,14 +161,13 @@ def recognise(
         )
     way = _way(strategy, stand.hemisphere, touch_map, seed)
     knower = recogniser if touch_map is None else touch_map
-    surface = f"{target.mesh.area:.6g} mm2, {len(target.mesh.faces)} triangles"
     if folder is not None and (folder / "episode.json").exists() and not as_json:
         say(f"Goes on after {len(exploration.read_episode(folder))} attempts.")
     end = exploration.explore(
         stand.robot,
         stand.sensor,
         knower,
-        _Standing(way, target.name, yaw_rad, face, seed, surface),
+        _Standing(way, target.name, yaw_rad, face, seed, target.surface),
         folder,
         guard=stand.quick_guard,
         max_attempts=most,
@@ -214,7 +213,7 @@ class _Standing:
     yaw_rad: float
     face: int
     seed: int
-    surface: str  # another mesh may have the same name
+    surface: str
 
     @property
     def hemisphere(self) -> "Hemisphere":

@@ -315,9 +315,7 @@ def _session(
         **where,
     )
     placement_sd_mm = float(where["placement_sd_mm"])
-    # Another mesh may have the same name.
-    surface = f"{thing.mesh.area:.6g} mm2, {len(thing.mesh.faces)} triangles"
-    stood = yaw, face, placement_sd_mm, drift, camera, surface
+    stood = yaw, face, placement_sd_mm, drift, camera, thing.surface
     strategy = _PutDown(stand.hemisphere, seed, *stood)
     if guarded:
         history = gather(

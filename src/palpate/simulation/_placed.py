@@ -76,6 +76,11 @@ class SimObject(_Rebuilt):
             return np.zeros(3)
         return np.asarray(self.mesh.extents, dtype=np.float64)
 
+    @property
+    def surface(self) -> str:
+        """Area and number of triangles: another mesh may have the same name."""
+        return f"{self.mesh.area:.6g} mm2, {len(self.mesh.faces)} triangles"
+
     def distance_mm(self, origins_mm: ArrayLike, direction: ArrayLike) -> Singles:
         """Distance from each origin, (n_rays, 3), to the surface as it was built.
 

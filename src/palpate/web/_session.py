@@ -671,9 +671,9 @@ class LiveSession:
 
     @property
     def _rest(self) -> Array | None:
-        """What an array reads at rest since its baseline was taken; None of others."""
-        is_array = self.watch is not None and self.watch.sensor.geometry == "array"
-        return self.baseline if is_array else None
+        """What the sensor reads at rest today, where touches are changes from it."""
+        encoder = None if self.recogniser is None else self.recogniser.encoder_
+        return self.baseline if getattr(encoder, "as_changes", False) else None
 
     def _use_places(self, place: Mapping[str, Any] | None) -> None:
         """Let the belief be by places from the first touch on that has one."""
