@@ -137,6 +137,23 @@ def test_a_test_press_is_shown_and_not_stored(hand, tmp_path):
         assert waited(lambda: len(session.episode.touches) == 1)
 
 
+def test_a_touch_under_way_is_of_neither_a_new_lesson_nor_a_new_episode(hand, tmp_path):
+    with LiveSession(hand, library=tmp_path / "library") as session:
+        session.take_baseline()
+        starts = session.begin_episode, lambda: session.teach("pen", 2)
+        for start in starts:
+            hand.show(session, pressed=True)
+            assert waited(lambda: session.watch.detector.touching)
+            start()
+            hand.show(session, pressed=False)
+            assert waited(lambda: "began before" in session.trouble)
+            session.trouble = ""
+            assert session.episode.touches == []
+        assert session.teacher.lesson.done == 0
+        press_once(hand, session)
+        assert waited(lambda: session.teacher.lesson.done == 1)
+
+
 def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
     hand.pressed = True
     with LiveSession(hand) as session:

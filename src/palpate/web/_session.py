@@ -41,6 +41,7 @@ ONE_SESSION = (
     "All was taught in one session. For another day: lift the sensor, place it again, "
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
+BEGAN_BEFORE = "A touch that began before is of what was there before: touch again."
 BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
@@ -113,7 +114,8 @@ class LiveSession:
             observers = self.listeners, self.health
             self.watch = SensorWatch(sensor, self._on_touch, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
-        self._stopped, self._placed_s, self._baseline_s = False, -math.inf, -math.inf
+        self._stopped = False
+        self._placed_s = self._asked_s = self._baseline_s = -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -257,6 +259,7 @@ class LiveSession:
     def begin_episode(self) -> None:
         """Put the touches of the episode aside; the next one begins a new one."""
         with self._changing():
+            self._expect_new_touch()
             self._new_episode()
 
     def end_episode(self) -> dict[str, Any]:
@@ -276,6 +279,7 @@ class LiveSession:
         start_learning()
         with self._changing():
             teacher.begin(name, wanted)
+            self._expect_new_touch()
             self._watched().end_press()
             self.message = self.trouble = ""
             touched = self.episode.taken_since(self._baseline_s)[-wanted:]
@@ -306,6 +310,7 @@ class LiveSession:
         start_learning()
         with self._changing():
             name = teacher.resume(self.baseline, watch.detector.noise)
+            self._expect_new_touch()
             watch.end_press()
             self.message = self.trouble = ""
             desk = watch.sensor.desk
@@ -614,6 +619,14 @@ class LiveSession:
         noise = self._watched().detector.noise
         return self._teacher().take(image, self.baseline, noise, columns or {})
 
+    def _expect_new_touch(self) -> None:
+        """Let a touch that is under way, perhaps of another thing, count for nothing.
+
+        On a desk it is known what lies there.
+        """
+        if self.watch is not None and self.watch.sensor.desk is None:
+            self._asked_s = time.monotonic()
+
     def _on_touch(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
         teaching = False
@@ -621,6 +634,8 @@ class LiveSession:
             with self._lock:
                 if detected.began_s < self._placed_s:
                     return
+                if detected.began_s < self._asked_s:
+                    raise ValueError(BEGAN_BEFORE)
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 columns = detected.touch_columns
                 finite = {
