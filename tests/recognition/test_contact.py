@@ -275,7 +275,9 @@ class Sighted:
         self.parts_ = dict.fromkeys(["a", "b", "c", "d"], 3)
 
     def blind_to(self, name):
-        return {"a": set(), "b": {"turns"}, "c": {"light"}, "d": {"shifts"}}[name]
+        return {"a": set(), "b": {"turns"}, "c": {"light"}, "d": {"turns", "shifts"}}[
+            name
+        ]
 
 
 def test_turned_is_new_to_encodings_that_see_it_and_known_to_the_others(check):

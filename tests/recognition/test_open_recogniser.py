@@ -244,7 +244,7 @@ def test_palpates_own_encodings_travel_in_the_file(touches, tmp_path):
     from palpate.encodings import GridLevels, PrincipalShare
 
     encodings = {"fine levels": [GridLevels(blur=0.5), PrincipalShare(0.9)]}
-    learnt = ObjectRecogniser(encodings=encodings).fit(touches)
+    learnt = ObjectRecogniser(None, encodings=encodings).fit(touches)
     again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
     assert_array_equal(again.predict_proba(touches), learnt.predict_proba(touches))
     assert "fine levels" in again.encoder_.encodings_

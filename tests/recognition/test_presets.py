@@ -138,8 +138,9 @@ def test_levels_that_taxels_rest_at_hide_nothing(beside_rest, tmp_path):
     assert learnt.score(resting(new, rest)) >= without.score(resting(new, 0)) - 0.05
     # Those of a user, alone or beside the others, take what is read.
     own = {"own": [CentroidMoments(), StandardScaler()]}
-    blinded = ObjectRecogniser(encodings=own).fit(with_rest)
-    assert not blinded.encoder_.as_changes
+    for preset in ("default", None):
+        blinded = ObjectRecogniser(preset, encodings=own).fit(with_rest)
+        assert not blinded.encoder_.as_changes
     assert learnt.score(resting(new, rest)) > blinded.score(resting(new, rest)) + 0.1
     # Levels that drifted since are found in the frame of no contact of the new session.
     drifted = rest + 0.3 * rest[::-1]

@@ -332,24 +332,7 @@ class PadShapes(ImageEstimator):
         self.pads = pads
 
     def _learn(self, images: Array) -> None:
-        shape = images.shape[1:]
-        boxes = np.asarray([[0, 0, *shape]] if self.pads is None else self.pads)
-        if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iu":
-            raise ValueError(
-                "pads must be integers of shape (n_pads, 4): first row, first column, "
-                "rows and columns of each, got "
-                f"{boxes.dtype} of shape {boxes.shape}."
-            )
-        start, size = boxes[:, :2], boxes[:, 2:]
-        out = (start < 0) | (size < 1) | (start + size > np.array(shape))
-        if out.any() or not len(boxes):
-            bad = boxes[out.any(axis=1)].tolist()
-            raise ValueError(
-                f"pads must be boxes within the {shape[0]} x {shape[1]} taxels, got "
-                f"{bad[0] if bad else 'none'}. Each is first row and column, rows, "
-                "columns."
-            )
-        self.pads_ = boxes.astype(np.intp)
+        self.pads_ = boxes_of(self.pads, images.shape[1:3])
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the numbers, shape (n_touches, n_features)."""
@@ -366,6 +349,26 @@ class PadShapes(ImageEstimator):
         share = load / np.where(top > 0, load.sum(axis=0), 1)
         differences = [a - b for a, b in combinations(pads[:, :, :_COMPARED], 2)]
         return np.hstack([*pads, share.T, *differences])
+
+
+def boxes_of(pads: ArrayLike | None, shape: tuple[int, ...]) -> Indices:
+    """Return pads as boxes (n_pads, 4) within `shape`; the whole of it if None."""
+    boxes = np.asarray([[0, 0, *shape]] if pads is None else pads)
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iu":
+        raise ValueError(
+            "pads must be integers of shape (n_pads, 4): first row, first column, "
+            f"rows and columns of each, got {boxes.dtype} of shape {boxes.shape}."
+        )
+    start, size = boxes[:, :2], boxes[:, 2:]
+    out = (start < 0) | (size < 1) | (start + size > np.array(shape))
+    if out.any() or not len(boxes):
+        bad = boxes[out.any(axis=1)].tolist()
+        raise ValueError(
+            f"pads must be boxes within the {shape[0]} x {shape[1]} taxels, got "
+            f"{bad[0] if bad else 'none'}. Each is first row and column, rows, "
+            "columns."
+        )
+    return boxes.astype(np.intp)
 
 
 def _numbers(box: Floats, top: Floats) -> Floats:

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 from .._checks import check_count, check_finite, check_number, check_option
 from .._image_estimator import ImageEstimator, by_channel
 from .._numbers import evenly_spaced
-from .._types import Array, Complexes, Floats, Singles
+from .._types import Array, Complexes, Floats, Indices, Singles
 from ..images import OrientationRegulariser
 from ._edges_and_rings import lengths
-from ._moments import size_of
+from ._moments import boxes_of, size_of
 
 PAPER_SIDE = 13  # 169 values, as in the paper
 # The median of so many training images is a baseline.
@@ -105,7 +105,7 @@ class ScaledPixels(ImageEstimator):
 
 
 class GridLevels(ImageEstimator, by_channel=False):
-    """Encode an image as it is: mean levels over a grid, roots, blurred or not.
+    """Encode an image as it is, or apart from place: mean levels over a grid, roots.
 
     Parameters
     ----------
@@ -121,9 +121,19 @@ class GridLevels(ImageEstimator, by_channel=False):
     baseline : {"median"}, image or None, default=None
         What is taken off each image before its roots: a frame of no contact as large as
         the images, or the median of the training images, pixel by pixel; None nothing.
+    spectrum : bool, default=False
+        Give the sizes of the Fourier coefficients of what comes out, channel by
+        channel: levels apart from their place.
+    pads : array-like of int of shape (n_pads, 4), optional
+        First row, first column, rows and columns of each pad in the image: each has a
+        grid, and a spectrum, of its own. By default the whole image is one pad.
 
     Attributes
     ----------
+    pads_ : ndarray of int of shape (n_pads, 4)
+        The pads, where they are given.
+    grids_ : list of GridLevels
+        One for each of them.
     down_, across_ : ndarray of shape (n_cells, n_rows or n_cols)
         Share of each pixel in each cell, along both sides.
     smooth_down_, smooth_across_ : ndarray of shape (n_cells, n_cells)
@@ -133,8 +143,11 @@ class GridLevels(ImageEstimator, by_channel=False):
 
     Notes
     -----
-    It is blind to nothing, or to gain if `unit`; what is finer than cells and `blur`
-    it does not see.
+    It is blind to gain if `unit`, to shifts and half a turn if `spectrum`, else to
+    nothing; what is finer than cells and `blur` it does not see. For a spectrum levels
+    are padded by zeros to twice the sides, so that nothing comes in again at the other
+    side: it tells as much as the autocorrelation. A baseline that is the median of
+    touches would not move with them.
 
     Examples
     --------
@@ -142,6 +155,10 @@ class GridLevels(ImageEstimator, by_channel=False):
     >>> from palpate.encodings import GridLevels
     >>> GridLevels(2).fit_transform(np.arange(16.0).reshape(1, 4, 4) ** 2).round(2)
     array([[ 3.24,  4.95, 10.7 , 12.67]])
+    >>> strips = np.array([[[4.0, 9, 0, 0]], [[0, 0, 4, 9]]])
+    >>> GridLevels(spectrum=True).fit_transform(strips).round(2)
+    array([[5.  , 4.64, 3.61, 2.12, 1.  ],
+           [5.  , 4.64, 3.61, 2.12, 1.  ]])
     """
 
     def __init__(
@@ -151,15 +168,19 @@ class GridLevels(ImageEstimator, by_channel=False):
         root: bool = True,
         unit: bool = False,
         baseline: str | ArrayLike | None = None,
+        spectrum: bool = False,
+        pads: ArrayLike | None = None,
     ) -> None:
         self.cells, self.blur = cells, blur
         self.root, self.unit = root, unit
-        self.baseline = baseline
+        self.baseline, self.spectrum = baseline, spectrum
+        self.pads = pads
 
     @property
     def blind_to(self) -> frozenset[str]:
-        """Gain, where touches are divided by their norm."""
-        return frozenset({"gain"}) if self.unit else frozenset()
+        """Gain, where touches are divided by their norm; shifts, of a spectrum."""
+        blind = {"gain": self.unit, "shifts": self.spectrum}
+        return frozenset(change for change, is_blind in blind.items() if is_blind)
 
     def _learn(self, images: Array) -> None:
         sides = images.shape[1:3]
@@ -167,6 +188,7 @@ class GridLevels(ImageEstimator, by_channel=False):
         blur = check_number("blur", self.blur, low=0, high=cells)
         check_option("root", self.root, (False, True))
         check_option("unit", self.unit, (False, True))
+        check_option("spectrum", self.spectrum, (False, True))
         size = max(max(sides) / cells, 1)
         self.down_, self.across_ = (
             _averages(n, max(round(n / size), 1)) for n in sides
@@ -187,11 +209,29 @@ class GridLevels(ImageEstimator, by_channel=False):
                     f"others, got {frame.shape[1:]}. Crop or resize it."
                 )
             self.baseline_ = by_channel(self._means, frame)[0]
+        if self.pads is not None:
+            self.pads_ = boxes_of(self.pads, sides)
+            self.grids_ = [
+                self._of_pad(box).fit(_cut(images, box)) for box in self.pads_
+            ]
+
+    def _of_pad(self, box: Indices) -> GridLevels:
+        baseline = self.baseline
+        if baseline is not None and not isinstance(baseline, str):
+            baseline = _cut(np.asarray(baseline)[np.newaxis], box)[0]
+        levels = self.cells, self.blur, self.root
+        return GridLevels(*levels, baseline=baseline, spectrum=self.spectrum)
 
     def transform_checked(self, images: Array) -> Floats:
-        """Return the levels, cell by cell, (n_touches, n_cells)."""
-        differences = by_channel(self._means, images) - self.baseline_
-        levels = by_channel(self._levels, differences)
+        """Return the levels, cell by cell, or their spectrum, (n_touches, n_cells)."""
+        if self.pads is None:
+            differences = by_channel(self._means, images) - self.baseline_
+            levels = by_channel(self._levels, differences)
+        else:
+            pads = zip(self.grids_, self.pads_, strict=True)
+            levels = np.hstack(
+                [grid.transform_checked(_cut(images, box)) for grid, box in pads]
+            )
         if self.unit:
             levels = levels / size_of(levels[:, np.newaxis], "energy")[:, np.newaxis]
         return levels
@@ -208,6 +248,9 @@ class GridLevels(ImageEstimator, by_channel=False):
             levels = np.sign(levels) * np.sqrt(np.abs(levels))
         if self.blur:
             levels = self.smooth_down_ @ levels @ self.smooth_across_.T
+        if self.spectrum:
+            padded = [side if side == 1 else 2 * side for side in levels.shape[1:]]
+            levels = np.abs(np.fft.rfft2(levels, padded))
         return levels.reshape(len(levels), -1)
 
 
@@ -228,6 +271,11 @@ class TaxelVector(ImageEstimator):
     def transform_checked(self, images: Array) -> Floats:
         """Return the taxels, shape (n_touches, n_rows * n_cols)."""
         return images.reshape(len(images), -1).astype(np.float64)
+
+
+def _cut(images: Array, box: Indices) -> Array:
+    row, col, n_rows, n_cols = box
+    return images[:, row : row + n_rows, col : col + n_cols]
 
 
 def _averages(n: int, n_cells: int) -> Floats:

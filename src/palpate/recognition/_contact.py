@@ -68,7 +68,7 @@ class ContactCheck(BaseEstimator):
     tells_double_ : bool
         Whether two regions are a sign: few of the training touches (array) have two.
     blind_ : ndarray of bool, shape (n_encodings,), or None
-        Which encodings are blind to turns or shifts; None where it was not learnt.
+        Which encodings are blind to turns; None where it was not learnt.
     usual_ : ndarray of shape (2,) or None
         What 99 % of the training touches do not exceed in novelty to the encodings that
         are not blind, and to those that are; NaN where they do not tell it.
@@ -129,11 +129,11 @@ class ContactCheck(BaseEstimator):
     def learn_poses(self, encoder: TouchEncoder, left_out: Floats) -> Self:
         """Learn how new left-out training touches (n_touches, n_encodings) are.
 
-        To encodings that see turns or shifts, and to those that are blind to them.
+        To encodings that see turns, and to those that are blind to them: of ours these
+        alone know a touch that is turned and shifted.
         """
-        poses = {"turns", "shifts"}
         names = list(encoder.parts_)
-        self.blind_ = np.array([bool(encoder.blind_to(n) & poses) for n in names])
+        self.blind_ = np.array(["turns" in encoder.blind_to(name) for name in names])
         self.usual_ = np.array(
             [
                 np.quantile(new, REPOSED) if np.isfinite(new).all() else np.nan
@@ -206,7 +206,7 @@ class ContactCheck(BaseEstimator):
 
 
 def _by_sight(novelty: Floats, blind: Bools) -> Floats:
-    """Return novelty to encodings that see turns or shifts, and to the others.
+    """Return novelty to encodings that see turns, and to the others.
 
     The mean of what they leave unexplained, NaN where none says it; (2, n_touches).
     """

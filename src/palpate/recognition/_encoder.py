@@ -23,8 +23,7 @@ from ._user_parts import UserEncoding
 
 # So many touches pass through all steps at a time, so that memory stays bounded.
 BATCH = 256
-# Geometry of a sensor that says nothing of itself; see `find_geometry`.
-SMALL_SIDE = 8
+# Touches that are looked at for a rim; see `find_geometry`.
 LOOK_AT = 50
 # A taxel that moved at least every other time and is still in so many touches is
 # stuck: one time in 500 by chance.
@@ -376,16 +375,16 @@ def _still(touches: Touches) -> Array:
 def find_geometry(touches: Touches) -> str:
     """Return "dome", "array", "plane" or "none" for a set of touches.
 
-    What `touches` say of themselves holds; else a side below 8 taxels means
-    that places mean nothing ("none"), a rim that most of 50 touches spread over the
-    set have in common a "dome", a side of at most 48 taxels an "array", and anything
-    else a "plane".
+    What `touches` say of themselves holds; else a single row or column means that
+    places mean nothing ("none"), a rim that most of 50 touches spread over the set have
+    in common a "dome", a side of at most 48 taxels an "array", and anything else a
+    "plane".
     """
-    n_rows, n_cols = touches.images.shape[1:3]
-    if touches.geometry == "none" or min(n_rows, n_cols) < SMALL_SIDE:
-        return "none"
     if touches.geometry is not None:
         return touches.geometry
+    n_rows, n_cols = touches.images.shape[1:3]
+    if min(n_rows, n_cols) == 1:
+        return "none"
     spread = evenly_spaced(len(touches), LOOK_AT)
     pictures = np.nan_to_num(grey(touches.images[spread]))
     if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(pictures) is not None:

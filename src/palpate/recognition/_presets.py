@@ -12,6 +12,7 @@ from sklearn.preprocessing import StandardScaler
 
 from .. import classifiers
 from .._checks import check_option
+from .._types import Array
 from ..classifiers import FromProbabilities, TouchClassifier
 from ..encodings import (
     CentroidMoments,
@@ -37,6 +38,10 @@ from ._user_parts import Encoding, UserEncoding, user_encodings
 
 # With fewer taxels on a side, gradients along rings have too few places.
 FINE_TAXELS = 24
+# With fewer on a side they may be electrodes, each with a level and a range of its own.
+FEW_TAXELS = 8
+# A spectrum has four times as many numbers as cells.
+FEW_CELLS = 16
 # Principal components keep this share of the variance of a large encoding.
 KEPT_SHARE = 0.99
 
@@ -186,10 +191,7 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     """
     geometry = find_geometry(touches)
     if geometry == "none":
-        levels = [TaxelVector(), StandardScaler()]
-        roots = [TaxelVector(), RootScaler()]
-        chains = {"taxels": levels, "roots of taxels": roots}
-        return {"taxels": TouchEncoder(None, chains)}
+        return {"taxels": TouchEncoder(None, _taxel_encodings())}
     if geometry == "dome":
         principal = PrincipalShare(KEPT_SHARE)
         on_disc = {
@@ -206,11 +208,16 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     idle, baseline = touches.no_contact, "median"
     if idle is not None:  # as the touches are looked at: without dead taxels
         baseline = living(idle[None], touches.pads)[0]
-    pictures = TouchEncoder(None, _plane_encodings(touches, baseline))
+    if geometry == "plane":
+        pictures = TouchEncoder(None, _plane_encodings(touches, baseline))
+        return {"whole picture": _allowed(pictures, presentation)}
+    as_read = _array_encodings(touches, baseline, None if idle is None else baseline)
+    pictures = TouchEncoder(None, as_read)
     recipes = {"whole picture": _allowed(pictures, presentation)}
-    if geometry == "array" and idle is not None and np.ptp(baseline):
+    if idle is not None and np.ptp(baseline):
         rest = np.zeros_like(baseline)
-        changes = TouchEncoder(None, _plane_encodings(touches, rest), as_changes=True)
+        of_changes = _array_encodings(touches, rest, rest)
+        changes = TouchEncoder(None, of_changes, as_changes=True)
         recipes["change from rest"] = _allowed(changes, presentation)
     return recipes
 
@@ -226,8 +233,32 @@ def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
     return encoder.only(n for n in blind if blind[n] == max(blind.values()))
 
 
+def _taxel_encodings() -> dict[str, list[Any]]:
+    """Encodings of taxels that have no places."""
+    return {
+        "taxels": [TaxelVector(), StandardScaler()],
+        "roots of taxels": [TaxelVector(), RootScaler()],
+    }
+
+
+def _array_encodings(
+    touches: Touches, baseline: Any, rest: Array | None
+) -> dict[str, list[Any]]:
+    """Encodings of an array: those of a plane, and what holds wherever it is pressed.
+
+    `rest` is what it reads at rest, where that is known: a median of touches would not
+    move with them.
+    """
+    spectrum = GridLevels(FEW_CELLS, spectrum=True, baseline=rest, pads=touches.pads)
+    encodings = _plane_encodings(touches, baseline)
+    encodings["levels apart from place"] = [spectrum, PrincipalShare(KEPT_SHARE)]
+    if min(touches.images.shape[1:3]) < FEW_TAXELS:
+        encodings |= _taxel_encodings()
+    return encodings
+
+
 def _plane_encodings(touches: Touches, baseline: Any) -> dict[str, list[Any]]:
-    """Encodings of an array, a gel or pins, whose picture is looked at as it is."""
+    """Encodings of a gel, pins or an array, whose picture is looked at as it is."""
     principal = PrincipalShare(KEPT_SHARE)
     levels = {
         "levels": GridLevels(baseline=baseline),
