@@ -205,18 +205,15 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": _allowed(candidates, presentation)}
-    idle, baseline = touches.no_contact, "median"
-    if idle is not None:  # as the touches are looked at: without dead taxels
-        baseline = living(idle[None], touches.pads)[0]
-    if geometry == "plane":
-        pictures = TouchEncoder(None, _plane_encodings(touches, baseline))
-        return {"whole picture": _allowed(pictures, presentation)}
-    as_read = _array_encodings(touches, baseline, None if idle is None else baseline)
-    pictures = TouchEncoder(None, as_read)
+    rest, encodings = touches.no_contact, _plane_encodings
+    if rest is not None:  # as the touches are looked at: without dead taxels
+        rest = living(rest[None], touches.pads)[0]
+    if geometry == "array":
+        encodings = _array_encodings
+    pictures = TouchEncoder(None, encodings(touches, rest))
     recipes = {"whole picture": _allowed(pictures, presentation)}
-    if idle is not None and np.ptp(baseline):
-        rest = np.zeros_like(baseline)
-        of_changes = _array_encodings(touches, rest, rest)
+    if geometry == "array" and rest is not None and np.ptp(rest):
+        of_changes = encodings(touches, np.zeros_like(rest))
         changes = TouchEncoder(None, of_changes, as_changes=True)
         recipes["change from rest"] = _allowed(changes, presentation)
     return recipes
@@ -241,25 +238,24 @@ def _taxel_encodings() -> dict[str, list[Any]]:
     }
 
 
-def _array_encodings(
-    touches: Touches, baseline: Any, rest: Array | None
-) -> dict[str, list[Any]]:
+def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any]]:
     """Encodings of an array: those of a plane, and what holds wherever it is pressed.
 
-    `rest` is what it reads at rest, where that is known: a median of touches would not
-    move with them.
+    Of the latter nothing is taken off where `rest`, what it reads untouched, is not
+    known: a median of touches would not move with them.
     """
     spectrum = GridLevels(FEW_CELLS, spectrum=True, baseline=rest, pads=touches.pads)
-    encodings = _plane_encodings(touches, baseline)
+    encodings = _plane_encodings(touches, rest)
     encodings["levels apart from place"] = [spectrum, PrincipalShare(KEPT_SHARE)]
     if min(touches.images.shape[1:3]) < FEW_TAXELS:
         encodings |= _taxel_encodings()
     return encodings
 
 
-def _plane_encodings(touches: Touches, baseline: Any) -> dict[str, list[Any]]:
+def _plane_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any]]:
     """Encodings of a gel, pins or an array, whose picture is looked at as it is."""
     principal = PrincipalShare(KEPT_SHARE)
+    baseline = "median" if rest is None else rest
     levels = {
         "levels": GridLevels(baseline=baseline),
         "blurred levels": GridLevels(blur=1.0, baseline=baseline),
