@@ -177,8 +177,9 @@ def test_odd_pictures_are_named_the_first_few_and_all_as_json(palpate, tmp_path)
 
 
 def test_skip_bad_leaves_bad_pictures_out_and_names_them(palpate, odd, tmp_path):
+    odd = odd.rename(tmp_path / "my touches")
     refused = palpate.refusal("learn", odd, "-o", tmp_path / "m.palpate")
-    assert f"`palpate check {odd}` lists all that is wrong" in refused
+    assert f"`palpate check '{odd}'` lists all that is wrong" in refused
     model = tmp_path / "m.palpate"
     result = palpate("learn", odd, "--skip-bad", "-o", model, "--json")
     assert "5 pictures of 17" in result.stderr
@@ -277,6 +278,7 @@ def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     (line,) = (line for line in advice if "the same names" in line)
     assert line.startswith("the same names (mug, pen) are in later/ and teach/")
     assert "--levels -/object" in line
+    assert "--levels object/session" in line
     put_each(tmp_path / "other", 2, ["tools/saw", "tools/awl", "toys/car", "toys/top"])
     advice = palpate.answer("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)

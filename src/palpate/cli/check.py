@@ -271,7 +271,8 @@ def _sets_of_same_names(touches: "Touches") -> str:
     return (
         f"the same names ({few}) are in {of_folders}, and count as different objects: "
         "if each folder is a set of its own, one to learn and one to test, give it by "
-        f"itself, as .../{folders[0]}; if all are one set, say --levels -/object"
+        f"itself, as .../{folders[0]}; if all are one set, say --levels -/object, or, "
+        "if the outer folders are the objects, --levels object/session"
     )
 
 
