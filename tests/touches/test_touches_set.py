@@ -64,8 +64,9 @@ def test_integer_labels_become_text():
     assert touches.category.tolist() == ["a"] * 3
 
 
-def test_variable_width_text_becomes_plain_text():
-    names = np.array(["cup", "a long name"], dtype=np.dtypes.StringDType())
+@pytest.mark.parametrize("kind", [np.dtypes.StringDType(), object])  # of pandas
+def test_variable_width_text_becomes_plain_text(kind):
+    names = np.array(["cup", "a long name"], dtype=kind)
     touches = Touches(np.zeros((2, 2, 2)), object=names)
     assert touches.object.dtype == np.dtype("<U11")
 
@@ -128,7 +129,7 @@ def test_infinity_is_found_beyond_the_first_block():
         ({"object": [1.0, 2.0]}, "text or integers, got an array of float64"),
         ({"object": [True, False]}, "text or integers, got an array of bool"),
         ({"object": [["a"], ["b"]]}, "one value per touch, got shape"),
-        ({"object": ["a", None]}, "object must hold plain numbers or text"),
+        ({"object": ["a", None]}, "object must hold plain numbers or text.* Fill in"),
         ({"object": [b"a", b"\xff"]}, "object must be UTF-8 text"),
         ({"session": [[1, 2], [3, 4]]}, r"session\[:, 0\]"),
         ({"position_mm": [["a"], ["b"]]}, "position_mm must be numbers, got .*<U1"),

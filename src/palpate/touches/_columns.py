@@ -106,8 +106,11 @@ def plain_array(name: str, value: ArrayLike) -> Array:
         raise TouchesError(
             f"{name} must be one array, got rows of unequal length. Pad or cut them."
         ) from error
-    if array.dtype.kind == "T":  # numpy's own variable-width text has no plain file
-        array = np.array(array.tolist())
+    cells = array.flat if array.dtype.kind in "TO" else ()
+    are_texts = [isinstance(cell, str) for cell in cells]
+    if are_texts and all(are_texts):  # of numpy, of pandas: no plain file
+        value = array.tolist()
+        array = np.array(value)
     if array.dtype.kind == "U" and isinstance(value, list | tuple | str):
         texts = [value] if isinstance(value, str) else value
         for place, text in enumerate(texts):
@@ -122,9 +125,14 @@ def plain_array(name: str, value: ArrayLike) -> Array:
                     'an empty text, "", for what is not known.'
                 )
     if array.dtype.kind not in PLAIN_KINDS:
+        fix = "Convert it first, for example with .astype(str) or .astype(float)."
+        if any(
+            are_texts
+        ):  # .astype(str) would make texts "None" and "nan" of the others
+            fix = "Fill in what is missing, or leave these touches out."
         raise TouchesError(
             f"{name} must hold plain numbers or text, got an array of {array.dtype}. "
-            "Convert it first, for example with .astype(str) or .astype(float)."
+            f"{fix}"
         )
     return array
 
