@@ -271,6 +271,12 @@ def test_common_layouts_are_read_as_objects_and_sessions(
         assert ", ".join(np.unique(touches.session)) == sessions
 
 
+def test_columns_of_a_file_without_labels_are_named(palpate, tmp_path, rng):
+    Touches(rng.random((6, 8, 8)), label=["mug", "pen"] * 3).save(tmp_path / "t.npz")
+    (line,) = palpate.answer("check", tmp_path / "t.npz")["advice"]
+    assert "call the column of names object (it has label)" in line
+
+
 def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     for part in ("teach", "later"):
         put_each(tmp_path / "set" / part, 2)

@@ -101,6 +101,18 @@ def test_labels_that_are_not_whole_numbers_are_refused(tmp_path, name, odd):
         Touches.load(tmp_path / name)
 
 
+def test_labels_of_matlab_that_would_be_lost_are_refused(tmp_path):
+    path, names = tmp_path / "t.mat", np.array(["cup", "pen"] * 3, dtype=object)
+    for content, message in (
+        ({"X": np.zeros((6, 4, 5)), "label": names}, "got cell label. .* char"),
+        ({"data": {"X": np.zeros((6, 4, 5))}}, "got struct data"),
+        ({"X": np.zeros((4, 5, 6)), "label": np.arange(6.0)}, "permute"),
+    ):
+        scipy.io.savemat(path, content)
+        with pytest.raises(TouchesError, match=message):
+            Touches.load(path)
+
+
 def test_bytes_of_hdf5_are_utf_8(tmp_path):
     _h5_labels(tmp_path / "t.h5", np.array(["café".encode(), b"mug"]))
     assert Touches.load(tmp_path / "t.h5").object.tolist() == ["café", "mug"]
