@@ -50,7 +50,10 @@ def checked_images(images: ArrayLike) -> Array:
     """Return images (n_touches, n_rows, n_cols[, n_channels]) read-only, or explain."""
     array = plain_array("images", images)
     if array.ndim not in (3, 4):
-        hint = " For one touch pass images[np.newaxis]." if array.ndim == 2 else ""
+        hint = (
+            " For one touch pass images[np.newaxis]; for vectors, one a row, "
+            'images[:, np.newaxis] and geometry="none".'
+        ) * (array.ndim == 2)
         raise TouchesError(
             "images must have shape (n_touches, n_rows, n_cols) or (n_touches, n_rows, "
             f"n_cols, n_channels), got {array.shape}.{hint}"
