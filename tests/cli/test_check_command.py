@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 
 import numpy as np
@@ -269,6 +270,26 @@ def test_common_layouts_are_read_as_objects_and_sessions(
     assert (touches.session is None) == (sessions == "")
     if sessions:
         assert ", ".join(np.unique(touches.session)) == sessions
+
+
+@pytest.mark.parametrize(
+    ("dtype", "geometry", "fix"),
+    [
+        (np.uint8, "array", "needs one: --no-contact FILE"),
+        (np.float32, "array", r"in Python, touches\.with_columns\(no_contact=frame"),
+        (np.float32, "none", ""),
+    ],
+)
+def test_a_frame_of_no_contact_is_asked_for_as_it_can_be_given(
+    palpate, tmp_path, rng, dtype, geometry, fix
+):
+    levels = rng.integers(0, 200, (40, 8, 8)).astype(dtype)
+    touches = Touches(levels, object=["mug", "pen"] * 20, geometry=geometry)
+    touches.save(tmp_path / "t.npz")
+    advice = palpate.answer("check", tmp_path / "t.npz")["advice"]
+    asked = [line for line in advice if "touching nothing" in line]
+    assert len(asked) == bool(fix)
+    assert all(re.search(fix, line) for line in asked)
 
 
 def test_columns_of_a_file_without_labels_are_named(palpate, tmp_path, rng):

@@ -242,10 +242,12 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             "half of the touches, in folders object/session, or expect less on another "
             "day"
         )
-    if touches.no_contact is None:
+    if touches.no_contact is None and touches.geometry != "none":
+        how = "--no-contact FILE"
+        if touches.images.dtype.kind != "u":  # of these no picture has the unit
+            how = "in Python, touches.with_columns(no_contact=frame).save(FILE)"
         advice.append(
-            "a picture of touching nothing helps, and a replay needs one: "
-            "--no-contact FILE"
+            f"a picture of touching nothing helps, and a replay needs one: {how}"
         )
     for name, control in checked["alone"].items():
         if control["right"] > control["chance"] + (1 - control["chance"]) / 3:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import listed, nearest_path
 from .._extras import needed
-from .._types import Array
+from .._types import FILMS, Array
 from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
@@ -615,6 +615,11 @@ def _no_touches(place: Path) -> TouchesError:
         return TouchesError(
             f"{place} must be a file or folder of touches, got nothing there. "
             f"{nearest_path(place) or 'Check the path.'}"
+        )
+    if place.suffix.lower() in FILMS:
+        return TouchesError(
+            f"{place} must be cut into touches, got a film. Read it by "
+            "sensors.TouchDetector().touches_in."
         )
     kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
     return TouchesError(
