@@ -132,6 +132,7 @@ def test_infinity_is_found_beyond_the_first_block():
         ({"object": ["a", None]}, "object must hold plain numbers or text.* Fill in"),
         ({"object": [b"a", b"\xff"]}, "object must be UTF-8 text"),
         ({"session": [[1, 2], [3, 4]]}, r"session\[:, 0\]"),
+        ({"time_s": np.zeros(2, "M8[ns]")}, "time_s must be numbers.* Write seconds"),
         ({"position_mm": [["a"], ["b"]]}, "position_mm must be numbers, got .*<U1"),
         ({"mine": [{}, {}]}, "mine must hold plain numbers or text"),
         ({"geometry": "sphere"}, "geometry must be one of 'dome', 'array', 'plane'"),

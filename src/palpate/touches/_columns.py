@@ -154,9 +154,11 @@ def checked_column(name: str, array: Array, n_touches: int) -> Array:
             f"Give its parts names of their own, or use {name}[:, 0]."
         )
     if name in NUMBERS and array.dtype.kind not in "iuf":
+        fix = "Convert it first, for example with .astype(float)."
+        if name == "time_s" and array.dtype.kind in "MU":  # would be nanoseconds
+            fix = 'Write seconds: (t - t[0]) / numpy.timedelta64(1, "s") of dates t.'
         raise TouchesError(
-            f"{name} must be numbers, got an array of {array.dtype}. "
-            "Convert it first, for example with .astype(float)."
+            f"{name} must be numbers, got an array of {array.dtype}. {fix}"
         )
     return _checked_labels(name, array) if name in LABELS else array
 
