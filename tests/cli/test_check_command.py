@@ -153,6 +153,8 @@ def test_pictures_on_their_side_are_told_from_those_of_another_size(palpate, tmp
     put_each(tmp_path, 4, ["mug"])
     put(tmp_path / "mug" / "tall.png", np.zeros((12, 10)))
     put(tmp_path / "mug" / "small.png", np.zeros((5, 6)))
+    # Sides of touches and of pictures are told in other orders.
+    assert "of 10 x 12 (rows x columns)" in palpate("check", tmp_path).stdout
     answer = palpate.answer("check", tmp_path, code=1)
     small, tall = answer["bad"]
     assert small["problem"] == "6 x 5 8-bit PNG, not 12 x 10 8-bit PNG"

@@ -320,6 +320,7 @@ def _print(checked: dict[str, Any]) -> None:
         say(checked["problem"])
     else:
         many = f"{counted(checked['n_touches'])} of {checked['size']}"
+        many += " (rows x columns)" * bool(checked["bad"])  # pictures: width x height
         say(f"{checked['touches']}: {many} can be used.")
     if checked["read_as"]:
         say(f"{checked['read_as'].capitalize()}.")

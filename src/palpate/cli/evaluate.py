@@ -88,7 +88,8 @@ def evaluate(
         try:
             return replace(reading, read=None, where=where).touches(path)
         except ValueError as error:
-            if path == train or reading == _options.Reading(where=reading.where):
+            as_it_is = reading == _options.Reading(where=reading.where)
+            if path == train or as_it_is or not path.exists():
                 raise
             raise ValueError(
                 f"{error} What says how files are read holds for --train, --test and "
