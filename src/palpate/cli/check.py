@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .._checks import listed
 from ._options import (
     AsJson,
     Reading,
@@ -215,8 +214,8 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
         if not Path(checked["touches"]).is_dir():
-            columns = listed([*touches.columns], 3)
-            has = f" (it has {columns})" if columns else ""
+            has = ", ".join([*touches.columns][:_NAMED])
+            has = f" (it has {has})" if has else ""
             fix = f"call the column of names object{has}, or, in Python, save "
             fix += "Touches(images, object=names); of a picture put it into a folder"
         return [f"nothing is labelled: {fix}, or see --name-pattern"]
