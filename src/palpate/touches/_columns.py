@@ -330,10 +330,14 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     """Refuse channels, pads and frames of presses that do not suit the images."""
     names, pads = whole.get("channels"), whole.get("pads")
     if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
+        fix = 'Name them in their order, such as channels=["r", "g", "b"].'
+        if images.shape[1] <= 4 < images.shape[3]:  # as PyTorch has them
+            fix = (
+                "Channels come last: images.transpose(0, 2, 3, 1), each with its name."
+            )
         raise TouchesError(
             f"channels must name each of the {images.shape[3]} channels of images of "
-            f"shape {images.shape}, got {_listed(names)}. Name them in their order, "
-            'such as channels=["r", "g", "b"].'
+            f"shape {images.shape}, got {_listed(names)}. {fix}"
         )
     if images.ndim == 3 and names is not None:
         raise TouchesError(
