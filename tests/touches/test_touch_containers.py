@@ -450,6 +450,8 @@ def test_each_file_of_a_folder_is_a_touch(tmp_path, rng, ending, write):
         ("a,a\n1,2\n", "first line of names that differ, got a, a"),
         ("object,session\ncup,a\n", "must have columns of taxels, got object"),
         ("object;a;n\ncup;1,5;2\n", "a must hold numbers with a decimal point"),
+        ("1,5;2,5\n3,5;4,5\n", "must hold numbers with a decimal point"),
+        ("1,5;;2,5\n3,5;;4,5\n", "must hold numbers with a decimal point"),
         ('"1,2\n3,4\n', "must be a CSV file of numbers in UTF-8"),
     ],
 )

@@ -29,6 +29,7 @@ _LEAST_OF_CLOCK = 5  # numbers a line, of which the first may be a time
 _FILE_NAMES = ("file", "filename", "file_name", "path", "image", "name")
 _LABELS = ("label", "class")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+_OF_DIGITS = re.compile(r"[-+\d.,;]*")
 _BYTES_PER_CELL = 2  # no number is shorter, with its comma
 
 
@@ -101,6 +102,12 @@ def csv_arrays(
     lines = _lines(path, max_bytes)
     first = lines[0]
     named = not all(map(_is_number, first))
+    of_digits = all(map(_OF_DIGITS.fullmatch, first))
+    if named and of_digits and re.search("[,;]", "".join(first)):
+        raise TouchesError(
+            f"{path} must hold numbers with a decimal point, got {first[0]!r}. Export "
+            "it again, or read it by pandas.read_csv and `Touches.from_frame`."
+        )
     names = first if named else [f"taxel {n}" for n in range(len(first))]
     if not named and _is_clock([row[0] for row in lines]):
         names[0] = "time_s"
