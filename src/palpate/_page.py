@@ -28,11 +28,11 @@ td:first-child,th:first-child{text-align:left}
 .row{display:flex;flex-wrap:wrap;gap:1.5rem;align-items:flex-start}
 .line{display:flex;align-items:center;border-bottom:1px solid #eef1f4}
 .name{width:13rem;overflow-wrap:anywhere}
-.touches img{height:84px;border-radius:4px;margin:2px}
+.touches img{height:84px;max-width:calc(100% - 4px);border-radius:4px;margin:2px}
 .why{display:flex;gap:.6rem;margin:.4rem 0}
 .why div{width:9rem;font-size:.8rem;line-height:1.25;overflow-wrap:anywhere}
 .why div:first-child{width:19rem;display:flex;gap:.6rem;border-right:1px solid #dde3e8}
-.why img{display:block;height:72px;border-radius:4px;margin-bottom:2px}
+.why img{display:block;height:72px;max-width:100%;border-radius:4px;margin-bottom:2px}
 .note,figcaption{color:#5a6572}svg{max-width:100%;height:auto}
 table,figure div{display:block;max-width:100%;overflow-x:auto}
 figure{display:flex;flex-wrap:wrap;gap:1rem;margin:2.5rem 0}figcaption{flex:1 1 18rem}

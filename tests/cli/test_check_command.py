@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 
 import numpy as np
@@ -152,6 +153,8 @@ def test_pictures_on_their_side_are_told_from_those_of_another_size(palpate, tmp
     put_each(tmp_path, 4, ["mug"])
     put(tmp_path / "mug" / "tall.png", np.zeros((12, 10)))
     put(tmp_path / "mug" / "small.png", np.zeros((5, 6)))
+    # Sides of touches and of pictures are told in other orders.
+    assert "of 10 x 12 (rows x columns)" in palpate("check", tmp_path).stdout
     answer = palpate.answer("check", tmp_path, code=1)
     small, tall = answer["bad"]
     assert small["problem"] == "6 x 5 8-bit PNG, not 12 x 10 8-bit PNG"
@@ -177,8 +180,9 @@ def test_odd_pictures_are_named_the_first_few_and_all_as_json(palpate, tmp_path)
 
 
 def test_skip_bad_leaves_bad_pictures_out_and_names_them(palpate, odd, tmp_path):
+    odd = odd.rename(tmp_path / "my touches")
     refused = palpate.refusal("learn", odd, "-o", tmp_path / "m.palpate")
-    assert f"`palpate check {odd}` lists all that is wrong" in refused
+    assert f"`palpate check '{odd}'` lists all that is wrong" in refused
     model = tmp_path / "m.palpate"
     result = palpate("learn", odd, "--skip-bad", "-o", model, "--json")
     assert "5 pictures of 17" in result.stderr
@@ -270,6 +274,32 @@ def test_common_layouts_are_read_as_objects_and_sessions(
         assert ", ".join(np.unique(touches.session)) == sessions
 
 
+@pytest.mark.parametrize(
+    ("dtype", "geometry", "fix"),
+    [
+        (np.uint8, "array", "needs one: --no-contact FILE"),
+        (np.float32, "array", r"in Python, touches\.with_columns\(no_contact=frame"),
+        (np.float32, "none", ""),
+    ],
+)
+def test_a_frame_of_no_contact_is_asked_for_as_it_can_be_given(
+    palpate, tmp_path, rng, dtype, geometry, fix
+):
+    levels = rng.integers(0, 200, (40, 8, 8)).astype(dtype)
+    touches = Touches(levels, object=["mug", "pen"] * 20, geometry=geometry)
+    touches.save(tmp_path / "t.npz")
+    advice = palpate.answer("check", tmp_path / "t.npz")["advice"]
+    asked = [line for line in advice if "touching nothing" in line]
+    assert len(asked) == bool(fix)
+    assert all(re.search(fix, line) for line in asked)
+
+
+def test_columns_of_a_file_without_labels_are_named(palpate, tmp_path, rng):
+    Touches(rng.random((6, 8, 8)), label=["mug", "pen"] * 3).save(tmp_path / "t.npz")
+    (line,) = palpate.answer("check", tmp_path / "t.npz")["advice"]
+    assert "call the column of names object (it has label)" in line
+
+
 def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     for part in ("teach", "later"):
         put_each(tmp_path / "set" / part, 2)
@@ -277,6 +307,7 @@ def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     (line,) = (line for line in advice if "the same names" in line)
     assert line.startswith("the same names (mug, pen) are in later/ and teach/")
     assert "--levels -/object" in line
+    assert "--levels object/session" in line
     put_each(tmp_path / "other", 2, ["tools/saw", "tools/awl", "toys/car", "toys/top"])
     advice = palpate.answer("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)

@@ -173,6 +173,16 @@ def test_a_split_by_session_needs_sessions_and_says_how(palpate, archive):
     assert "--levels object/session" in result
 
 
+def test_touches_read_alike_that_differ_are_told_what_to_do(palpate, archive, tmp_path):
+    days = put_each(tmp_path / "set", 1, ["mug/mon", "mug/tue", "pen/mon", "pen/tue"])
+    words = "evaluate", "--train", days, "--levels", "object/session", "--unknown"
+    strangers = put_each(tmp_path / "other", 1, ["saw"])
+    for others in (archive, strangers):
+        result = palpate.refusal(*words, others, "--split", "session")
+        assert "--unknown alike; if they differ, bring each into a library" in result
+    assert "Give --levels or a --name-pattern as these paths are" in result
+
+
 def test_evaluate_of_what_was_taught_says_so_in_words_of_the_command(palpate, archive):
     words = ["evaluate", "--train", archive, "--test", archive, "--touches", "1"]
     verdict = palpate.answer(*words)["verdict"]

@@ -200,6 +200,14 @@ def test_what_is_extended_stays_as_it_is(palpate, tmp_path):
     # An archive has no ids: what is learnt already is known by what it is like.
     refused = palpate.refusal("learn", part, "--extend", new, "-o", old)
     assert "has not learnt, got none" in refused
+    # Numbers that a table gives its touches begin anew in the next table.
+    for name, seed in {"first": 0, "second": 1}.items():
+        presses = simulate_presses(["bar10", "disc13"], 4, random_state=seed)
+        presses.with_columns(touch_id=range(8)).save(tmp_path / f"{name}.npz")
+    numbered = tmp_path / "numbered.palpate"
+    palpate("learn", tmp_path / "first.npz", "-o", numbered)
+    more = "learn", tmp_path / "second.npz", "--extend", numbered, "-o", numbered
+    assert palpate.answer(*more)["n_train_touches"] == 16
     for option, value, usual in (
         ("--preset", "default", "'liu2014'"),
         ("--seed", "1", "0"),

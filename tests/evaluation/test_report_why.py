@@ -96,6 +96,8 @@ def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):
     for episode in explained:
         belief = recogniser.start().update(fold.test[episode.rows])
         assert belief.reason(PLAN.error) in page
+    is_unknown = [episode.label == "unknown" for episode in explained]
+    assert page.count("speak for a stranger by") == sum(is_unknown)
     pictures = page.count("<img")
     if recogniser.chosen_["geometry"] == "none":
         assert pictures == 0

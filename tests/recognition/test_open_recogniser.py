@@ -252,7 +252,7 @@ def test_palpates_own_encodings_travel_in_the_file(touches, tmp_path):
 
 def test_a_classifier_of_foreign_code_cannot_be_written(touches, tmp_path):
     learnt = ObjectRecogniser(classifier=LinearDiscriminantAnalysis()).fit(touches)
-    with pytest.raises(ModelFileError, match="cannot hold a LinearDiscriminant"):
+    with pytest.raises(ModelFileError, match=r"hold a LinearDisc.* fit again"):
         learnt.save(tmp_path / "m.palpate")
     assert not list(tmp_path.iterdir())
 

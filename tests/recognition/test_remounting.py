@@ -279,6 +279,9 @@ def test_images_that_no_clean_up_finds_keep_their_size(pressed):
     larger = np.kron(_presses(4, 1).images, np.ones((1, 2, 2)))
     with pytest.raises(ValueError, match="12 x 12 taxels like the training touches"):
         pressed.remount(Touches(larger, geometry="array"))
+    flat = _presses(4, 1).images.reshape(-1, 1, 144)
+    with pytest.raises(ValueError, match="say `shape` as when it was learnt"):
+        pressed.predict(Touches(flat))
 
 
 def test_touches_that_show_nothing_do_not_remount():

@@ -245,6 +245,8 @@ def test_a_promise_says_what_so_few_objects_can_show(rng):
     assert (promise.level, promise.n_units, promise.n_needed) == (0.01, 6, 299)
     assert promise.bound == pytest.approx(1 - 0.05 ** (1 / 6))
     assert str(promise) == ("6 objects cannot prove an error of 1 %, about 300 would.")
+    visits = promise._replace(population="these objects in other sessions")
+    assert str(visits).startswith("6 pairs of object and session cannot prove")
     enough = model_of(left_out(6, rng), 59).promise(0.05)
     assert enough.bound < 0.05
     assert str(enough) == "59 objects left out can show an error of 0.05."

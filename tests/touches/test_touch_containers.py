@@ -101,6 +101,18 @@ def test_labels_that_are_not_whole_numbers_are_refused(tmp_path, name, odd):
         Touches.load(tmp_path / name)
 
 
+def test_labels_of_matlab_that_would_be_lost_are_refused(tmp_path):
+    path, names = tmp_path / "t.mat", np.array(["cup", "pen"] * 3, dtype=object)
+    for content, message in (
+        ({"X": np.zeros((6, 4, 5)), "label": names}, "got cell label. .* char"),
+        ({"data": {"X": np.zeros((6, 4, 5))}}, "got struct data"),
+        ({"X": np.zeros((4, 5, 6)), "label": np.arange(6.0)}, "permute"),
+    ):
+        scipy.io.savemat(path, content)
+        with pytest.raises(TouchesError, match=message):
+            Touches.load(path)
+
+
 def test_bytes_of_hdf5_are_utf_8(tmp_path):
     _h5_labels(tmp_path / "t.h5", np.array(["café".encode(), b"mug"]))
     assert Touches.load(tmp_path / "t.h5").object.tolist() == ["café", "mug"]
@@ -437,6 +449,9 @@ def test_each_file_of_a_folder_is_a_touch(tmp_path, rng, ending, write):
         ("1,2\n3,inf\n", "must be a number .*got 'inf'"),
         ("a,a\n1,2\n", "first line of names that differ, got a, a"),
         ("object,session\ncup,a\n", "must have columns of taxels, got object"),
+        ("object;a;n\ncup;1,5;2\n", "a must hold numbers with a decimal point"),
+        ("1,5;2,5\n3,5;4,5\n", "must hold numbers with a decimal point"),
+        ("1,5;;2,5\n3,5;;4,5\n", "must hold numbers with a decimal point"),
         ('"1,2\n3,4\n', "must be a CSV file of numbers in UTF-8"),
     ],
 )
@@ -449,7 +464,7 @@ def test_bytes_that_are_no_text_and_wrong_options_are_refused(csv, tmp_path):
     (tmp_path / "b.csv").write_bytes(b"1,2\n\xff\xfe\n")
     with pytest.raises(TouchesError, match="in UTF-8, got"):
         Touches.load(tmp_path / "b.csv")
-    with pytest.raises(TouchesError, match="as many taxels as the table, 4, got 2 x 3"):
+    with pytest.raises(TouchesError, match=r"as the table, 4, got 2 x 3\. .* a, b"):
         Touches.load(csv(HEADED), shape=(2, 3))
     with pytest.raises(TouchesError, match=r"a file of \d+ bytes"):
         Touches.load(csv(HEADED), max_bytes=100)

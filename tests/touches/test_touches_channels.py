@@ -82,6 +82,8 @@ def test_a_set_never_loses_what_its_images_need():
     touches = coloured(pads=[[0, 0, 4, 6]], pad_names=["palm"])
     with pytest.raises(TouchesError, match=r"channels must name.*got none"):
         touches.without("channels")
+    with pytest.raises(TouchesError, match=r"transpose\(0, 2, 3, 1\)"):
+        Touches(np.zeros((2, 3, 8, 9)), channels=["r", "g", "b"])
     with pytest.raises(TouchesError, match="for no pads"):
         touches.without("pads")
     assert touches.without("pads", "pad_names").pads is None

@@ -64,8 +64,9 @@ def test_integer_labels_become_text():
     assert touches.category.tolist() == ["a"] * 3
 
 
-def test_variable_width_text_becomes_plain_text():
-    names = np.array(["cup", "a long name"], dtype=np.dtypes.StringDType())
+@pytest.mark.parametrize("kind", [np.dtypes.StringDType(), object])  # of pandas
+def test_variable_width_text_becomes_plain_text(kind):
+    names = np.array(["cup", "a long name"], dtype=kind)
     touches = Touches(np.zeros((2, 2, 2)), object=names)
     assert touches.object.dtype == np.dtype("<U11")
 
@@ -90,7 +91,7 @@ def test_arrays_are_read_only_and_the_callers_own_is_left_alone():
     [
         (np.zeros((0, 3, 3)), "at least one touch of at least one taxel"),
         (np.zeros((2, 0, 3)), "at least one touch of at least one taxel"),
-        (np.zeros((3, 3)), r"got \(3, 3\). For one touch pass images\[np.newaxis\]"),
+        (np.zeros((3, 3)), r"\(3, 3\)\. For one touch .*\[np.newaxis\]; for vectors"),
         (np.zeros((1, 3, 3, 3, 3)), r"shape \(n_touches, n_rows, n_cols\)"),
         (np.zeros((1, 2, 2), dtype=complex), "integers or floats, got complex128"),
         (np.full((1, 2, 2), "x"), "integers or floats, got <U1"),
@@ -128,9 +129,10 @@ def test_infinity_is_found_beyond_the_first_block():
         ({"object": [1.0, 2.0]}, "text or integers, got an array of float64"),
         ({"object": [True, False]}, "text or integers, got an array of bool"),
         ({"object": [["a"], ["b"]]}, "one value per touch, got shape"),
-        ({"object": ["a", None]}, "object must hold plain numbers or text"),
+        ({"object": ["a", None]}, "object must hold plain numbers or text.* Fill in"),
         ({"object": [b"a", b"\xff"]}, "object must be UTF-8 text"),
         ({"session": [[1, 2], [3, 4]]}, r"session\[:, 0\]"),
+        ({"time_s": np.zeros(2, "M8[ns]")}, "time_s must be numbers.* Write seconds"),
         ({"position_mm": [["a"], ["b"]]}, "position_mm must be numbers, got .*<U1"),
         ({"mine": [{}, {}]}, "mine must hold plain numbers or text"),
         ({"geometry": "sphere"}, "geometry must be one of 'dome', 'array', 'plane'"),

@@ -17,6 +17,7 @@ from filecmp import cmp
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
+from shlex import quote
 from shutil import copyfileobj
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, get_args
 from warnings import catch_warnings, simplefilter
@@ -508,9 +509,9 @@ class Reading:
             except TouchesError as error:
                 if quiet or self.skip_bad or not path.is_dir():
                     raise
+                typed = f"{quote(str(path))}{' --colour' * bool(self.colour)}"
                 raise TouchesError(
-                    f"{error} `palpate check {path}{' --colour' * bool(self.colour)}` "
-                    "lists all that is wrong."
+                    f"{error} `palpate check {typed}` lists all that is wrong."
                 ) from error
         for warning in () if quiet else left_out:
             say(warning.message, file=sys.stderr)

@@ -213,6 +213,11 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
+        if not Path(checked["touches"]).is_dir():
+            has = ", ".join([*touches.columns][:_NAMED])
+            has = f" (it has {has})" if has else ""
+            fix = f"call the column of names object{has}, or, in Python, save "
+            fix += "Touches(images, object=names); of a picture put it into a folder"
         return [f"nothing is labelled: {fix}, or see --name-pattern"]
     if checked["bad"]:
         advice.append(
@@ -236,10 +241,12 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             "half of the touches, in folders object/session, or expect less on another "
             "day"
         )
-    if touches.no_contact is None:
+    if touches.no_contact is None and touches.geometry != "none":
+        how = "--no-contact FILE"
+        if touches.images.dtype.kind != "u":  # of these no picture has the unit
+            how = "in Python, touches.with_columns(no_contact=frame).save(FILE)"
         advice.append(
-            "a picture of touching nothing helps, and a replay needs one: "
-            "--no-contact FILE"
+            f"a picture of touching nothing helps, and a replay needs one: {how}"
         )
     for name, control in checked["alone"].items():
         if control["right"] > control["chance"] + (1 - control["chance"]) / 3:
@@ -271,7 +278,8 @@ def _sets_of_same_names(touches: "Touches") -> str:
     return (
         f"the same names ({few}) are in {of_folders}, and count as different objects: "
         "if each folder is a set of its own, one to learn and one to test, give it by "
-        f"itself, as .../{folders[0]}; if all are one set, say --levels -/object"
+        f"itself, as .../{folders[0]}; if all are one set, say --levels -/object, or, "
+        "if the outer folders are the objects, --levels object/session"
     )
 
 
@@ -311,6 +319,7 @@ def _print(checked: dict[str, Any]) -> None:
         say(checked["problem"])
     else:
         many = f"{counted(checked['n_touches'])} of {checked['size']}"
+        many += " (rows x columns)" * bool(checked["bad"])  # pictures: width x height
         say(f"{checked['touches']}: {many} can be used.")
     if checked["read_as"]:
         say(f"{checked['read_as'].capitalize()}.")

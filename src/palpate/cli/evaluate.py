@@ -85,7 +85,17 @@ def evaluate(
         if path is None:
             return None
         stage(f"reading {path}")
-        return replace(reading, read=None, where=where).touches(path)
+        try:
+            return replace(reading, read=None, where=where).touches(path)
+        except ValueError as error:
+            as_it_is = reading == _options.Reading(where=reading.where)
+            if path == train or as_it_is or not path.exists():
+                raise
+            raise ValueError(
+                f"{error} What says how files are read holds for --train, --test and "
+                "--unknown alike; if they differ, bring each into a library "
+                "(`palpate library add`), or save it as an archive (`Touches.save`)."
+            ) from error
 
     kept = unless_made("there are no figures", report)
     with message_if_stopped(kept), stages() as stage, working.started():

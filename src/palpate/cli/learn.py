@@ -1,5 +1,6 @@
 """`palpate learn`: touches -> model file."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +10,7 @@ from . import _options
 from ._output import answer, counted, message_if_stopped, stages, unless_made
 
 _CATEGORY = "category", "categories"
+_OF_LIBRARY = re.compile("[0-9a-f]{32}")  # ids of touches
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -161,7 +163,10 @@ def _extended(
         n_before = len(recogniser.memory_)
         fresh = np.ones(len(labels), dtype=bool)
         if training.touch_id is not None:
-            fresh = ~np.isin(training.touch_id, recogniser.memory_.touch_ids)
+            ids = np.asarray(training.touch_id).astype(str)
+            fresh = ~np.isin(ids, recogniser.memory_.touch_ids)
+            # Numbers of a table begin anew in each file; ids of a library never do.
+            fresh |= [_OF_LIBRARY.fullmatch(touch) is None for touch in ids]
         for name in np.unique(labels[fresh]).tolist():
             rows = np.flatnonzero(fresh & (labels == name))
             recogniser.extend_object(name, training[rows])

@@ -8,6 +8,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -132,7 +133,7 @@ class SensorOptions:
             if is_read or not (address.startswith("replay:") and Path(folder).is_dir()):
                 raise
             raise SensorError(
-                f"{error} `palpate check {folder}` lists all that is wrong."
+                f"{error} `palpate check {quote(folder)}` lists all that is wrong."
             ) from error
 
 

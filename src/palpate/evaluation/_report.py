@@ -518,6 +518,11 @@ def _episode(explained: Explained, decision: dict[str, Any]) -> str:
     label = (
         "nothing I know" if explained.label == "unknown" else escape(explained.label)
     )
+    if explained.label == "unknown":  # lines of touches weigh learnt labels alone
+        reason += (
+            f". All touches together speak for a stranger by "
+            f"{belief.unknown_evidence:.1f} nats; among what was learnt:"
+        )
     ended = "recognised" if explained.right else f"taken for <b>{label}</b>"
     return (
         f"<p><b>{escape(explained.name)}</b>{of_label} {ended}.<br>"

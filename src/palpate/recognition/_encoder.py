@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
+from math import prod
 from typing import Any, Self
 
 import numpy as np
@@ -217,9 +218,12 @@ class TouchEncoder(Encoder, BaseEstimator):
         self.check_channels(images, channels)
         taught, got = tuple(self.image_shape_), images.shape[1:]
         if got != taught:
+            fix = "Use the same sensor and resolution, or learn again."
+            if prod(got) == prod(taught):
+                fix = "Of a table or bare frames say `shape` as when it was learnt."
             raise ValueError(
                 f"touches must have {size_text(taught)} like the training touches, got "
-                f"{size_text(got)}. Use the same sensor and resolution, or learn again."
+                f"{size_text(got)}. {fix}"
             )
         if pads is None or self.pads_ is None:
             return

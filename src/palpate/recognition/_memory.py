@@ -24,6 +24,7 @@ from .._types import Array, Bools, Floats, Indices
 from ..classifiers import KernelRidgeClassifier
 from ..touches import Touches, TouchSource
 from ._evidence import as_touches
+from ._sentences import IN_SESSIONS
 from ._sessions import N_LOOKS
 
 N_BLOCKS = 5
@@ -173,7 +174,7 @@ class Memory:
         is_visit = n_met[block] > 1
         n_units = int(is_visit.sum()) + len(np.unique(objects[~is_visit]))
         if is_visit.any():
-            return n_units, "these objects in other sessions"
+            return n_units, IN_SESSIONS
         return n_units, "these objects, recorded as when they were learnt"
 
     def plus(self, other: Self) -> Self:

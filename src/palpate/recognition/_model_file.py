@@ -265,7 +265,8 @@ def _pack(value: object, tensors: Tensors) -> Any:
         return {"dict": pairs}
     if not _is_known(value):
         raise ModelFileError(
-            f"A model file cannot hold a {type(value).__name__}; it may hold "
+            f"A model file cannot hold a {type(value).__name__}, for it holds no "
+            "foreign code. Keep the touches and fit again, or use what it may hold: "
             f"{', '.join(sorted(KNOWN_CLASSES))}."
         )
     if isinstance(value, UserEncoding):

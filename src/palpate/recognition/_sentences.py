@@ -35,6 +35,8 @@ OTHER_SESSION = (
 )
 # Names that together have this probability are those that it may be, three at most.
 _MOST_LIKELY, _MOST_NAMED = 0.9, 3
+# What was left out where an object counts once in each session.
+IN_SESSIONS = "these objects in other sessions"
 # Of more objects a picture has no names.
 MOST_LABELLED = 30
 # Touches of a draw, objects that an advice names at most.
@@ -161,11 +163,13 @@ class Promise(NamedTuple):
     def __str__(self) -> str:
         if self.other_session:
             return f"{self._replace(other_session=False)!s} {OTHER_SESSION}"
-        objects = f"{self.n_units} object{'s' * (self.n_units != 1)}"
+        units = f"{self.n_units} object{'s' * (self.n_units != 1)}"
+        if self.population == IN_SESSIONS:
+            units = f"{self.n_units} pairs of object and session"
         if self.bound <= self.level:
-            return f"{objects} left out can show an error of {self.level:g}."
+            return f"{units} left out can show an error of {self.level:g}."
         return (
-            f"{objects} cannot prove an error of {100 * self.level:g} %, "
+            f"{units} cannot prove an error of {100 * self.level:g} %, "
             f"about {about(self.n_needed)} would."
         )
 

@@ -50,7 +50,10 @@ def checked_images(images: ArrayLike) -> Array:
     """Return images (n_touches, n_rows, n_cols[, n_channels]) read-only, or explain."""
     array = plain_array("images", images)
     if array.ndim not in (3, 4):
-        hint = " For one touch pass images[np.newaxis]." if array.ndim == 2 else ""
+        hint = (
+            " For one touch pass images[np.newaxis]; for vectors, one a row, "
+            'images[:, np.newaxis] and geometry="none".'
+        ) * (array.ndim == 2)
         raise TouchesError(
             "images must have shape (n_touches, n_rows, n_cols) or (n_touches, n_rows, "
             f"n_cols, n_channels), got {array.shape}.{hint}"
@@ -106,8 +109,11 @@ def plain_array(name: str, value: ArrayLike) -> Array:
         raise TouchesError(
             f"{name} must be one array, got rows of unequal length. Pad or cut them."
         ) from error
-    if array.dtype.kind == "T":  # numpy's own variable-width text has no plain file
-        array = np.array(array.tolist())
+    cells = array.flat if array.dtype.kind in "TO" else ()
+    are_texts = [isinstance(cell, str) for cell in cells]
+    if are_texts and all(are_texts):  # of numpy, of pandas: no plain file
+        value = array.tolist()
+        array = np.array(value)
     if array.dtype.kind == "U" and isinstance(value, list | tuple | str):
         texts = [value] if isinstance(value, str) else value
         for place, text in enumerate(texts):
@@ -122,9 +128,14 @@ def plain_array(name: str, value: ArrayLike) -> Array:
                     'an empty text, "", for what is not known.'
                 )
     if array.dtype.kind not in PLAIN_KINDS:
+        fix = "Convert it first, for example with .astype(str) or .astype(float)."
+        if any(
+            are_texts
+        ):  # .astype(str) would make texts "None" and "nan" of the others
+            fix = "Fill in what is missing, or leave these touches out."
         raise TouchesError(
             f"{name} must hold plain numbers or text, got an array of {array.dtype}. "
-            "Convert it first, for example with .astype(str) or .astype(float)."
+            f"{fix}"
         )
     return array
 
@@ -143,9 +154,11 @@ def checked_column(name: str, array: Array, n_touches: int) -> Array:
             f"Give its parts names of their own, or use {name}[:, 0]."
         )
     if name in NUMBERS and array.dtype.kind not in "iuf":
+        fix = "Convert it first, for example with .astype(float)."
+        if name == "time_s" and array.dtype.kind in "MU":  # would be nanoseconds
+            fix = 'Write seconds: (t - t[0]) / numpy.timedelta64(1, "s") of dates t.'
         raise TouchesError(
-            f"{name} must be numbers, got an array of {array.dtype}. "
-            "Convert it first, for example with .astype(float)."
+            f"{name} must be numbers, got an array of {array.dtype}. {fix}"
         )
     return _checked_labels(name, array) if name in LABELS else array
 
@@ -317,10 +330,14 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     """Refuse channels, pads and frames of presses that do not suit the images."""
     names, pads = whole.get("channels"), whole.get("pads")
     if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
+        fix = 'Name them in their order, such as channels=["r", "g", "b"].'
+        if images.shape[1] <= 4 < images.shape[3]:  # as PyTorch has them
+            fix = (
+                "Channels come last: images.transpose(0, 2, 3, 1), each with its name."
+            )
         raise TouchesError(
             f"channels must name each of the {images.shape[3]} channels of images of "
-            f"shape {images.shape}, got {_listed(names)}. Name them in their order, "
-            'such as channels=["r", "g", "b"].'
+            f"shape {images.shape}, got {_listed(names)}. {fix}"
         )
     if images.ndim == 3 and names is not None:
         raise TouchesError(

@@ -28,7 +28,7 @@ from ._pictures import decode_bytes
 
 CONTAINERS = (".h5", ".hdf5", ".zarr", ".tif", ".tiff", ".mat", ".bmp", ".webp")
 RAW = (".raw", ".bin", ".dat")
-_LABELS = ("label", "labels", "y")
+_LABELS = ("label", "labels", "y")  # the last may be an axis
 _MAX_ARRAYS = 1000  # of a file; as many as members of an archive
 _MAX_RANK = 5  # of what is read: channels, and frames of presses
 _PLAIN = "biufSU"
@@ -143,6 +143,7 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
     n_touches = plain[images].shape[0]
     chosen = {images: "images"}
     long = {n for n, e in plain.items() if e.shape[:1] == (n_touches,)}
+    _refuse_touches_last(path, plain, images)
     has_object = "object" in {name.rpartition("/")[2] for name in long}
     for name in plain:
         last = name.rpartition("/")[2]
@@ -160,6 +161,21 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
             whole = objects.astype(np.int64)
         arrays["object"] = whole if np.array_equal(whole, objects) else objects
     return arrays
+
+
+def _refuse_touches_last(
+    path: Path, entries: Mapping[str, _Entry], images: str
+) -> None:
+    """Refuse images whose last axis, not the first, is as long as the labels."""
+    n_touches, *_, n_last = shape = entries[images].shape
+    for name, entry in entries.items():
+        is_label = name.rpartition("/")[2] in ("object", *_LABELS[:2])
+        if is_label and entry.shape == (n_last,) and n_last != n_touches:
+            raise TouchesError(
+                f"{path} must hold {images} (n_touches, n_rows, n_cols), got "
+                f"{' x '.join(map(str, shape))} and {n_last} values of {name}. Bring "
+                "touches to the first axis: in MATLAB permute(x, [3 1 2])."
+            )
 
 
 def _text(array: Array) -> Array:
@@ -309,6 +325,13 @@ def _mat(path: Path, max_bytes: int) -> Arrays:
     sizes = [prod(shape) * 8 for shape, _ in listed.values()]
     _refuse_large(f"The arrays of {path}", sum(sizes), max_bytes)
     numbers = [n for n, (_, kind) in listed.items() if kind in _MATLAB_KINDS]
+    left = [name for name in listed if name not in numbers]
+    if wanted := [n for n in left if not numbers or n in ("object", *_LABELS)]:
+        raise TouchesError(
+            f"{path} must hold numbers and rows of text, got {listed[wanted[0]][1]} "
+            f"{wanted[0]}. Cells, structures and strings are not read: in MATLAB save "
+            "each field by itself, and names as char(names)."
+        )
     read = loadmat(path, variable_names=numbers, mat_dtype=False, squeeze_me=False)
     entries = {}
     for name in numbers:

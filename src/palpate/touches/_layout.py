@@ -328,7 +328,9 @@ def _all_matched(names: Sequence[str], pattern: re.Pattern[str]) -> list[Groups]
             "correct the pattern, move the file out of the folder, or give it as "
             "`no_contact` if that is what it shows"
         )
-        if "/" in pattern.pattern:
+        if len(odd) == len(names):
+            fix = "give `levels` or a `name_pattern` as these paths are"
+        elif "/" in pattern.pattern:
             _, fix, _ = odd_folders(names, odd).get(odd[0], ("", fix, ""))
         raise TouchesError(
             f"{odd[0]} must match name_pattern {pattern.pattern!r}, and does not. "

@@ -25,7 +25,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from .._checks import ARRAY_SIDE, nearest_path, size_text
+from .._checks import ARRAY_SIDE, listed, nearest_path, size_text
 from .._extras import needed
 from .._types import RGB, Array
 from ._columns import Arrays, TouchesError
@@ -281,7 +281,8 @@ def _schema_of(name: str, reader: Any) -> tuple[Any, dict[str, Any]]:
     if _IMAGE not in schema.names:
         raise TouchesError(
             f"{name} must have a column {_IMAGE!r} of pictures or tensors, got "
-            f"{', '.join(schema.names) or 'no column'}. Rename the one that has them."
+            f"{listed(schema.names, 5) or 'no column'}. Rename the one that has them; "
+            "a table of a column a taxel is read by pandas and `Touches.from_frame`."
         )
     twice = sorted({key for key in schema.names if schema.names.count(key) > 1})
     if twice:

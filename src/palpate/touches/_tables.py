@@ -8,12 +8,14 @@ are columns; all other numbers are taxels, in their order. Where taxels are numb
 """
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 
 import numpy as np
 
+from .._checks import listed
 from .._types import Array
 from ._columns import COLUMNS, Arrays, TouchesError, checked_shape
 from ._containers import CONTAINERS, container_arrays
@@ -26,6 +28,8 @@ _NAMED = COLUMNS | {*_PLACES, "subject"}
 _LEAST_OF_CLOCK = 5  # numbers a line, of which the first may be a time
 _FILE_NAMES = ("file", "filename", "file_name", "path", "image", "name")
 _LABELS = ("label", "class")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+_OF_DIGITS = re.compile(r"[-+\d.,;]*")
 _BYTES_PER_CELL = 2  # no number is shorter, with its comma
 
 
@@ -38,10 +42,17 @@ def table_arrays(
 
     Of a taxel with `channels` these follow each other.
     """
+    for name, column in table.items():
+        is_text = column.dtype.kind == "U" and name not in _TEXTS
+        if is_text and all(map(_DECIMAL_COMMA.fullmatch, column)):
+            raise TouchesError(
+                f"Column {name} must hold numbers with a decimal point, got "
+                f"{str(column[0])!r}. Write points (of pandas, read_csv(decimal=','))."
+            )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
     named |= _beside_numbered([name for name in table if name not in named])
     columns = {name: table[name] for name in named}
-    if not (taxels := [column for name, column in table.items() if name not in named]):
+    if not (taxels := {n: column for n, column in table.items() if n not in named}):
         raise TouchesError(
             f"A table of touches must have columns of taxels, got {', '.join(table)}. "
             "Every row is a touch, every other column of numbers a taxel."
@@ -60,10 +71,11 @@ def table_arrays(
     if n_rows * n_cols != n_taxels:
         raise TouchesError(
             f"shape must have as many taxels as the table, {n_taxels}, got "
-            f"{n_rows} x {n_cols}."
+            f"{n_rows} x {n_cols}. Its columns of taxels are {listed([*taxels], 3)}: "
+            "leave out what is none."
         )
     depth = [n_channels] if channels else []
-    images = np.stack(taxels, axis=1).reshape(-1, n_rows, n_cols, *depth)
+    images = np.stack([*taxels.values()], axis=1).reshape(-1, n_rows, n_cols, *depth)
     if channels:
         columns["channels"] = np.array(channels)
     if shape is None:  # the places of taxels in a table say nothing
@@ -90,6 +102,12 @@ def csv_arrays(
     lines = _lines(path, max_bytes)
     first = lines[0]
     named = not all(map(_is_number, first))
+    of_digits = all(map(_OF_DIGITS.fullmatch, first))
+    if named and of_digits and re.search("[,;]", "".join(first)):
+        raise TouchesError(
+            f"{path} must hold numbers with a decimal point, got {first[0]!r}. Export "
+            "it again, or read it by pandas.read_csv and `Touches.from_frame`."
+        )
     names = first if named else [f"taxel {n}" for n in range(len(first))]
     if not named and _is_clock([row[0] for row in lines]):
         names[0] = "time_s"

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import listed, nearest_path
 from .._extras import needed
-from .._types import Array
+from .._types import FILMS, Array
 from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
@@ -220,12 +220,11 @@ class Touches(Labelled):
             The file or folder cannot be read as touches; it names the file and fix.
         """
         if is_parquet(path):
-            options = (name_pattern, levels, shape, dtype, channels or None)
-            if colour or skip_bad or any(option is not None for option in options):
-                raise TouchesError(
-                    f"{path} must be read without options for folders and tables, got "
-                    "some. A Parquet file says itself what it holds."
-                )
+            why = "A Parquet file of palpate says itself what it holds."
+            of_folders = {"name_pattern": name_pattern, "levels": levels}
+            of_tables = {"shape": shape, "dtype": dtype, "channels": channels or None}
+            _left_out(path, "for Parquet", why, **of_folders, **of_tables)
+            _left_out(path, "for Parquet", why, colour=colour, skip_bad=skip_bad)
             parts = parquet_parts(path, max_bytes, max_pixels)
             held = (cls(**arrays)._with_files(files) for arrays, files in parts)
             return cls._joined(held, max_bytes).with_no_contact(no_contact, max_pixels)
@@ -601,13 +600,13 @@ class Touches(Labelled):
         ]
 
 
-def _left_out(place: Path, where: str, why: str, **options: Any) -> None:
+def _left_out(place: str | PathLike[str], where: str, why: str, **options: Any) -> None:
     """Refuse options that say nothing to a kind of file."""
     for name, value in options.items():
         if value is not None and value is not False:
             raise TouchesError(
                 f"{name} must be left out {where}, got {value!r} with {place}. "
-                f"{why or nearest_path(place)}".rstrip()
+                f"{why or nearest_path(Path(place))}".rstrip()
             )
 
 
@@ -616,6 +615,11 @@ def _no_touches(place: Path) -> TouchesError:
         return TouchesError(
             f"{place} must be a file or folder of touches, got nothing there. "
             f"{nearest_path(place) or 'Check the path.'}"
+        )
+    if place.suffix.lower() in FILMS:
+        return TouchesError(
+            f"{place} must be cut into touches, got a film. Read it by "
+            "sensors.TouchDetector().touches_in."
         )
     kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
     return TouchesError(
