@@ -2,6 +2,7 @@
 
 import time
 import unicodedata
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -69,6 +70,35 @@ def test_changes_follow_one_another_even_while_the_clock_is_wrong(
     assert {change.time_s for change in history} == {1000.0}
     before = state_of(folder)
     assert [row.object for row in before[0]] == [*"zzbbcc", *"qaq"]
+    assert rebuilt(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "objects"),
+    [
+        (("merge_objects", "a", "b"), ("rename_object", "a", "x"), "xxxxcc"),
+        (("merge_objects", "a", "b"), ("merge_objects", "a", "c"), "cccccc"),
+        (("merge_objects", "b", "c"), ("merge_objects", "a", "b"), "cccccc"),
+        (("rename_object", "b", "x"), ("merge_objects", "a", "b"), "aaxxcc"),
+    ],
+)
+def test_changes_asked_for_at_once_follow_one_another(
+    folder, rebuilt, monkeypatch, first, second, objects
+):
+    """A change knows what another program changed just before it is written."""
+    with TouchLibrary.open(folder) as library, TouchLibrary.open(folder) as other:
+        write = library._store.write
+
+        def write_after(job):
+            getattr(other, first[0])(*first[1:])
+            return write(job)
+
+        monkeypatch.setattr(library._store, "write", write_after)
+        with suppress(LibraryError):  # the object has another name now
+            getattr(library, second[0])(*second[1:])
+    assert check_library(folder).ok
+    before = state_of(folder)
+    assert [row.object for row in before[0]] == [*objects]
     assert rebuilt(folder) == before
 
 

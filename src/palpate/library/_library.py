@@ -382,13 +382,10 @@ class TouchLibrary:
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
-        _, now = object_row(self._store, old)
-        make_change(self._store, "rename", old=now, new=checked_name(new))
+        make_change(self._store, "rename", old=old, new=checked_name(new))
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
-        _, source = object_row(self._store, source)
-        _, into = object_row(self._store, into)
         make_change(self._store, "merge", source=source, into=into)
 
     def retract(
