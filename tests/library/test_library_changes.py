@@ -1,5 +1,6 @@
 """Renames, merges, retractions, and touches that come back from an export."""
 
+import itertools
 import time
 import unicodedata
 from contextlib import suppress
@@ -11,6 +12,7 @@ from palpate import Touches
 from palpate.library import (
     LibraryError,
     TouchLibrary,
+    _rows,
     check_library,
     quoted,
     repair_library,
@@ -100,6 +102,28 @@ def test_changes_asked_for_at_once_follow_one_another(
     before = state_of(folder)
     assert [row.object for row in before[0]] == [*objects]
     assert rebuilt(folder) == before
+
+
+def test_a_rename_while_touches_are_read_makes_no_object_two(folder, monkeypatch):
+    """What is read has the names of when it began, and nothing is called damaged."""
+    read, times = _rows.stored_touches, itertools.count()
+
+    def read_before_a_rename(*arguments, **named):
+        rows = read(*arguments, **named)
+        if next(times) % 2 == 0:  # rows that are read again are not overtaken
+            for old, new in ("bx", "cb", "xc"):
+                other.rename_object(old, new)
+        return rows
+
+    monkeypatch.setattr(_rows, "AT_ONCE", 1)
+    with TouchLibrary.open(folder) as library, TouchLibrary.open(folder) as other:
+        chosen = library.select()
+        monkeypatch.setattr(_rows, "stored_touches", read_before_a_rename)
+        assert chosen.touches().object.tolist() == [*"aabbcc"]
+        rows = library.list()
+        assert len({row.object for row in rows}) == 3
+        assert all(len({row.object for row in rows[n : n + 2]}) == 1 for n in (0, 2, 4))
+        assert chosen[[2, 3, 4, 5]].touches().object.tolist() == [*"bbcc"]
 
 
 def test_the_history_has_every_change_with_its_time_and_reason(folder):

@@ -21,7 +21,7 @@ from ._changes import (
     make_change,
     object_row,
 )
-from ._checking import CheckReport, check_store
+from ._checking import CheckReport, check_library, check_store
 from ._exchange import export_touches
 from ._reading import (
     IN_MEMORY,
@@ -425,7 +425,9 @@ class TouchLibrary:
 
     def check(self, *, progress: bool | None = None) -> CheckReport:
         """Read everything and compare it with its digests; see `check_library`."""
-        return check_store(self._store, progress)
+        if self._store.is_alone:
+            return check_store(self._store, progress)
+        return check_library(self.folder, progress=progress)  # others go on meanwhile
 
     def repair(self, *, progress: bool | None = None) -> RepairReport:
         """Keep what is whole and set the damaged file aside; see `repair_library`."""

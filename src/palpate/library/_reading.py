@@ -28,6 +28,7 @@ from .._durable import replacing
 from .._parallel import results_of
 from .._types import FORMER, LAYOUT, Array, Floats, Indices
 from ..touches import Labelled, Touches
+from ._changes import Names
 from ._content import PICTURE, Column, column_array, image_digest, unpacked_array
 from ._rows import (
     LOST,
@@ -97,11 +98,14 @@ class Selection(Labelled):
     """Touches of a library without their images, in the order added.
 
     Made by `TouchLibrary.select`; the library must stay open. What is added later is
-    not in it.
+    not in it, and objects that are renamed later keep their names in it.
     """
 
-    def __init__(self, tables: Tables, numbers: Numbers) -> None:
+    def __init__(
+        self, tables: Tables, numbers: Numbers, called: Names | None = None
+    ) -> None:
         self.tables, self.numbers = tables, numbers
+        self._called = called or tables.names()
         rows = distinct(tables.store, "t.recording, t.layout", numbers)
         self._recordings = list(dict.fromkeys(row[0] for row in rows))
         self._layouts = {key: tables.layout(key) for key in {row[1] for row in rows}}
@@ -115,7 +119,8 @@ class Selection(Labelled):
 
     def __getitem__(self, rows: ArrayLike) -> Selection:
         """Pick touches by their places, which must rise; no image is read."""
-        return Selection(self.tables, self.numbers[_rising(rows, len(self))])
+        chosen = self.numbers[_rising(rows, len(self))]
+        return Selection(self.tables, chosen, self._called)
 
     @cached_property
     def columns(self) -> Mapping[str, Array]:
@@ -161,7 +166,7 @@ class Selection(Labelled):
 
     def stored(self) -> Iterator[StoredImage]:
         """Return the images as they are stored."""
-        for rows in rows_at(self.tables, self.numbers):
+        for rows in rows_at(self.tables, self.numbers, called=self._called):
             yield from stored_images(self.tables, rows)
 
     def touches(
@@ -209,7 +214,7 @@ class Selection(Labelled):
             columns = {n: c for n, c in columns.items() if not any(o.wide for o in c)}
         parts: dict[str, list[Array]] = {name: [] for name in columns}
         done = 0
-        for rows in rows_at(self.tables, self.numbers):
+        for rows in rows_at(self.tables, self.numbers, called=self._called):
             values = plain_values(rows)
             if images is not None:
                 self._read_images(images[done : done + len(rows)], rows, values)
