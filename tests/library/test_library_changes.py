@@ -319,6 +319,12 @@ def test_two_spellings_are_one_object(library):
     assert library.add(Touches(IMAGES[:1], object=[NFD])) == ids[:1]
     assert [row.name for row in library.objects()] == [NFC]
     assert library.count(f"object = {NFD}") == 1
+    names = {"session": [NFC, NFD], "source_path": [f"{NFC}/1.png", f"{NFD}/1.png"]}
+    library.add(Touches(IMAGES, **names))  # which stay what they are
+    for name in (NFC, NFD):
+        assert library.count(f"session = {name}") == 2
+        assert library.count(f"session != {name}") == 1
+        assert library.count(f"source_path contains {name}/") == 2
     library.rename_object(NFD, "mug")
     library.rename_object("mug", NFD)
     assert [row.name for row in library.objects()] == [NFC]
