@@ -185,6 +185,10 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
         library.add(drawn(2, ("mug",), 7), episode="more")
     learnt = palpate.answer("learn", folder, "--extend", new, "-o", new)
     assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
+    for verb, *names in (("rename", "cap", "hat"), ("merge", "hat", "mug")):
+        palpate.printed("library", verb, folder, *names)  # no touch gets two names
+        refused = palpate.refusal("learn", folder, "--extend", new, "-o", old)
+        assert f"got '{names[1]}' for some that it knows as 'cap'" in refused
 
 
 def test_what_is_extended_stays_as_it_is(palpate, tmp_path):
