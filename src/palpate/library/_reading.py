@@ -393,7 +393,8 @@ def stored_array(tables: Tables, digest: str) -> Array:
 def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
     """Return all forms of each column; those of unlike shapes or kinds are refused."""
     columns: dict[str, list[Column]] = {}
-    for column in (column for layout in layouts.values() for column in layout):
+    forms = dict.fromkeys(column for layout in layouts.values() for column in layout)
+    for column in forms:
         alike = columns.setdefault(column.name, [])
         if alike and alike[0].shape != column.shape:
             raise LibraryError(
@@ -415,7 +416,7 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
 def _lacking(layouts: dict[int, list[Column]]) -> set[str]:
     """Return the names of columns that only some touches have."""
     names = [{column.name for column in layout} for layout in layouts.values()]
-    return {n for these in names for n in these if not all(n in each for each in names)}
+    return set[str]().union(*names) - set.intersection(*names)
 
 
 def _joined(arrays: list[Array]) -> Array:
