@@ -43,7 +43,7 @@ from ._rows import (
     stored_images,
     wide_values,
 )
-from ._store import FEATURES, LibraryError, room_for
+from ._store import FEATURES, LibraryError
 
 IN_MEMORY = 256 * 2**20  # bytes of images; more are mapped to a file
 NO_LIMIT = 2**62  # SQLite counts with 63 bits
@@ -321,13 +321,8 @@ class Selection(Labelled):
             waiting.append(part)
             n_done += len(part)
             if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
-                with room_for(
-                    "features", cache, "Free space; touches are not affected."
-                ):
-                    cache.mkdir(parents=True, exist_ok=True)
-                    written.append(np.concatenate(waiting))
-                    with replacing(cache / f"{uuid4().hex}.npz") as file:
-                        np.savez(file, ids=ids[n_kept:n_done], x=written[-1])
+                written.append(np.concatenate(waiting))
+                _keep(cache, ids[n_kept:n_done], written[-1])
                 waiting, n_kept = [], n_done
         return np.concatenate(written)
 
@@ -479,6 +474,20 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
     order = np.argsort(joined_ids, kind="stable")
     joined = np.concatenate(features) if features else np.empty((0, 0))
     return joined_ids[order], joined[order]
+
+
+def _keep(cache: Path, ids: Array, features: Floats) -> None:
+    """Add features to the cache, or warn where there is no room or no leave."""
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        with replacing(cache / f"{uuid4().hex}.npz") as file:
+            np.savez(file, ids=ids, x=features)
+    except OSError as error:
+        warnings.warn(
+            f"{cache.parent} must be a folder with room to keep features in, got: "
+            f"{error.strerror or error}. Nothing is lost: they will be made again.",
+            stacklevel=2,
+        )
 
 
 def _encoded(
