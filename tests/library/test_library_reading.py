@@ -119,6 +119,18 @@ def test_what_whole_sets_share_is_read_and_the_rest_left_out(library):
     assert library.touches("object in (c, d, e)").geometry is None
 
 
+def test_the_newest_baseline_is_that_of_the_last_touch(library):
+    """One sensor may keep its baseline while another comes; retracted ones are none."""
+    for seed, level in enumerate((5, 7, 5, 9)):
+        rest = np.full((4, 5), level, np.uint16)
+        ids = library.add(Touches(images(2, seed), object=["a", "b"], no_contact=rest))
+    for level, change in ((9, library.retract), (5, library.restore)):
+        assert (library.no_contact() == level).all()
+        assert (library.select().no_contact == level).all()
+        change(ids, **({"reason": "pressed"} if level == 9 else {}))
+    assert (library.no_contact() == 9).all()
+
+
 @pytest.mark.parametrize(
     ("shape", "channels", "got", "where"),
     [

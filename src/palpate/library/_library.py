@@ -282,13 +282,14 @@ class TouchLibrary:
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
 
-        One that is missing or altered is passed over with a warning.
+        One that is missing or altered is passed over with a warning; those of touches
+        that are retracted do not count.
         """
         number = np.asarray(session).item()  # of numpy, as a column of touches has it
-        chosen = "" if session is None else "WHERE session IS ? "
+        chosen = "" if session is None else " AND session IS ?"
         rows = self._store.rows(
-            f"SELECT recording FROM touches {chosen}GROUP BY recording "
-            "ORDER BY max(number) DESC",
+            f"SELECT recording FROM touches WHERE retraction IS NULL{chosen} "
+            "GROUP BY recording ORDER BY max(number) DESC",
             [] if session is None else [number],
         )
         return newest_no_contact(self._tables, (key for (key,) in rows))

@@ -135,7 +135,8 @@ class Selection(Labelled):
     @property
     def no_contact(self) -> Array | None:
         """The newest no-contact image of these touches, or None."""
-        return newest_no_contact(self.tables, self._recordings[::-1])
+        newest_first = dict.fromkeys(reversed(self.recordings()))
+        return newest_no_contact(self.tables, newest_first)
 
     def recordings(self) -> list[int]:
         """Return the key of each touch's recording."""
