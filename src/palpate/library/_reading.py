@@ -201,6 +201,21 @@ class Selection(Labelled):
             images = np.empty(shape, dtype)
         return Touches(images, **picked.read_columns(images, of), **picked.whole)
 
+    def parts(self) -> Iterator[Touches]:
+        """Yield touches as they were added, of one recording and the same columns.
+
+        They come some at a time, pictures with their files.
+        """
+        step = n_at_once(*self.kind)
+        for start in range(0, len(self), step):
+            some = self[np.arange(start, min(start + step, len(self)))]
+            kinds = [*zip(some.recordings(), some._cells("layout"), strict=True)]
+            for kind in dict.fromkeys(kinds):
+                part = some[[i for i, each in enumerate(kinds) if each == kind]]
+                files = [file for file in part.files() if file is not None]
+                kept = files if len(files) == len(part) else None
+                yield part.touches()._with_files(kept)
+
     def read_columns(
         self, images: Array | None = None, of: Selection | None = None
     ) -> dict[str, Array]:
@@ -412,7 +427,8 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
 def _lacking(layouts: dict[int, list[Column]]) -> set[str]:
     """Return the names of columns that only some touches have."""
     names = [{column.name for column in layout} for layout in layouts.values()]
-    return set[str]().union(*names) - set.intersection(*names)
+    known = names[0].union(*names)
+    return known - known.intersection(*names)
 
 
 def _joined(arrays: list[Array]) -> Array:
