@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from palpate import Touches, simulate_presses
 from palpate.library import TouchLibrary
@@ -136,6 +137,35 @@ def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
     assert "by must be one of" in refused
 
 
+def test_a_library_is_added_to_another_as_it_is(palpate, tmp_path):
+    """Baselines, columns and pictures of each recording go along."""
+    lab, other, picture = tmp_path / "lab", tmp_path / "other", tmp_path / "cup"
+    picture.mkdir()
+    levels = np.random.default_rng(0).integers(0, 255, (12, 12), np.uint8)
+    Image.fromarray(levels).save(picture / "1.jpg")
+    days = drawn(0, ("cap",), 3), drawn(1, ("cap",), 3).without("order"), drawn(2)
+    with TouchLibrary.open(lab, create=True) as library:
+        for number, touches in enumerate(days):
+            rest = np.full(touches.images.shape[1:], number)
+            library.add(touches.with_columns(no_contact=rest), session=f"day {number}")
+        expected = library.touches()
+        ids = [row.id for row in library.list(limit=None)]
+    palpate.printed("library", "add", lab, tmp_path / "cup")
+    words = "library", "add", other, lab, "--where"
+    counts = palpate.answer(*words, "n_rows != 12")
+    assert counts["added"] == counts["given"] == len(ids)
+    palpate.printed(*words, "n_rows = 12")
+    assert palpate.answer(*words, "n_rows != 12")["added"] == 0
+    with TouchLibrary.open(other) as library:
+        assert [row.id for row in library.list("n_rows != 12", limit=None)] == ids
+        read = library.touches("n_rows != 12")
+        np.testing.assert_array_equal(read.images, expected.images)
+        for number in range(3):
+            assert (library.no_contact(f"day {number}") == number).all()
+        files = library.select("n_rows = 12").files()
+    assert files == [(picture / "1.jpg").read_bytes()]
+
+
 def test_touches_are_exported(palpate, folder, tmp_path):
     pens = tmp_path / "pens.npz"
     result = palpate("library", "export", folder, "-o", pens, "--where", "object=pen")
@@ -185,6 +215,10 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
         library.add(drawn(2, ("mug",), 7), episode="more")
     learnt = palpate.answer("learn", folder, "--extend", new, "-o", new)
     assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
+    for verb, *names in (("rename", "cap", "hat"), ("merge", "hat", "mug")):
+        palpate.printed("library", verb, folder, *names)  # no touch gets two names
+        refused = palpate.refusal("learn", folder, "--extend", new, "-o", old)
+        assert f"got '{names[1]}' for some that it knows as 'cap'" in refused
 
 
 def test_what_is_extended_stays_as_it_is(palpate, tmp_path):

@@ -120,12 +120,15 @@ class LibraryMachine(RuleBasedStateMachine):
 
     @rule(label=names, n_touches=st.integers(1, 3))
     def add(self, label, n_touches):
+        with TouchLibrary.open(self.folder) as library:
+            self._add_to(library, label, n_touches)
+
+    def _add_to(self, library, label, n_touches):
         images = np.zeros((n_touches, 2, 2), np.int32)
         images[:, 0, 0] = self.n_images + np.arange(n_touches)
         self.n_images += n_touches
-        with TouchLibrary.open(self.folder) as library:
-            ids = library.add(Touches(images, object=[label] * n_touches))
-            assert library.add(Touches(images, object=[label] * n_touches)) == ids
+        ids = library.add(Touches(images, object=[label] * n_touches))
+        assert library.add(Touches(images, object=[label] * n_touches)) == ids
         self.truth.add(ids, label)
 
     @rule(two=st.lists(names, min_size=2, max_size=2, unique=True), merge=st.booleans())
@@ -150,15 +153,15 @@ class LibraryMachine(RuleBasedStateMachine):
             )
         assert bool(changed) == self.truth.set_retracted(ids, out)
 
-    @rule()
-    def kill(self):
+    @rule(label=names)
+    def kill(self, label):
         """A killed writer leaves acknowledged touches in a log that nobody emptied."""
         with TouchLibrary.open(self.folder) as library:
-            library.list(limit=1)
-            library.retract([], reason="nothing")
+            self._add_to(library, label, 1)
             self.n_copies += 1
             copy = self.folder.with_name(f"{self.n_copies}")
             shutil.copytree(self.folder, copy)
+        assert (copy / "library.sqlite-wal").stat().st_size
         (copy / "library.sqlite-shm").unlink(missing_ok=True)
         self.folder = copy
 

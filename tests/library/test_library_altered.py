@@ -15,6 +15,7 @@ import pytest
 from palpate.library import (
     LibraryError,
     TouchLibrary,
+    _checking,
     check_library,
     repair_library,
 )
@@ -277,6 +278,28 @@ def test_a_database_of_which_nothing_is_left_is_not_replaced(folder, damage):
         assert str(check_library(folder)).startswith(
             "0 touches: 1 problem.\ndatabase: "
         )
+
+
+def test_a_check_is_of_what_there_was_when_it_began(folder, monkeypatch):
+    """Another program that adds, renames and retracts meanwhile damages nothing."""
+    read, others = _checking.next_rows, ["pad", "pot"]
+
+    def read_after_another(store, number):
+        if number and others:
+            with TouchLibrary.open(folder) as other:
+                other.rename_object(other.objects()[0].name, others[-1])
+                ids = other.add(press_of(100 + len(others)))
+                other.retract(ids, reason=f"wet {others.pop()}")
+        return read(store, number)
+
+    monkeypatch.setattr(_checking, "next_rows", read_after_another)
+    for n_touches in (6, 7):
+        with TouchLibrary.open(folder) as library:
+            check = library.check() if len(others) == 2 else check_library(folder)
+        assert (
+            str(check) == f"{n_touches} touches: all present and as they were written."
+        )
+    assert not others
 
 
 def test_a_backup_is_a_library_made_while_others_add(large, tmp_path):

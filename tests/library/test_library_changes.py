@@ -1,7 +1,9 @@
 """Renames, merges, retractions, and touches that come back from an export."""
 
+import itertools
 import time
 import unicodedata
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from palpate import Touches
 from palpate.library import (
     LibraryError,
     TouchLibrary,
+    _rows,
     check_library,
     quoted,
     repair_library,
@@ -70,6 +73,57 @@ def test_changes_follow_one_another_even_while_the_clock_is_wrong(
     before = state_of(folder)
     assert [row.object for row in before[0]] == [*"zzbbcc", *"qaq"]
     assert rebuilt(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "objects"),
+    [
+        (("merge_objects", "a", "b"), ("rename_object", "a", "x"), "xxxxcc"),
+        (("merge_objects", "a", "b"), ("merge_objects", "a", "c"), "cccccc"),
+        (("merge_objects", "b", "c"), ("merge_objects", "a", "b"), "cccccc"),
+        (("rename_object", "b", "x"), ("merge_objects", "a", "b"), "aaxxcc"),
+    ],
+)
+def test_changes_asked_for_at_once_follow_one_another(
+    folder, rebuilt, monkeypatch, first, second, objects
+):
+    """A change knows what another program changed just before it is written."""
+    with TouchLibrary.open(folder) as library, TouchLibrary.open(folder) as other:
+        write = library._store.write
+
+        def write_after(job):
+            getattr(other, first[0])(*first[1:])
+            return write(job)
+
+        monkeypatch.setattr(library._store, "write", write_after)
+        with suppress(LibraryError):  # the object has another name now
+            getattr(library, second[0])(*second[1:])
+    assert check_library(folder).ok
+    before = state_of(folder)
+    assert [row.object for row in before[0]] == [*objects]
+    assert rebuilt(folder) == before
+
+
+def test_a_rename_while_touches_are_read_makes_no_object_two(folder, monkeypatch):
+    """What is read has the names of when it began, and nothing is called damaged."""
+    read, times = _rows.stored_touches, itertools.count()
+
+    def read_before_a_rename(*arguments, **named):
+        rows = read(*arguments, **named)
+        if next(times) % 2 == 0:  # rows that are read again are not overtaken
+            for old, new in ("bx", "cb", "xc"):
+                other.rename_object(old, new)
+        return rows
+
+    monkeypatch.setattr(_rows, "AT_ONCE", 1)
+    with TouchLibrary.open(folder) as library, TouchLibrary.open(folder) as other:
+        chosen = library.select()
+        monkeypatch.setattr(_rows, "stored_touches", read_before_a_rename)
+        assert chosen.touches().object.tolist() == [*"aabbcc"]
+        rows = library.list()
+        assert len({row.object for row in rows}) == 3
+        assert all(len({row.object for row in rows[n : n + 2]}) == 1 for n in (0, 2, 4))
+        assert chosen[[2, 3, 4, 5]].touches().object.tolist() == [*"bbcc"]
 
 
 def test_the_history_has_every_change_with_its_time_and_reason(folder):
@@ -265,6 +319,12 @@ def test_two_spellings_are_one_object(library):
     assert library.add(Touches(IMAGES[:1], object=[NFD])) == ids[:1]
     assert [row.name for row in library.objects()] == [NFC]
     assert library.count(f"object = {NFD}") == 1
+    names = {"session": [NFC, NFD], "source_path": [f"{NFC}/1.png", f"{NFD}/1.png"]}
+    library.add(Touches(IMAGES, **names))  # which stay what they are
+    for name in (NFC, NFD):
+        assert library.count(f"session = {name}") == 2
+        assert library.count(f"session != {name}") == 1
+        assert library.count(f"source_path contains {name}/") == 2
     library.rename_object(NFD, "mug")
     library.rename_object("mug", NFD)
     assert [row.name for row in library.objects()] == [NFC]

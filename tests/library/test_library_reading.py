@@ -1,6 +1,7 @@
 """Touches that are read back: columns, channels, limits, selections."""
 
 import mmap
+import time
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from palpate.library import (
     LibraryError,
     SensorDescription,
     TouchLibrary,
+    _content,
+    _reading,
     check_library,
     repair_library,
 )
@@ -114,6 +117,18 @@ def test_what_whole_sets_share_is_read_and_the_rest_left_out(library):
     with pytest.raises(LibraryError, match=r"one geometry, got array, plane\. Choose"):
         library.touches()
     assert library.touches("object in (c, d, e)").geometry is None
+
+
+def test_the_newest_baseline_is_that_of_the_last_touch(library):
+    """One sensor may keep its baseline while another comes; retracted ones are none."""
+    for seed, level in enumerate((5, 7, 5, 9)):
+        rest = np.full((4, 5), level, np.uint16)
+        ids = library.add(Touches(images(2, seed), object=["a", "b"], no_contact=rest))
+    for level, change in ((9, library.retract), (5, library.restore)):
+        assert (library.no_contact() == level).all()
+        assert (library.select().no_contact == level).all()
+        change(ids, **({"reason": "pressed"} if level == 9 else {}))
+    assert (library.no_contact() == 9).all()
 
 
 @pytest.mark.parametrize(
@@ -438,4 +453,21 @@ def test_grey_touches_have_the_ids_that_they_ever_had(library):
     assert library.add(touches) == [
         "f467699079c60b0d00ce6a14a4bcf3a8",
         "9fde34d0b464f2dcbe07ab4ee842b06c",
+    ]
+
+
+def test_many_layouts_are_read_as_the_few_forms_of_their_columns():
+    """Touches that come one by one have one for each length of their names."""
+    names = "object", "session", "episode"
+    layouts = {
+        n: [_content.Column(name, f"<U{1 + n % 20}", (), False) for name in names]
+        for n in range(3000)
+    }
+    layouts[0].pop()
+    start_s = time.process_time()
+    assert _reading._lacking(layouts) == {"episode"}
+    columns = _reading._columns_of(layouts)
+    assert time.process_time() - start_s < 0.5  # compared with one another: 2 s
+    assert [(name, len(forms)) for name, forms in columns.items()] == [
+        (name, 20) for name in names
     ]

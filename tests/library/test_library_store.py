@@ -308,7 +308,15 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
     def read():
         with TouchLibrary.open(place) as library:
             rows = library.list(limit=None, retracted=True), library.touches().images
-            return rows, library.check().ok, library.history()
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                features = library.select().features("key", summed).tolist()
+            if said:
+                assert "folder with room to keep features in" in str(said[0].message)
+            return rows, library.check().ok, library.history(), features
+
+    def summed(touches):
+        return touches.images.sum(axis=(1, 2), dtype=float)[:, None]
 
     def add():
         with TouchLibrary.open(place) as library:
@@ -326,6 +334,7 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
         outer.chmod(0o755)
         place = shutil.copytree(folder, outer / "lab")
         expected = str(read())
+        shutil.rmtree(place / "features")
         before = {path: path.read_bytes() for path in place.iterdir()}
         for path in (place, *before):
             path.chmod(0o555)

@@ -23,6 +23,7 @@ from palpate.sensors import (
     SensorMemory,
 )
 from palpate.web import LiveSession, _learning
+from palpate.web._teaching import Teacher
 
 from .conftest import SIDE, HandSensor, LearningError, Still, learn_job, waited
 
@@ -499,3 +500,20 @@ def test_learning_leaves_out_touches_without_a_number_and_names_them(drawn, tmp_
         assert session.recogniser.classes_.tolist() == ["bar", "disc"]
         assert len(session.recogniser.memory_) == 58
         assert all(key in session.message for key in empty)
+
+
+def test_programs_that_begin_within_a_second_have_sessions_of_their_own(
+    tmp_path, monkeypatch
+):
+    """A script starts three robots at once, whose touches go to one library."""
+    monkeypatch.setattr(time, "strftime", lambda *_: "2026-01-01 08:00:00")
+    robots = [Teacher(tmp_path, None) for _ in range(2)]
+    for number in range(4):
+        robots[number % 2].store("mug", np.full((3, 4), number), None, None)
+    with TouchLibrary.open(tmp_path) as library:
+        sessions = [row.session for row in library.list()]
+    assert sessions == 2 * sessions[:2]
+    assert sessions[0] == "2026-01-01 08:00:00"
+    assert sessions[1].startswith("2026-01-01 08:00:00.")
+    for robot in robots:
+        robot.close()

@@ -409,16 +409,26 @@ class Reading:
         return self
 
     def parts(self, path: Path, topic: str | None = None) -> "Iterator[Touches]":
-        """Read touches to be kept, those of Parquet some at a time."""
+        """Read touches to be kept, those of Parquet and libraries some at a time."""
         from itertools import chain
 
         from ..touches import ParquetTouches, read_parquet
 
-        if topic is not None or not ParquetTouches.is_parquet(path):
-            return iter([self.touches(path, topic)])
-        self._refuse_for_parquet()
-        parts = read_parquet(path, max_pixels=self.max_pixels)
+        opened = self._library(path)
+        if opened is not None:
+            parts = self._parts_of(opened)
+        elif topic is not None or not ParquetTouches.is_parquet(path):
+            return iter([self._recording(path, topic)])
+        else:
+            self._refuse_for_parquet()
+            parts = read_parquet(path, max_pixels=self.max_pixels)
         return chain([next(parts)], parts)
+
+    def _parts_of(self, opened: "TouchLibrary") -> "Iterator[Touches]":
+        """Read what is chosen of a library, each recording with what describes it."""
+        with opened as library:
+            library.refuse_unknown(self.where)
+            yield from library.select(self.where).parts()
 
     @contextmanager
     def selection(self, path: Path) -> "Iterator[Labelled]":

@@ -156,6 +156,16 @@ def _extended(
         raise ValueError(
             f"TOUCHES must have a column {recogniser.label!r} to extend a model with."
         )
+    if training.touch_id is not None:
+        memory = recogniser.memory_
+        learnt = dict(zip(memory.touch_ids.tolist(), memory.labels, strict=True))
+        for key, name in zip(training.touch_id.tolist(), labels, strict=True):
+            if learnt.get(key, name) != name:
+                raise ValueError(
+                    "TOUCHES must be called what the model learnt them as, got "
+                    f"{str(name)!r} for some that it knows as {str(learnt[key])!r}: "
+                    "the library has changed since. Learn anew, without --extend."
+                )
     new = np.setdiff1d(labels, recogniser.classes_)
     for name in new.tolist():
         recogniser.add_object(name, training[np.flatnonzero(labels == name)])

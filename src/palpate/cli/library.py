@@ -107,7 +107,10 @@ def add(
     detect = detect and touches.suffix.lower() not in FILMS
     if detect:  # where touches begin is told here
         reading = replace(reading, read=None, begin=None)
-    parts = reading.parts(touches, topic)  # before a library is made
+    if detect:  # from all frames together
+        parts = iter([reading.touches(touches, topic)])
+    else:
+        parts = reading.parts(touches, topic)  # before a library is made
     with _opened(folder, create=True) as opened:
         n_there = sum(opened.stats()[:2])
         for part in parts:

@@ -49,9 +49,13 @@ def make_change(store: Store, action: str, **content: Any) -> int:
 def enter_change(store: Store, change: Change) -> int:
     """Enter a change within a job and carry it out; one that does nothing is not kept.
 
-    Returns how many rows it concerned.
+    It names objects as they are called then: others may have changed that since it was
+    asked for. Returns how many rows it concerned.
     """
     tally = store.tally()
+    names = {"rename": ("old",), "merge": ("source", "into")}.get(change.action, ())
+    now = {key: object_row(store, change.content[key])[1] for key in names}
+    change = change._replace(content=change.content | now)
     text = canonical(change.content)
     values = {
         "time_s": change.time_s,

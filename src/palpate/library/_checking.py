@@ -1,6 +1,6 @@
 """Whether everything is there, and as it was written."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -92,19 +92,22 @@ def check_store(store: Store, progress: bool | None) -> CheckReport:
     """Check a library that is open; see `check_library`."""
     problems: list[Problem] = []
     tables = Tables(store)
-    for part in (
-        *(_database_problems, _touch_problems, _array_problems, _change_problems),
-        _lost,
-    ):
-        try:
-            problems += part(tables, progress)
-        except DatabaseDamaged as error:
-            problems.append(Problem("database", str(error), []))
     n_touches = 0
-    try:
-        n_touches = store.count("SELECT count(*) FROM touches")
-    except LibraryError as error:
-        problems.append(Problem("database", str(error), []))
+
+    def gather(*parts: Callable[[Tables, bool | None], Iterator[Problem]]) -> None:
+        for part in parts:
+            try:
+                problems.extend(part(tables, progress))
+            except DatabaseDamaged as error:
+                problems.append(Problem("database", str(error), []))
+
+    with store.moment():
+        gather(_database_problems, _touch_problems, _array_problems, _change_problems)
+        try:
+            n_touches = store.count("SELECT count(*) FROM touches")
+        except LibraryError as error:
+            problems.append(Problem("database", str(error), []))
+    gather(_lost)  # of now, as the counts beside the database are
     ok = all(problem.kind == LEFT_OUT for problem in problems)
     return CheckReport(ok, n_touches, problems)
 

@@ -21,7 +21,7 @@ from ._changes import (
     make_change,
     object_row,
 )
-from ._checking import CheckReport, check_store
+from ._checking import CheckReport, check_library, check_store
 from ._exchange import export_touches
 from ._reading import (
     IN_MEMORY,
@@ -282,13 +282,14 @@ class TouchLibrary:
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
 
-        One that is missing or altered is passed over with a warning.
+        One that is missing or altered is passed over with a warning; those of touches
+        that are retracted do not count.
         """
         number = np.asarray(session).item()  # of numpy, as a column of touches has it
-        chosen = "" if session is None else "WHERE session IS ? "
+        chosen = "" if session is None else " AND session IS ?"
         rows = self._store.rows(
-            f"SELECT recording FROM touches {chosen}GROUP BY recording "
-            "ORDER BY max(number) DESC",
+            f"SELECT recording FROM touches WHERE retraction IS NULL{chosen} "
+            "GROUP BY recording ORDER BY max(number) DESC",
             [] if session is None else [number],
         )
         return newest_no_contact(self._tables, (key for (key,) in rows))
@@ -382,13 +383,10 @@ class TouchLibrary:
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
-        _, now = object_row(self._store, old)
-        make_change(self._store, "rename", old=now, new=checked_name(new))
+        make_change(self._store, "rename", old=old, new=checked_name(new))
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
-        _, source = object_row(self._store, source)
-        _, into = object_row(self._store, into)
         make_change(self._store, "merge", source=source, into=into)
 
     def retract(
@@ -428,7 +426,9 @@ class TouchLibrary:
 
     def check(self, *, progress: bool | None = None) -> CheckReport:
         """Read everything and compare it with its digests; see `check_library`."""
-        return check_store(self._store, progress)
+        if self._store.is_alone:
+            return check_store(self._store, progress)
+        return check_library(self.folder, progress=progress)  # others go on meanwhile
 
     def repair(self, *, progress: bool | None = None) -> RepairReport:
         """Keep what is whole and set the damaged file aside; see `repair_library`."""

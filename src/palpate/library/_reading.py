@@ -28,6 +28,7 @@ from .._durable import replacing
 from .._parallel import results_of
 from .._types import FORMER, LAYOUT, Array, Floats, Indices
 from ..touches import Labelled, Touches
+from ._changes import Names
 from ._content import PICTURE, Column, column_array, image_digest, unpacked_array
 from ._rows import (
     LOST,
@@ -42,7 +43,7 @@ from ._rows import (
     stored_images,
     wide_values,
 )
-from ._store import FEATURES, LibraryError, room_for
+from ._store import FEATURES, LibraryError
 
 IN_MEMORY = 256 * 2**20  # bytes of images; more are mapped to a file
 NO_LIMIT = 2**62  # SQLite counts with 63 bits
@@ -97,11 +98,14 @@ class Selection(Labelled):
     """Touches of a library without their images, in the order added.
 
     Made by `TouchLibrary.select`; the library must stay open. What is added later is
-    not in it.
+    not in it, and objects that are renamed later keep their names in it.
     """
 
-    def __init__(self, tables: Tables, numbers: Numbers) -> None:
+    def __init__(
+        self, tables: Tables, numbers: Numbers, called: Names | None = None
+    ) -> None:
         self.tables, self.numbers = tables, numbers
+        self._called = called or tables.names()
         rows = distinct(tables.store, "t.recording, t.layout", numbers)
         self._recordings = list(dict.fromkeys(row[0] for row in rows))
         self._layouts = {key: tables.layout(key) for key in {row[1] for row in rows}}
@@ -115,7 +119,8 @@ class Selection(Labelled):
 
     def __getitem__(self, rows: ArrayLike) -> Selection:
         """Pick touches by their places, which must rise; no image is read."""
-        return Selection(self.tables, self.numbers[_rising(rows, len(self))])
+        chosen = self.numbers[_rising(rows, len(self))]
+        return Selection(self.tables, chosen, self._called)
 
     @cached_property
     def columns(self) -> Mapping[str, Array]:
@@ -130,7 +135,8 @@ class Selection(Labelled):
     @property
     def no_contact(self) -> Array | None:
         """The newest no-contact image of these touches, or None."""
-        return newest_no_contact(self.tables, self._recordings[::-1])
+        newest_first = dict.fromkeys(reversed(self.recordings()))
+        return newest_no_contact(self.tables, newest_first)
 
     def recordings(self) -> list[int]:
         """Return the key of each touch's recording."""
@@ -161,7 +167,7 @@ class Selection(Labelled):
 
     def stored(self) -> Iterator[StoredImage]:
         """Return the images as they are stored."""
-        for rows in rows_at(self.tables, self.numbers):
+        for rows in rows_at(self.tables, self.numbers, called=self._called):
             yield from stored_images(self.tables, rows)
 
     def touches(
@@ -195,6 +201,21 @@ class Selection(Labelled):
             images = np.empty(shape, dtype)
         return Touches(images, **picked.read_columns(images, of), **picked.whole)
 
+    def parts(self) -> Iterator[Touches]:
+        """Yield touches as they were added, of one recording and the same columns.
+
+        They come some at a time, pictures with their files.
+        """
+        step = n_at_once(*self.kind)
+        for start in range(0, len(self), step):
+            some = self[np.arange(start, min(start + step, len(self)))]
+            kinds = [*zip(some.recordings(), some._cells("layout"), strict=True)]
+            for kind in dict.fromkeys(kinds):
+                part = some[[i for i, each in enumerate(kinds) if each == kind]]
+                files = [file for file in part.files() if file is not None]
+                kept = files if len(files) == len(part) else None
+                yield part.touches()._with_files(kept)
+
     def read_columns(
         self, images: Array | None = None, of: Selection | None = None
     ) -> dict[str, Array]:
@@ -209,7 +230,7 @@ class Selection(Labelled):
             columns = {n: c for n, c in columns.items() if not any(o.wide for o in c)}
         parts: dict[str, list[Array]] = {name: [] for name in columns}
         done = 0
-        for rows in rows_at(self.tables, self.numbers):
+        for rows in rows_at(self.tables, self.numbers, called=self._called):
             values = plain_values(rows)
             if images is not None:
                 self._read_images(images[done : done + len(rows)], rows, values)
@@ -316,13 +337,8 @@ class Selection(Labelled):
             waiting.append(part)
             n_done += len(part)
             if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
-                with room_for(
-                    "features", cache, "Free space; touches are not affected."
-                ):
-                    cache.mkdir(parents=True, exist_ok=True)
-                    written.append(np.concatenate(waiting))
-                    with replacing(cache / f"{uuid4().hex}.npz") as file:
-                        np.savez(file, ids=ids[n_kept:n_done], x=written[-1])
+                written.append(np.concatenate(waiting))
+                _keep(cache, ids[n_kept:n_done], written[-1])
                 waiting, n_kept = [], n_done
         return np.concatenate(written)
 
@@ -388,7 +404,8 @@ def stored_array(tables: Tables, digest: str) -> Array:
 def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
     """Return all forms of each column; those of unlike shapes or kinds are refused."""
     columns: dict[str, list[Column]] = {}
-    for column in (column for layout in layouts.values() for column in layout):
+    forms = dict.fromkeys(column for layout in layouts.values() for column in layout)
+    for column in forms:
         alike = columns.setdefault(column.name, [])
         if alike and alike[0].shape != column.shape:
             raise LibraryError(
@@ -410,7 +427,8 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
 def _lacking(layouts: dict[int, list[Column]]) -> set[str]:
     """Return the names of columns that only some touches have."""
     names = [{column.name for column in layout} for layout in layouts.values()]
-    return {n for these in names for n in these if not all(n in each for each in names)}
+    known = names[0].union(*names)
+    return known - known.intersection(*names)
 
 
 def _joined(arrays: list[Array]) -> Array:
@@ -473,6 +491,20 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
     order = np.argsort(joined_ids, kind="stable")
     joined = np.concatenate(features) if features else np.empty((0, 0))
     return joined_ids[order], joined[order]
+
+
+def _keep(cache: Path, ids: Array, features: Floats) -> None:
+    """Add features to the cache, or warn where there is no room or no leave."""
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        with replacing(cache / f"{uuid4().hex}.npz") as file:
+            np.savez(file, ids=ids, x=features)
+    except OSError as error:
+        warnings.warn(
+            f"{cache.parent} must be a folder with room to keep features in, got: "
+            f"{error.strerror or error}. Nothing is lost: they will be made again.",
+            stacklevel=2,
+        )
 
 
 def _encoded(

@@ -109,6 +109,11 @@ class StoredTouch(NamedTuple):
     extra: str | None
     cells: tuple[Any, ...]
 
+    def as_called(self, names: Names) -> "StoredTouch":
+        """Return itself with the name that its object had when `names` were read."""
+        name = names.now(self.label, self.number)
+        return self._replace(name=name, cells=(name, *self.cells[1:]))
+
 
 class Batch(NamedTuple):
     """Some touches made ready to be stored together, of one layout and recording.
@@ -194,19 +199,27 @@ class Tables:
 
 
 def rows_at(
-    tables: Tables, numbers: Sequence[int] | Numbers, damaged: str = "raise"
+    tables: Tables,
+    numbers: Sequence[int] | Numbers,
+    damaged: str = "raise",
+    called: Names | None = None,
 ) -> Iterator[list[StoredTouch]]:
     """Return the rows of touches by their rising numbers, some at a time.
 
-    Those that are not as they were written are refused, or left out and told of.
+    Objects have the names `called`, by default those of when it begins: others may
+    rename them meanwhile. Rows that are not as they were written are refused, or left
+    out and told of.
     """
     check_option("damaged", damaged, ("raise", "skip"))
+    called = called or tables.names()
     bad: list[str] = []
     for start in range(0, len(numbers), AT_ONCE):
         piece = [int(number) for number in numbers[start : start + AT_ONCE]]
         where = f"WHERE t.number IN {placeholders(len(piece))} ORDER BY t.number"
-        rows = stored_touches(tables.store, where, piece)
-        names = tables.names()
+        names = None
+        while names is not tables.names():  # rows and names of one moment
+            names = tables.names()
+            rows = stored_touches(tables.store, where, piece)
         sound = [row for row in rows if tables.is_sound(row, names)]
         intact = {row.number for row in sound}
         bad += [_key_of(rows, number) for number in piece if number not in intact]
@@ -216,7 +229,7 @@ def rows_at(
                 f"{listed(bad, _IDS_LISTED)}. `repair_library` keeps the rest; "
                 'damaged="skip" leaves them out.'
             )
-        yield sound
+        yield sound if names is called else [row.as_called(called) for row in sound]
     if bad:
         warnings.warn(
             f"{len(bad)} touches are left out, since their rows in {tables.store.path} "

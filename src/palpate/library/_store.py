@@ -156,7 +156,7 @@ class Store:
         self._explained = _Explained(self.path)
         self._count: int | None = None
         self._inode: int | None = None  # of the database, once it is open
-        self._is_alone = alone  # locks out even a second connection of this program
+        self.is_alone = alone  # locks out even a second connection of this program
         is_there = self.path.is_file() and self.path.stat().st_size > 0
         if create and name == FILE_NAME and not is_there and self._counts():
             raise LibraryError(
@@ -197,6 +197,17 @@ class Store:
 
     def first_row(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
         return next(iter(self.rows(sql, values)), None)
+
+    @contextmanager
+    def moment(self) -> Iterator[None]:
+        """Let all that is read be of one moment, whatever other programs write."""
+        with self._lock:
+            self.rows("BEGIN")
+            try:
+                yield
+            finally:
+                if self._connection.in_transaction:
+                    self.rows("ROLLBACK")
 
     def count(self, sql: str, values: Sequence[Any] = ()) -> int:
         return int(self.rows(sql, values)[0][0] or 0)
@@ -286,7 +297,7 @@ class Store:
             stack.enter_context(self._explained)
             copy = stack.enter_context(closing(sqlite3.connect(target)))
             source = self._connection
-            if self._is_alone:
+            if self.is_alone:
                 stack.enter_context(self._lock)
             else:
                 source = sqlite3.connect(place, uri=True, isolation_level=None)
@@ -433,7 +444,7 @@ class Store:
         log.
         """
         log = self.path.with_name(f"{self.path.name}-wal")
-        self._is_alone = True
+        self.is_alone = True
         try:
             self._open(False, mode="rw", locking="EXCLUSIVE")
         except DatabaseUnavailable:
@@ -451,7 +462,7 @@ class Store:
         )
         with self._explained:
             run = self._connection.execute
-            patience_s = _PATIENCE_ALONE_S if self._is_alone else PATIENCE_S
+            patience_s = _PATIENCE_ALONE_S if self.is_alone else PATIENCE_S
             run(f"PRAGMA busy_timeout = {int(patience_s * 1000)}")
             run(f"PRAGMA locking_mode = {locking}")
             run("PRAGMA synchronous = FULL")

@@ -141,8 +141,9 @@ class _Parser:
             self._expect(")")
             return _within(column, bound, tokens)
         if self._take("contains"):
-            text = self._literal().text
-            return Condition(f"(instr({column}, ?) > 0)", [*bound, text])
+            forms = _spellings(self._literal().text)
+            sql = " OR ".join(f"instr({column}, ?) > 0" for _ in forms)
+            return Condition(f"({sql})", [v for form in forms for v in (*bound, form)])
         if self._take(*_EQUAL):
             return _within(column, bound, [self._literal()])
         if self._take(*_UNEQUAL):
@@ -225,10 +226,19 @@ def _tokens(text: str) -> list[_Token]:
 
 def _within(column: str, bound: list[Any], tokens: list[_Token]) -> Condition:
     """Compare with the texts and with the numbers that literals may mean."""
-    values = [v for t in tokens for v in (t.text, _value(t))]
+    values = [v for t in tokens for v in (*_spellings(t.text), _value(t))]
     different = list(dict.fromkeys((type(v), v) for v in values))
     sql = f"({column} IN {placeholders(len(different))})"
     return Condition(sql, [*bound, *(v for _, v in different)])
+
+
+def _spellings(text: str) -> list[str]:
+    """Return a text as it is typed and, where it differs, as names of files have it.
+
+    Sessions and paths are kept as they came: those of a Mac's folders in letters and
+    accents.
+    """
+    return list(dict.fromkeys((text, normalize("NFD", text))))
 
 
 def _in_order(column: str, bound: list[Any], operator: str, value: Any) -> Condition:

@@ -130,6 +130,7 @@ class Teacher:
         if former.startswith(started):  # begun within the same second
             started += f".{int(now % 1 * 1000):03}"
         self._session = f"{started} {why}".strip() if name is None else name.strip()
+        self._is_unused = name is None
 
     def begin(self, name: str, wanted: int) -> None:
         check_count("wanted", wanted, at_most=MOST_PER_LESSON)
@@ -207,6 +208,11 @@ class Teacher:
                 f"{', '.join(taken)}: every touch has these. Rename them in its driver."
             )
         touch = Touches(**fixed, **measured)
+        named = f"session = {quoted(self._session)}"
+        if self._is_unused and self.library.list(named, 1, retracted=True):
+            # Another program's, begun within the same second.
+            self._session += f".{int(time.time() % 1 * 1000):03}"
+        self._is_unused = False
         (key,) = self.library.add(
             touches=touch,
             session=self._session,
