@@ -106,6 +106,7 @@ def test_an_arm_that_will_not_retract_ends_an_episode_at_once(arm, sensor, tmp_p
     end = explore(arm, sensor, SlowlySure(2), STRATEGY, tmp_path)
     assert (end.ended_by, end.n_touches) == ("faults", 1)
     assert "would not retract" in end.reason
+    assert "The arm was stopped." in end.reason
     assert arm.stopped
     # Someone has mended it: the episode goes on, its one touch counts, and first of
     # all the arm comes out of the hemisphere.
@@ -115,6 +116,17 @@ def test_an_arm_that_will_not_retract_ends_an_episode_at_once(arm, sensor, tmp_p
     n_steps = int(np.ceil((60 + 0.735 / 0.2) / Guard().way_step_mm))
     out_mm = sum(arm.retracts_mm[:n_steps])
     assert out_mm == pytest.approx(60 + 0.735 / 0.2, abs=0.25)
+
+
+def test_an_arm_that_was_lost_in_contact_is_not_said_to_be_stopped(arm, sensor):
+    def lost(*_):
+        raise ConnectionError("no route to host")
+
+    arm.retract = arm.stop = lost
+    end = explore(arm, sensor, SlowlySure(2), STRATEGY)
+    assert (end.ended_by, len(end.history)) == ("faults", 1)
+    assert "Stopping failed: no route to host" in end.reason
+    assert "was stopped" not in end.reason
 
 
 def test_a_way_that_fails_is_recorded(arm, sensor):

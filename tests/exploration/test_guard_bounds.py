@@ -317,7 +317,8 @@ def test_after_a_fault_or_without_a_retreat_the_air_is_not_read():
         assert (record.outcome, record.retracted) == (outcome, False)
         assert (record.image is not None) == (outcome == "touched")
         assert record.message == (
-            "Retracting failed (1): stuck Retracting failed (2): stuck"
+            "Retracting failed (1): stuck Retracting failed (2): stuck "
+            "The arm was stopped."
         )
         assert line.stopped
         assert line.read_at.count(None) == 0

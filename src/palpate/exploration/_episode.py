@@ -302,7 +302,7 @@ def _gave_up(attempts: History, max_faults: int, hemisphere: Hemisphere) -> str:
         return ""
     last = attempts[-1]
     if not last.retracted:
-        return f"The arm would not retract and was stopped: {last.message}"
+        return f"The arm would not retract: {last.message}"
     recent = attempts[-max_faults:]
     if len(recent) < max_faults or not all(record.faulty for record in recent):
         return ""

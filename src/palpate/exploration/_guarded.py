@@ -348,6 +348,7 @@ class _Approach:
         for _ in range(2):
             try:
                 self.robot.stop()
+                self._note("The arm was stopped.")
                 return interrupt
             except BaseException as error:
                 self._note(f"Stopping failed: {error}")
@@ -369,8 +370,7 @@ class _Approach:
                 raise interrupt
             raise _Fault(
                 f"{moved_n:.3f} N of {self.force_n:.3f} are still there after the arm "
-                "was pulled back: it did not come out, whatever it says, and was "
-                "stopped.",
+                "was pulled back: it did not come out, whatever it says.",
                 "robot error",
             )
         if abs(moved_n) > self.guard.contact_n:
