@@ -203,6 +203,22 @@ def test_another_strategy_does_not_go_on(arm, sensor, tmp_path):
         explore(arm, sensor, SlowlySure(1), RandomHemisphere(random_state=2), tmp_path)
 
 
+class RoundAndRound:
+    """A strategy of one's own, which has no repr."""
+
+    hemisphere = NEAR
+
+    def next_pose(self, belief, history):
+        return NEAR.pose(len(history), 0.9)
+
+
+def test_an_episode_by_a_strategy_of_ones_own_goes_on(arm, sensor, tmp_path):
+    mine, of_another_run = RoundAndRound(), RoundAndRound()
+    explore(arm, sensor, SlowlySure(3), mine, tmp_path, max_attempts=2)
+    end = explore(arm, sensor, SlowlySure(3), of_another_run, tmp_path)
+    assert (end.decision, len(end.history)) == ("ball", 3)
+
+
 class Chokes(SlowlySure):
     """Refuses frames whose corner is above 0.3."""
 
