@@ -330,6 +330,9 @@ def test_an_approach_may_last_as_long_as_its_limit(late_s, outcome):
     record = line.touch(clock=lambda: 100.0 + (60 + late_s) * (line.visited[-1:] > [6]))
     assert record.outcome == outcome
     assert record.duration_s == 60 + late_s
+    assert ("7 mm from the start. If the arm is that slow" in record.message) == (
+        outcome == "timed out"
+    )
     assert line.retracted == [7 if late_s else 16]
 
 

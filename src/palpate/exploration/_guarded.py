@@ -427,7 +427,11 @@ class _Approach:
         # Waiting for a late force sensor takes so many times as long.
         longer = 1 + self.wait_readings / self.guard.n_readings
         if self.clock() - self._began > self.guard.timeout_s * longer:
-            raise _Fault(f"No end after {self.guard.timeout_s:g} s.", "timed out")
+            raise _Fault(
+                f"No end after {self.guard.timeout_s:g} s, {travel_mm:g} mm from the "
+                "start. If the arm is that slow, raise timeout_s, or start nearer.",
+                "timed out",
+            )
 
     def _take_back(self, before_mm: float) -> None:
         """Undo a step that landed beyond the force, to make it again in small ones."""
