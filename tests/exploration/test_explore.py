@@ -219,6 +219,19 @@ def test_an_episode_by_a_strategy_of_ones_own_goes_on(arm, sensor, tmp_path):
     assert (end.decision, len(end.history)) == ("ball", 3)
 
 
+@pytest.mark.parametrize(("side", "n_touches"), [(48, 5), (49, 1)])
+def test_a_camera_that_hangs_is_not_believed_again_and_again(
+    arm, sensor, side, n_touches
+):
+    """Of a camera no two pictures are the same; of a small array some are."""
+    sensor.image_shape = (side, side)
+    sensor.read = lambda: np.ones((side, side))
+    end = explore(arm, sensor, SlowlySure(5), STRATEGY)
+    assert end.n_touches == len(end.belief.images) == n_touches
+    repeats = "no frame. The frame is that of the touch before, pixel for pixel"
+    assert (repeats in end.reason) == (end.ended_by == "faults") == (n_touches == 1)
+
+
 class Chokes(SlowlySure):
     """Refuses frames whose corner is above 0.3."""
 

@@ -17,10 +17,11 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from .._checks import check_count, check_number, check_positive
+from .._checks import ARRAY_SIDE, check_count, check_number, check_positive
 from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
@@ -186,13 +187,14 @@ def guarded_touch(
 
 @dataclass
 class Toucher:
-    """What touches: arm, sensor, guard and clock, and the lag of the force if known."""
+    """What touches: arm, sensor, guard and clock; lag and last image, if known."""
 
     robot: Robot
     sensor: TouchSensor
     guard: Guard
     clock: Clock = time.monotonic
     lag: int | None = None
+    last_image: Array | None = None
 
     @property
     def wait_readings(self) -> int:
@@ -215,6 +217,9 @@ class Toucher:
         if self.lag is None and lag is not None:
             # With room for a filter, which only comes near to the force in its time.
             self.lag = 2 * lag
+        if approach.outcome == "touched":
+            approach.attempt(partial(approach.refuse_repeated, self.last_image))
+            self.last_image = approach.image
         return approach.record()
 
 
@@ -377,6 +382,21 @@ class _Approach:
             raise _Fault(
                 f"The offset moved by {moved_n:.3f} N during the touch, more than "
                 f"contact_n = {self.guard.contact_n:g}: what was pressed is not known."
+            )
+
+    def refuse_repeated(self, before: Array | None) -> None:
+        """Refuse the frame of the touch before; a camera's noise is never the same.
+
+        Frames of a small array may well be alike.
+        """
+        image = self.image
+        if before is None or image is None or min(image.shape[:2]) <= ARRAY_SIDE:
+            return
+        if np.array_equal(image, before):
+            raise _Fault(
+                "The frame is that of the touch before, pixel for pixel: the sensor "
+                "repeats itself. Look at it, or open it again.",
+                "no frame",
             )
 
     def record(self) -> TouchRecord:
