@@ -45,7 +45,7 @@ class Line:
 
     @property
     def at(self):
-        return self.visited[-1]
+        return self.visited[-1] if self.visited else 0.0
 
     def move_to(self, pose):
         self.visited.append(float(pose.position_mm[2]) + 4)

@@ -162,7 +162,9 @@ def guarded_touch(
     robot, sensor : Robot, TouchSensor
         The arm, and the tactile sensor that it carries.
     start : SensorPose
-        Where the approach begins; the arm moves there in a straight line.
+        Where the approach begins; the arm moves there in a straight line, by steps of
+        `guard.way_step_mm`, and back again where something stands there. `explore`
+        goes round the object.
     guard : Guard, optional
         Forces, steps and limits.
     clock : callable, default=time.monotonic
@@ -268,6 +270,8 @@ class _Approach:
     def run(self) -> None:
         """Move in until the force, the end of the line, or a fault."""
         guard = self.guard
+        self._come_near()
+        self._began = self.clock()
         self._move(0.0)
         self._refuse_miss()
         self._was_at_start = True
@@ -425,6 +429,36 @@ class _Approach:
             )
         noise = float(np.std(readings)) / math.sqrt(self.guard.n_readings)
         self._flat_n = max(_FLAT_N, _FLAT_NOISES * noise)
+
+    def _come_near(self) -> None:
+        """Come within a step of the start, by steps; go back where that is no air."""
+        first, here = self.robot.read_pose(), self._here()
+        way = np.asarray(self.start.position_mm) - here
+        n_steps = math.ceil(np.linalg.norm(way) / self.guard.way_step_mm)
+        try:
+            for number in range(1, n_steps):
+                there = here + way * (number / n_steps)
+                pose = SensorPose(there, self.start.direction, self.start.roll_rad)
+                self.robot.move_to(pose)
+                force = self._read()
+                if abs(force) > self.guard.limit_n:
+                    raise _Fault(
+                        f"{force:.3f} N on the straight way to the start, above the "
+                        f"limit of {self.guard.limit_n:g}. Go round what stands there.",
+                        "limit exceeded",
+                    )
+                self._missed_mm = float(np.linalg.norm(self._here() - there))
+                self._refuse_miss()
+        except BaseException:
+            back = False
+            with suppress(Exception):
+                self.robot.move_to(first)
+            with suppress(Exception):
+                missed_mm = np.linalg.norm(self._here() - here)
+                back = bool(missed_mm <= self.guard.max_miss_mm)
+            if not back and (interrupt := self._stop()) is not None:
+                raise interrupt from None
+            raise
 
     def _move(self, travel_mm: float) -> None:
         """Move along the line, and learn by how much the arm says that it missed."""
