@@ -106,6 +106,7 @@ def test_an_arm_that_will_not_retract_ends_an_episode_at_once(arm, sensor, tmp_p
     end = explore(arm, sensor, SlowlySure(2), STRATEGY, tmp_path)
     assert (end.ended_by, end.n_touches) == ("faults", 1)
     assert "would not retract" in end.reason
+    assert "The arm was stopped." in end.reason
     assert arm.stopped
     # Someone has mended it: the episode goes on, its one touch counts, and first of
     # all the arm comes out of the hemisphere.
@@ -115,6 +116,17 @@ def test_an_arm_that_will_not_retract_ends_an_episode_at_once(arm, sensor, tmp_p
     n_steps = int(np.ceil((60 + 0.735 / 0.2) / Guard().way_step_mm))
     out_mm = sum(arm.retracts_mm[:n_steps])
     assert out_mm == pytest.approx(60 + 0.735 / 0.2, abs=0.25)
+
+
+def test_an_arm_that_was_lost_in_contact_is_not_said_to_be_stopped(arm, sensor):
+    def lost(*_):
+        raise ConnectionError("no route to host")
+
+    arm.retract = arm.stop = lost
+    end = explore(arm, sensor, SlowlySure(2), STRATEGY)
+    assert (end.ended_by, len(end.history)) == ("faults", 1)
+    assert "Stopping failed: no route to host" in end.reason
+    assert "was stopped" not in end.reason
 
 
 def test_a_way_that_fails_is_recorded(arm, sensor):
@@ -189,6 +201,35 @@ def test_another_strategy_does_not_go_on(arm, sensor, tmp_path):
     explore(arm, sensor, SlowlySure(1), STRATEGY, tmp_path)
     with pytest.raises(ValueError, match=r"random_state=1.*random_state=2"):
         explore(arm, sensor, SlowlySure(1), RandomHemisphere(random_state=2), tmp_path)
+
+
+class RoundAndRound:
+    """A strategy of one's own, which has no repr."""
+
+    hemisphere = NEAR
+
+    def next_pose(self, belief, history):
+        return NEAR.pose(len(history), 0.9)
+
+
+def test_an_episode_by_a_strategy_of_ones_own_goes_on(arm, sensor, tmp_path):
+    mine, of_another_run = RoundAndRound(), RoundAndRound()
+    explore(arm, sensor, SlowlySure(3), mine, tmp_path, max_attempts=2)
+    end = explore(arm, sensor, SlowlySure(3), of_another_run, tmp_path)
+    assert (end.decision, len(end.history)) == ("ball", 3)
+
+
+@pytest.mark.parametrize(("side", "n_touches"), [(48, 5), (49, 1)])
+def test_a_camera_that_hangs_is_not_believed_again_and_again(
+    arm, sensor, side, n_touches
+):
+    """Of a camera no two pictures are the same; of a small array some are."""
+    sensor.image_shape = (side, side)
+    sensor.read = lambda: np.ones((side, side))
+    end = explore(arm, sensor, SlowlySure(5), STRATEGY)
+    assert end.n_touches == len(end.belief.images) == n_touches
+    repeats = "no frame. The frame is that of the touch before, pixel for pixel"
+    assert (repeats in end.reason) == (end.ended_by == "faults") == (n_touches == 1)
 
 
 class Chokes(SlowlySure):

@@ -326,10 +326,11 @@ def test_a_force_sensor_that_freezes_on_a_way_ends_it(lag_readings, holds_after)
     guard = replace(GUARD, way_step_mm=0.5, lag_readings=lag_readings)
     end = explore(arm, arm, SlowlySure(), way, guard=guard, max_attempts=1)
     (record,) = end.history
-    assert record.outcome == "force sensor"
-    assert "stuck at" in record.message
-    # Where it read the air, or else stopped.
+    # One that is held is first found by that.
     is_held = holds_after < np.inf
+    assert record.outcome == ("robot error" if is_held else "force sensor")
+    assert ("mm from where it was sent" if is_held else "stuck at") in record.message
+    # Where it read the air, or else stopped.
     assert (arm.inside, record.retracted, arm.stopped) == (
         is_held,
         not is_held,
@@ -337,6 +338,24 @@ def test_a_force_sensor_that_freezes_on_a_way_ends_it(lag_readings, holds_after)
     )
     n_steps = guard.stuck_after if lag_readings < guard.stuck_after else 1
     assert arm.peak_n <= arm.stiffness * guard.way_step_mm * n_steps
+
+
+def test_an_arm_that_is_out_of_reach_on_its_way_is_not_moved_on_from_there():
+    """It stays in silence where it cannot go: the next step was through the ball."""
+
+    class Stays(FaultyArm):
+        def move_to(self, pose):
+            if pose.position_mm[1] < 50:
+                super().move_to(pose)
+
+    arm = Stays()
+    arm.radius_mm, arm.pose = 70.0, NEAR.pose(0.4, 0.2)
+    way = SimpleNamespace(hemisphere=NEAR, next_pose=lambda *_: NEAR.pose(2.7, 0.2))
+    end = explore(arm, arm, SlowlySure(), way, guard=GUARD)
+    assert arm.peak_n == 0
+    assert len(end.history) == 3
+    assert "reached none of the last 3 places" in end.reason
+    assert "mm from where it was sent" in end.reason
 
 
 def test_an_arm_that_stands_in_contact_comes_out_and_goes_on():

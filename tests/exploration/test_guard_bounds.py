@@ -45,7 +45,7 @@ class Line:
 
     @property
     def at(self):
-        return self.visited[-1]
+        return self.visited[-1] if self.visited else 0.0
 
     def move_to(self, pose):
         self.visited.append(float(pose.position_mm[2]) + 4)
@@ -317,7 +317,8 @@ def test_after_a_fault_or_without_a_retreat_the_air_is_not_read():
         assert (record.outcome, record.retracted) == (outcome, False)
         assert (record.image is not None) == (outcome == "touched")
         assert record.message == (
-            "Retracting failed (1): stuck Retracting failed (2): stuck"
+            "Retracting failed (1): stuck Retracting failed (2): stuck "
+            "The arm was stopped."
         )
         assert line.stopped
         assert line.read_at.count(None) == 0
@@ -329,6 +330,9 @@ def test_an_approach_may_last_as_long_as_its_limit(late_s, outcome):
     record = line.touch(clock=lambda: 100.0 + (60 + late_s) * (line.visited[-1:] > [6]))
     assert record.outcome == outcome
     assert record.duration_s == 60 + late_s
+    assert ("7 mm from the start. If the arm is that slow" in record.message) == (
+        outcome == "timed out"
+    )
     assert line.retracted == [7 if late_s else 16]
 
 

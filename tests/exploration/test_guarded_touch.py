@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.exploration import Hemisphere, RobotError, guarded_touch
+from palpate.exploration import Guard, Hemisphere, RobotError, guarded_touch
 from palpate.sensors import SensorError
 
 START = Hemisphere().pose(0.7, 0.6)
@@ -111,6 +111,23 @@ def test_an_arm_that_does_not_get_to_the_start_is_not_pulled_back(arm, sensor, r
     assert not arm.stopped
 
 
+def test_a_start_on_the_other_side_of_the_object_is_not_gone_to_through_it(arm, sensor):
+    arm.stiffness_n_mm, arm.pose = 5.0, Hemisphere().pose(np.pi, 0.1)
+    place = np.array(arm.pose.position_mm)
+    record = guarded_touch(arm, sensor, Hemisphere().pose(0.0, 0.1))
+    assert (record.outcome, record.retracted) == ("limit exceeded", True)
+    assert "N on the straight way to the start" in record.message
+    pressed_mm = [40 - np.linalg.norm(pose.position_mm) for pose in arm.visited]
+    assert 0 < max(pressed_mm) < Guard().limit_n / 5 + Guard().way_step_mm
+    assert_allclose(arm.pose.position_mm, place)
+    # One that jams once it presses did not come back, and is stopped.
+    move_to = arm.move_to
+    arm.move_to = lambda pose: arm.force_n or move_to(pose)
+    record = guarded_touch(arm, sensor, Hemisphere().pose(0.0, 0.1))
+    assert (record.retracted, arm.stopped) == (False, True)
+    assert "The arm was stopped." in record.message
+
+
 @pytest.mark.parametrize("method", ["retract", "read_pose"])
 def test_an_error_after_the_arm_came_back_takes_it_no_further(arm, sensor, method):
     plain, errors = getattr(arm, method), [OSError("lost")]
@@ -135,7 +152,8 @@ def test_an_arm_that_only_says_that_it_came_out_is_stopped(arm, sensor):
     arm.read_pose = lambda: places[-1] if places else arm.pose
     record = guarded_touch(arm, sensor, START)
     assert record.outcome == "robot error"
-    assert "did not come out, whatever it says, and was stopped" in record.message
+    assert record.message.startswith("The arm was stopped. ")
+    assert "did not come out, whatever it says." in record.message
     assert arm.stopped
     assert not record.retracted
     # Stopping it can be interrupted too: it is tried again, and the interrupt goes on.

@@ -265,6 +265,17 @@ def test_seconds_are_a_cost(surface_map):
     assert near < np.deg2rad(15) < far
 
 
+def test_a_slow_arm_is_not_sent_to_the_same_place_again(surface_map):
+    """No gain is worth its way there; what is nearest was touched just now."""
+    belief, history, stand = _touched(surface_map, "mug", 1)
+    slow = InformativeTouch(surface_map, stand.hemisphere, speed_mm_s=0.1)
+    places = []
+    for _ in range(4):
+        places.append(slow.next_pose(belief, history))
+        history.append(replace(history[0], start=places[-1]))
+    assert len({pose.direction.tobytes() for pose in places}) == 4
+
+
 def test_advice_is_a_sentence(surface_map):
     belief, _, stand = _touched(surface_map, "box", 4)
     sentence = advice(belief, stand.hemisphere.pose(0.0, 0.1))

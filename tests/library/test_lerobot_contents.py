@@ -243,9 +243,11 @@ def test_without_labels_the_task_is_to_touch(exported, rng):
 def test_without_a_force_the_state_is_the_place(exported, rng):
     places = rng.normal(size=(3, 3))
     images = rng.normal(size=(3, 3, 4))
-    folder = exported(Touches(images, object=["cup"] * 3, position_mm=places))
-    frames = frames_of(folder).to_pydict()
+    ways = np.eye(3)
+    touches = Touches(images, object=["cup"] * 3, position_mm=places, direction=ways)
+    frames = frames_of(exported(touches)).to_pydict()
     assert_array_equal(frames["observation.state"], places.astype(np.float32))
+    assert_array_equal(frames["observation.direction"], ways)
     assert_array_equal(frames["action"], places[[1, 2, 2]].astype(np.float32))
     assert "observation.force_n" not in frames
 

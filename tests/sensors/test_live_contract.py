@@ -647,6 +647,7 @@ def test_a_driver_may_read_into_the_same_memory_again():
         (300, np.uint8, "hold 300 to 300, which its dtype uint8 cannot"),
         (-1, np.uint8, "hold -1 to -1, which"),
         (np.nan, np.uint8, "hold nan to nan, which"),
+        (0.7, np.uint16, "hold 0.7, which its dtype uint16 cannot"),
         (np.inf, np.float32, "hold infinity; NaN marks a dead taxel"),
     ],
 )

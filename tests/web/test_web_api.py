@@ -287,7 +287,7 @@ SQUARE = np.zeros((2, 2))
 @pytest.mark.parametrize("path", ["/api/touch/picture", "/api/teach/touch/picture"])
 def test_hostile_pictures_are_refused(shared, path, content, kind, message):
     headers = {"Content-Type": kind}
-    params = {"object": "x"}
+    params = {"object": "x"} if "teach" in path else {}
     answer = shared.post(path, content=content, headers=headers, params=params)
     assert answer.status_code == 422
     assert re.search(message, answer.json()["detail"])
@@ -369,6 +369,25 @@ def test_what_this_server_cannot_do_is_refused_with_the_reason(
     assert answer.status_code == status
     assert words in answer.json()["detail"]
     assert untaught.get("/api/state").json()["lesson"] is None
+
+
+@pytest.mark.parametrize(
+    ("path", "query"),
+    [
+        ("touch/picture", "position=1"),  # is called position_mm
+        ("touch", "position_mm=0"),  # is read from the body
+        ("touch/picture", "colour=maybe"),
+    ],
+)
+def test_what_would_be_passed_over_in_an_address_is_refused(untaught, path, query):
+    how = {"content": picture(np.eye(12, dtype=np.uint8))}
+    how["headers"] = {"Content-Type": "image/png"}
+    if path == "touch":
+        how = {"json": {"image": np.eye(12).tolist()}}
+    answer = untaught.post(f"/api/{path}?{query}", **how)
+    assert answer.status_code == 422
+    assert query.partition("=")[0] in str(answer.json()["detail"])
+    assert untaught.get("/api/episode").json()["touches"] == []
 
 
 def test_with_nothing_to_compare_the_first_touch_decides(client):

@@ -23,7 +23,9 @@ TACTILE, RGB = "observation.tactile", ("r", "g", "b")
 _MAX_INFO = 16 * 2**20
 _APART_S = 1e-3  # a picture's time and the one that the table tells
 _TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
-_MEASURED = ("observation.position_mm", "observation.force_n")
+_MEASURED = tuple(
+    f"observation.{name}" for name in ("position_mm", "direction", "force_n")
+)
 
 
 def is_dataset(path: Path) -> bool:

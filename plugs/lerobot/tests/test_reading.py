@@ -30,6 +30,8 @@ def library(tmp_path):
         object=["cup"] * 3 + ["pen"] * 4,
         session=["a", "a", "b", "a", "a", "a", "b"],
         time_s=100 + np.arange(7) * 0.5,
+        position_mm=rng.integers(-40, 40, (7, 3)).astype(np.float64),
+        direction=np.eye(3)[[0, 1, 2, 0, 1, 2, 0]],
         no_contact=np.zeros((3, 4), np.float32),
     )
     with TouchLibrary.open(tmp_path / "library", create=True) as opened:
@@ -42,7 +44,7 @@ def test_an_export_to_lerobot_comes_back(library, tmp_path):
     again, stored = read_bag(tmp_path / "robot"), library.touches()
     order = np.argsort(again.columns["time_s"])
     assert_array_equal(again.images[order], stored.images)
-    for column in ("object", "session", "time_s"):
+    for column in ("object", "session", "time_s", "position_mm", "direction"):
         assert_array_equal(again.columns[column][order], stored.columns[column])
     assert_array_equal(again.no_contact, stored.no_contact)
     for feature in ("meta", "object"):

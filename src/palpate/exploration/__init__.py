@@ -1,7 +1,8 @@
 """Choosing and making touches: the robot contract, guarded touches, episodes.
 
-A strategy chooses where, `guarded_touch` goes there and comes back whatever happens,
-`explore` repeats it until the object is recognised and keeps every attempt.
+A strategy chooses where, `guarded_touch` touches from there and comes back whatever
+happens, `explore` goes round the object and repeats it until that is recognised, and
+keeps every attempt.
 """
 
 from ._episode import explore

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -172,7 +173,7 @@ def explore(
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
     belief = _begun(recogniser, hemisphere, strangers)
     belief.decide(**accepted)  # what it refuses begins no folder
-    with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
+    with EpisodeLog(folder, _settings(strategy)) as log:
         n_before = len(log.history)
         log.history = [_taken_in(belief, record) for record in log.history]
 
@@ -228,7 +229,7 @@ def gather(
     check_count("max_faults", max_faults)
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
     touch = partial(touch_from_hemisphere, toucher, strategy.hemisphere)
-    with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
+    with EpisodeLog(folder, _settings(strategy)) as log:
         _refuse_other_size(log, sensor)
         if _n_touched(log.history) < n_touches:
             come_out(robot, strategy.hemisphere, toucher.guard)
@@ -257,6 +258,11 @@ def gather_by(
             )
     counts = np.cumsum([record.touched for record in log.history])
     return log.history[: int(np.searchsorted(counts, n_touches)) + 1]
+
+
+def _settings(strategy: Strategy) -> dict[str, str]:
+    """Return what the folder of an episode is begun with, the same in every run."""
+    return {"strategy": re.sub(r" at 0x[0-9a-fA-F]+", "", repr(strategy))}
 
 
 def _begun(
@@ -302,7 +308,7 @@ def _gave_up(attempts: History, max_faults: int, hemisphere: Hemisphere) -> str:
         return ""
     last = attempts[-1]
     if not last.retracted:
-        return f"The arm would not retract and was stopped: {last.message}"
+        return f"The arm would not retract: {last.message}"
     recent = attempts[-max_faults:]
     if len(recent) < max_faults or not all(record.faulty for record in recent):
         return ""

@@ -17,10 +17,11 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from .._checks import check_count, check_number, check_positive
+from .._checks import ARRAY_SIDE, check_count, check_number, check_positive
 from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
@@ -161,7 +162,9 @@ def guarded_touch(
     robot, sensor : Robot, TouchSensor
         The arm, and the tactile sensor that it carries.
     start : SensorPose
-        Where the approach begins; the arm moves there in a straight line.
+        Where the approach begins; the arm moves there in a straight line, by steps of
+        `guard.way_step_mm`, and back again where something stands there. `explore`
+        goes round the object.
     guard : Guard, optional
         Forces, steps and limits.
     clock : callable, default=time.monotonic
@@ -186,13 +189,14 @@ def guarded_touch(
 
 @dataclass
 class Toucher:
-    """What touches: arm, sensor, guard and clock, and the lag of the force if known."""
+    """What touches: arm, sensor, guard and clock; lag and last image, if known."""
 
     robot: Robot
     sensor: TouchSensor
     guard: Guard
     clock: Clock = time.monotonic
     lag: int | None = None
+    last_image: Array | None = None
 
     @property
     def wait_readings(self) -> int:
@@ -215,6 +219,9 @@ class Toucher:
         if self.lag is None and lag is not None:
             # With room for a filter, which only comes near to the force in its time.
             self.lag = 2 * lag
+        if approach.outcome == "touched":
+            approach.attempt(partial(approach.refuse_repeated, self.last_image))
+            self.last_image = approach.image
         return approach.record()
 
 
@@ -263,6 +270,8 @@ class _Approach:
     def run(self) -> None:
         """Move in until the force, the end of the line, or a fault."""
         guard = self.guard
+        self._come_near()
+        self._began = self.clock()
         self._move(0.0)
         self._refuse_miss()
         self._was_at_start = True
@@ -348,6 +357,7 @@ class _Approach:
         for _ in range(2):
             try:
                 self.robot.stop()
+                self._note("The arm was stopped.")
                 return interrupt
             except BaseException as error:
                 self._note(f"Stopping failed: {error}")
@@ -369,14 +379,28 @@ class _Approach:
                 raise interrupt
             raise _Fault(
                 f"{moved_n:.3f} N of {self.force_n:.3f} are still there after the arm "
-                "was pulled back: it did not come out, whatever it says, and was "
-                "stopped.",
+                "was pulled back: it did not come out, whatever it says.",
                 "robot error",
             )
         if abs(moved_n) > self.guard.contact_n:
             raise _Fault(
                 f"The offset moved by {moved_n:.3f} N during the touch, more than "
                 f"contact_n = {self.guard.contact_n:g}: what was pressed is not known."
+            )
+
+    def refuse_repeated(self, before: Array | None) -> None:
+        """Refuse the frame of the touch before; a camera's noise is never the same.
+
+        Frames of a small array may well be alike.
+        """
+        image = self.image
+        if before is None or image is None or min(image.shape[:2]) <= ARRAY_SIDE:
+            return
+        if np.array_equal(image, before):
+            raise _Fault(
+                "The frame is that of the touch before, pixel for pixel: the sensor "
+                "repeats itself. Look at it, or open it again.",
+                "no frame",
             )
 
     def record(self) -> TouchRecord:
@@ -406,6 +430,36 @@ class _Approach:
         noise = float(np.std(readings)) / math.sqrt(self.guard.n_readings)
         self._flat_n = max(_FLAT_N, _FLAT_NOISES * noise)
 
+    def _come_near(self) -> None:
+        """Come within a step of the start, by steps; go back where that is no air."""
+        first, here = self.robot.read_pose(), self._here()
+        way = np.asarray(self.start.position_mm) - here
+        n_steps = math.ceil(np.linalg.norm(way) / self.guard.way_step_mm)
+        try:
+            for number in range(1, n_steps):
+                there = here + way * (number / n_steps)
+                pose = SensorPose(there, self.start.direction, self.start.roll_rad)
+                self.robot.move_to(pose)
+                force = self._read()
+                if abs(force) > self.guard.limit_n:
+                    raise _Fault(
+                        f"{force:.3f} N on the straight way to the start, above the "
+                        f"limit of {self.guard.limit_n:g}. Go round what stands there.",
+                        "limit exceeded",
+                    )
+                self._missed_mm = float(np.linalg.norm(self._here() - there))
+                self._refuse_miss()
+        except BaseException:
+            back = False
+            with suppress(Exception):
+                self.robot.move_to(first)
+            with suppress(Exception):
+                missed_mm = np.linalg.norm(self._here() - here)
+                back = bool(missed_mm <= self.guard.max_miss_mm)
+            if not back and (interrupt := self._stop()) is not None:
+                raise interrupt from None
+            raise
+
     def _move(self, travel_mm: float) -> None:
         """Move along the line, and learn by how much the arm says that it missed."""
         # The arm may have moved although the driver raises: pull back that far too.
@@ -427,7 +481,11 @@ class _Approach:
         # Waiting for a late force sensor takes so many times as long.
         longer = 1 + self.wait_readings / self.guard.n_readings
         if self.clock() - self._began > self.guard.timeout_s * longer:
-            raise _Fault(f"No end after {self.guard.timeout_s:g} s.", "timed out")
+            raise _Fault(
+                f"No end after {self.guard.timeout_s:g} s, {travel_mm:g} mm from the "
+                "start. If the arm is that slow, raise timeout_s, or start nearer.",
+                "timed out",
+            )
 
     def _take_back(self, before_mm: float) -> None:
         """Undo a step that landed beyond the force, to make it again in small ones."""

@@ -57,8 +57,8 @@ class Robot(Protocol):
     def read_pose(self) -> SensorPose:
         """Return where the tip is now, as measured and not as it was sent.
 
-        A touch ends as a fault where the two differ: by more than `Guard.max_miss_mm`,
-        or by 0.05 rad in the way it looks.
+        A touch, or a step on the way to one, ends as a fault where the two differ: by
+        more than `Guard.max_miss_mm`, or a touch by 0.05 rad in the way it looks.
         """
 
     def read_force(self) -> float:

@@ -396,12 +396,17 @@ class InformativeTouch:
 
 
 def most_promising(gain: Floats, fresh: Floats, cost: Floats | float = 0.0) -> int:
-    """Return the candidate with the largest gain that is still to be had, less cost."""
+    """Return the candidate with the largest gain that is still to be had, less cost.
+
+    One that promises nothing is not taken while another does, however near it is.
+    """
     # Gains below zero are not made better by having been there.
     promise = np.where(gain > 0, gain * fresh, gain)
-    if promise.max() < _LEAST_PROMISE:
-        return int((fresh - cost).argmax())
-    return int((promise - cost).argmax())
+    for left in (promise, fresh):
+        worth = np.where(left < _LEAST_PROMISE, -np.inf, left - cost)
+        if worth.max() > -np.inf:
+            return int(worth.argmax())
+    return int((fresh - cost).argmax())
 
 
 def outward(azimuth_rad: float, elevation_rad: float) -> Floats:

@@ -84,8 +84,8 @@ def follow(
     """Move round the object to a pose on the hemisphere, in guarded steps.
 
     First, and after each step, so many readings are waited for, which may still be of
-    before. `WayError` says that one was beyond `guard.limit_n`, or no number, or that
-    they repeat themselves.
+    before. `WayError` says that one was beyond `guard.limit_n`, or no number, that they
+    repeat themselves, or that the arm is not where it was sent.
     """
     for _ in range(wait_readings):
         robot.read_force()
@@ -96,11 +96,24 @@ def follow(
             with _stopping_pressed(robot, guard):
                 robot.move_to(pose)
                 force_n = readings.late(wait_readings)
+                missed_mm = _missed_mm(robot, pose)
+            _refuse_load(robot, force_n, here, guard, wait_readings)
+            if not missed_mm <= guard.max_miss_mm:  # the next step may lead anywhere
+                why = (
+                    f"{ON_THE_WAY} the arm is {missed_mm:.2f} mm from where it was "
+                    f"sent, more than max_miss_mm = {guard.max_miss_mm:g}. Does it "
+                    "reach that far?"
+                )
+                _refuse_from(robot, fresh_at, guard, why, "robot error")
             if readings.n_equal <= 1 + wait_readings:  # it changed here
                 fresh_at = pose
             if guard.stuck_after and readings.n_equal >= guard.stuck_after:
-                _refuse_stuck(readings, fresh_at)
-            _refuse_load(robot, force_n, here, guard, wait_readings)
+                why = (
+                    f"The force sensor is stuck at {readings.last_n:.4f} N for "
+                    f"{readings.n_equal} readings on the way. If it is that coarse, "
+                    "set stuck_after."
+                )
+                _refuse_from(robot, fresh_at, guard, why, "force sensor")
             here = pose
 
 
@@ -278,25 +291,27 @@ def _refuse_load(
     )
 
 
-def _refuse_stuck(readings: _Readings, before: SensorPose) -> None:
-    """Go back to where the force last changed, and say why."""
-    robot, clear, why = readings.robot, False, ""
+def _refuse_from(
+    robot: Robot, before: SensorPose, guard: Guard, why: str, outcome: str
+) -> None:
+    """Go back to where the force last changed, stop the arm if it does not; say why."""
+    clear, trouble, end = False, "", "went back to where the force last changed"
     try:
         robot.move_to(before)
         robot.retract(0.0)  # as a touch ends that did not move in
-        missed = np.subtract(robot.read_pose().position_mm, before.position_mm)
-        clear = bool(np.linalg.norm(missed) <= readings.guard.max_miss_mm)
+        clear = _missed_mm(robot, before) <= guard.max_miss_mm
     except Exception as error:
-        why = f" ({type(error).__name__}: {error})"
+        trouble = f" ({type(error).__name__}: {error})"
     finally:
-        end = "" if clear else f"did not come back{why} and {_stop(robot)}"
-    raise WayError(
-        f"The force sensor is stuck at {readings.last_n:.4f} N for {readings.n_equal} "
-        f"readings on the way: the arm {end or 'went back to where it changed'}. If it "
-        "is that coarse, set stuck_after.",
-        "force sensor",
-        retracted=clear,
-    )
+        if not clear:
+            end = f"did not come back{trouble} and {_stop(robot)}"
+    raise WayError(f"{why} The arm {end}.", outcome, retracted=clear)
+
+
+def _missed_mm(robot: Robot, pose: SensorPose) -> float:
+    """Return how far from a pose the arm says that it is."""
+    missed = np.subtract(robot.read_pose().position_mm, pose.position_mm)
+    return float(np.linalg.norm(missed))
 
 
 def _stop(robot: Robot) -> str:

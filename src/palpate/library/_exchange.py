@@ -48,7 +48,9 @@ _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
 _KEYS = ("object", "category", "session", "episode", "sensor")
 _TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
-_MEASURED = ("observation.position_mm", "observation.force_n")
+_MEASURED = tuple(
+    f"observation.{name}" for name in ("position_mm", "direction", "force_n")
+)
 
 
 def export_touches(

@@ -425,6 +425,9 @@ def _broken_promise(image: Array, shape: tuple[int, ...], dtype: np.dtype[Any]) 
         low, high, limits = image.min(), image.max(), np.iinfo(dtype)
         if not (low >= limits.min and high <= limits.max):  # NaN is in no limits
             return f"its frames hold {low} to {high}, which its dtype {dtype} cannot"
+        between = image[image != np.rint(image)]
+        if between.size:
+            return f"its frames hold {between[0]:g}, which its dtype {dtype} cannot"
     if dtype.kind == "f" and np.isinf(image.astype(dtype, copy=False)).any():
         return "its frames hold infinity; NaN marks a dead taxel"
     return ""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
 
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
+from fastapi.dependencies.models import Dependant
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.security import HTTPBearer
 from starlette.background import BackgroundTask
@@ -100,7 +101,27 @@ _IMAGE = _body({"anyOf": _ATTEMPTS}, "application/json")
 _NAMED_IMAGE = _body(NamedImage.model_json_schema(), "application/json")
 _EPISODE: Any = {"response_model": EpisodeState, "tags": ["episode"]}
 _TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
-router = APIRouter(prefix="/api", responses=REFUSALS, dependencies=[Depends(_TOKEN)])
+
+
+def _names_in_address(dependant: Dependant) -> set[str]:
+    names = {field.alias for field in dependant.query_params}
+    return names.union(*map(_names_in_address, dependant.dependencies))
+
+
+async def _know_all_names(request: Request) -> None:
+    """Refuse an order with a name in its address that would be passed over."""
+    known = _names_in_address(request.scope["route"].dependant)
+    others = sorted({*request.query_params} - known)
+    if request.method != "GET" and others:
+        names = ", ".join(sorted(known))
+        raise ValueError(f"The address may hold {names} here, got {others[0]!r}.")
+
+
+router = APIRouter(
+    prefix="/api",
+    responses=REFUSALS,
+    dependencies=[Depends(_TOKEN), Depends(_know_all_names)],
+)
 
 
 async def _session(
@@ -125,10 +146,14 @@ async def _teacher(session: Session) -> Teacher:
     return session.teacher
 
 
-async def _picture(request: Request, session: Session) -> Array:
+async def _picture(
+    request: Request,
+    session: Session,
+    colour: Annotated[bool, Query(description="The first one is in colour.")] = False,
+) -> Array:
     kind = request.headers.get("content-type", "")
-    colour = request.query_params.get("colour") == "1" or session.takes_colour()
-    return await PICTURES.read(read_picture, await request.body(), kind, colour)
+    in_colour = colour or session.takes_colour()
+    return await PICTURES.read(read_picture, await request.body(), kind, in_colour)
 
 
 async def _place(
