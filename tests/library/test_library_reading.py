@@ -1,7 +1,6 @@
 """Touches that are read back: columns, channels, limits, selections."""
 
 import mmap
-import time
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from palpate.library import (
     LibraryError,
     SensorDescription,
     TouchLibrary,
-    _content,
-    _reading,
     check_library,
     repair_library,
 )
@@ -453,21 +450,4 @@ def test_grey_touches_have_the_ids_that_they_ever_had(library):
     assert library.add(touches) == [
         "f467699079c60b0d00ce6a14a4bcf3a8",
         "9fde34d0b464f2dcbe07ab4ee842b06c",
-    ]
-
-
-def test_many_layouts_are_read_as_the_few_forms_of_their_columns():
-    """Touches that come one by one have one for each length of their names."""
-    names = "object", "session", "episode"
-    layouts = {
-        n: [_content.Column(name, f"<U{1 + n % 20}", (), False) for name in names]
-        for n in range(3000)
-    }
-    layouts[0].pop()
-    start_s = time.process_time()
-    assert _reading._lacking(layouts) == {"episode"}
-    columns = _reading._columns_of(layouts)
-    assert time.process_time() - start_s < 0.5  # compared with one another: 2 s
-    assert [(name, len(forms)) for name, forms in columns.items()] == [
-        (name, 20) for name in names
     ]

@@ -113,7 +113,7 @@ async def _know_all_names(request: Request) -> None:
     known = _names_in_address(request.scope["route"].dependant)
     others = sorted({*request.query_params} - known)
     if request.method != "GET" and others:
-        names = ", ".join(sorted(known))
+        names = ", ".join(sorted(known)) or "no name"
         raise ValueError(f"The address may hold {names} here, got {others[0]!r}.")
 
 
