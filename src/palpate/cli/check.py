@@ -270,6 +270,7 @@ def _frames_of_touches(touches: "Touches") -> str:
     """Say that most touches are nearly the one before, as frames of one touch are."""
     import numpy as np
 
+    assert touches.object is not None
     thin = max(max(touches.images.shape[1:3]) // _SIDE, 1)
     n_near, n_steps = 0, 0
     for name in np.unique(touches.object):
