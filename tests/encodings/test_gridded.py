@@ -42,6 +42,44 @@ def test_blur_keeps_what_is_even():
     assert_allclose(GridLevels(blur=2.0).fit_transform(np.full((1, 5, 9), 4)), 2)
 
 
+def test_a_spectrum_is_the_same_wherever_a_contact_lies_on_its_pad(rng):
+    """The pads' contacts move each by itself; what rests there is taken off."""
+    pads, rest = [[0, 0, 9, 12], [0, 13, 9, 7]], rng.random((9, 20))
+    contacts = rng.random((2, 3, 4)) + 1
+
+    def placed(contacts, *places):
+        image = np.zeros((9, 20))
+        for (top, left), contact in zip(places, contacts, strict=True):
+            image[top : top + 3, left : left + 4] = contact
+        return image
+
+    images = rest + np.stack(
+        [
+            placed(contacts, (0, 0), (6, 16)),
+            placed(contacts, (4, 8), (1, 13)),
+            # As one is turned by half, so are the sizes of its coefficients.
+            placed([contacts[0][::-1, ::-1], contacts[1]], (4, 8), (1, 13)),
+            placed(contacts[::-1], (0, 0), (6, 16)),
+            placed(2 * contacts, (0, 0), (6, 16)),
+        ]
+    )
+    spectra = GridLevels(spectrum=True, pads=pads, baseline=rest).fit(images)
+    first, moved, turned, other, harder = spectra.transform(images)
+    assert_allclose(moved, first, rtol=1e-9, atol=1e-9)
+    assert_allclose(turned, first, rtol=1e-9, atol=1e-9)
+    assert_allclose(harder, np.sqrt(2) * first)
+    assert np.abs(other - first).max() > 0.05 * first.max()
+    # Of one pad it is the transform of the image, padded by zeros.
+    whole = GridLevels(root=False, spectrum=True).fit_transform(images)
+    assert_allclose(whole[0], np.abs(np.fft.rfft2(images[0], (18, 40))).ravel())
+    of_each_pad = [
+        GridLevels(root=False, spectrum=True).fit_transform(images[:, :9, :12]),
+        GridLevels(root=False, spectrum=True).fit_transform(images[:, :9, 13:]),
+    ]
+    of_pads = GridLevels(root=False, spectrum=True, pads=pads).fit_transform(images)
+    assert_allclose(of_pads, np.hstack(of_each_pad))
+
+
 @pytest.mark.parametrize(
     ("image", "direction"),
     [

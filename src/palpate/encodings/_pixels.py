@@ -228,10 +228,13 @@ class GridLevels(ImageEstimator, by_channel=False):
             differences = by_channel(self._means, images) - self.baseline_
             levels = by_channel(self._levels, differences)
         else:
-            pads = zip(self.grids_, self.pads_, strict=True)
-            levels = np.hstack(
-                [grid.transform_checked(_cut(images, box)) for grid, box in pads]
-            )
+            # Channel by channel, as where there is one pad.
+            shape = len(images), 1 if images.ndim == 3 else images.shape[3], -1
+            parts = [
+                grid.transform_checked(_cut(images, box)).reshape(shape)
+                for grid, box in zip(self.grids_, self.pads_, strict=True)
+            ]
+            levels = np.concatenate(parts, axis=2).reshape(len(images), -1)
         if self.unit:
             levels = levels / size_of(levels[:, np.newaxis], "energy")[:, np.newaxis]
         return levels
