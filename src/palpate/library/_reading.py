@@ -208,10 +208,10 @@ class Selection(Labelled):
         """
         step = n_at_once(*self.kind)
         for start in range(0, len(self), step):
-            some = self[np.arange(start, min(start + step, len(self)))]
-            kinds = [*zip(some.recordings(), some._cells("layout"), strict=True)]
+            chunk = self[np.arange(start, min(start + step, len(self)))]
+            kinds = [*zip(chunk.recordings(), chunk._cells("layout"), strict=True)]
             for kind in dict.fromkeys(kinds):
-                part = some[[i for i, each in enumerate(kinds) if each == kind]]
+                part = chunk[[i for i, each in enumerate(kinds) if each == kind]]
                 files = [file for file in part.files() if file is not None]
                 kept = files if len(files) == len(part) else None
                 yield part.touches()._with_files(kept)
@@ -427,8 +427,8 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
 def _lacking(layouts: dict[int, list[Column]]) -> set[str]:
     """Return the names of columns that only some touches have."""
     names = [{column.name for column in layout} for layout in layouts.values()]
-    known = names[0].union(*names)
-    return known - known.intersection(*names)
+    every_name = names[0].union(*names)
+    return every_name - every_name.intersection(*names)
 
 
 def _joined(arrays: list[Array]) -> Array:

@@ -110,10 +110,10 @@ def _names_in_address(dependant: Dependant) -> set[str]:
 
 async def _know_all_names(request: Request) -> None:
     """Refuse an order with a name in its address that would be passed over."""
-    known = _names_in_address(request.scope["route"].dependant)
-    others = sorted({*request.query_params} - known)
+    allowed = _names_in_address(request.scope["route"].dependant)
+    others = sorted({*request.query_params} - allowed)
     if request.method != "GET" and others:
-        names = ", ".join(sorted(known)) or "no name"
+        names = ", ".join(sorted(allowed)) or "no name"
         raise ValueError(f"The address may hold {names} here, got {others[0]!r}.")
 
 
