@@ -225,7 +225,8 @@ def test_a_camera_that_hangs_is_not_believed_again_and_again(
 ):
     """Of a camera no two pictures are the same; of a small array some are."""
     sensor.image_shape = (side, side)
-    sensor.read = lambda: np.ones((side, side))
+    frame = np.pad([[np.nan]], (0, side - 1), constant_values=1.0)  # one pixel is dead
+    sensor.read = lambda: frame
     end = explore(arm, sensor, SlowlySure(5), STRATEGY)
     assert end.n_touches == len(end.belief.images) == n_touches
     repeats = "no frame. The frame is that of the touch before, pixel for pixel"

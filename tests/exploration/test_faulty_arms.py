@@ -340,18 +340,29 @@ def test_a_force_sensor_that_freezes_on_a_way_ends_it(lag_readings, holds_after)
     assert arm.peak_n <= arm.stiffness * guard.way_step_mm * n_steps
 
 
-def test_an_arm_that_is_out_of_reach_on_its_way_is_not_moved_on_from_there():
-    """It stays in silence where it cannot go: the next step was through the ball."""
+@pytest.mark.parametrize(
+    ("is_in_reach", "stuck_after"),
+    [(lambda x_mm, y_mm: y_mm < 50, 12), (lambda x_mm, y_mm: x_mm > -70, None)],
+)
+def test_an_arm_that_is_out_of_reach_on_its_way_is_not_moved_on_from_there(
+    is_in_reach, stuck_after
+):
+    """It stays in silence where it cannot go: the next step was through the ball.
+
+    So was the way back to where a coarse force sensor changed last, at the beginning.
+    """
 
     class Stays(FaultyArm):
         def move_to(self, pose):
-            if pose.position_mm[1] < 50:
+            if is_in_reach(*pose.position_mm[:2]):
                 super().move_to(pose)
 
-    arm = Stays()
+    arm, guard = Stays(), replace(GUARD, stuck_after=stuck_after)
+    if stuck_after is None:
+        arm.read_force = lambda: round(arm.force_n)
     arm.radius_mm, arm.pose = 70.0, NEAR.pose(0.4, 0.2)
     way = SimpleNamespace(hemisphere=NEAR, next_pose=lambda *_: NEAR.pose(2.7, 0.2))
-    end = explore(arm, arm, SlowlySure(), way, guard=GUARD)
+    end = explore(arm, arm, SlowlySure(), way, guard=guard)
     assert arm.peak_n == 0
     assert len(end.history) == 3
     assert "reached none of the last 3 places" in end.reason

@@ -117,6 +117,7 @@ def test_a_start_on_the_other_side_of_the_object_is_not_gone_to_through_it(arm, 
     record = guarded_touch(arm, sensor, Hemisphere().pose(0.0, 0.1))
     assert (record.outcome, record.retracted) == ("limit exceeded", True)
     assert "N on the straight way to the start" in record.message
+    assert record.peak_force_n > Guard().limit_n
     pressed_mm = [40 - np.linalg.norm(pose.position_mm) for pose in arm.visited]
     assert 0 < max(pressed_mm) < Guard().limit_n / 5 + Guard().way_step_mm
     assert_allclose(arm.pose.position_mm, place)
@@ -126,6 +127,26 @@ def test_a_start_on_the_other_side_of_the_object_is_not_gone_to_through_it(arm, 
     record = guarded_touch(arm, sensor, Hemisphere().pose(0.0, 0.1))
     assert (record.retracted, arm.stopped) == (False, True)
     assert "The arm was stopped." in record.message
+
+
+def test_a_start_within_the_object_is_left_again(arm, sensor):
+    arm.stiffness_n_mm, start = 5.0, Hemisphere(radius_mm=39).pose(0.0, 0.1)
+    arm.pose = before = Hemisphere(radius_mm=55).pose(0.0, 0.1)
+    record = guarded_touch(arm, sensor, start)
+    assert (record.outcome, record.retracted) == ("limit exceeded", True)
+    assert_allclose(arm.pose.position_mm, before.position_mm)
+    # An interrupt meanwhile does not leave it there.
+    move_to = arm.move_to
+
+    def interrupted(pose):
+        if arm.force_n:
+            raise KeyboardInterrupt
+        move_to(pose)
+
+    arm.move_to = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        guarded_touch(arm, sensor, start)
+    assert arm.stopped
 
 
 @pytest.mark.parametrize("method", ["retract", "read_pose"])

@@ -396,7 +396,7 @@ class _Approach:
         image = self.image
         if before is None or image is None or min(image.shape[:2]) <= ARRAY_SIDE:
             return
-        if np.array_equal(image, before):
+        if np.array_equal(image, before, equal_nan=True):
             raise _Fault(
                 "The frame is that of the touch before, pixel for pixel: the sensor "
                 "repeats itself. Look at it, or open it again.",
@@ -431,17 +431,18 @@ class _Approach:
         self._flat_n = max(_FLAT_N, _FLAT_NOISES * noise)
 
     def _come_near(self) -> None:
-        """Come within a step of the start, by steps; go back where that is no air."""
+        """Come to a start that is over a step away; go back where there is no air."""
         first, here = self.robot.read_pose(), self._here()
         way = np.asarray(self.start.position_mm) - here
         n_steps = math.ceil(np.linalg.norm(way) / self.guard.way_step_mm)
         try:
-            for number in range(1, n_steps):
+            for number in range(1, n_steps + 1) if n_steps > 1 else ():
                 there = here + way * (number / n_steps)
                 pose = SensorPose(there, self.start.direction, self.start.roll_rad)
                 self.robot.move_to(pose)
                 force = self._read()
                 if abs(force) > self.guard.limit_n:
+                    self.peak_force_n = abs(force)
                     raise _Fault(
                         f"{force:.3f} N on the straight way to the start, above the "
                         f"limit of {self.guard.limit_n:g}. Go round what stands there.",
@@ -451,13 +452,15 @@ class _Approach:
                 self._refuse_miss()
         except BaseException:
             back = False
-            with suppress(Exception):
-                self.robot.move_to(first)
-            with suppress(Exception):
-                missed_mm = np.linalg.norm(self._here() - here)
-                back = bool(missed_mm <= self.guard.max_miss_mm)
-            if not back and (interrupt := self._stop()) is not None:
-                raise interrupt from None
+            try:
+                with suppress(Exception):
+                    self.robot.move_to(first)
+                with suppress(Exception):
+                    missed_mm = np.linalg.norm(self._here() - here)
+                    back = bool(missed_mm <= self.guard.max_miss_mm)
+            finally:  # interrupted again, too
+                if not back and (interrupt := self._stop()) is not None:
+                    raise interrupt from None
             raise
 
     def _move(self, travel_mm: float) -> None:

@@ -105,7 +105,8 @@ def follow(
                     "reach that far?"
                 )
                 _refuse_from(robot, fresh_at, guard, why, "robot error")
-            if readings.n_equal <= 1 + wait_readings:  # it changed here
+            # It changed here; of a coarse one that repeats itself this says nothing.
+            if not guard.stuck_after or readings.n_equal <= 1 + wait_readings:
                 fresh_at = pose
             if guard.stuck_after and readings.n_equal >= guard.stuck_after:
                 why = (
@@ -294,8 +295,8 @@ def _refuse_load(
 def _refuse_from(
     robot: Robot, before: SensorPose, guard: Guard, why: str, outcome: str
 ) -> None:
-    """Go back to where the force last changed, stop the arm if it does not; say why."""
-    clear, trouble, end = False, "", "went back to where the force last changed"
+    """Go back to where all was well, stop the arm if it does not; say why."""
+    clear, trouble, end = False, "", "went back to an earlier step"
     try:
         robot.move_to(before)
         robot.retract(0.0)  # as a touch ends that did not move in
