@@ -111,6 +111,10 @@ def test_labels_of_matlab_that_would_be_lost_are_refused(tmp_path):
         scipy.io.savemat(path, content)
         with pytest.raises(TouchesError, match=message):
             Touches.load(path)
+    # The names of the classes, of which there are as many as columns, are no labels.
+    names = np.array(["cup", "pen", "mug"])
+    scipy.io.savemat(path, {"X": np.zeros((6, 4, 3)), "labels": names, "y": np.ones(6)})
+    assert Touches.load(path).object.tolist() == ["1"] * 6
 
 
 def test_bytes_of_hdf5_are_utf_8(tmp_path):

@@ -143,8 +143,10 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
     n_touches = plain[images].shape[0]
     chosen = {images: "images"}
     long = {n for n, e in plain.items() if e.shape[:1] == (n_touches,)}
-    _refuse_touches_last(path, plain, images)
-    has_object = "object" in {name.rpartition("/")[2] for name in long}
+    beside = {name.rpartition("/")[2] for name in long}
+    if not beside & {"object", *_LABELS}:
+        _refuse_touches_last(path, plain, images)
+    has_object = "object" in beside
     for name in plain:
         last = name.rpartition("/")[2]
         is_label = last in _LABELS and not has_object
@@ -167,10 +169,10 @@ def _refuse_touches_last(
     path: Path, entries: Mapping[str, _Entry], images: str
 ) -> None:
     """Refuse images whose last axis, not the first, is as long as the labels."""
-    n_touches, *_, n_last = shape = entries[images].shape
+    *_, n_last = shape = entries[images].shape
     for name, entry in entries.items():
         is_label = name.rpartition("/")[2] in ("object", *_LABELS[:2])
-        if is_label and entry.shape == (n_last,) and n_last != n_touches:
+        if is_label and entry.shape == (n_last,):
             raise TouchesError(
                 f"{path} must hold {images} (n_touches, n_rows, n_cols), got "
                 f"{' x '.join(map(str, shape))} and {n_last} values of {name}. Bring "
