@@ -284,7 +284,7 @@ def _frames_of_touches(touches: "Touches") -> str:
     if 2 * n_near <= n_steps:
         return ""
     return (
-        f"{n_near} of {len(touches)} touches are nearly the one before: if these are "
+        f"{n_near} of {n_steps} touches are nearly the one before: if these are "
         "frames of one touch, keep one of each, or figures will be too good and "
         "beliefs too sure (in Python TouchDetector().touches_in finds them)"
     )

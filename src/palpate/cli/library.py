@@ -105,9 +105,8 @@ def add(
     n_given = n_new = 0
     begin = reading.begin
     detect = detect and touches.suffix.lower() not in FILMS
-    if detect:  # where touches begin is told here
+    if detect:  # where touches begin is told here, from all frames together
         reading = replace(reading, read=None, begin=None)
-    if detect:  # from all frames together
         parts = iter([reading.touches(touches, topic)])
     else:
         parts = reading.parts(touches, topic)  # before a library is made

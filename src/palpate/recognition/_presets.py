@@ -40,7 +40,7 @@ from ._user_parts import Encoding, UserEncoding, user_encodings
 FINE_TAXELS = 24
 # With fewer on a side they may be electrodes, each with a level and a range of its own.
 FEW_TAXELS = 8
-# A spectrum has four times as many numbers as cells.
+# Of the spectrum of an array: it has twice as many numbers as cells.
 FEW_CELLS = 16
 # Principal components keep this share of the variance of a large encoding.
 KEPT_SHARE = 0.99

@@ -129,9 +129,7 @@ def plain_array(name: str, value: ArrayLike) -> Array:
                 )
     if array.dtype.kind not in PLAIN_KINDS:
         fix = "Convert it first, for example with .astype(str) or .astype(float)."
-        if any(
-            are_texts
-        ):  # .astype(str) would make texts "None" and "nan" of the others
+        if any(are_texts):  # of the others .astype(str) would make "None" and "nan"
             fix = "Fill in what is missing, or leave these touches out."
         raise TouchesError(
             f"{name} must hold plain numbers or text, got an array of {array.dtype}. "
