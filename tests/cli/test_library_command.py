@@ -235,9 +235,11 @@ def test_what_is_extended_stays_as_it_is(palpate, tmp_path):
     refused = palpate.refusal("learn", part, "--extend", new, "-o", old)
     assert "has not learnt, got none" in refused
     # Numbers that a table gives its touches begin anew in the next table.
-    for name, seed in {"first": 0, "second": 1}.items():
-        presses = simulate_presses(["bar10", "disc13"], 4, random_state=seed)
-        presses.with_columns(touch_id=range(8)).save(tmp_path / f"{name}.npz")
+    parts = {"first": ["bar10", "disc13"], "second": ["disc13", "bar10"]}
+    for seed, (name, shapes) in enumerate(parts.items()):
+        presses = simulate_presses(shapes, 4, random_state=seed)
+        numbers = [f"{number}" for number in range(8)]
+        presses.with_columns(touch_id=numbers).save(tmp_path / f"{name}.npz")
     numbered = tmp_path / "numbered.palpate"
     palpate("learn", tmp_path / "first.npz", "-o", numbered)
     more = "learn", tmp_path / "second.npz", "--extend", numbered, "-o", numbered

@@ -156,27 +156,24 @@ def _extended(
         raise ValueError(
             f"TOUCHES must have a column {recogniser.label!r} to extend a model with."
         )
-    if training.touch_id is not None:
-        memory = recogniser.memory_
-        learnt = dict(zip(memory.touch_ids.tolist(), memory.labels, strict=True))
-        for key, name in zip(training.touch_id.tolist(), labels, strict=True):
-            if learnt.get(key, name) != name:
-                raise ValueError(
-                    "TOUCHES must be called what the model learnt them as, got "
-                    f"{str(name)!r} for some that it knows as {str(learnt[key])!r}: "
-                    "the library has changed since. Learn anew, without --extend."
-                )
+    memory, ids = recogniser.memory_, training.touch_id
+    # Numbers of a table begin anew in each file; ids of a library never do.
+    pairs = zip(memory.touch_ids.tolist(), memory.labels.tolist(), strict=True)
+    learnt = {key: name for key, name in pairs if _OF_LIBRARY.fullmatch(key)}
+    keys = [""] * len(labels) if ids is None else np.asarray(ids).astype(str).tolist()
+    for key, name in zip(keys, labels.tolist(), strict=True):
+        if learnt.get(key, name) != name:
+            raise ValueError(
+                "TOUCHES must be called what the model learnt them as, got "
+                f"{name!r} for some that it knows as {learnt[key]!r}: "
+                "the library has changed since. Learn anew, without --extend."
+            )
     new = np.setdiff1d(labels, recogniser.classes_)
     for name in new.tolist():
         recogniser.add_object(name, training[np.flatnonzero(labels == name)])
     if not len(new):
         n_before = len(recogniser.memory_)
-        fresh = np.ones(len(labels), dtype=bool)
-        if training.touch_id is not None:
-            ids = np.asarray(training.touch_id).astype(str)
-            fresh = ~np.isin(ids, recogniser.memory_.touch_ids)
-            # Numbers of a table begin anew in each file; ids of a library never do.
-            fresh |= [_OF_LIBRARY.fullmatch(touch) is None for touch in ids]
+        fresh = np.array([key not in learnt for key in keys])
         for name in np.unique(labels[fresh]).tolist():
             rows = np.flatnonzero(fresh & (labels == name))
             recogniser.extend_object(name, training[rows])
