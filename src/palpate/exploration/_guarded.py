@@ -14,7 +14,7 @@ by repeating itself, by not changing over `flat_mm` of contact, or by the pictur
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -225,6 +225,18 @@ class Toucher:
         return approach.record()
 
 
+def straight_steps(
+    start: SensorPose, end: SensorPose, longest_mm: float
+) -> Iterator[SensorPose]:
+    """Yield poses on the straight line to `end`, which is the last of them."""
+    first, last = (np.asarray(pose.position_mm) for pose in (start, end))
+    n_steps = max(1, math.ceil(float(np.linalg.norm(last - first)) / longest_mm))
+    for number in range(1, n_steps):
+        place = first + (last - first) * (number / n_steps)
+        yield SensorPose(place, end.direction, end.roll_rad)
+    yield end
+
+
 class _Fault(Exception):
     def __init__(self, message: str, outcome: str = "force sensor") -> None:
         super().__init__(message)
@@ -432,23 +444,23 @@ class _Approach:
 
     def _come_near(self) -> None:
         """Come to a start that is over a step away; go back where there is no air."""
-        first, here = self.robot.read_pose(), self._here()
-        way = np.asarray(self.start.position_mm) - here
-        n_steps = math.ceil(np.linalg.norm(way) / self.guard.way_step_mm)
+        guard = self.guard
+        first, here, step_mm = self.robot.read_pose(), self._here(), guard.way_step_mm
+        is_far = np.linalg.norm(np.subtract(self.start.position_mm, here)) > step_mm
         try:
-            for number in range(1, n_steps + 1) if n_steps > 1 else ():
-                there = here + way * (number / n_steps)
-                pose = SensorPose(there, self.start.direction, self.start.roll_rad)
+            for pose in straight_steps(first, self.start, step_mm) if is_far else ():
                 self.robot.move_to(pose)
                 force = self._read()
-                if abs(force) > self.guard.limit_n:
+                if abs(force) > guard.limit_n:
                     self.peak_force_n = abs(force)
                     raise _Fault(
                         f"{force:.3f} N on the straight way to the start, above the "
-                        f"limit of {self.guard.limit_n:g}. Go round what stands there.",
+                        f"limit of {guard.limit_n:g}. Go round what stands there.",
                         "limit exceeded",
                     )
-                self._missed_mm = float(np.linalg.norm(self._here() - there))
+                self._missed_mm = float(
+                    np.linalg.norm(np.subtract(self._here(), pose.position_mm))
+                )
                 self._refuse_miss()
         except BaseException:
             back = False
@@ -457,7 +469,7 @@ class _Approach:
                     self.robot.move_to(first)
                 with suppress(Exception):
                     missed_mm = np.linalg.norm(self._here() - here)
-                    back = bool(missed_mm <= self.guard.max_miss_mm)
+                    back = bool(missed_mm <= guard.max_miss_mm)
             finally:  # interrupted again, too
                 if not back and (interrupt := self._stop()) is not None:
                     raise interrupt from None

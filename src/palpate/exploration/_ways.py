@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from ..simulation import SensorPose
-from ._guarded import Guard, Toucher
+from ._guarded import Guard, Toucher, straight_steps
 from ._record import TouchRecord, tip_mm
 from ._robot import Robot, RobotError
 from ._strategies import Hemisphere
@@ -92,7 +92,7 @@ def follow(
     readings = _Readings(robot, guard, _refuse_load_before(robot, guard))
     here = fresh_at = robot.read_pose()
     for waypoint in hemisphere.way(here, end):
-        for pose in _steps(here, waypoint, guard.way_step_mm):
+        for pose in straight_steps(here, waypoint, guard.way_step_mm):
             with _stopping_pressed(robot, guard):
                 robot.move_to(pose)
                 force_n = readings.late(wait_readings)
@@ -226,18 +226,6 @@ def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) 
         "it would pass by the object or below it, so it is not moved. Take it by hand "
         "to a place outside the hemisphere, looking at its centre, and begin again."
     )
-
-
-def _steps(
-    start: SensorPose, end: SensorPose, longest_mm: float
-) -> Iterator[SensorPose]:
-    """Yield poses on the straight line to `end`, which is the last of them."""
-    first, last = (np.asarray(pose.position_mm) for pose in (start, end))
-    n_steps = max(1, math.ceil(float(np.linalg.norm(last - first)) / longest_mm))
-    for number in range(1, n_steps):
-        place = first + (last - first) * (number / n_steps)
-        yield SensorPose(place, end.direction, end.roll_rad)
-    yield end
 
 
 def _refuse_load_before(robot: Robot, guard: Guard) -> float:
