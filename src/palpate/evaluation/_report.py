@@ -515,12 +515,13 @@ def _episode(explained: Explained, decision: dict[str, Any]) -> str:
         f"<div class=why>{''.join(_touch(explained, step))}</div>"
         for step in belief.explain(MOVED, NEAREST)
     )
-    label = escape(explained.label)
-    if label == "unknown":  # lines of touches weigh learnt labels alone
-        label, nats = "nothing I know", f"{belief.unknown_evidence:.1f} nats"
+    label = (
+        "nothing I know" if explained.label == "unknown" else escape(explained.label)
+    )
+    if explained.label == "unknown":  # lines of touches weigh learnt labels alone
         reason += (
-            f". All touches together speak for a stranger by {nats}; among what was "
-            "learnt:"
+            f". All touches together speak for a stranger by "
+            f"{belief.unknown_evidence:.1f} nats; among what was learnt:"
         )
     ended = "recognised" if explained.right else f"taken for <b>{label}</b>"
     return (
