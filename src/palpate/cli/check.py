@@ -220,7 +220,7 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             has = ", ".join([*touches.columns][:_NAMED])
             has = f" (it has {has})" if has else ""
             fix = f"call the column of names object{has}, or, in Python, save "
-            fix += "Touches(images, object=names); of a picture put it into a folder"
+            fix += "Touches(images, object=names); put a single picture into a folder"
         return [f"nothing is labelled: {fix}, or see --name-pattern"]
     if checked["bad"]:
         advice.append(
@@ -267,7 +267,7 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
 
 
 def _frames_of_touches(touches: "Touches") -> str:
-    """Say that most touches are nearly the one before, as frames of one touch are."""
+    """Say that most touches are almost the same as the one before, as frames are."""
     import numpy as np
 
     assert touches.object is not None
@@ -284,9 +284,9 @@ def _frames_of_touches(touches: "Touches") -> str:
     if 2 * n_near <= n_steps:
         return ""
     return (
-        f"{n_near} of {n_steps} touches are nearly the one before: if these are "
-        "frames of one touch, keep one of each, or figures will be too good and "
-        "beliefs too sure (in Python TouchDetector().touches_in finds them)"
+        f"{n_near} of {n_steps} touches are almost the same as the one before: if "
+        "these are frames of one touch, keep one frame of each touch, or figures will "
+        "be too good and beliefs too sure (in Python TouchDetector().touches_in finds them)"
     )
 
 

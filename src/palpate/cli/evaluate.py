@@ -92,8 +92,8 @@ def evaluate(
             if path == train or as_it_is or not path.exists():
                 raise
             raise ValueError(
-                f"{error} What says how files are read holds for --train, --test and "
-                "--unknown alike; if they differ, bring each into a library "
+                f"{error} Options that say how files are read hold for --train, "
+                "--test and --unknown alike; if they differ, bring each into a library "
                 "(`palpate library add`), or save it as an archive (`Touches.save`)."
             ) from error
 

@@ -164,7 +164,7 @@ def _extended(
     for key, name in zip(keys, labels.tolist(), strict=True):
         if learnt.get(key, name) != name:
             raise ValueError(
-                "TOUCHES must be called what the model learnt them as, got "
+                "TOUCHES must have the names by which the model learnt them, got "
                 f"{name!r} for some that it knows as {learnt[key]!r}: "
                 "the library has changed since. Learn anew, without --extend."
             )

@@ -282,7 +282,8 @@ def _schema_of(name: str, reader: Any) -> tuple[Any, dict[str, Any]]:
         raise TouchesError(
             f"{name} must have a column {_IMAGE!r} of pictures or tensors, got "
             f"{listed(schema.names, 5) or 'no column'}. Rename the one that has them; "
-            "a table of a column a taxel is read by pandas and `Touches.from_frame`."
+            "a table with a column for each taxel is read by pandas and "
+            "`Touches.from_frame`."
         )
     twice = sorted({key for key in schema.names if schema.names.count(key) > 1})
     if twice:

@@ -109,7 +109,7 @@ def _names_in_address(dependant: Dependant) -> set[str]:
 
 
 async def _know_all_names(request: Request) -> None:
-    """Refuse an order with a name in its address that would be passed over."""
+    """Refuse to change anything where a name in the address would be ignored."""
     allowed = _names_in_address(request.scope["route"].dependant)
     others = sorted({*request.query_params} - allowed)
     if request.method != "GET" and others:

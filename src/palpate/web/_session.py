@@ -41,7 +41,9 @@ ONE_SESSION = (
     "All was taught in one session. For another day: lift the sensor, place it again, "
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
-BEGAN_BEFORE = "A touch that began before is of what was there before: touch again."
+BEGAN_BEFORE = (
+    "That touch began before, perhaps on another thing: it does not count, touch again."
+)
 BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
@@ -115,7 +117,7 @@ class LiveSession:
             self.watch = SensorWatch(sensor, self._on_touch, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
-        self._placed_s = self._asked_s = self._baseline_s = -math.inf
+        self._placed_s = self._requested_s = self._baseline_s = -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -625,7 +627,7 @@ class LiveSession:
         On a desk it is known what lies there.
         """
         if self.watch is not None and self.watch.sensor.desk is None:
-            self._asked_s = time.monotonic()
+            self._requested_s = time.monotonic()
 
     def _on_touch(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
@@ -634,7 +636,7 @@ class LiveSession:
             with self._lock:
                 if detected.began_s < self._placed_s:
                     return
-                if detected.began_s < self._asked_s:
+                if detected.began_s < self._requested_s:
                     raise ValueError(BEGAN_BEFORE)
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 columns = detected.touch_columns
