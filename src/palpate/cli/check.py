@@ -286,7 +286,8 @@ def _frames_of_touches(touches: "Touches") -> str:
     return (
         f"{n_near} of {n_steps} touches are almost the same as the one before: if "
         "these are frames of one touch, keep one frame of each touch, or figures will "
-        "be too good and beliefs too sure (in Python TouchDetector().touches_in finds them)"
+        "be too good and beliefs too sure (in Python TouchDetector().touches_in finds "
+        "them)"
     )
 
 
