@@ -400,10 +400,8 @@ def most_promising(gain: Floats, fresh: Floats, cost: Floats | float = 0.0) -> i
 
     One that promises nothing is not taken while another does, however near it is.
     """
-    # Gains below zero are not made better by having been there.
-    promise = np.where(gain > 0, gain * fresh, gain)
-    for left in (promise, fresh):
-        worth = np.where(left < _LEAST_PROMISE, -np.inf, left - cost)
+    for promise in (gain * fresh, fresh):
+        worth = np.where(promise < _LEAST_PROMISE, -np.inf, promise - cost)
         if worth.max() > -np.inf:
             return int(worth.argmax())
     return int((fresh - cost).argmax())

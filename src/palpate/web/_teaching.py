@@ -124,11 +124,7 @@ class Teacher:
         """
         if name is not None and not name.strip():
             raise ValueError("session must have a name, got nothing.")
-        now = time.time()
-        started = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(now))
-        former = (self.journal.session or ("",))[0]
-        if former.startswith(started):  # begun within the same second
-            started += f".{int(now % 1 * 1000):03}"
+        started = time.strftime("%Y-%m-%d %H:%M:%S")
         self._session = f"{started} {why}".strip() if name is None else name.strip()
         self._is_unused = name is None
 
@@ -210,7 +206,7 @@ class Teacher:
         touch = Touches(**fixed, **measured)
         named = f"session = {quoted(self._session)}"
         if self._is_unused and self.library.list(named, 1, retracted=True):
-            # Another program's, begun within the same second.
+            # Begun within the same second, perhaps by another program.
             self._session += f".{int(time.time() % 1 * 1000):03}"
         self._is_unused = False
         (key,) = self.library.add(
