@@ -547,6 +547,12 @@ def test_texts_that_a_data_frame_lacks_are_empty(nothing):
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame({"session": ["a", nothing], "t": [1.0, 2.0]})
     assert Touches.from_frame(frame).session.tolist() == ["a", ""]
+    # Of a German export: whole numbers have no comma, and cells may be empty.
+    commas = pandas.DataFrame(
+        {"t0": ["0", "0,25", "1,5E-05", None], "t1": [1, 2, 3, 4]}
+    )
+    with pytest.raises(TouchesError, match="t0 must hold numbers with a decimal point"):
+        Touches.from_frame(commas)
     frame["object"] = ["cup", nothing]
     with pytest.raises(TouchesError, match="empty label at touch 1"):
         Touches.from_frame(frame)

@@ -28,7 +28,7 @@ _NAMED = COLUMNS | {*_PLACES, "subject"}
 _LEAST_OF_CLOCK = 5  # numbers a line, of which the first may be a time
 _FILE_NAMES = ("file", "filename", "file_name", "path", "image", "name")
 _LABELS = ("label", "class")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*(,\d+)?([eE][+-]?\d+)?")
 _OF_DIGITS = re.compile(r"[-+\d.,;]*")
 _BYTES_PER_CELL = 2  # no number is shorter, with its comma
 
@@ -44,10 +44,11 @@ def table_arrays(
     """
     for name, column in table.items():
         is_text = column.dtype.kind == "U" and name not in _TEXTS
-        if is_text and all(map(_DECIMAL_COMMA.fullmatch, column)):
+        commas = [str(cell) for cell in column if is_text and "," in cell]
+        if commas and all(map(_DECIMAL_COMMA.fullmatch, column)):
             raise TouchesError(
                 f"Column {name} must hold numbers with a decimal point, got "
-                f"{str(column[0])!r}. Write points (of pandas, read_csv(decimal=','))."
+                f"{commas[0]!r}. Write points (of pandas, read_csv(decimal=','))."
             )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
     named |= _beside_numbered([name for name in table if name not in named])
