@@ -342,7 +342,11 @@ def test_a_force_sensor_that_freezes_on_a_way_ends_it(lag_readings, holds_after)
 
 @pytest.mark.parametrize(
     ("is_in_reach", "stuck_after"),
-    [(lambda x_mm, y_mm: y_mm < 50, 12), (lambda x_mm, y_mm: x_mm > -70, None)],
+    [
+        (lambda x_mm, y_mm: y_mm < 50, 12),
+        (lambda x_mm, y_mm: x_mm > -70, None),
+        (lambda x_mm, y_mm: x_mm > -70, 1000),
+    ],
 )
 def test_an_arm_that_is_out_of_reach_on_its_way_is_not_moved_on_from_there(
     is_in_reach, stuck_after
@@ -357,8 +361,8 @@ def test_an_arm_that_is_out_of_reach_on_its_way_is_not_moved_on_from_there(
             if is_in_reach(*pose.position_mm[:2]):
                 super().move_to(pose)
 
-    arm, guard = Stays(), replace(GUARD, stuck_after=stuck_after)
-    if stuck_after is None:
+    arm, guard = Stays(), replace(GUARD, stuck_after=stuck_after, lag_readings=0)
+    if stuck_after != 12:
         arm.read_force = lambda: round(arm.force_n)
     arm.radius_mm, arm.pose = 70.0, NEAR.pose(0.4, 0.2)
     way = SimpleNamespace(hemisphere=NEAR, next_pose=lambda *_: NEAR.pose(2.7, 0.2))

@@ -90,7 +90,8 @@ def follow(
     for _ in range(wait_readings):
         robot.read_force()
     readings = _Readings(robot, guard, _refuse_load_before(robot, guard))
-    here = fresh_at = robot.read_pose()
+    here = robot.read_pose()
+    trail = [here]  # from where the force last changed
     for waypoint in hemisphere.way(here, end):
         for pose in straight_steps(here, waypoint, guard.way_step_mm):
             with _stopping_pressed(robot, guard):
@@ -104,17 +105,18 @@ def follow(
                     f"sent, more than max_miss_mm = {guard.max_miss_mm:g}. Does it "
                     "reach that far?"
                 )
-                _refuse_from(robot, fresh_at, guard, why, "robot error")
-            # It changed here; of a coarse one that repeats itself this says nothing.
+                _refuse_from(robot, trail, guard, why, "robot error")
+            # Of a coarse sensor that repeats itself a change says nothing.
             if not guard.stuck_after or readings.n_equal <= 1 + wait_readings:
-                fresh_at = pose
+                trail.clear()
+            trail.append(pose)
             if guard.stuck_after and readings.n_equal >= guard.stuck_after:
                 why = (
                     f"The force sensor is stuck at {readings.last_n:.4f} N for "
                     f"{readings.n_equal} readings on the way. If it is that coarse, "
                     "set stuck_after."
                 )
-                _refuse_from(robot, fresh_at, guard, why, "force sensor")
+                _refuse_from(robot, trail, guard, why, "force sensor")
             here = pose
 
 
@@ -281,14 +283,15 @@ def _refuse_load(
 
 
 def _refuse_from(
-    robot: Robot, before: SensorPose, guard: Guard, why: str, outcome: str
+    robot: Robot, trail: list[SensorPose], guard: Guard, why: str, outcome: str
 ) -> None:
-    """Go back to where all was well, stop the arm if it does not; say why."""
+    """Go back along a trail to its start, stop the arm if it does not; say why."""
     clear, trouble, end = False, "", "went back to an earlier step"
     try:
-        robot.move_to(before)
+        for pose in reversed(trail):  # not straight: the object may lie between
+            robot.move_to(pose)
         robot.retract(0.0)  # as a touch ends that did not move in
-        clear = _missed_mm(robot, before) <= guard.max_miss_mm
+        clear = _missed_mm(robot, trail[0]) <= guard.max_miss_mm
     except Exception as error:
         trouble = f" ({type(error).__name__}: {error})"
     finally:
