@@ -106,7 +106,7 @@ def follow(
                     "reach that far?"
                 )
                 _refuse_from(robot, trail, guard, why, "robot error")
-            # Of a coarse sensor that repeats itself a change says nothing.
+            # A coarse sensor may repeat itself all along the way.
             if not guard.stuck_after or readings.n_equal <= 1 + wait_readings:
                 trail.clear()
             trail.append(pose)

@@ -126,7 +126,7 @@ class Teacher:
             raise ValueError("session must have a name, got nothing.")
         started = time.strftime("%Y-%m-%d %H:%M:%S")
         self._session = f"{started} {why}".strip() if name is None else name.strip()
-        self._is_unused = name is None
+        self._is_new_session = name is None
 
     def begin(self, name: str, wanted: int) -> None:
         check_count("wanted", wanted, at_most=MOST_PER_LESSON)
@@ -205,10 +205,10 @@ class Teacher:
             )
         touch = Touches(**fixed, **measured)
         named = f"session = {quoted(self._session)}"
-        if self._is_unused and self.library.list(named, 1, retracted=True):
+        if self._is_new_session and self.library.list(named, 1, retracted=True):
             # Begun within the same second, perhaps by another program.
             self._session += f".{int(time.time() % 1 * 1000):03}"
-        self._is_unused = False
+        self._is_new_session = False
         (key,) = self.library.add(
             touches=touch,
             session=self._session,
