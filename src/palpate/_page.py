@@ -31,7 +31,8 @@ td:first-child,th:first-child{text-align:left}
 .touches img{height:84px;max-width:calc(100% - 4px);border-radius:4px;margin:2px}
 .why{display:flex;gap:.6rem;margin:.4rem 0}
 .why div{width:9rem;font-size:.8rem;line-height:1.25;overflow-wrap:anywhere}
-.why div:first-child{width:19rem;display:flex;gap:.6rem;border-right:1px solid #dde3e8}
+.why div:first-child{width:19rem;display:flex;flex-wrap:wrap;align-content:flex-start;
+gap:.6rem;border-right:1px solid #dde3e8}.why div:first-child span{flex:1 1 7rem}
 .why img{display:block;height:72px;max-width:100%;border-radius:4px;margin-bottom:2px}
 .note,figcaption{color:#5a6572}svg{max-width:100%;height:auto}
 table,figure div{display:block;max-width:100%;overflow-x:auto}
@@ -41,7 +42,7 @@ figure svg{min-width:calc(var(--inches)*72px)}
 table{font-size:.85rem}td,th{padding:.15rem .3rem}th:first-child{min-width:8rem}
 .why{flex-wrap:wrap;gap:.3rem .5rem;border-top:1px solid #dde3e8;padding-top:.4rem}
 .why div{width:calc(33% - .5rem)}.why div:first-child{width:100%;border:0}
-.why div:first-child span{width:auto;flex:1}}
+.why div:first-child span{width:auto}}
 """
 
 

@@ -35,12 +35,13 @@ def models():
         ("liu2014", small, "array", None),
     ]
     labels = ["pen"] * 8 + ["mug"] * 8
+    hand = Touches(small[:, :4], object=labels, pads=[[0, 0, 4, 4], [0, 5, 4, 5]])
     return [
         ObjectRecogniser(preset).fit(
             Touches(images, object=labels, geometry=geometry, channels=channels)
         )
         for preset, images, geometry, channels in taught
-    ]
+    ] + [ObjectRecogniser(presentation="shifted").fit(hand)]
 
 
 def opened(path):

@@ -181,6 +181,20 @@ def test_an_array_is_pressed_from_three_hundredths_of_a_middling_touch(
     assert touch_flags == ["no contact", "", ""]
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.float16])
+def test_whole_numbers_are_compared_with_rest_as_floats_are(check, dtype):
+    images = (pressed() + 3).astype(dtype)
+    frame = np.full(images.shape[1:], 3, dtype=dtype)
+    array = check(images, geometry="array", no_contact=frame)
+    as_floats = images.astype(float), frame.astype(float)
+    exact = check(as_floats[0], geometry="array", no_contact=as_floats[1])
+    assert array.typical_ == exact.typical_
+    assert array.tells_double_ == exact.tells_double_
+    faint = frame.copy()
+    faint[0] -= 1
+    assert flags(array, faint[np.newaxis], no_contact=frame) == ["no contact"]
+
+
 def test_touches_that_never_change_leave_a_unit_of_one(check):
     assert check(np.zeros((24, 9, 20)), geometry="array").typical_ == 1
 

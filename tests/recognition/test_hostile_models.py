@@ -90,9 +90,30 @@ def with_high_degree(learnt, tensors):
         holder["kernels_"]["list"][0] = kernel
 
 
+def with_grids(shape, *names):
+    def change(learnt, tensors):
+        for number, holder in enumerate(holders_of(learnt, "smooth_down_")):
+            for name in names:
+                tensors[f"{name}{number}"] = np.ones(shape)
+                holder[name] = {"array": f"{name}{number}", "shape": list(shape)}
+        with_all("blur", {"float": "1.0"})(learnt, tensors)
+
+    return change
+
+
+def with_yes_or_no_pads(learnt, tensors):
+    contact = learnt["contact_"]["learnt"]["pads_"]
+    tensors[contact["array"]] = tensors[contact["array"]].astype(bool)
+
+
 @pytest.mark.parametrize(
     ("number", "change", "message"),
     [
+        (1, with_grids((8000, 10), "smooth_down_", "smooth_across_"), "do not fit"),
+        (1, with_grids((300_000, 1, 1), "baseline_"), "do not fit"),
+        (1, with_grids((8000, 10), "down_", "across_"), "at most 1024 cells"),
+        (6, with_yes_or_no_pads, "pads_ are no whole numbers"),
+        (6, with_all("grids_", {"list": [None, None]}), "no attribute"),
         (5, with_high_degree, "degree must be at most 60"),
         (5, with_all("shape", {"tuple": [12_000, 12_000]}), "at most 1024"),
         (4, with_all("disc_radius_", {"float": "1e9"}), "disc_radius_ must be"),

@@ -173,6 +173,8 @@ def test_geometry_is_found_from_the_images_unless_touches_name_it(rng):
     assert find_geometry(Touches(rng.random((4, 10, 10)))) == "array"
     assert find_geometry(Touches(rng.random((4, 120, 160)))) == "plane"
     assert find_geometry(Touches(rng.random((4, 3, 4)))) == "array"
+    assert find_geometry(Touches(rng.random((4, 100, 7)))) == "array"
+    assert find_geometry(Touches(rng.random((4, 100, 8)))) == "plane"
     assert find_geometry(Touches(rng.random((4, 1, 24)))) == "none"
     strip = Touches(rng.random((4, 1, 24)), geometry="array")
     assert find_geometry(strip) == "array"

@@ -225,6 +225,12 @@ def test_a_first_baseline_that_looks_like_a_press_is_asked_about(rest, pressed, 
     assert_allclose(detector.baseline, rest, atol=1)  # 6 errors of a mean
 
 
+def test_noise_on_few_taxels_is_no_press(rng):
+    """Of nine taxels the lowest two may be near each other by chance."""
+    for frames in 20 + rng.normal(scale=0.3, size=(200, 10, 3, 3)):
+        TouchDetector().take_baseline(list(frames))
+
+
 def test_a_baseline_is_undone_with_its_noise(rng):
     detector = TouchDetector()
     noises = []

@@ -170,7 +170,7 @@ class ContactCheck(BaseEstimator):
         return list(map(str, np.select([nothing, full, turned, double], reasons, "")))
 
     def _double(self, touches: Touches) -> Bools:
-        change = abs(living(touches.images, self.pads_) - self.idle_)
+        change = abs(self._difference(touches))
         on_pads = (
             _boxes(touch_change[np.newaxis], self.pads_)
             for touch_change in grey(change)
@@ -178,8 +178,13 @@ class ContactCheck(BaseEstimator):
         return np.array([_is_double(max(boxes, key=np.sum)[0]) for boxes in on_pads])
 
     def _change(self, touches: Touches) -> Floats:
-        change = self._counted(living(touches.images, self.pads_) - self.idle_)
+        change = self._counted(self._difference(touches))
         return np.asarray(np.sqrt((change**2).mean(axis=tuple(range(1, change.ndim)))))
+
+    def _difference(self, touches: Touches) -> Floats:
+        # Whole numbers would go round.
+        idle = self.idle_.astype(np.float64)
+        return np.asarray(living(touches.images, self.pads_) - idle)
 
     def _unlikeness(self, touches: Touches) -> Floats:
         """Return 1 - correlation with the frame of no contact, shape (n_touches,)."""

@@ -24,6 +24,8 @@ from ._user_parts import UserEncoding
 
 # So many touches pass through all steps at a time, so that memory stays bounded.
 BATCH = 256
+# With fewer on a side they may be electrodes, each with a level and a range of its own.
+FEW_TAXELS = 8
 # Touches that are looked at for a rim; see `find_geometry`.
 LOOK_AT = 50
 # A taxel that moved at least every other time and is still in so many touches is
@@ -381,8 +383,8 @@ def find_geometry(touches: Touches) -> str:
 
     What `touches` say of themselves holds; else a single row or column means that
     places mean nothing ("none"), a rim that most of 50 touches spread over the set have
-    in common a "dome", a side of at most 48 taxels an "array", and anything else a
-    "plane".
+    in common a "dome", at most 48 taxels along both sides or fewer than 8 along one an
+    "array", and anything else a "plane".
     """
     if touches.geometry is not None:
         return touches.geometry
@@ -393,7 +395,8 @@ def find_geometry(touches: Touches) -> str:
     pictures = np.nan_to_num(grey(touches.images[spread]))
     if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(pictures) is not None:
         return "dome"
-    return "array" if max(n_rows, n_cols) <= ARRAY_SIDE else "plane"
+    is_array = max(n_rows, n_cols) <= ARRAY_SIDE or min(n_rows, n_cols) < FEW_TAXELS
+    return "array" if is_array else "plane"
 
 
 def living(images: Array, pads: Array | None = None) -> Array:

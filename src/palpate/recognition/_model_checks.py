@@ -30,10 +30,12 @@ MB = 2**20
 MAX_PIXELS = 50_000_000
 # A blank touch of larger images is not tried.
 MOST_TRIED = 800_000
+MOST_CELLS = 1024
 _LARGEST_PARAMETER = {
     **dict.fromkeys(("degree", "order", "n_orientations", "n_partitions"), 60),
     **dict.fromkeys(("n_points", "n_rings", "radii", "n_harmonics", "cell"), 32),
-    **dict.fromkeys(("shape", "side", "cells", "n", "resample", "n_quantiles"), 1024),
+    **dict.fromkeys(("shape", "side", "cells"), MOST_CELLS),
+    **dict.fromkeys(("n", "resample", "n_quantiles"), 1024),
     **dict.fromkeys(("size", "size_"), 2048),
 }
 
@@ -96,6 +98,25 @@ class Budget:
         pairs, n_classes = values.get("pairs_"), len(values.get("classes_", ()))
         if pairs is not None and not 0 <= np.min(pairs) <= np.max(pairs) < n_classes:
             raise ValueError("pairs_ are of more classes than there are")
+        pads = values.get("pads_")
+        if pads is not None and np.asarray(pads).dtype.kind not in "iu":
+            raise ValueError("pads_ are no whole numbers")
+        if "down_" in values:
+            _check_grid(values)
+
+
+def _check_grid(values: Mapping[str, Any]) -> None:
+    """Refuse a grid of cells that makes far more levels than its file holds."""
+    cells, most = (len(values["down_"]), len(values["across_"])), MOST_CELLS
+    if max(cells) > most:
+        raise ValueError(f"a grid must have at most {most} cells, got {max(cells)}")
+    if "baseline_" not in values:
+        return
+    blurs = [np.shape(values[name]) for name in ("smooth_down_", "smooth_across_")]
+    baselines = (1,), (*cells, *values["image_shape_"][2:])
+    fits = blurs == [(n, n) for n in cells]
+    if not fits or np.shape(values["baseline_"]) not in baselines:
+        raise ValueError("the parts of a grid do not fit together")
 
 
 def check_parts(model: BeliefModel, encoder: AnyEncoder, pose: object) -> None:

@@ -33,13 +33,11 @@ from ..encodings import (
 )
 from ..images import ArrayCleanUp, ChannelMean, DomeCrop
 from ..touches import Touches
-from ._encoder import TouchEncoder, find_geometry, living
+from ._encoder import FEW_TAXELS, TouchEncoder, find_geometry, living
 from ._user_parts import Encoding, UserEncoding, user_encodings
 
 # With fewer taxels on a side, gradients along rings have too few places.
 FINE_TAXELS = 24
-# With fewer on a side they may be electrodes, each with a level and a range of its own.
-FEW_TAXELS = 8
 # Of the spectrum of an array: it has twice as many numbers as cells.
 FEW_CELLS = 16
 # Principal components keep this share of the variance of a large encoding.

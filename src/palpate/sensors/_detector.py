@@ -193,16 +193,17 @@ class TouchDetector:
                 "Leave it alone for a second and take the baseline again."
             )
         mean = stack[0] if alike else stack.mean(axis=0)
+        levels = [_rms(frame - mean) for frame in stack]
+        noise = float(np.median(levels))
         first = self.baseline is None and not force
-        if first and (where := _pressed(mean, self._least(frames[0]))):
+        if first and (where := _pressed(mean, max(self._least(frames[0]), noise))):
             raise ContactError(
                 f"Something may press the sensor {where}. Lift it and take the "
                 "baseline again; if nothing touches it, take it anyway (force)."
             )
         self._before = self.baseline, self.noise
-        levels = [_rms(frame - mean) for frame in stack]
         # That tells no noise: it is learnt from the next ones.
-        self.noise = 0.0 if alike else float(np.median(levels))
+        self.noise = 0.0 if alike else noise
         self._set_baseline(as_kind(mean, np.asarray(frames[0]).dtype))
 
     def undo_baseline(self) -> None:
