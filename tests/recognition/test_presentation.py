@@ -176,6 +176,8 @@ def test_geometry_is_found_from_the_images_unless_touches_name_it(rng):
     assert find_geometry(Touches(rng.random((4, 100, 7)))) == "array"
     assert find_geometry(Touches(rng.random((4, 100, 8)))) == "plane"
     assert find_geometry(Touches(rng.random((4, 1, 24)))) == "none"
+    hand = Touches(rng.random((4, 8, 60)), pads=[[0, 0, 8, 8], [0, 52, 8, 8]])
+    assert find_geometry(hand) == "array"
     strip = Touches(rng.random((4, 1, 24)), geometry="array")
     assert find_geometry(strip) == "array"
     assert find_geometry(Touches(dome, geometry="plane")) == "plane"

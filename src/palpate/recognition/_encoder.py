@@ -383,8 +383,8 @@ def find_geometry(touches: Touches) -> str:
 
     What `touches` say of themselves holds; else a single row or column means that
     places mean nothing ("none"), a rim that most of 50 touches spread over the set have
-    in common a "dome", at most 48 taxels along both sides or fewer than 8 along one an
-    "array", and anything else a "plane".
+    in common a "dome", pads, at most 48 taxels along both sides or fewer than 8 along
+    one an "array", and anything else a "plane".
     """
     if touches.geometry is not None:
         return touches.geometry
@@ -395,8 +395,8 @@ def find_geometry(touches: Touches) -> str:
     pictures = np.nan_to_num(grey(touches.images[spread]))
     if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(pictures) is not None:
         return "dome"
-    is_array = max(n_rows, n_cols) <= ARRAY_SIDE or min(n_rows, n_cols) < FEW_TAXELS
-    return "array" if is_array else "plane"
+    is_small = max(n_rows, n_cols) <= ARRAY_SIDE or min(n_rows, n_cols) < FEW_TAXELS
+    return "array" if is_small or touches.pads is not None else "plane"
 
 
 def living(images: Array, pads: Array | None = None) -> Array:
