@@ -387,10 +387,13 @@ def test_beside_numbered_taxels_other_numbers_are_columns(csv, names, n_taxels):
 
 
 def test_without_a_shape_a_table_has_no_geometry(csv):
-    touches = Touches.load(csv("1;2;3\n4;5;6\n"))
+    """With one of a single row it is a strip, which images alone do not say."""
+    file = csv("1;2;3\n4;5;6\n")
+    touches = Touches.load(file)
     assert_array_equal(touches.images, [[[1, 2, 3]], [[4, 5, 6]]])
     assert touches.geometry == "none"
     assert touches.object is None
+    assert Touches.load(file, shape=(1, 3)).geometry == "array"
 
 
 def test_an_array_with_a_flipped_bit_is_refused_or_read(tmp_path, images):

@@ -81,6 +81,8 @@ def table_arrays(
         columns["channels"] = np.array(channels)
     if shape is None:  # the places of taxels in a table say nothing
         columns["geometry"] = np.array("none")
+    elif 1 in (n_rows, n_cols):  # a strip, which of images alone would be a vector
+        columns["geometry"] = np.array("array")
     return {"images": images, **columns}
 
 
