@@ -211,6 +211,7 @@ def test_text_and_empty_sets_are_refused(encoder):
         (PadShapes([[0, 0, 2.5, 1]]), ValueError, "must be integers .* got float64"),
         (PadShapes([[0, 0, 4, 4], [5, 5, 6, 5]]), ValueError, r"got \[5, 5, 6, 5\]"),
         (PadShapes(np.empty((0, 4), int)), ValueError, "got none"),
+        (PadShapes(np.uint8([[250, 0, 10, 4]])), ValueError, r"got \[250, 0, 10, 4\]"),
         (RingPatterns(17), ValueError, "n_rings must be at most 16, got 17"),
         (RingPatterns(radii=()), ValueError, "at least one radius, got none"),
         (RingPatterns(radii=(2, 30)), ValueError, "radii must be .* 25, got 30"),

@@ -337,10 +337,7 @@ class PadShapes(ImageEstimator):
     def transform_checked(self, images: Array) -> Floats:
         """Return the numbers, shape (n_touches, n_features)."""
         levels = np.abs(np.nan_to_num(images.astype(np.float64, copy=False)))
-        boxes = [
-            levels[:, row : row + rows, col : col + cols]
-            for row, col, rows, cols in self.pads_
-        ]
+        boxes = [cut_out(levels, box) for box in self.pads_]
         top = np.max([box.max(axis=(1, 2)) for box in boxes], axis=0)
         pads = np.stack([_numbers(box, top) for box in boxes])
         if len(pads) == 1:
@@ -359,6 +356,7 @@ def boxes_of(pads: ArrayLike | None, shape: tuple[int, ...]) -> Indices:
             "pads must be integers of shape (n_pads, 4): first row, first column, "
             f"rows and columns of each, got {boxes.dtype} of shape {boxes.shape}."
         )
+    boxes = boxes.astype(np.intp)  # sums of small integers would go round
     start, size = boxes[:, :2], boxes[:, 2:]
     out = (start < 0) | (size < 1) | (start + size > np.array(shape))
     if out.any() or not len(boxes):
@@ -368,7 +366,13 @@ def boxes_of(pads: ArrayLike | None, shape: tuple[int, ...]) -> Indices:
             f"{bad[0] if bad else 'none'}. Each is first row and column, rows, "
             "columns."
         )
-    return boxes.astype(np.intp)
+    return boxes
+
+
+def cut_out(images: Array, box: Indices) -> Array:
+    """Return what images show in a box: first row, first column, rows, columns."""
+    row, col, n_rows, n_cols = box
+    return images[:, row : row + n_rows, col : col + n_cols]
 
 
 def _numbers(box: Floats, top: Floats) -> Floats:

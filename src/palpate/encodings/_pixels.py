@@ -22,7 +22,7 @@ from .._numbers import evenly_spaced
 from .._types import Array, Complexes, Floats, Indices, Singles
 from ..images import OrientationRegulariser
 from ._edges_and_rings import lengths
-from ._moments import boxes_of, size_of
+from ._moments import boxes_of, cut_out, size_of
 
 PAPER_SIDE = 13  # 169 values, as in the paper
 # The median of so many training images is a baseline.
@@ -212,13 +212,13 @@ class GridLevels(ImageEstimator, by_channel=False):
         if self.pads is not None:
             self.pads_ = boxes_of(self.pads, sides)
             self.grids_ = [
-                self._of_pad(box).fit(_cut(images, box)) for box in self.pads_
+                self._of_pad(box).fit(cut_out(images, box)) for box in self.pads_
             ]
 
     def _of_pad(self, box: Indices) -> GridLevels:
         baseline = self.baseline
         if baseline is not None and not isinstance(baseline, str):
-            baseline = _cut(np.asarray(baseline)[np.newaxis], box)[0]
+            baseline = cut_out(np.asarray(baseline)[np.newaxis], box)[0]
         levels = self.cells, self.blur, self.root
         return GridLevels(*levels, baseline=baseline, spectrum=self.spectrum)
 
@@ -231,7 +231,7 @@ class GridLevels(ImageEstimator, by_channel=False):
             # Channel by channel, as where there is one pad.
             shape = len(images), 1 if images.ndim == 3 else images.shape[3], -1
             parts = [
-                grid.transform_checked(_cut(images, box)).reshape(shape)
+                grid.transform_checked(cut_out(images, box)).reshape(shape)
                 for grid, box in zip(self.grids_, self.pads_, strict=True)
             ]
             levels = np.concatenate(parts, axis=2).reshape(len(images), -1)
@@ -274,11 +274,6 @@ class TaxelVector(ImageEstimator):
     def transform_checked(self, images: Array) -> Floats:
         """Return the taxels, shape (n_touches, n_rows * n_cols)."""
         return images.reshape(len(images), -1).astype(np.float64)
-
-
-def _cut(images: Array, box: Indices) -> Array:
-    row, col, n_rows, n_cols = box
-    return images[:, row : row + n_rows, col : col + n_cols]
 
 
 def _averages(n: int, n_cells: int) -> Floats:

@@ -203,14 +203,13 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": _allowed(candidates, presentation)}
-    rest, encodings = touches.no_contact, _plane_encodings
+    rest, is_array = touches.no_contact, geometry == "array"
     if rest is not None:  # as the touches are looked at: without dead taxels
         rest = living(rest[None], touches.pads)[0]
-    if geometry == "array":
-        encodings = _array_encodings
+    encodings = _array_encodings if is_array else _plane_encodings
     pictures = TouchEncoder(None, encodings(touches, rest))
     recipes = {"whole picture": _allowed(pictures, presentation)}
-    if geometry == "array" and rest is not None and np.ptp(rest):
+    if is_array and rest is not None and np.ptp(rest):
         of_changes = encodings(touches, np.zeros_like(rest))
         changes = TouchEncoder(None, of_changes, as_changes=True)
         recipes["change from rest"] = _allowed(changes, presentation)
