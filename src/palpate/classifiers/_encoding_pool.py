@@ -3,7 +3,8 @@
 No encoding is best on every sensor, and few touches do not tell which one is. So each
 part of the feature vector has a machine of its own, one more learns all parts side by
 side, and their log posteriors of touches left out with their group are added with the
-weights of least log loss: a logarithmic opinion pool.
+weights of least log loss: a logarithmic opinion pool. Their sum is corrected where that
+helps with touches left out (`_matrix_scaling.py`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from .._numbers import log_loss, log_softmax, without_gaps
 from .._types import Array, Floats, Indices
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier
+from ._matrix_scaling import PENALTIES, learn_scaling, scaled
 from ._nearby import NearbyTouches
 from ._ridge import fair_shares
 from ._touch_classifier import BayesRule, Groups, TouchClassifier, labelled_touches
@@ -133,8 +135,14 @@ class EncodingPool(BayesRule):
         One for each part, and perhaps one for all of them together.
     weights_ : dict of str to float
         Factor of each machine's log posterior, at least 0.
+    scaling_ : ndarray of shape (n_classes + 1, n_classes) or None
+        What the sum's log posteriors are corrected by: a matrix, and what every touch
+        gets; None where it helps touches left out by no more than a standard error.
+    penalty_ : float or None
+        Its penalty, of least log loss; None where no matrix helped in `fit`.
     left_out_ : ndarray of shape (n_left_out, n_classes)
-        Pooled log posterior of training touches, each with its group left out.
+        Pooled log posterior of training touches, each with its group left out, and
+        corrected by what touches of other groups tell.
 
     Notes
     -----
@@ -159,6 +167,9 @@ class EncodingPool(BayesRule):
     # The kinds of machines that a pool has, unless the user gives one.
     MACHINES: ClassVar = (KernelRidgeClassifier, NearbyTouches, RehearsedMachine)
     classes_: Array
+    # Models of earlier versions have none.
+    scaling_: Floats | None = None
+    penalty_: float | None = None
 
     def __init__(
         self,
@@ -199,17 +210,31 @@ class EncodingPool(BayesRule):
             for name, part in self._parts(touches).items()
         }
         self.classes_, codes = np.unique(labels, return_inverse=True)
-        return self.weighed_by(codes[self.left_out_rows])
+        rows = self.left_out_rows
+        return self.weighed_by(codes[rows], group[rows])
 
-    def weighed_by(self, codes: Indices) -> Self:
-        """Weigh the machines by left-out touches; `codes` are their labels' columns."""
+    def weighed_by(self, codes: Indices, groups: Array) -> Self:
+        """Weigh the machines by left-out touches, and correct what they say together.
+
+        `codes` are the columns of their labels, `groups` what they were left out with.
+        """
         posteriors = self.left_out_posteriors()
         step = -(-codes.size * self.classes_.size // _MANY_ANSWERS)
         sampled = np.sort(np.argsort(codes, kind="stable")[::step])
         weights = self.best_weights(posteriors[:, sampled], codes[sampled])
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
-        self.left_out_ = self.pooled(posteriors)
+        self._scale(posteriors, codes, groups, PENALTIES)
         return self
+
+    def _scale(
+        self, posteriors: Floats, codes: Indices, groups: Array, penalties: Any
+    ) -> None:
+        """Correct what left-out touches tell together, and keep the correction."""
+        together = self._summed(posteriors)
+        learnt = learn_scaling(together, codes, groups, penalties)
+        self.scaling_, self.left_out_ = learnt.matrix, learnt.left_out
+        if penalties is PENALTIES:
+            self.penalty_ = learnt.penalty
 
     @staticmethod
     def best_weights(left_out: Floats, codes: Array) -> Floats:
@@ -235,13 +260,18 @@ class EncodingPool(BayesRule):
         return np.asarray(solution.x)
 
     def beside(
-        self, other: Self, weighing: Floats, share: float, codes: Indices
+        self,
+        other: Self,
+        weighing: Floats,
+        share: float,
+        codes: Indices,
+        groups: Array,
     ) -> Self:
         """Return a pool whose machines answer together with those of another one.
 
         Of the other one, which learnt the same touches multiplied by `weighing`
-        (n_features, n_features), answers count a share. `codes` are the columns of the
-        labels of touches left out, which weigh the machines anew.
+        (n_features, n_features), answers count a share. `codes` and `groups` of touches
+        left out are as in `weighed_by`, which weighs the machines anew.
         """
         both = copy(self)
         cuts = np.cumsum([0, *self.parts.values()])
@@ -253,7 +283,7 @@ class EncodingPool(BayesRule):
             name: RehearsedMachine(machine, other.machines_[name], blocks[name], share)
             for name, machine in self.machines_.items()
         }
-        return both.weighed_by(codes)
+        return both.weighed_by(codes, groups)
 
     @property
     def takes_weights(self) -> bool:  # type: ignore[override]
@@ -271,7 +301,8 @@ class EncodingPool(BayesRule):
         """Learn other touches with the widths, ridges and weights already chosen.
 
         Of machines that take it, what each touch counts (`weights`, (n_touches,)), and
-        `keep_shape` of `KernelRidgeClassifier.refit`.
+        `keep_shape` of `KernelRidgeClassifier.refit`, which also keeps the scaling of
+        the same labels.
         """
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
@@ -285,8 +316,17 @@ class EncodingPool(BayesRule):
                 name: copy(self.machines_[name]).refit(part, labels, groups, **more)
                 for name, part in self._parts(touches).items()
             }
-        self.classes_ = np.unique(labels)
-        self.left_out_ = self.pooled(self.left_out_posteriors())
+        before, (self.classes_, codes) = (
+            self.classes_,
+            np.unique(labels, return_inverse=True),
+        )
+        posteriors = self.left_out_posteriors()
+        if keep_shape and np.array_equal(before, self.classes_):
+            self.left_out_ = self.pooled(posteriors)
+            return self
+        rows, group = self.left_out_rows, as_groups(groups, len(touches))
+        penalties = () if self.penalty_ is None else (self.penalty_,)
+        self._scale(posteriors, codes[rows], group[rows], penalties)
         return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
@@ -365,8 +405,23 @@ class EncodingPool(BayesRule):
 
     def pooled(self, by_part: Floats) -> Floats:
         """Return the log posterior (n_touches, n_classes) of what each machine says."""
+        return scaled(self._summed(by_part), self.scaling_)
+
+    def corrected(self, log_likelihood: Floats, columns: Indices) -> Floats:
+        """Return what the pool would say, had it learnt some of its labels alone.
+
+        Of its machines' log posteriors of those `columns`, weighed and summed up
+        (n_touches, n_columns).
+        """
+        bounded = np.maximum(log_softmax(log_likelihood), _LEAST)
+        matrix = self.scaling_
+        if matrix is not None:
+            matrix = matrix[np.append(columns, -1)][:, columns]
+        return scaled(bounded, matrix)
+
+    def _summed(self, by_part: Floats) -> Floats:
         weights = np.array(list(self.weights_.values()))
-        return np.asarray(log_softmax(np.tensordot(weights, by_part, 1), axis=1))
+        return np.tensordot(weights, by_part, 1)
 
 
 def _machine_for(n_touches: int, n_labels: int) -> TouchClassifier:

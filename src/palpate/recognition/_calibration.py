@@ -20,7 +20,7 @@ from sklearn.isotonic import isotonic_regression
 
 from .._numbers import evenly_spaced, log_loss, log_softmax, with_floor, without_gaps
 from .._types import Array, Floats, Indices
-from ..classifiers import TouchClassifier
+from ..classifiers import EncodingPool, TouchClassifier
 from ._evidence import SequenceCalibration, is_informative
 from ._memory import rows_of_each
 from ._strangers import (
@@ -159,10 +159,13 @@ class LeftOut:
     Log-likelihoods (n_touches, n_objects) and those of `each` encoding (n_touches,
     n_encodings, n_objects), without floor; `log_distances` (n_touches, n_objects) as of
     `Nearest`; `codes` (n_touches,), the column of each touch's own object; and as in
-    `BeliefModel` the `log_prior`, `floor`, `calibration` and `categories`.
+    `BeliefModel` the `log_prior`, `floor`, `calibration` and `categories`. Where a
+    `pool` corrects the log-likelihoods, they are `uncorrected` before that.
     """
 
     log_likelihood: Floats
+    uncorrected: Floats
+    pool: EncodingPool | None
     each: Floats
     log_distances: Floats
     codes: Array
@@ -357,8 +360,9 @@ def _state_of_episodes(
     """Return what episodes come to by some of the objects."""
     touches, local = np.unique(rows, return_inverse=True)
     # `take` keeps objects next to each other, as sums over them want it.
-    tables = left_out.log_likelihood, left_out.each, left_out.log_distances
-    pooled, each, distances = (t[touches].take(columns, axis=-1) for t in tables)
+    tables = left_out.each, left_out.log_distances
+    each, distances = (t[touches].take(columns, axis=-1) for t in tables)
+    pooled = _pooled(left_out, touches, columns)
     pooled, each = (with_floor(table, left_out.floor) for table in (pooled, each))
     local = local.reshape(rows.shape)
     used = is_informative(pooled)[local] & (rows >= 0)
@@ -366,6 +370,15 @@ def _state_of_episodes(
     present = replace(model, usual=model.usual[columns])
     parts = pooled[local], each[local], distances[local]
     return episode_state(used, *parts, prior, left_out.calibration, present)
+
+
+def _pooled(left_out: LeftOut, touches: Indices, columns: Indices) -> Floats:
+    """Return log-likelihoods of some of the objects, as if others were never learnt."""
+    if left_out.pool is None or len(columns) == len(left_out.log_prior):
+        return left_out.log_likelihood[touches].take(columns, axis=-1)
+    uncorrected = left_out.uncorrected[touches].take(columns, axis=-1)
+    corrected = left_out.pool.corrected(uncorrected, columns)
+    return np.where(is_informative(uncorrected)[:, np.newaxis], corrected, 0.0)
 
 
 def _joined(tracks: list[Track]) -> Track:

@@ -564,9 +564,16 @@ class Learner(BaseEstimator):
         each = np.swapaxes(log_softmax(parts, axis=-1), 0, 1)
         weights = np.array([*self.classifier_.part_weights.values()])
         rows = self.left_out_rows
-        log_likelihood = self._contact_only(weights @ each, memory.nothing[rows])
+        uncorrected = self._contact_only(weights @ each, memory.nothing[rows])
+        log_likelihood, pool = uncorrected, None
+        machines = self.classifier_
+        if isinstance(machines, EncodingPool) and machines.scaling_ is not None:
+            pool, corrected = machines, left_out_log_likelihood(machines)
+            log_likelihood = self._contact_only(corrected, memory.nothing[rows])
         left_out = LeftOut(
             log_likelihood=log_likelihood,
+            uncorrected=uncorrected,
+            pool=pool,
             each=each,
             log_distances=memory.nearest.left_out(rows, before),
             codes=np.searchsorted(self.classes_, memory.labels[rows]),

@@ -42,6 +42,8 @@ FINE_TAXELS = 24
 FEW_CELLS = 16
 # Principal components keep this share of the variance of a large encoding.
 KEPT_SHARE = 0.99
+# Of taxels, whose directions all count alike then, nearly all.
+WHITENED_SHARE = 0.999
 
 # How objects come, and what an encoding for that must be blind to.
 PRESENTATIONS = {
@@ -232,6 +234,11 @@ def _taxel_encodings() -> dict[str, list[Any]]:
     return {
         "taxels": [TaxelVector(), StandardScaler()],
         "roots of taxels": [TaxelVector(), RootScaler()],
+        "directions of taxels": [
+            TaxelVector(),
+            StandardScaler(),
+            PCA(WHITENED_SHARE, whiten=True, svd_solver="full"),
+        ],
     }
 
 

@@ -102,7 +102,7 @@ def rehearsed(
     mixed = (1 - share) * of_drawn[0] + share * of_drawn[1]
     right = (mixed.argmax(axis=-1) == drawn_codes)[:, is_asked].mean(axis=1)
     if share:
-        pool = pool.beside(weighed, weighing, share, codes[rows])
+        pool = pool.beside(weighed, weighing, share, codes[rows], groups[rows])
     return Rehearsal(pool, share, right)
 
 

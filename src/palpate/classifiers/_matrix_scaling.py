@@ -1,0 +1,135 @@
+"""Matrix scaling: posteriors corrected by what is said of touches left out.
+
+Regression on one-hot labels hides a label that lies between others: a middling disc
+gets less than the small one or the large one, wherever it is pressed. What it says of
+all labels together still tells it. So the log posteriors of touches left out are
+features of a multinomial logistic regression, which begins at leaving them as they are
+and moves away from that as far as other touches left out become more probable.
+
+References
+----------
+C. Guo et al., "On calibration of modern neural networks", ICML 2017; M. Kull et al.,
+"Beyond temperature scaling: obtaining well-calibrated multi-class probabilities with
+Dirichlet calibration", NeurIPS 2019.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from .._numbers import log_loss, log_softmax
+from .._types import Array, Floats, Indices
+from ._ridge import fair_shares
+
+# Precisions of a normal prior on every entry of the matrix, of one touch's log loss.
+PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
+_N_FOLDS = 5
+# Touches times labels squared that a matrix is learnt from: more are thinned out; and
+# so many touches of each label, at least.
+_MOST_WORK, _FEWEST = 20_000_000, 4
+
+
+class Scaling(NamedTuple):
+    """What was learnt of log posteriors of touches left out.
+
+    `matrix` (n_classes + 1, n_classes) is what `scaled` adds, the last row to every
+    touch, and `penalty` that of least log loss; both None where leaving all as it is
+    does as well. `left_out` (n_touches, n_classes) are the log posteriors, each scaled
+    by what touches of other groups tell.
+    """
+
+    matrix: Floats | None
+    penalty: float | None
+    left_out: Floats
+
+
+def scaled(log_posterior: Floats, matrix: Floats | None) -> Floats:
+    """Return log posteriors (..., n_classes) as a matrix corrects them; None leaves."""
+    if matrix is None:
+        return np.asarray(log_softmax(log_posterior))
+    centred = _centred(log_posterior)
+    return np.asarray(log_softmax(centred + centred @ matrix[:-1] + matrix[-1]))
+
+
+def learn_scaling(
+    log_posterior: Floats,
+    codes: Indices,
+    groups: Array,
+    penalties: Iterable[float] = PENALTIES,
+) -> Scaling:
+    """Learn from log posteriors (n_touches, n_classes) of touches left out.
+
+    With the column of each touch's own label, and its group (n_touches,): touches of
+    one group do not correct each other. Of penalties, from the largest, one is taken
+    where log loss falls by more than its standard error.
+    """
+    n_classes = log_posterior.shape[1]
+    sampled = _sampled(codes, _MOST_WORK // n_classes**2)
+    best = Scaling(None, None, log_softmax(log_posterior))
+    folds = _folds(codes, groups)
+    if len(sampled) < _FEWEST * n_classes or not folds.any():
+        return best
+    centred, each = _centred(log_posterior), np.arange(len(codes))
+    matrices: dict[int, Floats] = {}
+    for penalty in penalties:
+        left_out = np.empty_like(centred)
+        for fold in range(folds.max() + 1):
+            rows = sampled[folds[sampled] != fold]
+            matrix = _fitted(centred[rows], codes[rows], penalty, matrices.get(fold))
+            matrices[fold], asked = matrix, folds == fold
+            left_out[asked] = scaled(centred[asked], matrix)
+        gained = left_out[each, codes] - best.left_out[each, codes]
+        error = gained.std() / np.sqrt(len(gained))
+        if gained.mean() > error:
+            best = Scaling(None, penalty, left_out)
+        elif gained.mean() < -error:
+            break
+    if best.penalty is None:
+        return best
+    matrix = _fitted(centred[sampled], codes[sampled], best.penalty, matrices[0])
+    return best._replace(matrix=matrix)
+
+
+def _centred(log_posterior: Floats) -> Floats:
+    """Return log posteriors less the mean of each touch: a constant tells nothing."""
+    return np.asarray(log_posterior - log_posterior.mean(axis=-1, keepdims=True))
+
+
+def _sampled(codes: Indices, at_most: int) -> Indices:
+    """Return every k-th touch of each label, for the least k that fits."""
+    step = -(-len(codes) // max(1, at_most))
+    return np.sort(np.argsort(codes, kind="stable")[::step])
+
+
+def _folds(codes: Indices, groups: Array) -> Indices:
+    """Return the fold of each touch: groups in turn, those of one label together."""
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    turn = np.empty(len(first), dtype=np.intp)
+    turn[np.argsort(codes[first], kind="stable")] = np.arange(len(first)) % _N_FOLDS
+    return turn[group]
+
+
+def _fitted(
+    centred: Floats, codes: Indices, penalty: float, start: Floats | None
+) -> Floats:
+    """Return the matrix of least log loss and penalty, (n_classes + 1, n_classes)."""
+    n_classes, shares = centred.shape[1], fair_shares(codes)
+    shape = n_classes + 1, n_classes
+
+    def loss(flat: Floats) -> tuple[float, Floats]:
+        matrix = flat.reshape(shape)
+        logits = centred + centred @ matrix[:-1] + matrix[-1]
+        value, pull = log_loss(logits, codes, shares)
+        slope = np.vstack([centred.T @ pull, pull.sum(axis=0)]) + penalty * matrix
+        return value + penalty * float(flat @ flat) / 2, slope.ravel()
+
+    begin = np.zeros(shape) if start is None else start
+    # Losses to a hundred thousandth: more moves nothing that anyone sees.
+    fit: Any = minimize(
+        loss, begin.ravel(), jac=True, method="L-BFGS-B", options={"ftol": 1e-6}
+    )
+    return np.asarray(fit.x).reshape(shape)
