@@ -27,7 +27,7 @@ from ._ridge import fair_shares
 
 # Precisions of a normal prior on every entry of the matrix, of one touch's log loss.
 PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
-_N_FOLDS = 5
+_N_FOLDS = 3
 # Touches times labels squared that a matrix is learnt from: more are thinned out; and
 # so many touches of each label, at least.
 _MOST_WORK, _FEWEST = 20_000_000, 4
@@ -106,11 +106,13 @@ def _sampled(codes: Indices, at_most: int) -> Indices:
 
 
 def _folds(codes: Indices, groups: Array) -> Indices:
-    """Return the fold of each touch: groups in turn, those of one label together."""
+    """Return the fold of each touch: a run of each label's groups, as they came."""
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-    turn = np.empty(len(first), dtype=np.intp)
-    turn[np.argsort(codes[first], kind="stable")] = np.arange(len(first)) % _N_FOLDS
-    return turn[group]
+    fold = np.empty(len(first), dtype=np.intp)
+    for code in np.unique(codes):
+        of_label = np.flatnonzero(codes[first] == code)
+        fold[of_label] = np.arange(len(of_label)) * _N_FOLDS // max(len(of_label), 1)
+    return fold[group]
 
 
 def _fitted(

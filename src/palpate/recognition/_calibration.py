@@ -164,8 +164,6 @@ class LeftOut:
     """
 
     log_likelihood: Floats
-    uncorrected: Floats
-    pool: EncodingPool | None
     each: Floats
     log_distances: Floats
     codes: Array
@@ -174,6 +172,8 @@ class LeftOut:
     calibration: SequenceCalibration
     weights: Floats
     categories: NDArray[np.str_]
+    uncorrected: Floats | None = None
+    pool: EncodingPool | None = None
 
 
 def fit_strangers(
@@ -374,10 +374,12 @@ def _state_of_episodes(
 
 def _pooled(left_out: LeftOut, touches: Indices, columns: Indices) -> Floats:
     """Return log-likelihoods of some of the objects, as if others were never learnt."""
-    if left_out.pool is None or len(columns) == len(left_out.log_prior):
+    pool, uncorrected = left_out.pool, left_out.uncorrected
+    is_whole = len(columns) == len(left_out.log_prior)
+    if pool is None or uncorrected is None or is_whole:
         return left_out.log_likelihood[touches].take(columns, axis=-1)
-    uncorrected = left_out.uncorrected[touches].take(columns, axis=-1)
-    corrected = left_out.pool.corrected(uncorrected, columns)
+    uncorrected = uncorrected[touches].take(columns, axis=-1)
+    corrected = pool.corrected(uncorrected, columns)
     return np.where(is_informative(uncorrected)[:, np.newaxis], corrected, 0.0)
 
 

@@ -42,8 +42,10 @@ FINE_TAXELS = 24
 FEW_CELLS = 16
 # Principal components keep this share of the variance of a large encoding.
 KEPT_SHARE = 0.99
-# Of taxels, whose directions all count alike then, nearly all.
-WHITENED_SHARE = 0.999
+# Taxels vary along directions that hold this share, which so many touches for each
+# taxel tell.
+DIRECTIONS_SHARE = 0.999
+TOUCHES_EACH = 8
 
 # How objects come, and what an encoding for that must be blind to.
 PRESENTATIONS = {
@@ -191,7 +193,7 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     """
     geometry = find_geometry(touches)
     if geometry == "none":
-        return {"taxels": TouchEncoder(None, _taxel_encodings())}
+        return {"taxels": TouchEncoder(None, _taxel_encodings(touches))}
     if geometry == "dome":
         principal = PrincipalShare(KEPT_SHARE)
         on_disc = {
@@ -229,17 +231,18 @@ def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
     return encoder.only(n for n in blind if blind[n] == max(blind.values()))
 
 
-def _taxel_encodings() -> dict[str, list[Any]]:
+def _taxel_encodings(touches: Touches) -> dict[str, list[Any]]:
     """Encodings of taxels that have no places."""
-    return {
+    encodings: dict[str, list[Any]] = {
         "taxels": [TaxelVector(), StandardScaler()],
         "roots of taxels": [TaxelVector(), RootScaler()],
-        "directions of taxels": [
-            TaxelVector(),
-            StandardScaler(),
-            PCA(WHITENED_SHARE, whiten=True, svd_solver="full"),
-        ],
     }
+    if len(touches) >= TOUCHES_EACH * touches.images[0].size:
+        # Each direction that taxels vary along counts alike, also the least ones.
+        directions = [StandardScaler(), PrincipalShare(DIRECTIONS_SHARE)]
+        whitened = [TaxelVector(), *directions, StandardScaler()]
+        encodings["directions of taxels"] = whitened
+    return encodings
 
 
 def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any]]:
@@ -252,7 +255,7 @@ def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any
     encodings = _plane_encodings(touches, rest)
     encodings["levels apart from place"] = [spectrum, PrincipalShare(KEPT_SHARE)]
     if min(touches.images.shape[1:3]) < FEW_TAXELS:
-        encodings |= _taxel_encodings()
+        encodings |= _taxel_encodings(touches)
     return encodings
 
 
