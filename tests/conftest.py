@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from copy import copy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -44,13 +45,25 @@ def disc_mask() -> Callable[[int, int], NDArray[np.bool_]]:
     return mask
 
 
-@pytest.fixture
-def reread(tmp_path: Path) -> Callable[[Any], Any]:
-    """Return a function that writes an estimator to a model file, and reads it."""
-    from palpate.recognition._model_file import read_model, write_model
+@pytest.fixture(scope="session")
+def small_model() -> Any:
+    """Return a recogniser of two objects that has learnt very little; to be copied."""
+    from palpate import ObjectRecogniser
 
-    path = tmp_path / "part.palpate"
-    return lambda part: read_model(write_model(path, part), type(part))
+    images = np.random.default_rng(0).random((8, 3, 6))
+    return ObjectRecogniser(rehearse=False).fit(images, ["a"] * 4 + ["b"] * 4)
+
+
+@pytest.fixture
+def reread(small_model: Any, tmp_path: Path) -> Callable[[Any], Any]:
+    """Return a function that writes a value, part of a model, to a file and reads it."""
+
+    def written_and_read(value: Any) -> Any:
+        model = copy(small_model)
+        model.value_ = value
+        return type(model).load(model.save(tmp_path / "m.palpate")).value_
+
+    return written_and_read
 
 
 @pytest.fixture
