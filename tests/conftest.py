@@ -12,6 +12,27 @@ import pytest
 import typer.main
 from numpy.typing import NDArray
 
+# What tests lower, each a number inside of palpate, to show with little what much does.
+LIMITS = {
+    "answers_left_out": "classifiers._touch_classifier.MOST_ANSWERS",
+    "browser_patience_s": "web._app._PATIENCE_S",
+    "browser_queue": "web._app._LONGEST_QUEUE",
+    "browsers": "web._app._MOST_CLIENTS",
+    "database_patience_alone_s": "library._store._PATIENCE_ALONE_S",
+    "database_patience_s": "library._store.PATIENCE_S",
+    "fetch_s": "datasets._fetch._MOST_S",
+    "pairs_at_once": "classifiers._nearby._PAIRS_AT_ONCE",
+    "pattern_s": "touches._layout._MOST_S",
+    "serial_listen_s": "sensors._serial._LISTEN_S",
+    "serial_silent_s": "sensors._serial._SILENT_S",
+    "targets": "classifiers._kernel_ridge._MOST_TARGETS",
+    "touches_a_task": "classifiers._landmarks.TOUCHES_A_TASK",
+    "touches_at_once": "classifiers._landmarks.TOUCHES_AT_ONCE",
+    "touches_looked_at": "recognition._learning.AT_MOST",
+    "weights_tried": "recognition._remounting.N_WEIGHTS",
+    "zip_list_bytes": "datasets._fetch._LONGEST_LIST",
+}
+
 # Tests must not depend on the data that were fetched on this computer.
 os.environ["PALPATE_DATA_HOME"] = str(Path(__file__).parent / "nothing-fetched")
 
@@ -46,6 +67,17 @@ def disc_mask() -> Callable[[int, int], NDArray[np.bool_]]:
 
 
 @pytest.fixture(scope="session")
+def lower() -> Callable[..., None]:
+    """Return a function that sets `LIMITS` by their names, until a patch is undone."""
+
+    def lower_by(patch: pytest.MonkeyPatch, **limits: float) -> None:
+        for name, limit in limits.items():
+            patch.setattr(f"palpate.{LIMITS[name]}", limit)
+
+    return lower_by
+
+
+@pytest.fixture(scope="session")
 def small_model() -> Any:
     """Return a recogniser of two objects that has learnt very little; to be copied."""
     from palpate import ObjectRecogniser
@@ -56,7 +88,7 @@ def small_model() -> Any:
 
 @pytest.fixture
 def reread(small_model: Any, tmp_path: Path) -> Callable[[Any], Any]:
-    """Return a function that writes a value, part of a model, to a file and reads it."""
+    """Return a function that writes a value into a model file and reads it."""
 
     def written_and_read(value: Any) -> Any:
         model = copy(small_model)
