@@ -10,13 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.evaluation import (
-    Plan,
-    evaluate,
-    explained_episodes,
-    summary,
-    write_report,
-)
+from palpate.evaluation import Plan, evaluate, explained_episodes, summary, write_report
 
 from .conftest import drawn
 

@@ -7,13 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches, simulate_touches
-from palpate.evaluation import (
-    Plan,
-    evaluate,
-    explained_episodes,
-    summary,
-    write_report,
-)
+from palpate.evaluation import Plan, evaluate, explained_episodes, summary, write_report
 from palpate.recognition import sessions_message
 from palpate.simulation import DomeCamera
 

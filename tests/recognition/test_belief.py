@@ -77,9 +77,7 @@ def stranger_model(model):
     """
     learnt = model.strangers_
     falling = replace(
-        learnt.low_curve,
-        levels=np.log([1e-9, 1.0]),
-        log_ratios=np.log([[1e-8, 10.0]]),
+        learnt.low_curve, levels=np.log([1e-9, 1.0]), log_ratios=np.log([[1e-8, 10.0]])
     )
     return replace(
         learnt,
@@ -348,12 +346,7 @@ def test_what_cannot_be_asked_is_refused_before_the_first_touch(
             {"error": 0.06, "level": "any"},
             "a vessel, 97 % after 1 touch; which one I cannot tell",
         ),
-        (
-            (1 - 4e-6, *[1e-6] * 4),
-            0.0,
-            {},
-            "ball, over 99.9 % after 1 touch",
-        ),
+        ((1 - 4e-6, *[1e-6] * 4), 0.0, {}, "ball, over 99.9 % after 1 touch"),
     ],
 )
 def test_a_reason_is_one_sentence(start, shares, strangers, arguments, sentence):

@@ -431,10 +431,7 @@ def test_remounting_moves_touches_onto_training_and_reports_how_far(taught):
     features = taught.encoder_.transform(there)
     means = [
         np.mean([f[labels == name].mean(axis=0) for name in "abcdef"], axis=0)
-        for f, labels in (
-            (features, there.object),
-            (before.features, before.labels),
-        )
+        for f, labels in ((features, there.object), (before.features, before.labels))
     ]
     # The share of the shift that chance would make is held back.
     left = np.linalg.norm(means[0] - means[1])
