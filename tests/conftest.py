@@ -14,23 +14,23 @@ from numpy.typing import NDArray
 
 # What tests lower, each a number inside of palpate, to show with little what much does.
 LIMITS = {
-    "answers_left_out": "classifiers._touch_classifier.MOST_ANSWERS",
-    "browser_patience_s": "web._app._PATIENCE_S",
-    "browser_queue": "web._app._LONGEST_QUEUE",
-    "browsers": "web._app._MOST_CLIENTS",
-    "database_patience_alone_s": "library._store._PATIENCE_ALONE_S",
-    "database_patience_s": "library._store.PATIENCE_S",
-    "fetch_s": "datasets._fetch._MOST_S",
-    "pairs_at_once": "classifiers._nearby._PAIRS_AT_ONCE",
-    "pattern_s": "touches._layout._MOST_S",
-    "serial_listen_s": "sensors._serial._LISTEN_S",
-    "serial_silent_s": "sensors._serial._SILENT_S",
-    "targets": "classifiers._kernel_ridge._MOST_TARGETS",
-    "touches_a_task": "classifiers._landmarks.TOUCHES_A_TASK",
-    "touches_at_once": "classifiers._landmarks.TOUCHES_AT_ONCE",
-    "touches_looked_at": "recognition._learning.AT_MOST",
-    "weights_tried": "recognition._remounting.N_WEIGHTS",
-    "zip_list_bytes": "datasets._fetch._LONGEST_LIST",
+    "answers_left_out": "palpate.classifiers._touch_classifier.MOST_ANSWERS",
+    "browser_patience_s": "palpate.web._app._PATIENCE_S",
+    "browser_queue": "palpate.web._app._LONGEST_QUEUE",
+    "browsers": "palpate.web._app._MOST_CLIENTS",
+    "database_patience_alone_s": "palpate.library._store._PATIENCE_ALONE_S",
+    "database_patience_s": "palpate.library._store.PATIENCE_S",
+    "fetch_s": "palpate.datasets._fetch._MOST_S",
+    "pairs_at_once": "palpate.classifiers._nearby._PAIRS_AT_ONCE",
+    "pattern_s": "palpate.touches._layout._MOST_S",
+    "serial_listen_s": "palpate.sensors._serial._LISTEN_S",
+    "serial_silent_s": "palpate.sensors._serial._SILENT_S",
+    "targets": "palpate.classifiers._kernel_ridge._MOST_TARGETS",
+    "touches_a_task": "palpate.classifiers._landmarks.TOUCHES_A_TASK",
+    "touches_at_once": "palpate.classifiers._landmarks.TOUCHES_AT_ONCE",
+    "touches_looked_at": "palpate.recognition._learning.AT_MOST",
+    "weights_tried": "palpate.recognition._remounting.N_WEIGHTS",
+    "zip_list_bytes": "palpate.datasets._fetch._LONGEST_LIST",
 }
 
 # Tests must not depend on the data that were fetched on this computer.
@@ -72,7 +72,7 @@ def lower() -> Callable[..., None]:
 
     def lower_by(patch: pytest.MonkeyPatch, **limits: float) -> None:
         for name, limit in limits.items():
-            patch.setattr(f"palpate.{LIMITS[name]}", limit)
+            patch.setattr(LIMITS[name], limit)
 
     return lower_by
 
