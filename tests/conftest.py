@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from copy import copy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,27 @@ import numpy as np
 import pytest
 import typer.main
 from numpy.typing import NDArray
+
+# What tests lower, each a number inside of palpate, to show with little what much does.
+LIMITS = {
+    "answers_left_out": "palpate.classifiers._touch_classifier.MOST_ANSWERS",
+    "browser_patience_s": "palpate.web._app._PATIENCE_S",
+    "browser_queue": "palpate.web._app._LONGEST_QUEUE",
+    "browsers": "palpate.web._app._MOST_CLIENTS",
+    "database_patience_alone_s": "palpate.library._store._PATIENCE_ALONE_S",
+    "database_patience_s": "palpate.library._store.PATIENCE_S",
+    "fetch_s": "palpate.datasets._fetch._MOST_S",
+    "pairs_at_once": "palpate.classifiers._nearby._PAIRS_AT_ONCE",
+    "pattern_s": "palpate.touches._layout._MOST_S",
+    "serial_listen_s": "palpate.sensors._serial._LISTEN_S",
+    "serial_silent_s": "palpate.sensors._serial._SILENT_S",
+    "targets": "palpate.classifiers._kernel_ridge._MOST_TARGETS",
+    "touches_a_task": "palpate.classifiers._landmarks.TOUCHES_A_TASK",
+    "touches_at_once": "palpate.classifiers._landmarks.TOUCHES_AT_ONCE",
+    "touches_looked_at": "palpate.recognition._learning.AT_MOST",
+    "weights_tried": "palpate.recognition._remounting.N_WEIGHTS",
+    "zip_list_bytes": "palpate.datasets._fetch._LONGEST_LIST",
+}
 
 # Tests must not depend on the data that were fetched on this computer.
 os.environ["PALPATE_DATA_HOME"] = str(Path(__file__).parent / "nothing-fetched")
@@ -44,13 +66,36 @@ def disc_mask() -> Callable[[int, int], NDArray[np.bool_]]:
     return mask
 
 
-@pytest.fixture
-def reread(tmp_path: Path) -> Callable[[Any], Any]:
-    """Return a function that writes an estimator to a model file, and reads it."""
-    from palpate.recognition._model_file import read_model, write_model
+@pytest.fixture(scope="session")
+def lower() -> Callable[..., None]:
+    """Return a function that sets `LIMITS` by their names, until a patch is undone."""
 
-    path = tmp_path / "part.palpate"
-    return lambda part: read_model(write_model(path, part), type(part))
+    def lower_by(patch: pytest.MonkeyPatch, **limits: float) -> None:
+        for name, limit in limits.items():
+            patch.setattr(LIMITS[name], limit)
+
+    return lower_by
+
+
+@pytest.fixture(scope="session")
+def small_model() -> Any:
+    """Return a recogniser of two objects that has learnt very little; to be copied."""
+    from palpate import ObjectRecogniser
+
+    images = np.random.default_rng(0).random((8, 3, 6))
+    return ObjectRecogniser(rehearse=False).fit(images, ["a"] * 4 + ["b"] * 4)
+
+
+@pytest.fixture
+def reread(small_model: Any, tmp_path: Path) -> Callable[[Any], Any]:
+    """Return a function that writes a value into a model file and reads it."""
+
+    def written_and_read(value: Any) -> Any:
+        model = copy(small_model)
+        model.value_ = value
+        return type(model).load(model.save(tmp_path / "m.palpate")).value_
+
+    return written_and_read
 
 
 @pytest.fixture

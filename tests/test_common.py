@@ -66,12 +66,7 @@ ENCODERS = [
     ScaledPixels(4, min_anisotropy=None),
     ZernikePCA(),
 ]
-CLEANERS = [
-    ArrayCleanUp(),
-    DerivativeMagnitude(),
-    DomeCrop(),
-    OrientationRegulariser(),
-]
+CLEANERS = [ArrayCleanUp(), DerivativeMagnitude(), DomeCrop(), OrientationRegulariser()]
 encoders = pytest.mark.parametrize("encoder", ENCODERS, ids=repr)
 image_estimators = pytest.mark.parametrize("encoder", [*ENCODERS, *CLEANERS], ids=repr)
 

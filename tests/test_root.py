@@ -14,7 +14,7 @@ from palpate._checks import check_number, check_positive
 from palpate._durable import PARTIAL, replacing, write_text
 from palpate._extras import install, needed
 from palpate._image_estimator import central_moments
-from palpate._numbers import correlation, exp, otsu_thresholds
+from palpate._numbers import exp, otsu_thresholds
 from palpate._parallel import in_parallel
 
 
@@ -154,15 +154,6 @@ def test_exponentials_are_numpys_but_for_the_last_bit(rng, kind):
     assert_allclose(output, expected, rtol=rtol)
     assert exp(values, out=values) is not None
     assert_allclose(values, expected, rtol=rtol)
-
-
-def test_correlation_is_that_of_statistics():
-    images = np.random.default_rng(0).integers(0, 255, (4, 5, 6), dtype=np.uint8)
-    images[3] = 9  # an even image is like nothing
-    correlations = correlation(images, images[1])
-    expected = np.corrcoef(images[:3].reshape(3, -1))[1]
-    assert correlations == pytest.approx([*expected, 0])
-    assert correlation(images, images[3]).tolist() == [0, 0, 0, 0]
 
 
 def test_central_moments_are_their_definition(rng):

@@ -164,11 +164,7 @@ def test_the_colours_of_pictures_differ_for_the_colour_blind(eyes):
 def _lab(linear):
     """Return CIE L*a*b* (D65) of linear sRGB, (n, 3)."""
     xyz = linear @ np.transpose(
-        [
-            [0.4124, 0.3576, 0.1805],
-            [0.2126, 0.7152, 0.0722],
-            [0.0193, 0.1192, 0.9505],
-        ]
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
     )
     f = np.cbrt(xyz / [0.9505, 1.0, 1.089])  # white; no colour here is near black
     return np.stack(

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 from palpate import ObjectRecogniser, Touches
 from palpate.classifiers import EncodingPool, KernelDensityBayes, KernelRidgeClassifier
 
-MOST_ANSWERS = "palpate.classifiers._touch_classifier.MOST_ANSWERS"
 SETTINGS = {"widths": [1.0], "ridges": [0.1], "max_touches": 50, "n_landmarks": 40}
 
 
@@ -71,11 +70,10 @@ def test_other_touches_are_learnt_from_the_beginning():
     assert len(machine.classes_) == 14
 
 
-def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
+def test_sums_are_the_same_wherever_blocks_lie(monkeypatch, lower):
     X, labels, groups = drawn(10, 30)
     whole = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
-    monkeypatch.setattr("palpate.classifiers._landmarks.TOUCHES_A_TASK", 70)
-    monkeypatch.setattr("palpate.classifiers._landmarks.TOUCHES_AT_ONCE", 16)
+    lower(monkeypatch, touches_a_task=70, touches_at_once=16)
     with parallel_config("threading", n_jobs=2):
         in_blocks = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
     assert_allclose(in_blocks.scores(X), whole.scores(X), atol=1e-5)
@@ -106,9 +104,9 @@ def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
     ("n_labels", "n_each", "n_groups"), [(40, 6, 3), (400, 5, 5), (4, 300, 5)]
 )
 def test_a_part_of_very_many_answers_is_left_out(
-    monkeypatch, n_labels, n_each, n_groups
+    monkeypatch, lower, n_labels, n_each, n_groups
 ):
-    monkeypatch.setattr(MOST_ANSWERS, 2000)
+    lower(monkeypatch, answers_left_out=2000)
     codes = np.repeat(np.arange(n_labels), n_each)
     groups = np.tile(np.arange(n_each) * n_groups // n_each, n_labels)
     groups = groups + n_groups * codes
@@ -127,11 +125,11 @@ def test_a_part_of_very_many_answers_is_left_out(
         assert (counts < n_each // n_groups).sum() <= 1
 
 
-def test_a_pool_of_a_part_left_out_is_nearly_that_of_all(monkeypatch):
+def test_a_pool_of_a_part_left_out_is_nearly_that_of_all(monkeypatch, lower):
     X, labels, groups = drawn(30, 20)
     parts = {"first": 2, "second": 2}
     of_all = EncodingPool(parts).fit(X, labels, groups=groups)
-    monkeypatch.setattr(MOST_ANSWERS, 9000)
+    lower(monkeypatch, answers_left_out=9000)
     of_part = EncodingPool(parts).fit(X, labels, groups=groups)
     rows = of_part.left_out_rows
     assert len(rows) < len(of_all.left_out_rows) == 600

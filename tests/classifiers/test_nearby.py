@@ -45,11 +45,7 @@ def test_densities_are_those_of_each_labels_own_touches():
     slow = slow_scores(machine, X, labels, new_touches, none)
     centred = (new_touches - machine.mean_).astype(np.float32)
     assert_allclose(machine._densities(centred, machine.width_), slow, rtol=1e-4)
-
-
-def test_touches_are_left_out_with_their_group():
-    X, labels, groups = drawn()
-    machine = NearbyTouches().fit(X, labels, groups=groups)
+    # Touches are left out with their group.
     slow = slow_scores(machine, X, labels, X, groups[:, None] == groups)
     stored, group, _ = machine._stored(X, labels, groups)
     densities = machine._densities(stored, machine.width_, group)
@@ -144,11 +140,11 @@ def test_more_touches_are_stored_with_the_width_that_was_chosen():
     assert machine.score(new_touches, truth) > 0.7
 
 
-def test_many_touches_are_told_in_pieces(monkeypatch):
+def test_many_touches_are_told_in_pieces(monkeypatch, lower):
     X, labels, _ = drawn()
     machine = NearbyTouches().fit(X, labels)
     whole = machine.log_likelihood(X)
-    monkeypatch.setattr("palpate.classifiers._nearby._PAIRS_AT_ONCE", 1000)
+    lower(monkeypatch, pairs_at_once=1000)
     assert_allclose(machine.log_likelihood(X), whole, atol=1e-5)
     left_out = machine.left_out_
     assert_allclose(machine.refit(X, labels).left_out_, left_out, atol=1e-4)
@@ -164,8 +160,10 @@ def test_many_touches_are_told_in_pieces(monkeypatch):
     ],
 )
 @pytest.mark.slow
-def test_a_pool_takes_what_can_tell_so_many_labels(monkeypatch, n_labels, most, kind):
-    monkeypatch.setattr("palpate.classifiers._kernel_ridge._MOST_TARGETS", most)
+def test_a_pool_takes_what_can_tell_so_many_labels(
+    monkeypatch, lower, n_labels, most, kind
+):
+    lower(monkeypatch, targets=most)
     X, labels, groups = drawn(n_labels, 6 if n_labels < 100 else 2)
     pool = EncodingPool({"a": 3, "b": 2}).fit(X, labels, groups=groups)
     assert {type(machine) for machine in pool.machines_.values()} == {kind}

@@ -1,16 +1,15 @@
 """`palpate check`: every bad picture in one list, layouts asked about, advice."""
 
-import io
 import json
 import re
 import shutil
+import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from palpate import Touches
-from palpate.cli._output import say
 from palpate.recognition import ObjectRecogniser
 from palpate.touches import TouchesError
 
@@ -108,23 +107,24 @@ def test_pictures_without_a_folder_of_their_object_are_not_learnt(
     assert "Name folders after objects, pass --name-pattern" in refused
 
 
-def test_a_sentence_breaks_between_words_on_a_terminal(monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
+def test_a_sentence_breaks_between_words_on_a_terminal(
+    palpate, model, archive, tmp_path, monkeypatch
+):
+    """Lines that are drawn are left as they are, and so are those of a file."""
+    pictures = put_each(tmp_path / "set-of-pictures", 6)
+    commands = ("check", pictures), ("recognise", model, archive)
+    whole, drawn = (palpate.printed(*words) for words in commands)
     monkeypatch.setenv("COLUMNS", "20")
-    terminal, file = Terminal(), io.StringIO()
-    for out in (terminal, file):
-        say("- A sentence of several words/and-a-long-path.", file=out)
-        say("  touch 1: a line that is drawn", file=out)
-    assert terminal.getvalue().splitlines() == [
-        "- A sentence of",
-        "  several",
-        "  words/and-a-long-path.",
-        "  touch 1: a line that is drawn",
-    ]
-    assert len(file.getvalue().splitlines()) == 2
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    broken, drawn_there = (palpate.printed(*words) for words in commands)
+    assert f"{pictures}:\n12 touches of 10 x\n12 can be used.\n" in broken
+    few = "- Few touches of mug\n  (6), pen (6): 20\n  are a start, 60\n  are good.\n"
+    assert few in broken
+    advice, advice_there = (text[text.index("\n- ") :] for text in (whole, broken))
+    assert advice_there.replace("\n  ", " ") == advice
+    lines = [line for line in drawn.splitlines() if line.startswith("  touch")]
+    assert lines
+    assert set(lines) <= {*drawn_there.splitlines()}
 
 
 def test_where_levels_fit_no_picture_the_levels_are_blamed(palpate, odd):

@@ -113,10 +113,7 @@ KINDS = {
         "--shape 5x6 --object cup",
     ),
     "raw": (raw, "--shape 5x6 --dtype <u2 --object cup"),
-    "raw of three axes": (
-        raw,
-        "--shape 5x2 --dtype <u2 --channels x,y,z --object cup",
-    ),
+    "raw of three axes": (raw, "--shape 5x2 --dtype <u2 --channels x,y,z --object cup"),
     "npy": (npy, "--object cup"),
     "npz": (npz, ""),
 }

@@ -208,11 +208,7 @@ REFUSED = {
     ],
     "library add l . --topic /pad": [
         ("--where x", 1, "--where must be left out with --topic, got 'x"),
-        (
-            "--name-pattern x",
-            1,
-            "--name-pattern must be left out with --topic, got 'x",
-        ),
+        ("--name-pattern x", 1, "--name-pattern must be left out with --topic, got 'x"),
         ("--no-contact x", 1, "--no-contact must be left out with --topic, got "),
     ],
 }

@@ -95,11 +95,7 @@ def postures_back(arrays):
 
 @pytest.mark.parametrize(
     ("name", "back"),
-    [
-        ("taxel10x10", films_back),
-        ("tactip4", pins_back),
-        ("digit_survey", digit_back),
-    ],
+    [("taxel10x10", films_back), ("tactip4", pins_back), ("digit_survey", digit_back)],
 )
 @pytest.mark.slow
 def test_a_zip_becomes_the_archive_at_hand(name, back, sources, data_folder):
@@ -111,8 +107,7 @@ def test_a_zip_becomes_the_archive_at_hand(name, back, sources, data_folder):
 
 
 @pytest.mark.parametrize(
-    ("name", "back"),
-    [("mattress", mattress_back), ("postures", postures_back)],
+    ("name", "back"), [("mattress", mattress_back), ("postures", postures_back)]
 )
 @pytest.mark.slow
 def test_a_list_of_files_becomes_the_archive_at_hand(name, back, sources, data_folder):

@@ -6,7 +6,9 @@ hold up a computer.
 
 import hashlib
 import io
+import re
 import time
+import tomllib
 import zipfile
 from errno import ENOSPC
 from http.server import SimpleHTTPRequestHandler
@@ -257,12 +259,12 @@ PICTURE = f"{ROOT}/cuboid/_3.png"  # the set has a picture of this name
 @pytest.fixture
 def small_sources(monkeypatch):
     """Let every source have at most 1 MB."""
+    read = tomllib.loads
 
-    def small(name):
-        record = card(name)
-        return {**record, "source": {**record["source"], "most_mb": 1}}
+    def small(text):
+        return read(re.sub(r"(?m)^most_mb = .*$", "most_mb = 1", text))
 
-    monkeypatch.setattr("palpate.datasets._fetch.card", small)
+    monkeypatch.setattr(tomllib, "loads", small)
 
 
 def long_names(archive):
@@ -310,8 +312,8 @@ def test_a_set_has_no_more_files_than_it_can_have(sources):
     refusal_of("digit_survey", "at most 900 files, got 901")
 
 
-def test_a_zip_with_a_very_long_list_is_not_read(sources, pins, monkeypatch):
-    monkeypatch.setattr("palpate.datasets._fetch._LONGEST_LIST", 400)
+def test_a_zip_with_a_very_long_list_is_not_read(sources, pins, monkeypatch, lower):
+    lower(monkeypatch, zip_list_bytes=400)
     sources.put("tactip4", zipped(pins[0]))
     refusal_of("tactip4", "list of files must have at most")
 
@@ -390,7 +392,7 @@ def test_a_film_that_is_none_is_refused_in_a_sentence(sources, content, got):
 
 
 def test_a_source_that_sends_a_little_now_and_then_is_given_up(
-    sources, pins, monkeypatch
+    sources, pins, monkeypatch, lower
 ):
     sources.put("tactip4", zipped(pins[0]))
 
@@ -400,12 +402,12 @@ def test_a_source_that_sends_a_little_now_and_then_is_given_up(
             outputfile.flush()
             time.sleep(0.05)
 
-    monkeypatch.setattr("palpate.datasets._fetch._MOST_S", 0.5)
+    lower(monkeypatch, fetch_s=0.5)
     with monkeypatch.context() as patch:
         patch.setattr(SimpleHTTPRequestHandler, "copyfile", drip)
         with pytest.raises(ValueError, match="must be sent within"):
             fetch("tactip4")
-    monkeypatch.setattr("palpate.datasets._fetch._MOST_S", 60.0)
+    lower(monkeypatch, fetch_s=60.0)
     assert fetch("tactip4").is_file()
 
 

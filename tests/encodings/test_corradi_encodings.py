@@ -222,10 +222,7 @@ def test_one_number_holds_for_each_part_of_a_union_as_far_as_it_can(rng):
     assert sizes("zernike-pca+scaled-pixels", 400) == [12, 169]
     shares = ZernikePCA(0.6).fit(images).n_components_
     assert sizes("hu+zernike-pca", 0.6) == [7, shares]
-
-
-def test_a_union_takes_one_number_for_each_part(rng):
-    images = blobs(rng, n=12, size=24)
+    # Or there is one for each part.
     union = encoder_named("hu+zernike-pca+scaled-pixels", (3, 5, None))
     assert [p.n_components for p in union.encoders[:2]] == [3, 5]
     assert union.fit_transform(images).shape == (12, 3 + 5 + 169)

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import (
-    benchmark,
-    benchmark_summary,
-    write_benchmark,
-)
+from palpate.evaluation import benchmark, benchmark_summary, write_benchmark
 
 NAMES = np.repeat(["a", "b", "c"], 20)
 

@@ -176,11 +176,7 @@ def test_simple_recognisers_are_what_scikit_learn_does(channels):
 @pytest.mark.parametrize(
     ("shape", "n_features"),
     # Blocks of 2 x 2 cells of 8 pixels, 4 histograms of 9 each.
-    [
-        ((10, 10), 3 * 3 * 36),
-        ((64, 32), 7 * 3 * 36),
-        ((160, 120, 3), 3 * 8 * 36),
-    ],
+    [((10, 10), 3 * 3 * 36), ((64, 32), 7 * 3 * 36), ((160, 120, 3), 3 * 8 * 36)],
     ids=["enlarged", "as it is", "colour"],
 )
 def test_hog_has_a_histogram_for_each_cell(shape, n_features):

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import davies_bouldin_score, roc_auc_score
 
-from palpate.evaluation import (
-    calibration_error,
-    davies_bouldin,
-    roc_area,
-)
+from palpate.evaluation import calibration_error, davies_bouldin, roc_area
 
 
 def test_bins_have_equal_mass():

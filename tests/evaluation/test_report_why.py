@@ -10,14 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.evaluation import (
-    Plan,
-    _report,
-    evaluate,
-    explained_episodes,
-    summary,
-    write_report,
-)
+from palpate.evaluation import Plan, evaluate, explained_episodes, summary, write_report
 
 from .conftest import drawn
 
@@ -98,10 +91,15 @@ def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):
         belief = recogniser.start().update(fold.test[episode.rows])
         assert belief.reason(PLAN.error) in page
     assert "stranger" not in page  # none is called unknown
-    called = explained[0]._replace(label="unknown")
-    evidence = recogniser.start().update(called.touches).unknown_evidence
-    told = _report._episode(called, figures["decision"])
-    assert f"speak for a stranger by {evidence:.1f} nats; among what was learnt" in told
+    doubting = figures["decision"] | {"strangers": 0.5, "refusal": 0.5}
+    doubtful = figures | {"decision": doubting}
+    told = write_report(tmp_path / "d.html", doubtful, trials).read_text()
+    called = explained_episodes(doubtful, trials)
+    assert {episode.label for episode in called} == {"unknown"}
+    for episode in called:
+        evidence = recogniser.start().update(episode.touches).unknown_evidence
+        words = f"speak for a stranger by {evidence:.1f} nats; among what was learnt"
+        assert words in told
     pictures = page.count("<img")
     if recogniser.chosen_["geometry"] == "none":
         assert pictures == 0

@@ -7,13 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches, simulate_touches
-from palpate.evaluation import (
-    Plan,
-    evaluate,
-    explained_episodes,
-    summary,
-    write_report,
-)
+from palpate.evaluation import Plan, evaluate, explained_episodes, summary, write_report
 from palpate.recognition import sessions_message
 from palpate.simulation import DomeCamera
 
@@ -71,6 +65,11 @@ def test_using_the_touches_of_a_session_without_labels_helps():
     assert recentred["n_test_touches"] == 60
     assert recentred["remount"] == "recentre"
     assert not trial.recogniser.chosen_["remount"]["labelled"]
+    # Labels of the test touches tell it nothing.
+    mixed = np.random.default_rng(0).permutation(test.object)
+    _, (other,) = evaluate(train, test.with_columns(object=mixed), plan=recentring)
+    offsets = trial.recogniser.encoder_.offset, other.recogniser.encoder_.offset
+    assert np.array_equal(*offsets)
     recentring_on_ten = Plan(touches=(1, 3), orders=4, remount="recentre:10")
     _, (trial,) = evaluate(train, test, plan=recentring_on_ten)
     assert trial.recogniser.chosen_["remount"]["n_touches"] == 10
@@ -101,16 +100,6 @@ def test_for_test_touches_of_another_session_remounting_is_recommended():
         figures, (trial,) = evaluate(train, same, plan=PLAN)
         assert not trial.fold.elsewhere
         assert "remount=" not in " ".join(figures["recommendations"])
-
-
-def test_labels_of_the_test_touches_tell_recentring_nothing():
-    train, test = visited("mon", 12, 0), visited("tue", 12, 1)
-    plan = Plan(touches=(1,), orders=2, remount="recentre")
-    _, (trial,) = evaluate(train, test, plan=plan)
-    mixed = np.random.default_rng(0).permutation(test.object)
-    _, (other,) = evaluate(train, test.with_columns(object=mixed), plan=plan)
-    offsets = trial.recogniser.encoder_.offset, other.recogniser.encoder_.offset
-    assert np.array_equal(*offsets)
 
 
 def test_strangers_are_asked_of_what_got_used_to_their_session():

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.exploration import (
-    Guard,
-    Raster,
-    SurfaceMap,
-    explore_to_learn,
-)
+from palpate.exploration import Guard, Raster, SurfaceMap, explore_to_learn
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 

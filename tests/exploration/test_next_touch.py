@@ -11,12 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 
 from palpate import Touches
-from palpate.exploration import (
-    Hemisphere,
-    InformativeTouch,
-    TouchMap,
-    TouchRecord,
-)
+from palpate.exploration import Hemisphere, InformativeTouch, TouchMap, TouchRecord
 from palpate.recognition import ObjectRecogniser, SequenceCalibration
 from recorded_choice import (
     InformativeRecorded,

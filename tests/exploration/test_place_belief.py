@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ball_world import BallArm
-from known_surfaces import standing_ellipse
+from known_surfaces import standing_ellipse, with_head
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.exceptions import NotFittedError
 
@@ -25,7 +25,6 @@ from palpate.exploration import (
     explore_to_learn,
     put_down,
 )
-from palpate.exploration._surface import HEIGHTS, RadialSurface, SurfaceTable
 from palpate.recognition import Belief, ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 
@@ -234,9 +233,9 @@ def test_the_next_touch_is_where_what_may_stand_there_differs(recogniser, taught
     learnt.fit(recogniser, taught)
     round_one = standing_ellipse(60, 60)
     # Two things that differ in height alone, one that differs from both everywhere.
-    taller = RadialSurface(round_one.mean_mm.copy(), round_one.variance_mm2, 1.0)
-    taller.mean_mm[np.deg2rad(60) < HEIGHTS] = 90
-    learnt.table_ = SurfaceTable([round_one, taller, standing_ellipse(150, 150)])
+    taller = with_head(round_one, 90, np.deg2rad(60))
+    surfaces = [round_one, taller, standing_ellipse(150, 150)]
+    learnt.table_ = type(learnt.table_)(surfaces)
     learnt.choice_table_ = learnt.table_
     learnt.states_ = [("box", 0), ("mug", 0), ("pen", 0)]
     learnt.object_of_state_ = np.arange(3)

@@ -205,20 +205,22 @@ def touches_of_one_device(rng, n=9, radius=60.3):
     ), places
 
 
-def test_batch_finds_each_touchs_own_centre(rng):
+def test_a_batch_finds_each_touchs_own_centre_and_the_median_circle(rng):
     images, places = touches_of_one_device(rng)
     rims = find_rims(images)
     assert rims.visible.all()
     error = np.hypot(rims.row - places[:, 0], rims.col - places[:, 1])
     # The soft contacts cross the rim here and there.
     assert error.max() < 0.2
-
-
-def test_touch_alone_is_as_among_others(rng):
-    images, _ = touches_of_one_device(rng)
-    near = typical_rim(images)
-    together = find_rims(images, near=near)
-    assert list(together) == [find_rim(image, near=near) for image in images]
+    typical = typical_rim(images)
+    # Medians of centres that are each good to 0.2 pixels.
+    assert off_by(typical, *np.median(places, axis=0)) < 0.2
+    assert abs(typical.radius - 60.3) < 0.2
+    # A touch alone is as among others.
+    together = find_rims(images, near=typical)
+    assert list(together) == [find_rim(image, near=typical) for image in images]
+    # A frame of no contact without a rim is passed over.
+    assert typical_rim(images, no_contact=np.zeros((120, 160))) == typical
 
 
 def test_no_contact_frame_gives_the_radius(rng):
@@ -233,19 +235,6 @@ def test_no_contact_frame_gives_the_radius(rng):
     np.testing.assert_allclose(rims.row, here.row, atol=0.05)
     # The search begins where touches show it.
     assert typical.row == pytest.approx(np.median(here.row), abs=0.05)
-
-
-def test_no_contact_frame_without_a_rim_is_passed_over(rng):
-    images, _ = touches_of_one_device(rng)
-    assert typical_rim(images, no_contact=np.zeros((120, 160))) == typical_rim(images)
-
-
-def test_typical_rim_is_the_median_circle(rng):
-    images, places = touches_of_one_device(rng)
-    typical = typical_rim(images)
-    # Medians of centres that are each good to 0.2 pixels.
-    assert off_by(typical, *np.median(places, axis=0)) < 0.2
-    assert abs(typical.radius - 60.3) < 0.2
 
 
 def test_round_things_of_many_sizes_are_no_rim_of_a_device(rng):

@@ -17,12 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.library import (
-    LibraryError,
-    TouchLibrary,
-    check_library,
-    migrate_library,
-)
+from palpate.library import LibraryError, TouchLibrary, check_library, migrate_library
 
 N_TOUCHES, N_CHANGES = 29, 5
 

@@ -346,9 +346,10 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
         place.chmod(0o755)
 
 
-def test_a_database_that_another_keeps_to_itself_is_left_alone(folder, monkeypatch):
-    for patience in ("PATIENCE_S", "_PATIENCE_ALONE_S"):
-        monkeypatch.setattr(f"palpate.library._store.{patience}", 0.05)
+def test_a_database_that_another_keeps_to_itself_is_left_alone(
+    folder, monkeypatch, lower
+):
+    lower(monkeypatch, database_patience_s=0.05, database_patience_alone_s=0.05)
     before = (folder / "library.sqlite").read_bytes()
     with TouchLibrary.open(folder) as library:
         with closing(sqlite3.connect(folder / "library.sqlite")) as other:
@@ -386,8 +387,13 @@ def test_a_library_that_another_is_making_is_waited_for(tmp_path):
 
 @pytest.mark.parametrize("kind", ["nfs4", "cifs", "smb3", "fuse.sshfs"])
 def test_a_network_file_system_is_warned_of(folder, monkeypatch, tmp_path, kind):
-    mounts = tmp_path / "my mounts"
-    monkeypatch.setattr("palpate.library._store._MOUNTS", mounts)
+    mounts, read_text = tmp_path / "my mounts", Path.read_text
+
+    def read(path, *how, **more):
+        listed = mounts if path == Path("/proc/self/mounts") else path
+        return read_text(listed, *how, **more)
+
+    monkeypatch.setattr(Path, "read_text", read)
     with TouchLibrary.open(folder):
         pass  # a system without a list of mounts
     place = str(folder.parent).replace(" ", "\\040")

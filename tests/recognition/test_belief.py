@@ -77,9 +77,7 @@ def stranger_model(model):
     """
     learnt = model.strangers_
     falling = replace(
-        learnt.low_curve,
-        levels=np.log([1e-9, 1.0]),
-        log_ratios=np.log([[1e-8, 10.0]]),
+        learnt.low_curve, levels=np.log([1e-9, 1.0]), log_ratios=np.log([[1e-8, 10.0]])
     )
     return replace(
         learnt,
@@ -348,12 +346,7 @@ def test_what_cannot_be_asked_is_refused_before_the_first_touch(
             {"error": 0.06, "level": "any"},
             "a vessel, 97 % after 1 touch; which one I cannot tell",
         ),
-        (
-            (1 - 4e-6, *[1e-6] * 4),
-            0.0,
-            {},
-            "ball, over 99.9 % after 1 touch",
-        ),
+        ((1 - 4e-6, *[1e-6] * 4), 0.0, {}, "ball, over 99.9 % after 1 touch"),
     ],
 )
 def test_a_reason_is_one_sentence(start, shares, strangers, arguments, sentence):
@@ -527,9 +520,7 @@ def test_a_belief_shows_the_three_most_probable(start):
     belief = posed(start(), 0.05, 0.6, 0.21, 0.04, 0.1)
     expected = "<Belief after 1 touch: cup 0.60, mug 0.21, rod 0.10, unknown 0.00>"
     assert repr(belief) == expected
-
-
-def test_names_are_shown_up_to_24_letters(start):
+    # Names are shown up to 24 letters.
     model_parts = {"classes": np.array(["a" * 24, "b" * 25, "c", "d", "e"])}
     belief = posed(start(model_parts=model_parts), 0.6, 0.3, 0.08, 0.01, 0.01)
     listed = f"{'a' * 24} 0.60, {'b' * 21}... 0.30, c 0.08, unknown 0.00"

@@ -24,11 +24,10 @@ def drawn(n_objects, n_each, seed=0, shift=0.0, session="monday"):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def very_many():
+def very_many(lower):
     """Lower the limits to a thousand targets and two thousand answers."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.classifiers._kernel_ridge._MOST_TARGETS", 1000)
-        patch.setattr("palpate.classifiers._touch_classifier.MOST_ANSWERS", 2000)
+        lower(patch, targets=1000, answers_left_out=2000)
         yield
 
 
@@ -156,8 +155,10 @@ def test_objects_beyond_the_memory_are_refused_and_the_remedies_fit(monkeypatch)
 
 
 @pytest.mark.slow
-def test_objects_that_alternate_are_all_among_the_touches_looked_at(rng, monkeypatch):
-    monkeypatch.setattr("palpate.recognition._learning.AT_MOST", 150)
+def test_objects_that_alternate_are_all_among_the_touches_looked_at(
+    rng, monkeypatch, lower
+):
+    lower(monkeypatch, touches_looked_at=150)
     # Every second touch is of the same object: an even stride would see that alone.
     images = rng.random((299, 8, 8))
     images[::2, 2:4] += 1

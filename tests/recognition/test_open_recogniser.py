@@ -11,11 +11,7 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.svm import LinearSVC
 
 from palpate import Touches
-from palpate.classifiers import (
-    EncodingPool,
-    KernelDensityBayes,
-    KernelRidgeClassifier,
-)
+from palpate.classifiers import EncodingPool, KernelDensityBayes, KernelRidgeClassifier
 from palpate.recognition import ModelFileError, ObjectRecogniser
 
 

@@ -13,10 +13,7 @@ from palpate._numbers import upper_bound, with_floor
 from palpate._words import about
 from palpate.recognition import SequenceCalibration
 from palpate.recognition._calibration import LeftOut, draw_episodes, fit_strangers
-from palpate.recognition._strangers import (
-    Curve,
-    episode_evidence,
-)
+from palpate.recognition._strangers import Curve, episode_evidence
 from palpate.simulation import DomeCamera, simulate_touches
 
 N_EACH = 30
@@ -386,8 +383,7 @@ def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
     "n_touches",
     [
         pytest.param(
-            12,
-            marks=pytest.mark.xfail(strict=True, reason="unknown is at 0.73 then"),
+            12, marks=pytest.mark.xfail(strict=True, reason="unknown is at 0.73 then")
         ),
         20,  # as long as the episodes that teach what a stranger is
     ],

@@ -291,10 +291,7 @@ def test_an_unplugged_camera_is_found_again():
     [
         (FakeCapture(opens=False), "cannot be opened. Close the program"),
         (FakeCapture(gives=False), "opens but gives no picture"),
-        (
-            FakeCapture(shape=(48, 64)),
-            r"24 rows x 32 columns, got 48 x 64\. Ask",
-        ),
+        (FakeCapture(shape=(48, 64)), r"24 rows x 32 columns, got 48 x 64\. Ask"),
     ],
 )
 def test_a_camera_that_fails_is_one_sentence_with_the_fix(capture, message):

@@ -1,8 +1,10 @@
 """The contract of sensors: those without hardware keep it, and broken ones do not."""
 
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
+from types import SimpleNamespace
 from urllib.parse import quote
 
 import numpy as np
@@ -20,7 +22,6 @@ from palpate.sensors import (
     ReplaySensor,
     SensorError,
     TouchDetector,
-    _address,
     channels_of,
     check_sensor,
     open_sensor,
@@ -602,16 +603,26 @@ class Doubling:
         return 2.0 * np.asarray(images)
 
 
-def test_a_calibrated_sensor_gives_frames_in_its_unit():
-    check_sensor(_address.CalibratedSensor(Counting(), Doubling()))
-    with _address.CalibratedSensor(Bursting(), Doubling()) as sensor:
+def test_a_calibrated_sensor_gives_frames_in_its_unit(tmp_path, monkeypatch):
+    """Sensors are those of a driver that a package offers."""
+    offered = tmp_path / "toy-1.dist-info" / "entry_points.txt"
+    offered.parent.mkdir()
+    offered.write_text("[palpate.sensors]\ntoy = toy:driver\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def calibrated(sensor):
+        package = SimpleNamespace(driver=lambda place: sensor)
+        monkeypatch.setitem(sys.modules, "toy", package)
+        return open_sensor("toy:0", calibration=Doubling())
+
+    check_sensor(calibrated(Counting()))
+    with calibrated(Bursting()) as sensor:
         frames = [sensor.read_next() for _ in range(30)]
     assert sensor.unit == "kPa"
     for frame in frames:
         assert frame.image[0, 0] == 2 * frame.device_time_s
-    wrong = ReplaySensor(recording())
     with pytest.raises(ValueError, match="calibration is of 2 x 3 taxels"):
-        _address.CalibratedSensor(wrong, Doubling())
+        calibrated(ReplaySensor(recording()))
 
 
 @pytest.mark.parametrize(

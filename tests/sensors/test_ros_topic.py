@@ -89,12 +89,16 @@ def test_arrays_are_frames_too():
     assert frame[0, 0] % 1 == 0.5
 
 
-def test_a_reader_that_asks_for_more_than_is_offered_says_so():
-    with (
-        peer("/t_qos"),
-        pytest.raises(SensorError, match=r"does not match, by its reliability.*qos"),
-    ):
-        open_sensor(address("/t_qos", "&qos=reliable"))
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("&qos=reliable", r"does not match, by its reliability.*qos"),
+        ("&shape=9x12", "gives frames of 12 x 12, shape asks for 9 x"),
+    ],
+)
+def test_what_is_asked_for_and_not_offered_is_refused(options, message):
+    with peer("/t_other"), pytest.raises(SensorError, match=message):
+        open_sensor(address("/t_other", options)).connect()
 
 
 def test_a_topic_that_is_no_image_and_one_of_nobody_are_refused():
@@ -104,14 +108,6 @@ def test_a_topic_that_is_no_image_and_one_of_nobody_are_refused():
         missing = "Nobody publishes /t_txt in domain .*topics seen: .*/t_text"
         with pytest.raises(SensorError, match=missing):
             open_sensor(address("/t_txt", "&wait=1"))
-
-
-def test_another_size_than_asked_for_is_refused():
-    with (
-        peer("/t_size"),
-        pytest.raises(SensorError, match="gives frames of 12 x 12, shape asks for 9 x"),
-    ):
-        open_sensor(address("/t_size", "&shape=9x12")).connect()
 
 
 def test_a_topic_that_changes_its_size_gives_no_wrong_frame():

@@ -67,9 +67,7 @@ def test_taxels_that_are_nan_are_dead(rng):
     images[:] = np.nan
     report = health(as_frames(images, times), memory=memory)
     assert [finding[:10] for finding in report["findings"]] == ["100 taxels"]
-
-
-def test_a_reading_that_failed_makes_no_taxel_dead(rng):
+    # A reading that failed makes no taxel dead.
     images, times = frames(rng, dtype=np.float32)
     images[[3, 100]] = np.nan
     report = health(as_frames(images, times))

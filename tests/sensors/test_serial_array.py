@@ -193,9 +193,9 @@ def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(termina
     ],
 )
 def test_bytes_that_are_no_frames_say_why(
-    terminal, monkeypatch, write, options, message
+    terminal, monkeypatch, lower, write, options, message
 ):
-    monkeypatch.setattr("palpate.sensors._serial._SILENT_S", 0.2)
+    lower(monkeypatch, serial_silent_s=0.2)
     terminal.play(endless((8, 16), write), 50)
     with SerialArraySensor(
         terminal.port, **{"image_shape": (8, 16), **options}
@@ -238,9 +238,9 @@ def test_an_array_is_found_by_what_it_writes(terminal, write, shape, framing, ch
     ],
 )
 def test_an_array_that_cannot_be_found_is_refused_with_the_reason(
-    terminal, monkeypatch, written, message
+    terminal, monkeypatch, lower, written, message
 ):
-    monkeypatch.setattr("palpate.sensors._serial._LISTEN_S", 0.4)
+    lower(monkeypatch, serial_listen_s=0.4)
     terminal.play(written, 100)
     with pytest.raises(SensorError, match=message):
         open_sensor(f"serial:{terminal.port}", image_shape="auto")

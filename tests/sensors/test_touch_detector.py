@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.sensors import (
-    ContactError,
-    Frame,
-    SensorError,
-    TouchDetector,
-)
+from palpate.sensors import ContactError, Frame, SensorError, TouchDetector
 
 REST = np.full((4, 4), 100, np.uint8)
 
@@ -171,8 +166,7 @@ def test_a_contact_of_over_20_s_that_does_not_change_is_questioned():
 @settings(max_examples=50, deadline=None)
 @given(
     st.lists(
-        st.tuples(st.integers(2, 6), st.integers(1, 5), st.integers(5, 100)),
-        max_size=6,
+        st.tuples(st.integers(2, 6), st.integers(1, 5), st.integers(5, 100)), max_size=6
     )
 )
 def test_as_many_touches_come_out_as_went_in(presses):

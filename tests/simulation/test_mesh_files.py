@@ -47,8 +47,7 @@ def test_stl_files_of_text_are_read(saved, block, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("unit", "mm"),
-    [("mm", 1), ("cm", 10), ("m", 1e3), ("in", 25.4), ("inch", 25.4)],
+    ("unit", "mm"), [("mm", 1), ("cm", 10), ("m", 1e3), ("in", 25.4), ("inch", 25.4)]
 )
 def test_units_are_converted_to_mm(saved, block, unit, mm):
     block.apply_scale(1 / mm)

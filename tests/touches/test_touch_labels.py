@@ -145,9 +145,9 @@ def test_folders_that_label_only_some_pictures_are_refused(put, names, message):
         Touches.load(put(*names))
 
 
-def test_a_pattern_that_takes_for_ever_is_given_up(rng, tmp_path, monkeypatch):
+def test_a_pattern_that_takes_for_ever_is_given_up(rng, tmp_path, monkeypatch, lower):
     """Each of the thirty letters of a name doubles the time that the pattern takes."""
-    monkeypatch.setattr("palpate.touches._layout._MOST_S", 1.0)
+    lower(monkeypatch, pattern_s=1.0)
     image = png_bytes(rng.integers(0, 255, (8, 8), dtype="uint8"))
     for name in ("mug_1.png", "a" * 30 + "!.png"):
         (tmp_path / name).write_bytes(image)

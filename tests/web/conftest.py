@@ -13,8 +13,8 @@ from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
 from palpate.web import LiveSession, PageServer, create_app
+from palpate.web._learning import _LEARNER, learn_job
 from palpate.web._learning import LearningError as LearningError
-from palpate.web._learning import learn_job
 from palpate.web._sensor_watch import Event as Event
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
@@ -86,6 +86,13 @@ def make_session(tmp_path_factory, drawn):
 @pytest.fixture
 def learning_apart():
     """Learn in a process of its own, as servers do."""
+
+
+@pytest.fixture
+def another_learns(learning_apart):
+    """Keep the process that learns at the lesson of another session."""
+    with _LEARNER._lock:
+        yield
 
 
 @pytest.fixture

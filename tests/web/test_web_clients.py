@@ -93,8 +93,8 @@ def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
     assert session.watch.sensor.n_dropped == 0
 
 
-def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch):
-    monkeypatch.setattr("palpate.web._app._PATIENCE_S", 0.3)
+def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch, lower):
+    lower(monkeypatch, browser_patience_s=0.3)
     session = make_session()
     with serving(session) as (address, token):
         slow = stopped_reader(address, token)
@@ -114,9 +114,9 @@ def test_a_page_that_leaves_is_forgotten(make_session, serving):
 
 
 def test_a_page_that_cannot_be_told_the_state_is_forgotten(
-    make_session, serving, monkeypatch
+    make_session, serving, monkeypatch, lower
 ):
-    monkeypatch.setattr("palpate.web._app._MOST_CLIENTS", 1)
+    lower(monkeypatch, browsers=1)
     session, library = make_session(sensor=False), []
 
     def damaged():

@@ -60,7 +60,7 @@ def heading_of(session):
 
 
 def test_drawn_touches_are_taught_recognised_and_forgotten(
-    page, make_session, open_page, monkeypatch
+    page, make_session, open_page, monkeypatch, lower
 ):
     """Teach two, recognise one, touch a third, and all that may happen."""
     session = make_session(rate_hz=100.0)
@@ -81,8 +81,7 @@ def test_drawn_touches_are_taught_recognised_and_forgotten(
         expect(page.locator("#strip li")).to_have_count(before)
         expect(page.locator("#reason")).to_have_text(reason)
         with monkeypatch.context() as cut:  # the page is let go, and not let in again
-            cut.setattr("palpate.web._app._LONGEST_QUEUE", 0)
-            cut.setattr("palpate.web._app._MOST_CLIENTS", 0)
+            lower(cut, browser_queue=0, browsers=0)
             expect(page.locator("#offline")).to_be_visible()
         expect(page.locator("#offline")).to_be_hidden(timeout=PATIENT)
         put(page, "both")

@@ -22,8 +22,7 @@ from palpate.sensors import (
     SensorError,
     SensorMemory,
 )
-from palpate.web import LiveSession, _learning
-from palpate.web._teaching import Teacher
+from palpate.web import LiveSession
 
 from .conftest import SIDE, HandSensor, LearningError, Still, learn_job, waited
 
@@ -362,8 +361,8 @@ def test_frames_go_on_while_a_session_learns(make_session, drawn, learning_apart
         assert session.health.to_dict()["n_dropped"] == 0
 
 
-def test_a_lesson_begins_while_another_is_learnt(make_session, learning_apart):
-    with _learning._LEARNER._lock, make_session() as session:
+def test_a_lesson_begins_while_another_is_learnt(make_session, another_learns):
+    with make_session() as session:
         begins = threading.Thread(target=session.teach, args=("cup", 3), daemon=True)
         begins.start()
         assert waited(lambda: session.teacher.lesson is not None, 5.0)
@@ -507,13 +506,13 @@ def test_programs_that_begin_within_a_second_have_sessions_of_their_own(
 ):
     """A script starts three robots at once, whose touches go to one library."""
     monkeypatch.setattr(time, "strftime", lambda *_: "2026-01-01 08:00:00")
-    robots = [Teacher(tmp_path, None) for _ in range(2)]
+    robots = [LiveSession(library=tmp_path) for _ in range(2)]
     for number in range(4):
-        robots[number % 2].store("mug", np.full((3, 4), number), None, None)
+        robots[number % 2].post_lesson("mug", np.full((3, 4), number))
     with TouchLibrary.open(tmp_path) as library:
         sessions = [row.session for row in library.list()]
     assert sessions == 2 * sessions[:2]
     assert sessions[0] == "2026-01-01 08:00:00"
     assert sessions[1].startswith("2026-01-01 08:00:00.")
     for robot in robots:
-        robot.close()
+        robot.stop()
