@@ -27,6 +27,7 @@ from .sensor import (
     SensorOptions,
     Summary,
     check_publish,
+    give_up,
     logged,
     need_baseline,
     published,
@@ -137,7 +138,7 @@ def _next_touch(
         try:
             event = events.get(timeout=max(0.0, end_s - time.monotonic()))
         except queue.Empty:
-            say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+            give_up(session, timeout_s)
             return None
         if "lesson" not in event:
             episode: Episode = event["episode"]
