@@ -152,7 +152,7 @@ def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path)
     assert done.stdout == f"3 touches of disc in {tmp_path / 'lab'}.\n"
 
 
-def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
+def test_live_follows_an_episode_to_its_decision(palpate, replay, model, monkeypatch):
     words = ["live", model, *replay, "--gap", "3", "--place"]
     assert "touch   1" in palpate.printed(*words, "bar", "-n", "6")
     answer = palpate.answer(*words, "disc", "-n", "5", "--episodes", "2")
@@ -161,6 +161,11 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
     for episode in episodes:
         assert episode["best"] == "disc"
         assert 1 <= len(episode["touches"]) <= 5
+    # As the page does, it doubts names while touches look like those of another sensor.
+    monkeypatch.setattr(
+        LiveSession, "_check_mounting", lambda self: setattr(self, "alarm", "Other?")
+    )
+    assert "Other?\n" in palpate(*words, "disc", "-n", "5", "--episodes", "2").stderr
 
 
 LEVELS = "--error", "0.02", "--refusal", "0.3"

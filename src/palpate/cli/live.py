@@ -123,6 +123,8 @@ def _episode(
             line = belief_line(touch["number"], *shares)
             say(f"  {touch['note']}" if touch["note"] else line, flush=True)
         if episode["decision"] is not None or touch["number"] >= most:
+            if session.alarm:
+                say(session.alarm, file=sys.stderr)
             if not quiet:
                 say(f"  {episode['reason']}\n", flush=True)
             return session.end_episode()
