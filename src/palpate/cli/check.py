@@ -211,12 +211,17 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
+    from .._types import FILMS
     from ..evaluation import few_touches
 
     objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
-        if not Path(checked["touches"]).is_dir():
+        path = Path(checked["touches"])
+        if path.suffix.lower() in FILMS:
+            film = f"`palpate library add LIBRARY {path} --object NAME`"
+            return [f"nothing is labelled: {film}, film by film, and learn LIBRARY"]
+        if not path.is_dir():
             has = ", ".join([*touches.columns][:_NAMED])
             has = f" (it has {has})" if has else ""
             fix = f"call the column of names object{has}, or, in Python, save "
