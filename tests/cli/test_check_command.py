@@ -85,7 +85,7 @@ def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp
     assert not any("--colour" in note for note in in_colour["notes"])
     fixes = {picture["picture"]: picture["fix"] for picture in in_colour["bad"]}
     assert [*fixes] == [*bad, "pen/2.jpg"]
-    assert fixes["pen/2.jpg"] == "leave out --colour, or take it out"
+    assert fixes["pen/2.jpg"] == "take it out, or learn and recognise without --colour"
     model = tmp_path / "m.palpate"
     for words in ((), ("--colour",)):
         palpate.printed("learn", jpegs, "--skip-bad", "-o", model, *words)
@@ -95,7 +95,7 @@ def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp
         (jpegs / name).unlink()
     refused = palpate.refusal("learn", jpegs, "--colour", "-o", model)
     assert "pen/2.jpg" in refused
-    assert "Leave --colour out, or take it out." in refused
+    assert "Take it out, or learn and recognise without --colour." in refused
 
 
 def test_pictures_without_a_folder_of_their_object_are_not_learnt(
@@ -329,6 +329,14 @@ def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     put_each(tmp_path / "other", 2, ["tools/saw", "tools/awl", "toys/car", "toys/top"])
     advice = palpate.answer("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)
+    (line,) = (line for line in advice if "all is of one session" in line)
+    days = line.partition("such as ")[2].partition(",")[0].split(" and ")
+    put_each(tmp_path / "days", 2, [*days, *(d.replace("mug", "pen") for d in days)])
+    objects = palpate.answer("check", tmp_path / "days")["objects"]
+    assert [(row["object"], row["sessions"]) for row in objects] == [
+        ("mug", 2),
+        ("pen", 2),
+    ]
     put_each(tmp_path / "met", 2, ["mug", "pen", "unknown"])
     advice = palpate.answer("check", tmp_path / "met")["advice"]
     assert any(line.startswith("no object can be called unknown") for line in advice)

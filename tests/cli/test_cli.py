@@ -475,17 +475,25 @@ def test_a_wrong_choice_is_refused_before_anything_is_read(
     assert "Did you mean 'last'?" in wrong["error"]
 
 
-def test_learning_says_first_what_was_learnt_then_which_objects_have_few_touches(
+def test_learning_says_first_what_was_learnt_then_which_touches_are_missing(
     palpate, tmp_path
 ):
     rng = np.random.default_rng(0)
     levels = rng.normal(np.repeat((60, 150), (20, 3))[:, None, None], 9, (23, 8, 8))
-    Touches(levels, object=["mug"] * 20 + ["pen"] * 3).save(tmp_path / "t.npz")
+    levels[:3] = 0
+    whole = {"object": ["mug"] * 20 + ["pen"] * 3, "no_contact": levels[0]}
+    Touches(levels, **whole).save(tmp_path / "t.npz")
     model = tmp_path / "m.palpate"
     printed = palpate.printed("learn", tmp_path / "t.npz", "-o", model)
-    first, few, *_ = printed.splitlines()
+    first, few, idle, *_ = printed.splitlines()
     assert first == f"Learnt 2 objects from 23 touches, saved as {model}."
     assert few == "Few touches of pen (3): 20 are a start, 60 are good."
+    assert idle.startswith("3 of 23 touches show no contact, which tells nothing")
+    levels[20:22] = 0
+    Touches(levels, **whole).save(tmp_path / "t.npz")
+    printed = palpate.printed("learn", tmp_path / "t.npz", "-o", model)
+    idle = printed.splitlines()[2]
+    assert idle.startswith("Most touches of pen show no contact, so that touching")
 
 
 def test_ctrl_c_while_the_command_is_imported_is_one_sentence():

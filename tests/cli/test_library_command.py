@@ -306,6 +306,8 @@ def test_films_and_tables_become_touches(palpate, tmp_path):
     assert "2 new of 2 touches; 4 in" in palpate.printed(*add, table, "--shape", "2x2")
     refused = palpate.refusal(*add, table, "--shape", "two", code=2)
     assert "--shape must be rows x columns such as 16x16, got 'two'" in refused
+    (advice,) = palpate.answer("check", film)["advice"]
+    assert f"`palpate library add LIBRARY {film} --object NAME`" in advice
     refused = palpate.refusal(*add, film, "--where", "object = mug")
     assert "--where must be left out for a film" in refused
 

@@ -17,9 +17,10 @@ import pytest
 
 from palpate import Touches
 from palpate.cli import record
+from palpate.cli.sensor import give_up
 from palpate.library import TouchLibrary
 from palpate.recognition import Episode, ObjectRecogniser
-from palpate.sensors import ReplaySensor, SensorMemory
+from palpate.sensors import ReplaySensor, SensorMemory, TouchDetector
 from palpate.simulation import PressureArray, simulate_presses
 from palpate.web import LiveSession, PageServer, create_app
 
@@ -84,12 +85,22 @@ def test_touches_of_a_running_sensor_are_added(palpate, recording, tmp_path):
     assert [(row.object, row.session) for row in rows] == [("bar", "monday")] * 3
 
 
-def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
-    result = palpate.refusal(
-        *["record", "bar", "--sensor", "sim:bar10", "--rate", "50", "--gap", "10000"],
-        *["--library", str(tmp_path / "l"), "--timeout", "0.3"],
+@pytest.mark.parametrize("verb", ["record", "live"])
+def test_a_touch_that_does_not_come_is_given_up_and_why(
+    palpate, replay, model, tmp_path, monkeypatch, capsys, verb
+):
+    what = ["bar", "--library", tmp_path / "l"] if verb == "record" else [model]
+    words = [verb, *what, *replay, "--gap", "10000", "--timeout", "0.3"]
+    assert "No touch in 0.3 s: ended.\n" in palpate.refusal(*words)
+    why = "The sensor at rest no longer reads its baseline: take it again."
+    monkeypatch.setattr(TouchDetector, "baseline_offer", lambda *_: why)
+    result = palpate.refusal(*words)
+    assert f"No touch in 0.3 s: ended. {why} Starting again takes" in result
+    session = SimpleNamespace(
+        watch=SimpleNamespace(to_dict=lambda: {"offer": "", "touching": True})
     )
-    assert "No touch in 0.3 s" in result
+    give_up(session, 5.0)
+    assert "5 s: ended. A touch has not ended: if nothing" in capsys.readouterr().err
 
 
 def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
@@ -141,7 +152,7 @@ def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path)
     assert done.stdout == f"3 touches of disc in {tmp_path / 'lab'}.\n"
 
 
-def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
+def test_live_follows_an_episode_to_its_decision(palpate, replay, model, monkeypatch):
     words = ["live", model, *replay, "--gap", "3", "--place"]
     assert "touch   1" in palpate.printed(*words, "bar", "-n", "6")
     answer = palpate.answer(*words, "disc", "-n", "5", "--episodes", "2")
@@ -150,6 +161,11 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
     for episode in episodes:
         assert episode["best"] == "disc"
         assert 1 <= len(episode["touches"]) <= 5
+    # As the page does, it doubts names while touches look like those of another sensor.
+    monkeypatch.setattr(
+        LiveSession, "_check_mounting", lambda self: setattr(self, "alarm", "Other?")
+    )
+    assert "Other?\n" in palpate(*words, "disc", "-n", "5", "--episodes", "2").stderr
 
 
 LEVELS = "--error", "0.02", "--refusal", "0.3"

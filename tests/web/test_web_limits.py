@@ -115,6 +115,7 @@ def test_the_oldest_of_each_kind_gives_way(monkeypatch):
         ("unknown", "not be 'unknown'"),
         (" unknown ", "not be 'unknown'"),
         ("nothing", "not be 'nothing'"),
+        ("Nothing I know", "not be 'Nothing I know'"),
         (".", "hold a letter"),
         ("...", "hold a letter"),
         ("?!", "hold a letter"),

@@ -264,6 +264,11 @@ def test_a_model_from_elsewhere_is_extended_and_never_replaced(
         session.forget("coin")
         assert waited(lambda: not session.learning)
     assert kept.read_bytes() == before
+    # Nothing is added to it by a sensor of another size, and no such thing is said.
+    other = ReplaySensor(small_touches("disc", 2).with_columns(no_contact=0 * SMALL))
+    base = model_of_elsewhere(base)
+    with LiveSession(other, library=tmp_path / "other", model=base) as session:
+        assert session.to_dict()["model"]["to_keep"] == ""
 
 
 @pytest.mark.parametrize("change", ["rename", "forget"])

@@ -307,6 +307,9 @@ def test_any_touch_is_enlarged_removed_and_moved_and_comes_back(
         page.fill("#editor-name", "...")
         page.keyboard.press("Enter")
         expect(editor.locator("#status")).to_contain_text("must hold a letter")
+        resize(page, 360, 600)  # a phone, on which the editor is to be scrolled
+        expect(editor.locator("#status")).to_be_in_viewport(ratio=0.9)
+        resize(page, 1280, 900)
         editor.locator("#editor-name").fill(" ")
         expect(editor.locator("#editor-there")).to_be_disabled()
         page.fill("#editor-name", "bar")

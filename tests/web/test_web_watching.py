@@ -42,8 +42,8 @@ GREY, COLOUR = "4 x 5 taxels in grey", "4 x 5 taxels in colour"
 @pytest.mark.parametrize(
     ("shape", "other", "kinds", "fix"),
     [
-        ((4, 5), (6, 7), ("4 x 5 taxels", "6 x 7 taxels"), "learnt from."),
-        ((4, 5, 3), (6, 7, 3), ("4 x 5 taxels", "6 x 7 taxels"), "learnt from."),
+        ((4, 5), (6, 7), ("4 x 5 taxels", "6 x 7 taxels"), "to a size."),
+        ((4, 5, 3), (6, 7, 3), ("4 x 5 taxels", "6 x 7 taxels"), "to a size."),
         ((4, 5), (4, 5, 3), (GREY, COLOUR), "with colour=1."),
         ((4, 5, 3), (4, 5), (COLOUR, GREY), "with colour=0."),
     ],

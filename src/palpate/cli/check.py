@@ -211,12 +211,17 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
+    from .._types import FILMS
     from ..evaluation import few_touches
 
     objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
-        if not Path(checked["touches"]).is_dir():
+        path = Path(checked["touches"])
+        if path.suffix.lower() in FILMS:
+            film = f"`palpate library add LIBRARY {path} --object NAME`"
+            return [f"nothing is labelled: {film}, film by film, and learn LIBRARY"]
+        if not path.is_dir():
             has = ", ".join([*touches.columns][:_NAMED])
             has = f" (it has {has})" if has else ""
             fix = f"call the column of names object{has}, or, in Python, save "
@@ -243,8 +248,8 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     if most_sessions < 2:
         advice.append(
             "all is of one session, as far as is written: mount the sensor anew for "
-            "half of the touches, in folders object/session, or expect less on another "
-            "day"
+            "half of the touches, in folders such as mug/day1 and mug/day2, or expect "
+            "less on another day"
         )
     if touches.no_contact is None and touches.geometry != "none":
         how = "--no-contact FILE"

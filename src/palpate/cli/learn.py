@@ -107,6 +107,7 @@ def learn(
         f"Learnt {counted(learnt['n_labels'], label, many)} from "
         f"{counted(learnt['n_train_touches'])}, saved as {written}{replaces}.",
         *few,
+        *_without_contact(recogniser),
         *recognition.few_objects_warning(learnt["n_labels"], learnt["label"]),
         recognition.sessions_message(across),
         " ".join(f"{detail[0].upper()}{detail[1:]}." for detail in details),
@@ -125,6 +126,24 @@ def _few(training: "_options.Labelled", label: str) -> list[str]:
     names, numbers = np.unique(labels, return_counts=True)
     few = few_touches(dict(zip(names.tolist(), numbers.tolist(), strict=True)))
     return [f"{few[0].upper()}{few[1:]}."] if few else []
+
+
+def _without_contact(recogniser: "ObjectRecogniser") -> list[str]:
+    """Return one line on touches without contact where these are many, or none."""
+    labels, nothing = recogniser.memory_.labels, recogniser.memory_.nothing
+    names = [
+        n for n in recogniser.classes_.tolist() if nothing[labels == n].mean() > 0.5
+    ]
+    line = (
+        f"{nothing.sum()} of {counted(len(nothing))} show no contact, which tells "
+        "nothing of an object: leave them out, or press until the picture changes."
+    )
+    if names:
+        line = (
+            f"Most touches of {', '.join(names)} show no contact, so that touching "
+            "nothing may be named so: leave these out, unless that is meant."
+        )
+    return [line] if names or nothing.mean() >= 0.1 else []
 
 
 def _refuse_others(

@@ -27,6 +27,7 @@ from .sensor import (
     SensorOptions,
     Summary,
     check_publish,
+    give_up,
     logged,
     need_baseline,
     published,
@@ -122,6 +123,8 @@ def _episode(
             line = belief_line(touch["number"], *shares)
             say(f"  {touch['note']}" if touch["note"] else line, flush=True)
         if episode["decision"] is not None or touch["number"] >= most:
+            if session.alarm:
+                say(session.alarm, file=sys.stderr)
             if not quiet:
                 say(f"  {episode['reason']}\n", flush=True)
             return session.end_episode()
@@ -137,7 +140,7 @@ def _next_touch(
         try:
             event = events.get(timeout=max(0.0, end_s - time.monotonic()))
         except queue.Empty:
-            say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+            give_up(session, timeout_s)
             return None
         if "lesson" not in event:
             episode: Episode = event["episode"]

@@ -9,7 +9,14 @@ import typer
 
 from ._options import AsJson, argument, check_folder_of, grouped, option
 from ._output import answer, counted, say
-from .sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
+from .sensor import (
+    Patience,
+    SensorAddress,
+    SensorOptions,
+    Summary,
+    give_up,
+    need_baseline,
+)
 
 if TYPE_CHECKING:
     from ..web import LiveSession
@@ -152,7 +159,7 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
     try:
         while lesson is not None and lesson.done < wanted:
             if not changed.wait(timeout_s):
-                say(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+                give_up(session, timeout_s)
                 break
             changed.clear()  # before looking: what comes from now on is told again
             if session.trouble:

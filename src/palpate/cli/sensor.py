@@ -154,6 +154,18 @@ def need_baseline(session: "LiveSession") -> None:
             session.take_baseline(force=True)
 
 
+def give_up(session: "LiveSession", timeout_s: float) -> None:
+    """Say that no touch came, and that the sensor has left its baseline, if it has."""
+    state = {} if session.watch is None else session.watch.to_dict()
+    why = state.get("offer", "")
+    if state.get("touching") and not why:  # as while it drifts on
+        why = (
+            "A touch has not ended: if nothing touches the sensor, its rest has moved."
+        )
+    more = f" {why} Starting again takes the baseline." if why else ""
+    say(f"No touch in {timeout_s:g} s: ended.{more}", file=sys.stderr)
+
+
 @contextmanager
 def published(session: "LiveSession", address: str | None) -> Iterator[None]:
     """Publish the beliefs of a session, and let it be told what to do, on ROS 2."""

@@ -35,7 +35,7 @@ from ._splits import split_touches
 _EVERY_NTH = 5
 _HOG_SIDE, _HOG_CELL = 32, 8
 _CNN_SIDE, _CNN_FILTERS, _CNN_EPOCHS, _CNN_BATCH = 64, (16, 32, 64), 30, 32
-NO_CONTACT_CORRELATION = 0.98
+NO_CONTACT_CORRELATION, _QUIET = 0.98, 0.25
 LEAST_TO_SPLIT = 4
 N_QUANTILES = 64
 BLOCK = 256
@@ -80,15 +80,17 @@ def sorted_pixels(touches: Touches) -> Floats:
 def without_contact(touches: Touches) -> Bools | None:
     """Return which touches look like the no-contact frame; None without one.
 
-    Those whose correlation with it is above 0.98.
+    Those whose correlation with it is above 0.98, and lacks less than a quarter of
+    what that of a middling touch lacks: behind a gel all touches are like the frame.
     """
     frame = touches.no_contact
     if frame is None:
         return None
     idle = np.nan_to_num(np.asarray(frame, dtype=np.float64))
     blocks = map(np.nan_to_num, _blocks(touches.images))
-    alike = np.concatenate([correlation(block, idle) for block in blocks])
-    return np.asarray(alike > NO_CONTACT_CORRELATION)
+    unlike = 1 - np.concatenate([correlation(block, idle) for block in blocks])
+    limit = min(1 - NO_CONTACT_CORRELATION, _QUIET * float(np.median(unlike)))
+    return np.asarray(unlike < limit)
 
 
 CONTROLS: dict[str, Callable[[Touches], Floats | None]] = {

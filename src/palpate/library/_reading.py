@@ -69,7 +69,7 @@ def common_kind(
         condition = "n_channels is null" if mixed else f"n_rows = {kinds[0][0][0]}"
         raise LibraryError(
             f"Touches must have one image size and type, got {listed}. Choose one with "
-            f'a filter, for example "sensor = NAME" or "{condition}".'
+            f'a filter (`where`), for example "sensor = NAME" or "{condition}".'
         )
     for name in ("channels", "pads"):
         if len({_entries(r.whole).get(name) for r in recordings}) > 1:

@@ -222,7 +222,10 @@ class TouchEncoder(Encoder, BaseEstimator):
         if got != taught:
             fix = "Use the same sensor and resolution, or learn again."
             if prod(got) == prod(taught):
-                fix = "Of a table or bare frames say `shape` as when it was learnt."
+                fix = (
+                    "Turn pictures that lie on their side by 90 degrees; of a table or "
+                    "bare frames say `shape` as when it was learnt."
+                )
             raise ValueError(
                 f"touches must have {size_text(taught)} like the training touches, got "
                 f"{size_text(got)}. {fix}"

@@ -338,7 +338,7 @@ def shows_colour(file: Path | BytesIO) -> bool:
 
 def _fix(problem: str) -> str:
     if GREY_WHERE_COLOUR in problem:
-        return "leave out `colour`, or take it out"
+        return "take it out, or learn and recognise without `colour`"
     if "pixels" in problem and "more than" in problem:
         return "make it smaller"
     return "save it again as JPEG or PNG, as deep as the others, or take it out"

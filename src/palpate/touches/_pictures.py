@@ -270,8 +270,8 @@ def refusal(path: Path, error: OSError | PictureError) -> TouchesError:
     fix = "Save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out."
     if GREY_WHERE_COLOUR in str(error):
         return TouchesError(
-            f"{path} must be a picture in colour, got {error}. Leave `colour` out, or "
-            "take it out."
+            f"{path} must be a picture in colour, got {error}. Take it out, or "
+            "learn and recognise without `colour`."
         )
     return TouchesError(
         f"{path} must be a whole JPEG or PNG in grey or colour, got {error}. {fix}"

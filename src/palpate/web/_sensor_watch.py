@@ -292,13 +292,17 @@ class SensorWatch:
         seen = tuple(self.sensor.image_shape)
         self.misfit = ""
         if learnt is not None and learnt != seen:
-            other = len(learnt) != len(seen)
-            colour = f", with colour={len(learnt) - 2}" if other else ""
+            how = (
+                "; of a camera, rotation, crop and scale in its address bring pictures "
+                "to a size"
+            )
+            if len(learnt) != len(seen):
+                how = f", with colour={len(learnt) - 2}"
             self.misfit = (
                 f"The model must be of images of {_kind(seen, learnt)}, which "
                 f"{self.sensor.name} gives, got one of {_kind(learnt, seen)}. "
-                "Learn from touches of this sensor, or start with the sensor that the "
-                f"model learnt from{colour}."
+                "Learn a model of its own from touches of this sensor, or start with "
+                f"the sensor that the model learnt from{how}."
             )
         self._compare()
 

@@ -486,6 +486,8 @@ class LiveSession:
         with self._lock:
             teacher, model, original = self.teacher, self.recogniser, self.given_model
             lesson = None if teacher is None else teacher.lesson
+            if self.watch and self.watch.misfit and self._n_elsewhere:
+                original = None  # Learn is refused
             return {
                 "sensor": None if self.watch is None else self.watch.to_dict(),
                 "model": None

@@ -570,7 +570,7 @@ def teachable_name(name: str) -> str:
             f"The name of an object must have at most {LONGEST_NAME} characters, got "
             f"{len(tidy)}. Shorten it."
         )
-    if tidy in ("unknown", "nothing", "nothing learnt", "nothing I know"):
+    if tidy.casefold() in ("unknown", "nothing", "nothing learnt", "nothing i know"):
         raise ValueError(
             f"The name of an object must not be {tidy!r}, which is what palpate says "
             "of objects it has not learnt."
