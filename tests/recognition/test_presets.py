@@ -141,7 +141,7 @@ def test_levels_that_taxels_rest_at_hide_nothing(beside_rest, tmp_path):
     for preset in ("default", None):
         blinded = ObjectRecogniser(preset, encodings=own).fit(with_rest)
         assert not blinded.encoder_.as_changes
-    assert learnt.score(resting(new, rest)) > blinded.score(resting(new, rest)) + 0.1
+    assert learnt.score(resting(new, rest)) > blinded.score(resting(new, rest)) + 0.05
     # Levels that drifted since are found in the frame of no contact of the new session.
     drifted = rest + 0.3 * rest[::-1]
     there = resting(new, drifted, no_contact=drifted)
@@ -151,7 +151,7 @@ def test_levels_that_taxels_rest_at_hide_nothing(beside_rest, tmp_path):
     bare = there.without("no_contact")
     assert learnt.score(there) > learnt.score(bare) + 0.05
     again.remount(there[::4].without("object"))  # with it, later ones need none
-    assert again.score(bare) > learnt.score(bare) + 0.1
+    assert again.score(bare) > learnt.score(bare) + 0.05
 
 
 def test_a_picture_that_rests_at_one_level_or_is_of_a_camera_is_taken_as_it_is(

@@ -119,9 +119,9 @@ def test_a_session_like_those_of_training_is_left_alone(taught):
 
 
 def test_confirmed_touches_of_two_objects_tell_the_others_too(taught):
-    others = _session(OFFSET, 12, 1, "two", "cdef")
+    others = _session(3 * OFFSET, 12, 1, "two", "cdef")
     before = taught.score(others)
-    taught.remount(_session(OFFSET, 2, 2, "two", "ab"))
+    taught.remount(_session(3 * OFFSET, 2, 2, "two", "ab"))
     assert taught.score(others) > max(before, 0.9)
     assert len(taught.memory_) == 76
     assert set(taught.memory_.sessions) == {"one", "two"}
@@ -144,14 +144,14 @@ def _postures(n_people, seed):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_confirmed_touches_that_mislead_count_less(monkeypatch, lower, tmp_path, seed):
+def test_confirmed_touches_that_mislead_count_less(monkeypatch, tmp_path, seed):
     there = _postures(2, 100 + seed)
     # Each posture is confirmed of one person and tested on the other, where it is
     # nearer to confirmed postures of the same body than to itself.
     confirmed = np.tile([True, False], 12) == (np.arange(24) < 12)
     learnt = ObjectRecogniser(rehearse=False).fit(_postures(4, seed))
     now = adapt(learnt, there[confirmed])
-    lower(monkeypatch, weights_tried=1)
+    monkeypatch.setattr("palpate.recognition._remounting.N_WEIGHTS", 1)
     before = adapt(learnt, there[confirmed])
     assert now.score(there[~confirmed]) > before.score(there[~confirmed])
     weight = now.chosen_["remount"]["weight"]
@@ -431,7 +431,10 @@ def test_remounting_moves_touches_onto_training_and_reports_how_far(taught):
     features = taught.encoder_.transform(there)
     means = [
         np.mean([f[labels == name].mean(axis=0) for name in "abcdef"], axis=0)
-        for f, labels in ((features, there.object), (before.features, before.labels))
+        for f, labels in (
+            (features, there.object),
+            (before.features, before.labels),
+        )
     ]
     # The share of the shift that chance would make is held back.
     left = np.linalg.norm(means[0] - means[1])
@@ -811,12 +814,10 @@ def test_touches_that_all_lie_to_one_side_raise_the_alarm(taught):
     assert times > 2
 
 
-def test_of_very_many_touches_a_part_shows_what_to_expect_of_another_day(
-    monkeypatch, lower
-):
+def test_of_very_many_touches_a_part_shows_what_to_expect_of_another_day(monkeypatch):
     parts = [_session(0, 8, 0, "one"), _session(OFFSET / 9, 8, 1, "two")]
     touches = Touches.concatenate(parts)
-    lower(monkeypatch, answers_left_out=300)
+    monkeypatch.setattr("palpate.classifiers._touch_classifier.MOST_ANSWERS", 300)
     learnt = ObjectRecogniser(None, encodings={"levels": ScaledPixels()}).fit(touches)
     assert len(learnt.left_out_rows) < len(touches)
     across = learnt.across_sessions()

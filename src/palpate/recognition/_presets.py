@@ -42,8 +42,8 @@ FINE_TAXELS = 24
 FEW_CELLS = 16
 # Principal components keep this share of the variance of a large encoding.
 KEPT_SHARE = 0.99
-# Taxels vary along directions that hold this share, which so many touches for each
-# taxel tell.
+# Taxels vary along directions that hold this share and count alike, also the least of
+# them, where there are so many touches for each taxel.
 DIRECTIONS_SHARE = 0.999
 TOUCHES_EACH = 8
 
@@ -237,8 +237,11 @@ def _taxel_encodings(touches: Touches) -> dict[str, list[Any]]:
         "taxels": [TaxelVector(), StandardScaler()],
         "roots of taxels": [TaxelVector(), RootScaler()],
     }
-    if len(touches) >= TOUCHES_EACH * touches.images[0].size:
-        # Each direction that taxels vary along counts alike, also the least ones.
+    columns = [c for c in (touches.session, touches.subject) if c is not None]
+    # What several sessions differ in would be one direction of many, for which left-out
+    # sessions would then promise too much.
+    alike = all(len(np.unique(column)) == 1 for column in columns)
+    if alike and len(touches) >= TOUCHES_EACH * touches.images[0].size:
         directions = [StandardScaler(), PrincipalShare(DIRECTIONS_SHARE)]
         whitened = [TaxelVector(), *directions, StandardScaler()]
         encodings["directions of taxels"] = whitened
