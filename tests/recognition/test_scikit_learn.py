@@ -157,14 +157,17 @@ def test_groups_are_left_out_together(images_and_labels):
     groups = np.arange(48) // 12
     learnt = ObjectRecogniser().fit(images, labels, groups=groups)
     assert_array_equal(learnt.memory_.blocks, groups)
-    with pytest.raises(ValueError, match=r"groups must be .* two.* got one"):
-        learnt.fit(images, labels, groups=["monday"] * 48)
+    for groups in (["monday"] * 48, labels):
+        with pytest.raises(ValueError, match=r"groups must be .* two.* got one of"):
+            learnt.fit(images, labels, groups=groups)
 
 
 def test_bad_input_is_refused(images_and_labels):
     images, labels = images_and_labels
     with pytest.raises(ValueError, match="one entry per training touch"):
         ObjectRecogniser().fit(images, labels, groups=[1, 2])
+    with pytest.raises(ValueError, match="y must have no masked labels, got 16"):
+        ObjectRecogniser().fit(images, np.ma.masked_equal(labels, "mug"))
     with pytest.raises(TypeError, match="labels of one kind, got text and numbers"):
         ObjectRecogniser().fit(images, [*labels[:-1], 3])
     with pytest.raises(ValueError, match="got an array of shape"):

@@ -106,7 +106,7 @@ class Learner(BaseEstimator):
         ------
         ValueError
             If labels are missing, there are fewer than two of them, or one has
-            fewer than two touches; there is one group; or it would take too much
+            fewer than two touches; none is in two groups; or it would take too much
             memory. What was learnt before is then as it was.
         """
         preset, later = self._check_parameters(), copy(self)
@@ -122,10 +122,11 @@ class Learner(BaseEstimator):
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
-            if not blocks.any():
+            if _memory.n_met(labels, blocks).max() < 2:
                 raise ValueError(
-                    "groups must be at least two, one left out while others teach, "
-                    "got one. Give sessions or runs of a recording, or none."
+                    f"groups must be at least two of some {self.label}, one left out "
+                    "while others teach, got one of each. Give sessions or runs of a "
+                    "recording, or none."
                 )
         with on_one_thread(), naming_empty(touches):
             encoder, contact, chosen, encoding = learn_encoding(
