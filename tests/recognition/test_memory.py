@@ -74,7 +74,9 @@ def test_replacing_forgets_the_objects_named_and_learns_the_others(learnt):
     learnt.replace_objects(drawn(1, ("pen",)), forget=["mug", "nobody knows it"])
     assert learnt.classes_.tolist() == ["ball", "pen"]
     with pytest.raises(ValueError, match="At least two objects must remain"):
-        learnt.replace_objects(None, forget=["ball"])
+        learnt.replace_objects(None, forget="ball")
+    with pytest.raises(ValueError, match="must have a column 'object' to learn from"):
+        learnt.replace_objects(np.ones((4, 3, 24)))
     assert learnt.classes_.tolist() == ["ball", "pen"]
 
 

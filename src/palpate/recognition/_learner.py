@@ -209,7 +209,7 @@ class Learner(BaseEstimator):
         ----------
         touches : Touches, TouchSource or None
             Labelled touches of known or new objects, two of each at least.
-        forget : iterable of str
+        forget : str or iterable of str
             Names that are forgotten; unknown ones are passed over.
 
         Raises
@@ -218,7 +218,8 @@ class Learner(BaseEstimator):
             If fewer than two objects would remain, or labels are missing.
         """
         self._check_fitted()
-        memory = self.memory_.without(map(self._spelt, forget))
+        names = [forget] if isinstance(forget, str) else forget
+        memory = self.memory_.without(map(self._spelt, names))
         for name, of_object in _memory.by_label(touches, self.label):
             memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
@@ -383,6 +384,7 @@ class Learner(BaseEstimator):
             If no pitch is known.
         """
         self._check_fitted()
+        touches = as_touches(touches)
         pitch = touches.whole.get("set_pitch_mm") if pitch_mm is None else pitch_mm
         if pitch is None:
             raise ValueError(

@@ -468,7 +468,7 @@ def check_name(name: object) -> str:
 
 def named_labels(touches: Touches | TouchSource, label: str) -> Array:
     """Return the column `label`, "object" or "category", or say how to have one."""
-    labels = touches.object if label == "object" else touches.category
+    labels = getattr(touches, label, None)
     if labels is None:
         raise ValueError(
             f"touches must have a column {label!r} to learn from. Name "

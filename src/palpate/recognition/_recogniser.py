@@ -326,7 +326,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
                 "This recogniser has learnt no poses; `ObjectRecogniser.fit_pose` "
                 "learns them."
             )
-        return self.pose_.estimate(touches.images, np.asarray(labels).astype(str))
+        images = _evidence.as_touches(touches).images
+        return self.pose_.estimate(images, np.asarray(labels).astype(str))
 
     def summary(self) -> dict[str, Any]:
         """Return what was learnt, as plain values for people and for JSON."""
