@@ -275,10 +275,10 @@ def check_width(sigma: object) -> float:
 
 def check_label_kinds(y: ArrayLike) -> None:
     """Refuse labels of several kinds, which have no order, and masked ones."""
-    if np.ma.is_masked(y):
+    if isinstance(y, np.ma.MaskedArray) and (n_masked := int(y.mask.sum())):
         raise ValueError(
-            f"y must have no masked labels, got {np.ma.count_masked(y)}. Leave out "
-            "touches without a label."
+            f"y must have no masked labels, got {n_masked}. Leave out touches without "
+            "a label."
         )
     if isinstance(y, list | tuple):
         listed = list(y)

@@ -468,7 +468,7 @@ def check_name(name: object) -> str:
 
 def named_labels(touches: Touches | TouchSource, label: str) -> Array:
     """Return the column `label`, "object" or "category", or say how to have one."""
-    labels = getattr(touches, label, None)
+    labels: Array | None = getattr(touches, label, None)
     if labels is None:
         raise ValueError(
             f"touches must have a column {label!r} to learn from. Name "
