@@ -1,5 +1,6 @@
 """Files of other programs, tables and data frames are read, or refused by name."""
 
+import os
 import struct
 import subprocess
 import sys
@@ -331,6 +332,13 @@ def test_garbage_is_refused_in_one_sentence(tmp_path, rng, name):
         Touches.load(tmp_path / name)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "x.h5")
+    with pytest.raises(TouchesError, match="got another kind of file"):
+        Touches.load(tmp_path / "x.h5")
+
+
 def test_none_of_these_packages_is_imported_without_need():
     code = "import sys, palpate.touches; print(*{'h5py', 'zarr'} & {*sys.modules})"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -384,6 +392,13 @@ def test_beside_numbered_taxels_other_numbers_are_columns(csv, names, n_taxels):
     assert touches.images.shape == (2, 1, n_taxels)
     if n_taxels == 3:
         assert touches.columns["humidity"].tolist() == [float(values["humidity"])] * 2
+
+
+def test_numbers_with_an_underscore_between_are_names(csv):
+    touches = Touches.load(csv("0_0,0_1,1_0,1_1\n1,2,3,4\n"), shape=(2, 2))
+    assert_array_equal(touches.images, [[[1, 2], [3, 4]]])
+    touches = Touches.load(csv("trial,a,b\n1_1,1,2\n1_10,3,4\n"))
+    assert touches.columns["trial"].tolist() == ["1_1", "1_10"]
 
 
 def test_without_a_shape_a_table_has_no_geometry(csv):
@@ -454,6 +469,7 @@ def test_each_file_of_a_folder_is_a_touch(tmp_path, rng, ending, write):
         ("1,2\n3,x\n", "taxel 1, number 2 must be a number as others are, got 'x'"),
         ("a,b\n1,2\n3,oops\n", "b, number 3 must be a number as others are"),
         ("1,2\n3,inf\n", "must be a number .*got 'inf'"),
+        ("1,-inf\n2,3\n", "must be a number .*got '-inf'"),
         ("a,a\n1,2\n", "first line of names that differ, got a, a"),
         ("object,session\ncup,a\n", "must have columns of taxels, got object"),
         ("object;a;n\ncup;1,5;2\n", "a must hold numbers with a decimal point"),

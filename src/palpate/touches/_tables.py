@@ -104,7 +104,7 @@ def csv_arrays(
     """Return what `Touches` is made of, one touch a line; the first may be names."""
     lines = _lines(path, max_bytes)
     first = lines[0]
-    named = not all(map(_is_number, first))
+    named = any(map(_is_name, first))
     of_digits = all(map(_OF_DIGITS.fullmatch, first))
     if named and of_digits and re.search("[,;]", "".join(first)):
         raise TouchesError(
@@ -253,11 +253,18 @@ def _lines(path: Path, max_bytes: int) -> list[list[str]]:
     return [row for _, row in lines]
 
 
-def _is_number(cell: str) -> bool:
+def _is_name(cell: str) -> bool:
+    """Tell whether a cell is no number: "0_1" is none, though Python reads it as 1."""
     try:
-        return isfinite(float(cell)) or cell.lower() == "nan"
+        float(cell or "nan")
     except ValueError:
-        return not cell
+        return True
+    return "_" in cell
+
+
+def _is_number(cell: str) -> bool:
+    is_nothing = cell.lower() in ("", "nan")
+    return is_nothing or (not _is_name(cell) and isfinite(float(cell)))
 
 
 def _numbers(cells: Sequence[str], what: str, first: int) -> Array:
