@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from sklearn import config_context
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 
@@ -285,6 +286,15 @@ def test_an_encoder_is_blind_to_the_changes_that_it_names(encoder, change, touch
 
 
 NAMING = [e for e in ENCODERS if hasattr(e, "get_feature_names_out")]
+
+
+@encoders
+def test_frames_for_all_of_scikit_learn_change_no_number(encoder, touches):
+    pytest.importorskip("pandas")
+    alone = clone(encoder).fit(touches).transform(touches)
+    with config_context(transform_output="pandas"):
+        in_frames = clone(encoder).fit(touches).transform(touches)
+    assert_array_equal(np.asarray(in_frames), alone)
 
 
 @pytest.mark.parametrize("encoder", NAMING, ids=repr)

@@ -75,7 +75,7 @@ class PrincipalEncoder(ImageEstimator):
 
     def _learn(self, images: Array) -> None:
         self.first_ = self._first()
-        features = self.first_.fit_transform(images)
+        features = np.asarray(self.first_.fit_transform(images))
         wanted = check_components(self.n_components)
         # Features of one image that comes several times may differ by rounding.
         if _are_alike(images) or _are_alike(features):
