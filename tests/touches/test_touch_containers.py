@@ -1,6 +1,5 @@
 """Files of other programs, tables and data frames are read, or refused by name."""
 
-import os
 import struct
 import subprocess
 import sys
@@ -332,13 +331,6 @@ def test_garbage_is_refused_in_one_sentence(tmp_path, rng, name):
         Touches.load(tmp_path / name)
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
-def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "x.h5")
-    with pytest.raises(TouchesError, match="got another kind of file"):
-        Touches.load(tmp_path / "x.h5")
-
-
 def test_none_of_these_packages_is_imported_without_need():
     code = "import sys, palpate.touches; print(*{'h5py', 'zarr'} & {*sys.modules})"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -572,6 +564,11 @@ def test_texts_that_a_data_frame_lacks_are_empty(nothing):
     )
     with pytest.raises(TouchesError, match="t0 must hold numbers with a decimal point"):
         Touches.from_frame(commas)
+    # A cell that is no number makes texts of a whole column.
+    for cells in (["1.5", "2", "ERR"], [1.5, 2, "ERR"]):
+        odd = pandas.DataFrame({"a": cells, "b": [1.0, 2.0, 3.0]})
+        with pytest.raises(TouchesError, match=r"a must hold numbers .* got 'ERR'"):
+            Touches.from_frame(odd)
     frame["object"] = ["cup", nothing]
     with pytest.raises(TouchesError, match="empty label at touch 1"):
         Touches.from_frame(frame)

@@ -50,6 +50,13 @@ def table_arrays(
                 f"Column {name} must hold numbers with a decimal point, got "
                 f"{commas[0]!r}. Write points (of pandas, read_csv(decimal=','))."
             )
+        texts = column[column != ""].tolist() if is_text and name not in _NAMED else []
+        odd = [text for text in texts if not _is_number(text)]
+        if 0 < len(odd) < len(texts) / 2:  # a taxel, which would be none in silence
+            raise TouchesError(
+                f"Column {name} must hold numbers as most of it does, got {odd[0]!r}. "
+                "Correct it; where a taxel is dead leave it empty."
+            )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
     named |= _beside_numbered([name for name in table if name not in named])
     columns = {name: table[name] for name in named}
