@@ -297,6 +297,11 @@ def test_small_files_that_claim_much_are_refused_unread(tmp_path):
     for name in ("t.h5", "t.zarr", "t.tiff"):
         with pytest.raises(TouchesError, match=r"bytes, got|must be a whole"):
             Touches.load(tmp_path / name)
+    with h5py.File(tmp_path / "deep.h5", "w") as file:  # of 3,000 it took 40 s
+        file["/".join("g" * 51)] = np.zeros((2, 3, 4))
+        file["/".join("f" * 52)] = np.zeros((2, 3, 4))
+    with pytest.raises(TouchesError, match="arrays at most 50 groups deep"):
+        Touches.load(tmp_path / "deep.h5")
 
 
 def test_a_mat_file_that_unpacks_to_much_is_refused(tmp_path):
