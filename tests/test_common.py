@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from sklearn import config_context
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 
@@ -152,8 +153,14 @@ def test_errors_say_what_to_do(encoder, touches):
         clone(encoder).transform(touches)
     with pytest.raises(ValueError, match=r"X\[np.newaxis\]"):
         clone(encoder).fit(touches[0])
+    learnt = clone(encoder).fit(touches)
+    before = learnt.transform(touches)
     with pytest.raises(ValueError, match="fitted on 10 x 10"):
-        clone(encoder).fit(touches).transform(touches[:, :8])
+        learnt.transform(touches[:, :8])
+    if isinstance(encoder, OrientedPCA | ZernikePCA):  # others learn from any touches
+        with pytest.raises(ValueError, match="touches that differ"):
+            learnt.fit(np.ones((3, 8, 8)))
+    assert_array_equal(learnt.transform(touches), before)
     spoilt = touches.copy()
     spoilt[3, 0, 0] = np.inf
     with pytest.raises(ValueError, match="touch 3"):
@@ -280,6 +287,15 @@ def test_an_encoder_is_blind_to_the_changes_that_it_names(encoder, change, touch
 
 
 NAMING = [e for e in ENCODERS if hasattr(e, "get_feature_names_out")]
+
+
+@encoders
+def test_frames_for_all_of_scikit_learn_change_no_number(encoder, touches):
+    pytest.importorskip("pandas")
+    alone = clone(encoder).fit(touches).transform(touches)
+    with config_context(transform_output="pandas"):
+        in_frames = clone(encoder).fit(touches).transform(touches)
+    assert_array_equal(np.asarray(in_frames), alone)
 
 
 @pytest.mark.parametrize("encoder", NAMING, ids=repr)

@@ -274,7 +274,12 @@ def check_width(sigma: object) -> float:
 
 
 def check_label_kinds(y: ArrayLike) -> None:
-    """Refuse labels of several kinds, which have no order."""
+    """Refuse labels of several kinds, which have no order, and masked ones."""
+    if isinstance(y, np.ma.MaskedArray) and (n_masked := int(y.mask.sum())):
+        raise ValueError(
+            f"y must have no masked labels, got {n_masked}. Leave out touches without "
+            "a label."
+        )
     if isinstance(y, list | tuple):
         listed = list(y)
     else:

@@ -104,6 +104,8 @@ def test_the_same_seed_gives_the_same_index(stored, model):
     np.testing.assert_array_equal(first.weights_, stated.weights_)
     other_seed = KernelDensityIndex(model, n_exact=1, random_state=1)
     assert not np.array_equal(first.weights_, other_seed.weights_)
+    with pytest.raises(TypeError, match="random_state must be an integer, got None"):
+        KernelDensityIndex(model, random_state=None)
 
 
 def test_without_faiss_the_extra_is_named(model, monkeypatch):

@@ -253,3 +253,13 @@ def test_widths_at_the_ends_of_the_range_have_a_defined_answer(sigma, two_labels
     machine = MKLSVC(kernels=[GaussianKernel(sigma), GaussianKernel(1.0)])
     machine.fit(*two_labels)
     assert np.isfinite(machine.decision_function(two_labels[0])).all()
+
+
+@pytest.mark.parametrize("kind", [KernelRidgeClassifier, MKLSVC, OnePerLabelSVC])
+def test_a_fit_of_one_label_leaves_a_classifier_as_it_was(kind, rng):
+    touches, labels = rng.normal(size=(12, 3)), ["mug", "pen"] * 6
+    learnt = kind().fit(touches, labels)
+    before = learnt.predict(touches).tolist()
+    with pytest.raises(ValueError, match="at least two"):
+        learnt.fit(touches, ["mug"] * 12)
+    assert learnt.predict(touches).tolist() == before

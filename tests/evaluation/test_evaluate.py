@@ -305,6 +305,14 @@ def test_arguments_that_cannot_be_are_refused(arguments, message):
         evaluate(drawn(0, NAMES), **arguments)
 
 
+@pytest.mark.parametrize("name", ["train", "test", "unknown"])
+def test_images_without_labels_are_refused_by_their_name(name):
+    arguments = {"train": drawn(0, NAMES), name: np.ones((4, 3, 24))}
+    split = None if name == "test" else "last"
+    with pytest.raises(TypeError, match=f"{name} must be Touches, got ndarray"):
+        evaluate(**arguments, split=split)
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [

@@ -118,6 +118,17 @@ def test_no_episode_a_gap_and_damage_are_named(tmp_path):
         read_episode(tmp_path)
 
 
+def test_an_attempt_that_inflates_to_more_than_an_image_is_refused(
+    tmp_path, monkeypatch
+):
+    with EpisodeLog(tmp_path) as log:
+        log.append(_record())
+    assert len(read_episode(tmp_path)) == 1
+    monkeypatch.setattr("palpate.exploration._record._MOST_BYTES", 500)
+    with pytest.raises(ValueError, match=r"is damaged: .* at most 500 bytes"):
+        read_episode(tmp_path)
+
+
 def test_nothing_in_a_file_is_executed(tmp_path):
     with EpisodeLog(tmp_path) as log:
         log.append(_record())

@@ -281,6 +281,9 @@ def test_advice_is_a_sentence(surface_map):
     assert "from 3 o'clock, to tell the box from the " in sentence
     above = advice(belief, stand.hemisphere.pose(0.0, np.pi / 2))
     assert above.startswith("Touch the top, from straight above")
+    alone = surface_map.recogniser.start()
+    with pytest.raises(TypeError, match="must be a PlaceBelief, got Belief"):
+        advice(alone, stand.hemisphere.pose(0.0, 0.1))
 
 
 def test_an_episode_with_the_arm_ends_with_a_pose(surface_map):
@@ -440,6 +443,28 @@ def test_a_map_that_learnt_nothing_is_refused(kind):
     for use in (InformativeTouch, kind.start):
         with pytest.raises(NotFittedError, match=f"{kind.__name__} has learnt"):
             use(kind())
+    with pytest.raises(NotFittedError, match="It has learnt nothing yet"):
+        kind().fit(ObjectRecogniser(), Touches(np.ones((1, 3, 3)), object=["mug"]))
+
+
+@pytest.mark.parametrize("kind", ["surface_map", "touch_map"])
+def test_a_map_of_other_objects_than_its_recogniser_knows_is_refused(
+    kind, taught, surface_map, recogniser
+):
+    """Also where a new object took the place of another: its names are not theirs."""
+    if kind == "touch_map":
+        here = TouchMap(n_turns=4).fit(copy.deepcopy(recogniser), taught)
+    else:
+        here = copy.deepcopy(surface_map)
+    here.start()
+    pens = taught[taught.object == "pen"]
+    here.recogniser.forget_object("pen").add_object("ball", pens)
+    with pytest.raises(ValueError, match=r"got box, mug, pen\. Fit the map again"):
+        here.start()
+    with pytest.raises(ValueError, match=r"must have a column|must be those"):
+        here.fit(here.recogniser, taught.without("direction", "object"))
+    with pytest.raises(NotFittedError):
+        here.start()
 
 
 def test_touches_without_places_and_meshes_of_other_objects_are_refused(

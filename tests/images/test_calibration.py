@@ -179,6 +179,11 @@ def test_a_file_keeps_the_whole_calibration(gains, rng, tmp_path):
         ({"gain": "high"}, "while reading"),
         ({"gain": [[None, 1.0], [1.0, 1.0]]}, "gain lacks values"),
         ({"gain": [[-1.0, 1.0], [1.0, 1.0]]}, "gain must be positive"),
+        ({"gain": [[np.inf, 1.0], [1.0, 1.0]]}, "gain lacks values"),
+        ({"dead_zone_kpa": [[np.inf, 0.0], [0.0, 0.0]]}, "dead_zone_kpa lacks"),
+        ({"dead": [["no", "no"], ["no", "no"]]}, "dead must be true or false"),
+        ({"highest_load_kpa": 10**400}, "while reading"),
+        ({"params": {"unit": "kPa"}}, "Invalid parameter 'unit'"),
         ({"dead": None}, "dead is not of shape"),
         ({"params": None}, "while reading"),
     ],
@@ -225,9 +230,10 @@ def test_unanswering_unfitted_and_misfit_are_refused(gains):
 
 def test_what_is_no_calibration_file_is_named_with_what_to_do(tmp_path):
     path = tmp_path / "array.json"
-    path.write_text("not json", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"it is not JSON.*Calibrate"):
-        TaxelCalibration.load(path)
+    for text in ("not json", "[" * 100_000):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=r"it is not JSON.*Calibrate"):
+            TaxelCalibration.load(path)
     with pytest.raises(FileNotFoundError, match=r"got .*none\.json: .*Check the path"):
         TaxelCalibration.load(tmp_path / "none.json")
     with pytest.raises(IsADirectoryError, match="path must name a calibration"):

@@ -40,6 +40,7 @@ REFUSED = {
     "content": ("UPDATE touches SET content = image WHERE number = 2", "2"),
     "time": ("UPDATE touches SET added_s = 0 WHERE number = 2", "2"),
     "layout": ("UPDATE layouts SET columns = '['", "123456"),
+    "deep layout": ("UPDATE layouts SET columns = printf('%.*c', 9999, '[')", "123456"),
     "odd layout": ("UPDATE layouts SET columns = '[5]'", "123456"),
     "odd names": ("UPDATE layouts SET columns = '[[[1],2,[],0]]'", "123456"),
     "recording": ("UPDATE recordings SET unit = 'bar'", "123456"),

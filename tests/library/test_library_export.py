@@ -331,6 +331,29 @@ def test_many_touches_are_read_some_at_a_time(library, tmp_path):
         Touches.load(tmp_path / "some.parquet", max_bytes=50_000)
 
 
+def test_what_takes_little_in_a_file_is_not_much_in_memory_at_once(tmp_path):
+    path = tmp_path / "some.parquet"
+    flat = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(9_000_000)), 900_000)
+    kind = pa.fixed_shape_tensor(pa.float64(), (900, 1000))
+    table = pa.table({"image": pa.ExtensionArray.from_storage(kind, flat)})
+    _written(path, table)
+    assert path.stat().st_size < 10_000
+    assert max(part.images.nbytes for part in read_parquet(path)) <= 2**26
+    with pytest.raises(TouchesError, match="at most 1000000 bytes, got 7200000"):
+        list(read_parquet(path, max_bytes=1_000_000))
+    blank = png_bytes(np.zeros((1000, 1000), np.uint8))
+    _written(path, pa.table({"image": [blank, blank]}))
+    with pytest.raises(TouchesError, match="pictures that take at most 1500000 bytes"):
+        list(read_parquet(path, max_bytes=1_500_000))
+
+
+def test_metadata_as_deep_as_can_be_are_refused(tmp_path):
+    table = pa.table({"image": np.zeros((2, 3, 4)).tolist()})
+    _written(tmp_path / "t.parquet", table.replace_schema_metadata({"palpate": DEEP}))
+    with pytest.raises(TouchesError, match="must say of itself in JSON"):
+        Touches.load(tmp_path / "t.parquet")
+
+
 def test_what_another_program_wrote_is_read(tmp_path):
     """The files hold nested lists in folders by object, and no metadata of palpate."""
     images = np.arange(24.0).reshape(2, 3, 4)
@@ -376,6 +399,9 @@ def test_files_of_format_1_are_read(tmp_path):
     assert_array_equal(Touches.load(tmp_path / "old.parquet").images, images)
 
 
+DEEP = "[" * 100_000
+
+
 def _written(path, table, **metadata):
     if metadata:
         table = table.replace_schema_metadata({"palpate": json.dumps(metadata)})
@@ -400,7 +426,10 @@ TENSOR = {"image": np.zeros((2, 3, 4)).tolist()}
         ),
         ({**TENSOR, "force_n": ["x", "y"]}, {}, "force_n must"),
         (TENSOR, {"format": 9}, "Parquet format 2 or older"),
-        (TENSOR, {"format": 2, "recordings": [{}]}, "recording 0 among its metadata"),
+        (TENSOR, {"format": 2, "recordings": [{}]}, "of itself .* got: KeyError"),
+        (TENSOR, {"format": 2, "recordings": [{"whole": "x"}]}, "must say of itself"),
+        (TENSOR, {"format": float("nan")}, "must say of itself"),
+        (TENSOR, {"format": 2, "dtypes": ["<f8"]}, "must say of itself"),
         (
             {**TENSOR, "recording": [0, 7]},
             {"format": 2, "recordings": [{"whole": {}}]},

@@ -106,6 +106,11 @@ def test_a_library_teaches_what_its_touches_teach(filled, preset):
     assert from_library.chosen_ == from_touches.chosen_
 
 
+def test_labels_beside_touches_of_a_library_are_refused(filled):
+    with pytest.raises(TypeError, match="y must be left out for touches of a library"):
+        ObjectRecogniser().fit(filled.select(), ["mug"] * len(filled))
+
+
 def test_features_are_computed_once(filled, counted):
     ObjectRecogniser("corradi2015").fit(filled.select())
     assert sum(counted) == 90

@@ -466,6 +466,8 @@ def test_a_copy_goes_on_by_itself_with_every_sense(start):
     assert belief.posterior == alone.posterior
     assert posed(belief, *TORN).posterior == posed(alone, *TORN).posterior
     assert other.touches_used == 2
+    belief.log_posterior[:] = 0
+    assert belief.posterior == alone.posterior
 
 
 def test_explanations_weigh_each_touch_between_the_two_best(start, model):

@@ -74,7 +74,9 @@ def test_replacing_forgets_the_objects_named_and_learns_the_others(learnt):
     learnt.replace_objects(drawn(1, ("pen",)), forget=["mug", "nobody knows it"])
     assert learnt.classes_.tolist() == ["ball", "pen"]
     with pytest.raises(ValueError, match="At least two objects must remain"):
-        learnt.replace_objects(None, forget=["ball"])
+        learnt.replace_objects(None, forget="ball")
+    with pytest.raises(ValueError, match="must have a column 'object' to learn from"):
+        learnt.replace_objects(np.ones((4, 3, 24)))
     assert learnt.classes_.tolist() == ["ball", "pen"]
 
 
@@ -130,20 +132,26 @@ ASKED = {
     "start": lambda model, touches: [*model.start().update(touches).posterior],
     "predict": lambda model, touches: model.predict(touches).tolist(),
     "predict_proba": lambda model, touches: model.predict_proba(touches).shape,
+    "object_quality": lambda model, _: [row["name"] for row in model.object_quality()],
 }
 
 
 @pytest.mark.parametrize("ask", ASKED.values(), ids=ASKED)
 def test_what_another_thread_learns_meanwhile_is_not_mixed_in(learnt, monkeypatch, ask):
-    balls, prior = drawn(2)[:2], ObjectRecogniser.log_prior
+    balls = drawn(2)[:2]
     expected = ask(learnt, balls)
     later = deepcopy(learnt).add_object("cup", drawn(3, ("mug",)))
 
-    def prior_while_another_learns(self):
-        vars(learnt).update(vars(later))
-        return prior(self)
+    def while_another_learns(method):
+        def answer(self):
+            vars(learnt).update(vars(later))
+            return method(self)
 
-    monkeypatch.setattr(ObjectRecogniser, "log_prior", prior_while_another_learns)
+        return answer
+
+    for name in ("log_prior", "left_out_log_likelihood"):
+        method = while_another_learns(getattr(ObjectRecogniser, name))
+        monkeypatch.setattr(ObjectRecogniser, name, method)
     assert ask(learnt, balls) == expected
     assert "cup" in learnt.classes_
 

@@ -95,7 +95,7 @@ def test_a_session_without_labels_promises_less_in_the_same_words(learnt):
         assert not belief.promise().other_session
         assert not any(OTHER_SESSION in sentence for sentence in belief.why())
     assert two.chosen_["remount"]["confirm"] == list("cdef")
-    two.replace_objects(None, forget="cdef")  # those left are confirmed
+    two.replace_objects(None, forget=[*"cdef"])  # those left are confirmed
     assert two.chosen_["remount"]["confirm"] == []
     assert not two.start().promise().other_session
 

@@ -112,6 +112,26 @@ def test_a_recogniser_ends_a_pipeline(images_and_labels):
     assert chain.score(images, labels) > 0.8
 
 
+def test_what_was_learnt_does_not_change_with_what_it_was_learnt_from(
+    images_and_labels,
+):
+    images, labels = map(np.array, images_and_labels)
+    rest, asked = images.min(axis=0), images[:5].copy()
+    as_they_are = FunctionTransformer(lambda images: images.reshape(len(images), -1))
+    learnt = ObjectRecogniser(None, encodings={"own": as_they_are})
+    learnt.fit(Touches(images, no_contact=rest), labels)
+    before = learnt.predict_proba(asked), learnt.evidence(asked).log_distances
+    learnt.left_out_rows[:] = 0
+    learnt.classifier_.left_out_log_likelihood()[:] = 0
+    for array in (images, labels, rest):
+        array[:] = array[0]
+    assert_array_equal(learnt.predict_proba(asked), before[0])
+    assert_array_equal(learnt.evidence(asked).log_distances, before[1])
+    assert_array_equal(learnt.encoder_.baseline_, images_and_labels[0].min(axis=0))
+    assert learnt.left_out_rows.max() == 47
+    assert learnt.left_out_log_likelihood().any()
+
+
 def test_clone_has_learnt_nothing(images_and_labels):
     learnt = ObjectRecogniser(floor=0.1, random_state=4).fit(*images_and_labels)
     fresh = clone(learnt)
@@ -133,14 +153,17 @@ def test_groups_are_left_out_together(images_and_labels):
     groups = np.arange(48) // 12
     learnt = ObjectRecogniser().fit(images, labels, groups=groups)
     assert_array_equal(learnt.memory_.blocks, groups)
-    with pytest.raises(ValueError, match=r"groups must be .* two.* got one"):
-        learnt.fit(images, labels, groups=["monday"] * 48)
+    for groups in (["monday"] * 48, labels):
+        with pytest.raises(ValueError, match=r"groups must be .* two.* got one of"):
+            learnt.fit(images, labels, groups=groups)
 
 
 def test_bad_input_is_refused(images_and_labels):
     images, labels = images_and_labels
     with pytest.raises(ValueError, match="one entry per training touch"):
         ObjectRecogniser().fit(images, labels, groups=[1, 2])
+    with pytest.raises(ValueError, match="y must have no masked labels, got 16"):
+        ObjectRecogniser().fit(images, np.ma.masked_equal(labels, "mug"))
     with pytest.raises(TypeError, match="labels of one kind, got text and numbers"):
         ObjectRecogniser().fit(images, [*labels[:-1], 3])
     with pytest.raises(ValueError, match="got an array of shape"):

@@ -297,6 +297,11 @@ def test_small_files_that_claim_much_are_refused_unread(tmp_path):
     for name in ("t.h5", "t.zarr", "t.tiff"):
         with pytest.raises(TouchesError, match=r"bytes, got|must be a whole"):
             Touches.load(tmp_path / name)
+    with h5py.File(tmp_path / "deep.h5", "w") as file:  # of 3,000 it took 40 s
+        file["/".join("g" * 51)] = np.zeros((2, 3, 4))
+        file["/".join("f" * 52)] = np.zeros((2, 3, 4))
+    with pytest.raises(TouchesError, match="arrays at most 50 groups deep"):
+        Touches.load(tmp_path / "deep.h5")
 
 
 def test_a_mat_file_that_unpacks_to_much_is_refused(tmp_path):
@@ -386,6 +391,13 @@ def test_beside_numbered_taxels_other_numbers_are_columns(csv, names, n_taxels):
         assert touches.columns["humidity"].tolist() == [float(values["humidity"])] * 2
 
 
+def test_numbers_with_an_underscore_between_are_names(csv):
+    touches = Touches.load(csv("0_0,0_1,1_0,1_1\n1,2,3,4\n"), shape=(2, 2))
+    assert_array_equal(touches.images, [[[1, 2], [3, 4]]])
+    touches = Touches.load(csv("trial,a,b\n1_1,1,2\n1_10,3,4\n"))
+    assert touches.columns["trial"].tolist() == ["1_1", "1_10"]
+
+
 def test_without_a_shape_a_table_has_no_geometry(csv):
     """With one of a single row it is a strip, which images alone do not say."""
     file = csv("1;2;3\n4;5;6\n")
@@ -454,6 +466,7 @@ def test_each_file_of_a_folder_is_a_touch(tmp_path, rng, ending, write):
         ("1,2\n3,x\n", "taxel 1, number 2 must be a number as others are, got 'x'"),
         ("a,b\n1,2\n3,oops\n", "b, number 3 must be a number as others are"),
         ("1,2\n3,inf\n", "must be a number .*got 'inf'"),
+        ("1,-inf\n2,3\n", "must be a number .*got '-inf'"),
         ("a,a\n1,2\n", "first line of names that differ, got a, a"),
         ("object,session\ncup,a\n", "must have columns of taxels, got object"),
         ("object;a;n\ncup;1,5;2\n", "a must hold numbers with a decimal point"),
@@ -556,6 +569,11 @@ def test_texts_that_a_data_frame_lacks_are_empty(nothing):
     )
     with pytest.raises(TouchesError, match="t0 must hold numbers with a decimal point"):
         Touches.from_frame(commas)
+    # A cell that is no number makes texts of a whole column.
+    for cells in (["1.5", "2", "ERR"], [1.5, 2, "ERR"]):
+        odd = pandas.DataFrame({"a": cells, "b": [1.0, 2.0, 3.0]})
+        with pytest.raises(TouchesError, match=r"a must hold numbers .* got 'ERR'"):
+            Touches.from_frame(odd)
     frame["object"] = ["cup", nothing]
     with pytest.raises(TouchesError, match="empty label at touch 1"):
         Touches.from_frame(frame)

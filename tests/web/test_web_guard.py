@@ -282,6 +282,15 @@ def test_no_answer_is_held_back_until_the_one_before_is_acknowledged(make_sessio
     assert options == [1]
 
 
+@pytest.mark.parametrize("token", ["", None])
+def test_an_application_without_a_token_is_refused(make_session, token):
+    """An empty cookie would be the right one."""
+    with pytest.raises(ValueError, match="token must be a text that is not empty"):
+        create_app(make_session(sensor=False), token)
+    with pytest.raises(ValueError, match="session must be one or more, got none"):
+        create_app([], TOKEN)
+
+
 def page_token(library=None, token=None):
     with closing(PageServer(library=library, token=token)) as server:
         return server.token

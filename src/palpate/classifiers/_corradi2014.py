@@ -255,13 +255,14 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
             check_positive("gamma", self.gamma)
         touches, labels = labelled_touches(self, X, y)
         check_squarable(touches)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
-        n_labels = len(self.classes_)
+        classes, codes = np.unique(labels, return_inverse=True)
+        n_labels = len(classes)
         if n_labels < 2:
             raise ValueError(
                 f"y must have at least two labels, got {n_labels} class. "
                 "Add touches of another label."
             )
+        self.classes_ = classes
         if isinstance(self.gamma, str):
             variance = float(touches.var()) if self.gamma == "scale" else 1.0
             unit = touches.shape[1] * variance if variance > 0 else 1.0

@@ -358,7 +358,7 @@ class EncodingPool(BayesRule):
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        return np.asarray(self.left_out_, dtype=np.float64)
+        return np.array(self.left_out_, dtype=np.float64)
 
     def stored(self) -> Self:
         """Return what a model file holds: of very many touches less precise answers."""

@@ -121,12 +121,13 @@ class KernelDensityIndex:
         most = MOST_CELLS if n_cells is None else check_count("n_cells", n_cells)
         self.classes_ = model.classes_
         self.n_near = check_count("n_near", n_near)
+        seed = check_count("random_state", random_state, at_least=0, at_most=2**31 - 1)
         faiss = needed("faiss", "index", "KernelDensityIndex")
         weights, packed, sizes = [], [], []
         for place, rows in enumerate(self.model._rows()):
             points, precision = model.points_[rows], model._precision(place)
             count = most if n_cells is not None else -(-len(points) // TOUCHES_PER_CELL)
-            cell = _cells(faiss, points, min(count, most, len(points)), random_state)
+            cell = _cells(faiss, points, min(count, most, len(points)), seed)
             weights.append(_weights(points, cell, precision))
             tiles = make_tiles(points, precision, "float32")[0]
             flat = tiles.reshape(-1, tiles.shape[2])[: len(points)]

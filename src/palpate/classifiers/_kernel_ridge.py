@@ -174,10 +174,6 @@ class KernelRidgeClassifier(BayesRule):
             For labels that are partly text, partly something else.
         """
         touches, codes, group = self._validated_input(X, y, groups)
-        if len(self.classes_) < 2:
-            raise ValueError(
-                f"y must hold at least two labels, got 1 class: {self.classes_[0]}."
-            )
         self._choose(touches, codes, group)
         self._inverse: GrowingInverse | None = None
         self._summed: LandmarkRegression | None = None
@@ -189,8 +185,14 @@ class KernelRidgeClassifier(BayesRule):
     ) -> tuple[Floats, Array, Array]:
         touches, labels = labelled_touches(self, X, y, reset=reset)
         check_squarable(touches)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
-        return touches, codes, as_groups(groups, len(touches))
+        classes, codes = np.unique(labels, return_inverse=True)
+        if reset and len(classes) < 2:
+            raise ValueError(
+                f"y must hold at least two labels, got 1 class: {classes[0]}."
+            )
+        group = as_groups(groups, len(touches))
+        self.classes_ = classes
+        return touches, codes, group
 
     def _choose(self, touches: Floats, codes: Array, group: Array) -> None:
         """Set `unit_`, `width_` and `ridge_` by the log loss of left-out groups."""

@@ -158,7 +158,7 @@ class BayesRule(ClassifierMixin, BaseEstimator):
         """Rows of the training touches left out: `left_out_rows_`, or all."""
         whole: Any = self
         if hasattr(whole, "left_out_rows_"):
-            return np.asarray(whole.left_out_rows_)
+            return np.array(whole.left_out_rows_)
         return np.arange(len(whole.left_out_log_likelihood()))
 
     def left_out_by_part(self) -> Floats:
@@ -235,7 +235,7 @@ class FromProbabilities(BayesRule):
                 "classifier must have predict_proba, got "
                 f"{type(self.classifier).__name__}. Wrap it in CalibratedClassifierCV."
             )
-        self.touches_, self.labels_ = labelled_touches(self, X, y)
+        self.touches_, self.labels_ = map(np.array, labelled_touches(self, X, y))
         self.groups_ = as_groups(groups, len(self.touches_))
         self.classifier_ = clone(self.classifier).fit(self.touches_, self.labels_)
         self.classes_ = np.asarray(self.classifier_.classes_)

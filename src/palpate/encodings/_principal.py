@@ -74,8 +74,8 @@ class PrincipalEncoder(ImageEstimator):
         return np.asarray(features @ self.components_.T)
 
     def _learn(self, images: Array) -> None:
-        self.first_ = self._first()
-        features = self.first_.fit_transform(images)
+        first = self._first()
+        features = np.asarray(first.fit_transform(images))
         wanted = check_components(self.n_components)
         # Features of one image that comes several times may differ by rounding.
         if _are_alike(images) or _are_alike(features):
@@ -91,7 +91,7 @@ class PrincipalEncoder(ImageEstimator):
         solver = "full" if few else "covariance_eigh"  # the smaller of the two
         scaled = np.ldexp(features, -exponent)
         pca = PCA(wanted, svd_solver=solver).fit(scaled)
-        self.components_ = pca.components_
+        self.first_, self.components_ = first, pca.components_
         self.mean_ = np.ldexp(pca.mean_, exponent)
         self.explained_variance_ratio_ = pca.explained_variance_ratio_
         self.n_components_ = len(self.components_)

@@ -31,6 +31,7 @@ from ._splits import (
     SPLITS,
     VISITS,
     Fold,
+    check_touches,
     column_of,
     draw_touches,
     recorded_order,
@@ -117,6 +118,9 @@ def evaluate(
     {'1': 1.0}
     """
     plan = plan or Plan()
+    for name, touches in (("train", train), ("test", test), ("unknown", unknown)):
+        if touches is not None or name == "train":
+            check_touches(name, touches)
     if test is not None and split is None:
         folds = [Fold("test", train, test)]
     elif split is not None and test is None:

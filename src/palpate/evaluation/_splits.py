@@ -90,6 +90,7 @@ def split_touches(touches: Touches, split: str, label: str = "object") -> list[F
         category has two objects, or all is of one session or person.
     """
     check_option("split", split, SPLITS)
+    check_touches("touches", touches)
     objects = column_of(touches, "object")
     if split == "unseen-objects":
         folds = _categories(touches, repeats=1, seed=0)
@@ -155,6 +156,15 @@ def protocol_folds(
     met = np.concatenate([fold.test for fold in folds])
     left_out = np.setdiff1d(objects, objects[met])
     return folds, [str(name) for name in left_out]
+
+
+def check_touches(name: str, touches: object) -> None:
+    """Refuse what is not `Touches`."""
+    if not isinstance(touches, Touches):
+        raise TypeError(
+            f"{name} must be Touches, got {type(touches).__name__}. Write "
+            "Touches(images, object=labels)."
+        )
 
 
 def column_of(touches: Touches, name: str) -> Array:

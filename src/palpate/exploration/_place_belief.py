@@ -288,7 +288,7 @@ class PlaceBelief(BeliefOfPlaces):
     @property
     def log_posterior(self) -> Floats:
         """Log probability of each object, were it one of them (nats), (n_objects,)."""
-        return self._log_objects
+        return self._log_objects.copy()
 
     def _joined(self) -> Floats:
         prior = log_softmax(self._prior_and_senses())[self.map.object_of_state_]

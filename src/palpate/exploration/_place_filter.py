@@ -358,6 +358,11 @@ def advice(belief: PlaceBelief, pose: SensorPose) -> str:
         As "Touch the rim, from 2 o'clock and above, to tell the mug from the porridge
         pot." Hours are seen from above, 12 away along y.
     """
+    if not hasattr(belief, "map"):
+        raise TypeError(
+            f"belief must be a PlaceBelief, got {type(belief).__name__}. "
+            "`SurfaceMap.start` makes one."
+        )
     out = -np.asarray(pose.direction)
     height = float(np.arcsin(np.clip(out[2], -1, 1)))
     hour = round(float(np.degrees(np.arctan2(out[0], out[1]))) / 30) % 12 or 12

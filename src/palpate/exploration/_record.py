@@ -28,6 +28,7 @@ from ..touches import Touches
 _FORMAT = 1
 _TOUCH = re.compile(r"touch_(\d{5,})\.npz")
 _LOCK = ".lock"
+_MOST_BYTES = 2**29  # of one attempt: any camera's image as doubles
 OUTCOMES = (
     "touched",
     "nothing",
@@ -298,7 +299,7 @@ class EpisodeLog:
             return
         try:
             stored = json.loads(path.read_bytes())
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise EpisodeError(f"{path} is damaged: {error}. Bring it back.") from error
         if stored != header:
             raise EpisodeError(
@@ -335,6 +336,9 @@ def read_episode(folder: str | Path) -> list[TouchRecord]:
 def _read_record(path: Path) -> TouchRecord:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            n_bytes = sum(member.file_size for member in arrays.zip.infolist())
+            if n_bytes > _MOST_BYTES:
+                raise ValueError(f"at most {_MOST_BYTES} bytes are read, got {n_bytes}")
             plain = json.loads(str(arrays["record"]))
             return TouchRecord.from_dict(plain, arrays.get("image"))
     except Exception as error:

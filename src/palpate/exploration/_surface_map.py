@@ -146,6 +146,7 @@ class SurfaceMap:
             A touch has no place, an object no map, or places are in another unit.
         """
         check_count("n_turns", self.n_turns, at_least=4)
+        vars(self).pop("classes_", None)
         check_positive("tip_radius_mm", self.tip_radius_mm)
         check_positive("stiffness_n_mm", self.stiffness_n_mm)
         if self.other_faces is not None:
@@ -182,6 +183,7 @@ class SurfaceMap:
         forces = np.asarray(touches.columns.get("force_n", np.nan), dtype=np.float64)
         measured = forces[~np.isnan(forces)]
         self.force_n_ = float(np.median(measured)) if len(measured) else np.nan
+        self.classes_ = recogniser.classes_  # from here on it is fitted
         return self
 
     def _learnt(

@@ -112,22 +112,25 @@ class TouchMap:
             The touches are not those, or they have no places.
         """
         check_count("n_turns", self.n_turns)
-        labels = touches.object if recogniser.label == "object" else touches.category
-        if labels is None or not np.array_equal(labels, recogniser.memory_.labels):
+        vars(self).pop("classes_", None)
+        memory = recogniser.learnt().memory
+        labels = getattr(touches, recogniser.label, None)
+        if labels is None or not np.array_equal(labels, memory.labels):
             raise ValueError(
                 "touches must be those that the recogniser learnt, in the same order, "
                 f"got {touches!r}. Fit both on the same touches."
             )
         self.recogniser = recogniser
         self.places_ = places_of(touches, places, self.n_turns)
-        self.features_ = recogniser.memory_.features
-        self.codes_ = np.searchsorted(recogniser.classes_, recogniser.memory_.labels)
-        self.group_ = recogniser.memory_.blocks
+        self.features_ = memory.features
+        self.codes_ = np.searchsorted(recogniser.classes_, memory.labels)
+        self.group_ = memory.blocks
         codes = range(len(recogniser.classes_))
         self.rows_of_object = [np.flatnonzero(self.codes_ == code) for code in codes]
         self._squared = squared_distances(self.features_, self.features_)
         self.left_out_ = log_softmax(recogniser.left_out_log_likelihood(), axis=1)
         self._choose()
+        self.classes_ = recogniser.classes_  # from here on it is fitted
         return self
 
     def _choose(self) -> None:
@@ -303,11 +306,16 @@ class TouchMap:
         return np.asarray(np.exp((squared - least) / (-2 * self.bandwidth_**2)))
 
 
-def check_learnt(touch_map: object) -> None:
-    """Refuse a map that was not fitted."""
-    if not hasattr(touch_map, "recogniser"):
+def check_learnt(touch_map: Any) -> None:
+    """Refuse a map that was not fitted, or of other objects than are known now."""
+    if not hasattr(touch_map, "classes_"):
         name = type(touch_map).__name__
         raise NotFittedError(f"{name} has learnt nothing yet; call fit first.")
+    if not np.array_equal(touch_map.classes_, touch_map.recogniser.classes_):
+        raise ValueError(
+            "The map must be of the objects that its recogniser knows, got "
+            f"{', '.join(map(str, touch_map.classes_[:5]))}. Fit the map again."
+        )
 
 
 class BeliefOfPlaces(Belief):

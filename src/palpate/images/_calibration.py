@@ -184,7 +184,8 @@ class TaxelCalibration(ImageEstimator):
             When the file is no calibration, or of another version, or damaged.
         """
         params, learnt = _read_calibration(path)
-        calibration = cls(**params)
+        calibration = cls()
+        calibration.set_params(**params)
         for name, value in learnt.items():
             setattr(calibration, f"{name}_", value)
         return calibration
@@ -239,20 +240,25 @@ def _read_calibration(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]
     try:
         params = dict(content["params"])
         learnt: dict[str, Any] = {n: np.array(content[n], float) for n in _NUMBERS}
-        learnt["dead"] = np.array(content["dead"], dtype=bool)
+        learnt["dead"] = np.array(content["dead"])
         learnt["image_shape"] = tuple(int(side) for side in content["image_shape"])
         learnt["highest_load_kpa"] = float(content["highest_load_kpa"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise _bad(path, f"{error!r} while reading it") from error
     dead = learnt["dead"]
     for name in (*_NUMBERS, "dead"):
         if learnt[name].shape != learnt["image_shape"]:
             raise _bad(path, f"{name} is not of shape {learnt['image_shape']}")
+    if dead.dtype != bool:
+        raise _bad(path, "dead must be true or false")
     # Infinity, "no saturation was seen", is written as null too.
     missing = np.isnan(learnt["saturation_kpa"]) & ~dead
     learnt["saturation_kpa"][missing] = np.inf
     for name in _NUMBERS:
-        if np.isnan(learnt[name][~dead]).any():
+        values = learnt[name][~dead]
+        if name == "saturation_kpa":
+            values = values[values != np.inf]
+        if not np.isfinite(values).all():
             raise _bad(path, f"{name} lacks values of taxels that are not dead")
     if not (learnt["gain"][~dead] > 0).all():
         raise _bad(path, "gain must be positive for taxels that are not dead")
@@ -267,7 +273,7 @@ def _read(path: Path) -> dict[str, Any]:
             f"path must name a calibration that save() wrote, got {path}: "
             f"{error.strerror}. Check the path, or calibrate the array."
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise _bad(path, "it is not JSON") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise _bad(path, f'its "format" is not "{_FORMAT}"')

@@ -25,7 +25,7 @@ from numpy.lib import format as npy
 
 from .._types import PLAIN_KINDS, RGB, Array
 from ..touches import Touches, TouchesError, decode_bytes
-from ._store import LibraryError
+from ._store import LibraryError, from_json
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -69,7 +69,7 @@ class Column(NamedTuple):
     @classmethod
     def all_of(cls, text: str) -> "list[Column]":
         """Return columns from JSON; ValueError or TypeError where it holds others."""
-        columns = [cls(n, d, tuple(s), bool(w)) for n, d, s, w in json.loads(text)]
+        columns = [cls(n, d, tuple(s), bool(w)) for n, d, s, w in from_json(text)]
         for column in columns:
             if not isinstance(column.name, str) or np.dtype(column.dtype).hasobject:
                 raise ValueError(f"a column of {column.dtype}")

@@ -543,7 +543,7 @@ def from_json(text: str) -> Any:
     """Return what stands in a cell as JSON, or say that the database is damaged."""
     try:
         return json.loads(text)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise DatabaseDamaged(
             f"A cell of the database must be JSON, got {str(text)[:80]!r}. {REPAIR}"
         ) from error

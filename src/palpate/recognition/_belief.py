@@ -288,7 +288,7 @@ class Belief:
 
         In nats. `posterior` holds these probabilities times 1 - `unknown`.
         """
-        return self._touch_log_posterior
+        return self._touch_log_posterior.copy()
 
     @property
     def touches_used(self) -> int:

@@ -326,7 +326,7 @@ class TouchEncoder(Encoder, BaseEstimator):
             images, idle = grey(self.living(touches.images)), self._idle(touches)
             other.clean_up_ = self.clean_up_.moved(images, idle)
             if idle is not None:
-                other.rest_ = idle
+                other.rest_ = idle.copy()
             elif other.image_shape_ != tuple(self.image_shape_):
                 other.with_rest_ = False  # there is none of that size
         return other

@@ -106,7 +106,7 @@ class Learner(BaseEstimator):
         ------
         ValueError
             If labels are missing, there are fewer than two of them, or one has
-            fewer than two touches; there is one group; or it would take too much
+            fewer than two touches; none is in two groups; or it would take too much
             memory. What was learnt before is then as it was.
         """
         preset, later = self._check_parameters(), copy(self)
@@ -122,10 +122,11 @@ class Learner(BaseEstimator):
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
-            if not blocks.any():
+            if _memory.n_met(labels, blocks).max() < 2:
                 raise ValueError(
-                    "groups must be at least two, one left out while others teach, "
-                    "got one. Give sessions or runs of a recording, or none."
+                    f"groups must be at least two of some {self.label}, one left out "
+                    "while others teach, got one of each. Give sessions or runs of a "
+                    "recording, or none."
                 )
         with on_one_thread(), naming_empty(touches):
             encoder, contact, chosen, encoding = learn_encoding(
@@ -208,7 +209,7 @@ class Learner(BaseEstimator):
         ----------
         touches : Touches, TouchSource or None
             Labelled touches of known or new objects, two of each at least.
-        forget : iterable of str
+        forget : str or iterable of str
             Names that are forgotten; unknown ones are passed over.
 
         Raises
@@ -217,7 +218,8 @@ class Learner(BaseEstimator):
             If fewer than two objects would remain, or labels are missing.
         """
         self._check_fitted()
-        memory = self.memory_.without(map(self._spelt, forget))
+        names = [forget] if isinstance(forget, str) else forget
+        memory = self.memory_.without(map(self._spelt, names))
         for name, of_object in _memory.by_label(touches, self.label):
             memory = memory.replaced(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
@@ -382,6 +384,7 @@ class Learner(BaseEstimator):
             If no pitch is known.
         """
         self._check_fitted()
+        touches = as_touches(touches)
         pitch = touches.whole.get("set_pitch_mm") if pitch_mm is None else pitch_mm
         if pitch is None:
             raise ValueError(

@@ -91,8 +91,11 @@ def learn_encoding(
     else:
         rows = shown_rows(labels)
         shown = touches.touches(rows)
+    # What is kept must not change with the arrays that were given.
+    names = {"no_contact", "pads"} & shown.whole.keys()
+    kept = {name: shown.whole[name].copy() for name in names}
     # What it takes a search for rims to know is found out once.
-    shown = shown.with_columns(geometry=find_geometry(shown))
+    shown = shown.with_columns(**kept, geometry=find_geometry(shown))
     lacks_rest = shown.geometry == "array" and shown.no_contact is None
     if lacks_rest and (newest := touches.no_contact) is not None:
         # Levels that taxels rest at are mostly theirs: it serves earlier sessions too.
@@ -115,7 +118,7 @@ def learn_encoding(
     contact.learn_poses(encoder, novelty)
     if isinstance(touches, Touches):
         nothing = contact.no_contact(touches, cleaned)
-        result = Encoded(features, nothing, encoder.look(touches))
+        result = Encoded(features.copy("K"), nothing, encoder.look(touches))
     else:
         result = encoded(encoder, contact, touches)
     return encoder, contact, chosen, result
@@ -158,8 +161,8 @@ def memory_of(
 
     return Memory(
         features=encoding.features,
-        labels=labels,
-        objects=objects,
+        labels=labels.copy(),
+        objects=objects.copy(),
         blocks=blocks,
         sessions=texts(touches.session),
         subjects=texts(touches.subject),

@@ -412,6 +412,11 @@ def labelled(X: Any, y: ArrayLike | None, label: str) -> Touches | TouchSource:
             f"touches must be Touches, got {type(X).__name__} without labels. "
             "Write fit(Touches(images, object=labels)) or fit(images, labels)."
         )
+    if isinstance(X, TouchSource):
+        raise TypeError(
+            "y must be left out for touches of a library, which have their own labels. "
+            "Rename objects in the library, or give `library.touches(...)`."
+        )
     check_label_kinds(y)
     touches, names = as_touches(X), np.asarray(y)
     if names.shape != (len(touches),):
@@ -468,7 +473,7 @@ def check_name(name: object) -> str:
 
 def named_labels(touches: Touches | TouchSource, label: str) -> Array:
     """Return the column `label`, "object" or "category", or say how to have one."""
-    labels = touches.object if label == "object" else touches.category
+    labels: Array | None = getattr(touches, label, None)
     if labels is None:
         raise ValueError(
             f"touches must have a column {label!r} to learn from. Name "

@@ -131,8 +131,10 @@ def check_parts(model: BeliefModel, encoder: AnyEncoder, pose: object) -> None:
         raise ValueError("its sizes do not agree")
     if memory.looks.shape[1:] != (N_LOOKS,):
         raise ValueError(f"its looks have {memory.looks.shape[1:]} values")
-    if not np.isfinite(memory.features).all():
+    if not np.isfinite(memory.features).all() or np.isinf(memory.looks).any():
         raise ValueError("its features hold NaN or infinity")
+    if not ((memory.weights > 0) & np.isfinite(memory.weights)).all():
+        raise ValueError("its weights are no positive numbers")
     _check_encoder(encoder, memory.features.shape[1])
     if not np.array_equal(model.classes, memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")

@@ -326,7 +326,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
                 "This recogniser has learnt no poses; `ObjectRecogniser.fit_pose` "
                 "learns them."
             )
-        return self.pose_.estimate(touches.images, np.asarray(labels).astype(str))
+        images = _evidence.as_touches(touches).images
+        return self.pose_.estimate(images, np.asarray(labels).astype(str))
 
     def summary(self) -> dict[str, Any]:
         """Return what was learnt, as plain values for people and for JSON."""
@@ -348,13 +349,14 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         contact, one at a time. Returns matplotlib's axes (extra `plot`), `ax` or new
         ones.
         """
-        rows = self.left_out_rows
-        counted = ~self.memory_.nothing[rows] | self.uses_no_contact_
-        best = self.left_out_log_likelihood()[counted].argmax(axis=1)
-        truth = np.searchsorted(self.classes_, self.memory_.labels[rows[counted]])
-        columns = np.arange(len(self.classes_))
+        now = copy(self)
+        rows = now.left_out_rows
+        counted = ~now.memory_.nothing[rows] | now.uses_no_contact_
+        best = now.left_out_log_likelihood()[counted].argmax(axis=1)
+        truth = np.searchsorted(now.classes_, now.memory_.labels[rows[counted]])
+        columns = np.arange(len(now.classes_))
         counts = confusion_matrix(truth, best, labels=columns)
-        return draw_confusion(counts, self._names(), ax)
+        return draw_confusion(counts, now._names(), ax)
 
     def object_quality(self) -> list[dict[str, Any]]:
         """Return how often left-out touches of each object are recognised.
@@ -363,12 +365,13 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         right answers after one touch and after eight drawn ones, None where there are
         not so many; `taken_for`, the most frequent wrong answer to one touch, or None.
         """
-        log_likelihood = with_floor(self.left_out_log_likelihood(), self.floor_)
-        labels, names = self.memory_.labels[self.left_out_rows], self._names()
-        with_contact = self.uses_no_contact_ | ~self.memory_.nothing[self.left_out_rows]
+        now = copy(self)  # another thread may learn meanwhile
+        log_likelihood = with_floor(now.left_out_log_likelihood(), now.floor_)
+        labels, names = now.memory_.labels[now.left_out_rows], now._names()
+        with_contact = now.uses_no_contact_ | ~now.memory_.nothing[now.left_out_rows]
         rng, result = np.random.default_rng(0), []
         for code, name in enumerate(names):
-            rows = np.flatnonzero((labels == self.classes_[code]) & with_contact)
+            rows = np.flatnonzero((labels == now.classes_[code]) & with_contact)
             best = log_likelihood[rows].argmax(axis=1)
             answers = np.bincount(best, minlength=len(names))
             right, answers[code] = answers[code], 0

@@ -104,7 +104,7 @@ def rehearse(
         "share": rehearsal.share,
         "told_by": _left_out_by(memory) if sessions_known else "rehearsed sessions",
     }
-    # Where each label is of one group alone, nothing is left to be asked.
+    # Of few touches drawn none may be of a group that others are told apart without.
     if is_asked := bool(np.isfinite(rehearsal.right).all()):
         report["right"] = [float(share) for share in right]
     report["drawn"] = [name for name, size in vars(ranges).items() if size]

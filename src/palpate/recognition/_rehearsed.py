@@ -100,7 +100,8 @@ def rehearsed(
     if share < LEAST_SHARE:
         share = 0.0
     mixed = (1 - share) * of_drawn[0] + share * of_drawn[1]
-    right = (mixed.argmax(axis=-1) == drawn_codes)[:, is_asked].mean(axis=1)
+    is_right = (mixed.argmax(axis=-1) == drawn_codes)[:, is_asked]
+    right = is_right.mean(axis=1) if is_asked.any() else np.full(len(is_right), np.nan)
     if share:
         pool = pool.beside(weighed, weighing, share, codes[rows], groups[rows])
     return Rehearsal(pool, share, right)

@@ -30,6 +30,7 @@ CONTAINERS = (".h5", ".hdf5", ".zarr", ".tif", ".tiff", ".mat", ".bmp", ".webp")
 RAW = (".raw", ".bin", ".dat")
 _LABELS = ("label", "labels", "y")  # the last may be an axis
 _MAX_ARRAYS = 1000  # of a file; as many as members of an archive
+_MAX_DEPTH = 50  # groups within groups
 _MAX_RANK = 5  # of what is read: channels, and frames of presses
 _PLAIN = "biufSU"
 _LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
@@ -194,6 +195,10 @@ def _hdf5(path: Path, max_bytes: int, *, columns_first: bool = False) -> Arrays:
         entries: dict[str, _Entry] = {}
 
         def note(name: str, item: Any) -> None:
+            if name.count("/") > _MAX_DEPTH:  # each is sought from the first on
+                raise TouchesError(
+                    f"{path} must hold arrays at most {_MAX_DEPTH} groups deep."
+                )
             if not isinstance(item, h5py.Dataset) or item.shape is None:
                 return
             if item.external or item.is_virtual:

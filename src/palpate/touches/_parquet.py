@@ -33,6 +33,7 @@ from ._pictures import decode_bytes, png_bytes
 
 ENDINGS = (".parquet", ".pq")
 FORMAT = 2  # 1 had one recording alone
+_NO_JSON = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 _ROWS_AT_ONCE = 512  # of which memory holds
 _BYTES_AT_ONCE = 64 * 2**20  # as many images at once
 _IMAGE, _RECORDING = "image", "recording"
@@ -254,7 +255,7 @@ def parquet_index(name: str) -> FileIndex:
     shown = (
         f"{size_text(tuple(kind.shape))} of {kind.value_type}" if is_tensor else None
     )
-    numbers = range(len(about.get("recordings", [])))
+    numbers = range(len(about["recordings"]))
     return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)
 
 
@@ -311,7 +312,8 @@ def parquet_rows(
         batches = reader.iter_batches(batch_size=size, row_groups=groups)
         for batch in _picked(pa, batches, rows):
             held = dict(zip(batch.schema.names, batch.columns, strict=True))
-            images, files = _images(pa, name, held.pop(_IMAGE), about, max_pixels)
+            most = max_pixels, max_bytes
+            images, files = _images(pa, name, held.pop(_IMAGE), about, *most)
             arrays = _columns(pa, name, held, about, batch.num_rows)
             numbers = np.zeros(batch.num_rows, int)
             if _has_recordings(about):
@@ -326,15 +328,19 @@ def parquet_rows(
 
 def _batch_size(name: str, reader: Any, max_bytes: int) -> int:
     """Return how many rows memory holds at once; refuse row groups that are larger."""
-    groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
-    largest = max((group.total_byte_size for group in groups), default=0)
+    largest, n_bytes = 0, 1  # of a row group in the file, and of a row in memory
+    for group in map(reader.metadata.row_group, range(reader.num_row_groups)):
+        # What repeats takes nothing in the file, and as much as all else in memory.
+        n_values = sum(group.column(i).num_values for i in range(group.num_columns))
+        in_memory = max(8 * n_values, group.total_byte_size)
+        n_bytes = max(n_bytes, in_memory // max(1, group.num_rows))
+        largest = max(largest, group.total_byte_size, n_bytes)
     if largest > max_bytes:
         raise TouchesError(
             f"{name} must have row groups of at most {max_bytes} bytes, got {largest}. "
             "Write it in smaller ones, or raise max_bytes."
         )
-    n_bytes = largest // max(1, max((group.num_rows for group in groups), default=1))
-    return max(1, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
+    return max(1, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // n_bytes))
 
 
 def _picked(pa: Any, batches: Iterator[Any], rows: Array | None) -> Iterator[Any]:
@@ -361,11 +367,17 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
                 f"{about['format']}. Update palpate."
             )
         if about.get("format") == 1:  # all images one recording, sides beside
-            sides = [about[n] for n in ("n_rows", "n_cols", "n_channels") if n in about]
-            about["shape"] = sides
+            sides = [n for n in ("n_rows", "n_cols", "n_channels") if n in about]
+            about["shape"] = [int(about[n]) for n in sides]
             about["dtypes"] = {_IMAGE: about["dtype"]}
             about["recordings"] = [{"whole": about["whole"]}]
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        about["format"] = int(about.get("format", 1))
+        about["dtypes"] = {**about.get("dtypes", {})}
+        about["recordings"] = [
+            {**entry, "whole": {**entry["whole"]}}
+            for entry in about.get("recordings", [])
+        ]
+    except _NO_JSON as error:
         if isinstance(error, TouchesError):
             raise
         raise TouchesError(
@@ -377,12 +389,12 @@ def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
 
 def _has_recordings(about: Mapping[str, Any]) -> bool:
     """Tell whether the column `recording` is palpate's own, or another program's."""
-    return int(about.get("format", 1)) > 1
+    return int(about["format"]) > 1
 
 
 def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:
     """Return what describes all touches of a recording."""
-    recordings = about.get("recordings", [])
+    recordings = about["recordings"]
     try:
         whole = recordings[number]["whole"] if recordings else {}
         return {n: _decoded(value) for n, value in whole.items()}
@@ -397,7 +409,7 @@ def _columns(
     pa: Any, name: str, held: Mapping[str, Any], about: Mapping[str, Any], n_rows: int
 ) -> Arrays:
     """Return the columns that a file has and those that its path carries."""
-    dtypes = about.get("dtypes", {})
+    dtypes = about["dtypes"]
     columns = {
         column: _as_written(_numpy(pa, name, column, values), dtypes.get(column, ""))
         for column, values in held.items()
@@ -420,17 +432,23 @@ def _as_written(array: Array, dtype: str) -> Array:
 
 
 def _images(
-    pa: Any, name: str, column: Any, about: Mapping[str, Any], max_pixels: int
+    pa: Any,
+    name: str,
+    column: Any,
+    about: Mapping[str, Any],
+    max_pixels: int,
+    max_bytes: int,
 ) -> tuple[Array, list[bytes] | None]:
     """Return images, and the files they were decoded from, if they were."""
     kind = column.type
     if pa.types.is_struct(kind) and "bytes" in [field.name for field in kind]:
         column, kind = column.field("bytes"), pa.binary()
     if pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
-        return _decoded_files(name, column.to_pylist(), about, max_pixels)
+        files = column.to_pylist()
+        return _decoded_files(name, files, about, max_pixels, max_bytes)
     array = _numpy(pa, name, _IMAGE, column)
     if shape := about.get("shape"):
-        if prod(shape) != array[0].size:
+        if min(shape) < 1 or prod(shape) != array[0].size:
             raise TouchesError(
                 f"{name} must have images of {shape} values, got {array[0].size}."
             )
@@ -440,20 +458,31 @@ def _images(
             f"{name} must have images of rows and columns of numbers, got "
             f"{kind}. Write tensors (pyarrow.fixed_shape_tensor) or pictures."
         )
-    return _as_written(array, about.get("dtypes", {}).get(_IMAGE, "")), None
+    return _as_written(array, about["dtypes"].get(_IMAGE, "")), None
 
 
 def _decoded_files(
-    name: str, files: list[bytes | None], about: Mapping[str, Any], max_pixels: int
+    name: str,
+    files: list[bytes | None],
+    about: Mapping[str, Any],
+    max_pixels: int,
+    max_bytes: int,
 ) -> tuple[Array, list[bytes]]:
-    colour = any("channels" in r.get("whole", {}) for r in about.get("recordings", []))
+    colour = any("channels" in entry["whole"] for entry in about["recordings"])
     whole = [file for file in files if file is not None]
     if len(whole) < len(files):
         raise TouchesError(
             f"{name} must hold every picture itself, got {len(files) - len(whole)} "
             "without bytes. Write them into it."
         )
-    images = [decode_bytes(f, max_pixels=max_pixels, colour=colour) for f in whole]
+    images: list[Array] = []
+    for file in whole:
+        images.append(decode_bytes(file, max_pixels=max_pixels, colour=colour))
+        if len(images) * images[0].nbytes > max_bytes:
+            raise TouchesError(
+                f"{name} must have pictures that take at most {max_bytes} bytes at "
+                "once, got more. Write them smaller, or raise max_bytes."
+            )
     shapes = {image.shape for image in images}
     if len(shapes) > 1:
         raise TouchesError(

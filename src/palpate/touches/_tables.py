@@ -50,6 +50,13 @@ def table_arrays(
                 f"Column {name} must hold numbers with a decimal point, got "
                 f"{commas[0]!r}. Write points (of pandas, read_csv(decimal=','))."
             )
+        texts = column[column != ""].tolist() if is_text and name not in _NAMED else []
+        odd = [text for text in texts if not _is_number(text)]
+        if 0 < len(odd) < len(texts) / 2:  # a taxel, which would be none in silence
+            raise TouchesError(
+                f"Column {name} must hold numbers as most of it does, got {odd[0]!r}. "
+                "Correct it; where a taxel is dead leave it empty."
+            )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
     named |= _beside_numbered([name for name in table if name not in named])
     columns = {name: table[name] for name in named}
@@ -104,7 +111,7 @@ def csv_arrays(
     """Return what `Touches` is made of, one touch a line; the first may be names."""
     lines = _lines(path, max_bytes)
     first = lines[0]
-    named = not all(map(_is_number, first))
+    named = any(map(_is_name, first))
     of_digits = all(map(_OF_DIGITS.fullmatch, first))
     if named and of_digits and re.search("[,;]", "".join(first)):
         raise TouchesError(
@@ -253,11 +260,18 @@ def _lines(path: Path, max_bytes: int) -> list[list[str]]:
     return [row for _, row in lines]
 
 
-def _is_number(cell: str) -> bool:
+def _is_name(cell: str) -> bool:
+    """Tell whether a cell is no number: "0_1" is none, though Python reads it as 1."""
     try:
-        return isfinite(float(cell)) or cell.lower() == "nan"
+        float(cell or "nan")
     except ValueError:
-        return not cell
+        return True
+    return "_" in cell
+
+
+def _is_number(cell: str) -> bool:
+    is_nothing = cell.lower() in ("", "nan")
+    return is_nothing or (not _is_name(cell) and isfinite(float(cell)))
 
 
 def _numbers(cells: Sequence[str], what: str, first: int) -> Array:

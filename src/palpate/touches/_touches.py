@@ -229,6 +229,8 @@ class Touches(Labelled):
             held = (cls(**arrays)._with_files(files) for arrays, files in parts)
             return cls._joined(held, max_bytes).with_no_contact(no_contact, max_pixels)
         place = Path(path)
+        if place.exists() and not (place.is_file() or place.is_dir()):
+            raise _no_touches(place)  # a pipe would be waited for
         ending = place.suffix.lower()
         for_pictures = name_pattern is not None or colour
         why = "Other files say themselves what they hold."

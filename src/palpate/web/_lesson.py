@@ -231,7 +231,8 @@ class Journal:
         self.n_lessons = 0
         self._lesson: Lesson | None = None
         for line in self._lines():
-            with suppress(ValueError, TypeError, KeyError, AttributeError):
+            wrong = ValueError, TypeError, KeyError, AttributeError, RecursionError
+            with suppress(*wrong):
                 self._take(json.loads(line))
         self.interrupted: Lesson | None = self._lesson
 

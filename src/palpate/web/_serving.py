@@ -58,11 +58,20 @@ def create_app(
     ------
     ImportError
         FastAPI is missing; the message names the extra.
+    ValueError
+        The token is empty, which every browser knows, or there is no session.
     """
     _require_web()
     from ._app import build_app
 
+    if not isinstance(token, str) or not token:
+        raise ValueError(
+            f"token must be a text that is not empty, got {token!r}. Write for example "
+            "secrets.token_urlsafe()."
+        )
     sessions = (session,) if isinstance(session, LiveSession) else tuple(session)
+    if not sessions:
+        raise ValueError("session must be one or more, got none.")
     return build_app(sessions, token, max_body=max_body, rate_hz=rate_hz, names=names)
 
 

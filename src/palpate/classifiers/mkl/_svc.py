@@ -226,12 +226,13 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         """
         settings = self._settings()
         touches, labels = self._validated(X, y)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
-        if len(self.classes_) < 2:
+        classes, codes = np.unique(labels, return_inverse=True)
+        if len(classes) < 2:
             raise ValueError(
                 "y must hold at least two classes, got one class: "
-                f"{self.classes_[0]}. Add touches of another."
+                f"{classes[0]}. Add touches of another."
             )
+        self.classes_ = classes
         bank = self._make_bank(touches, codes)
         waits = isinstance(bank, DenseBank) and _largest_pair(codes) >= _SHARED_FROM
         with on_one_thread() if waits else nullcontext():
