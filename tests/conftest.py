@@ -29,6 +29,7 @@ LIMITS = {
     "touches_a_task": "palpate.classifiers._landmarks.TOUCHES_A_TASK",
     "touches_at_once": "palpate.classifiers._landmarks.TOUCHES_AT_ONCE",
     "touches_looked_at": "palpate.recognition._learning.AT_MOST",
+    "work_of_scaling": "palpate.classifiers._matrix_scaling._MOST_WORK",
     "weights_tried": "palpate.recognition._remounting.N_WEIGHTS",
     "zip_list_bytes": "palpate.datasets._fetch._LONGEST_LIST",
 }

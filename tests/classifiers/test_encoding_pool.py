@@ -1,8 +1,10 @@
 """A pool of machines: weights by touches left out, parts by name, and refusals."""
 
+from copy import copy
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import log_softmax
 from sklearn.naive_bayes import GaussianNB
 
@@ -147,3 +149,82 @@ def test_parts_that_do_not_fit_are_refused(problem, parts, error, message):
     X, labels, _ = problem
     with pytest.raises(error, match=message):
         EncodingPool(parts).fit(X, labels)
+
+
+def _rings(seed, n_each=30, n_groups=10):
+    """Return touches on rings about one another: each lies between its neighbours."""
+    rng = np.random.default_rng(seed)
+    labels = np.repeat(np.arange(5), n_each)
+    angle = rng.uniform(0, 2 * np.pi, len(labels))
+    radius = 1 + 0.12 * labels + 0.02 * rng.normal(size=len(labels))
+    touches = radius[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return touches, labels, n_groups * labels + np.tile(np.arange(n_groups), 15)
+
+
+def test_labels_between_others_are_told_by_what_is_said_of_all_together(reread):
+    touches, labels, groups = _rings(0)
+    pool = EncodingPool({"place": 2}).fit(touches, labels, groups=groups)
+    new, truth, _ = _rings(1)
+    log_posterior = pool.log_likelihood(new)
+    uncorrected = log_softmax(
+        np.tensordot(
+            [*pool.weights_.values()], pool.log_likelihood_by_part(new), axes=1
+        ),
+        axis=1,
+    )
+    rows = np.arange(len(truth))
+    assert (uncorrected.argmax(axis=1) == truth).mean() < 0.8
+    assert (log_posterior.argmax(axis=1) == truth).mean() > 0.95
+    # What is said of touches left out is as sure as what is said of new ones.
+    left_out = pool.left_out_log_likelihood()[rows, labels].mean()
+    assert left_out == pytest.approx(log_posterior[rows, truth].mean(), abs=0.1)
+    centred = uncorrected - uncorrected.mean(axis=1, keepdims=True)
+    matrix = pool.scaling_
+    expected = log_softmax(centred + centred @ matrix[:-1] + matrix[-1], axis=1)
+    assert_allclose(log_posterior, expected, atol=1e-9)
+    assert_array_equal(reread(pool).log_likelihood(new), log_posterior)
+    # Others are learnt with the penalty that was chosen; a label less is one less.
+    fewer = copy(pool).refit(touches[30:], labels[30:], groups=groups[30:])
+    assert fewer.scaling_.shape == (5, 4)
+    assert fewer.penalty_ == pool.penalty_
+    assert fewer.score(new[30:], truth[30:]) > 0.95
+    kept = copy(pool).refit(touches, labels, groups=groups, keep_shape=True)
+    assert_array_equal(kept.scaling_, matrix)
+
+
+def test_the_matrix_is_that_of_least_loss_and_penalty():
+    touches, labels, groups = _rings(2)
+    pool = EncodingPool({"place": 2}).fit(touches, labels, groups=groups)
+    (machine,), (weight,) = pool.machines_.values(), pool.weights_.values()
+    logits = weight * log_softmax(machine.left_out_log_likelihood(), axis=1)
+    logits -= logits.mean(axis=1, keepdims=True)
+
+    def loss(matrix):
+        log_posterior = log_softmax(logits + logits @ matrix[:-1] + matrix[-1], axis=1)
+        own = log_posterior[np.arange(len(labels)), labels].mean()
+        return pool.penalty_ * (matrix**2).sum() / 2 - own
+
+    least = loss(pool.scaling_)
+    for move in np.random.default_rng(0).normal(size=(40, *pool.scaling_.shape)):
+        assert loss(pool.scaling_ + 0.03 * move) > least - 1e-6
+
+
+@pytest.mark.parametrize("groups", [None, np.repeat(np.arange(30), 5)])
+def test_where_nothing_more_can_be_told_all_is_left_as_it_is(groups):
+    rng = np.random.default_rng(0)
+    labels = np.tile(np.arange(3), 50)
+    # Labels that are drawn say nothing, whatever touches of one group have in common.
+    touches = rng.normal(size=(30, 2)).repeat(5, axis=0)
+    pool = EncodingPool({"noise": 2}).fit(touches, labels, groups=groups)
+    assert pool.scaling_ is None
+    assert pool.penalty_ is None
+    again = pool.refit(*_rings(0)[:2])
+    assert again.scaling_ is None  # that choice stays
+
+
+def test_very_many_labels_are_not_corrected(lower):
+    touches, labels, groups = _rings(0)
+    with pytest.MonkeyPatch.context() as patch:
+        lower(patch, work_of_scaling=len(labels) * 25 // 8)
+        pool = EncodingPool({"place": 2}).fit(touches, labels, groups=groups)
+    assert pool.scaling_ is None

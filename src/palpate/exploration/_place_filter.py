@@ -357,6 +357,11 @@ def advice(belief: PlaceBelief, pose: SensorPose) -> str:
     str
         As "Touch the rim, from 2 o'clock and above, to tell the mug from the porridge
         pot." Hours are seen from above, 12 away along y.
+
+    Raises
+    ------
+    TypeError
+        `belief` is another one.
     """
     if not hasattr(belief, "map"):
         raise TypeError(
