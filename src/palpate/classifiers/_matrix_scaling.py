@@ -80,8 +80,8 @@ def learn_scaling(
         for fold in range(folds.max() + 1):
             rows = sampled[folds[sampled] != fold]
             matrix = _fitted(centred[rows], codes[rows], penalty, matrices.get(fold))
-            matrices[fold], asked = matrix, folds == fold
-            left_out[asked] = scaled(centred[asked], matrix)
+            matrices[fold], in_fold = matrix, folds == fold
+            left_out[in_fold] = scaled(centred[in_fold], matrix)
         gained = left_out[each, codes] - best.left_out[each, codes]
         error = gained.std() / np.sqrt(len(gained))
         if gained.mean() > error:
