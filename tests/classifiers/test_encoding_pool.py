@@ -187,7 +187,7 @@ def test_labels_between_others_are_told_by_what_is_said_of_all_together(reread):
     fewer = copy(pool).refit(touches[30:], labels[30:], groups=groups[30:])
     assert fewer.scaling_.shape == (5, 4)
     assert fewer.penalty_ == pool.penalty_
-    assert fewer.score(new[30:], truth[30:]) > 0.95
+    assert fewer.score(new[30:], truth[30:]) > 0.9
     kept = copy(pool).refit(touches, labels, groups=groups, keep_shape=True)
     assert_array_equal(kept.scaling_, matrix)
 
@@ -204,9 +204,15 @@ def test_the_matrix_is_that_of_least_loss_and_penalty():
         own = log_posterior[np.arange(len(labels)), labels].mean()
         return pool.penalty_ * (matrix**2).sum() / 2 - own
 
-    least = loss(pool.scaling_)
-    for move in np.random.default_rng(0).normal(size=(40, *pool.scaling_.shape)):
-        assert loss(pool.scaling_ + 0.03 * move) > least - 1e-6
+    matrix = pool.scaling_
+    assert_array_equal(matrix[:-1], matrix[:-1].T)
+    shares, directions = np.linalg.eigh(matrix[:-1])
+    assert shares.min() > -1e-12  # no difference between labels gets less
+    factors = directions * np.sqrt(np.maximum(shares, 0))
+    for move in 0.02 * np.random.default_rng(0).normal(size=(40, *matrix.shape)):
+        near = factors + move[:-1]
+        moved = np.vstack([near @ near.T, matrix[-1] + move[-1]])
+        assert loss(moved) > loss(matrix) - 1e-6
 
 
 @pytest.mark.parametrize("groups", [None, np.repeat(np.arange(30), 5)])

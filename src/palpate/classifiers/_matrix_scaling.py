@@ -3,8 +3,11 @@
 Regression on one-hot labels hides a label that lies between others: a middling disc
 gets less than the small one or the large one, wherever it is pressed. What it says of
 all labels together still tells it. So the log posteriors of touches left out are
-features of a multinomial logistic regression, which begins at leaving them as they are
-and moves away from that as far as other touches left out become more probable.
+features of a multinomial logistic regression: they stay as they are, but for what a
+symmetric matrix adds that makes differences between labels larger and none smaller
+(positive semidefinite). Of two labels that are taken for each other, touches left out
+seem less different than they are, since each lacks those beside it: a free matrix would
+make them alike, or even exchange them.
 
 References
 ----------
@@ -27,10 +30,15 @@ from ._ridge import fair_shares
 
 # Precisions of a normal prior on every entry of the matrix, of one touch's log loss.
 PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
-_N_FOLDS = 3
+# A penalty is judged on so many runs of each label's groups, each left out by itself:
+# a third of a recording is another time. What is said of touches left out comes from
+# more of them, so that it is as good as what is said of new ones.
+_N_JUDGED, _N_LEFT_OUT = 3, 10
 # Touches times labels squared that a matrix is learnt from: more are thinned out; and
 # so many touches of each label, at least.
 _MOST_WORK, _FEWEST = 20_000_000, 4
+# Where the search for factors begins: at none there is no slope.
+_BEGIN = 0.3
 
 
 class Scaling(NamedTuple):
@@ -69,19 +77,14 @@ def learn_scaling(
     """
     n_classes = log_posterior.shape[1]
     sampled = _sampled(codes, _MOST_WORK // n_classes**2)
-    best = Scaling(None, None, log_softmax(log_posterior))
-    folds = _folds(codes, groups)
-    if len(sampled) < _FEWEST * n_classes or not folds.any():
-        return best
     centred, each = _centred(log_posterior), np.arange(len(codes))
-    matrices: dict[int, Floats] = {}
+    best = Scaling(None, None, log_softmax(log_posterior))
+    thirds = _runs(codes, groups, _N_JUDGED)
+    if len(sampled) < _FEWEST * n_classes or not thirds.any():
+        return best
+    starts: dict[int, Floats] = {}
     for penalty in penalties:
-        left_out = np.empty_like(centred)
-        for fold in range(folds.max() + 1):
-            rows = sampled[folds[sampled] != fold]
-            matrix = _fitted(centred[rows], codes[rows], penalty, matrices.get(fold))
-            matrices[fold], in_fold = matrix, folds == fold
-            left_out[in_fold] = scaled(centred[in_fold], matrix)
+        left_out = _left_out(centred, codes, sampled, thirds, penalty, starts)
         gained = left_out[each, codes] - best.left_out[each, codes]
         error = gained.std() / np.sqrt(len(gained))
         if gained.mean() > error:
@@ -90,8 +93,32 @@ def learn_scaling(
             break
     if best.penalty is None:
         return best
-    matrix = _fitted(centred[sampled], codes[sampled], best.penalty, matrices[0])
-    return best._replace(matrix=matrix)
+    factors = _fitted(centred[sampled], codes[sampled], best.penalty, starts[0])
+    runs = _runs(codes, groups, _N_LEFT_OUT)
+    starts = dict.fromkeys(range(_N_LEFT_OUT), factors)
+    left_out = _left_out(centred, codes, sampled, runs, best.penalty, starts)
+    return Scaling(_matrix_of(factors), best.penalty, left_out)
+
+
+def _left_out(
+    centred: Floats,
+    codes: Indices,
+    sampled: Indices,
+    runs: Indices,
+    penalty: float,
+    starts: dict[int, Floats],
+) -> Floats:
+    """Return log posteriors, each scaled by what other runs tell.
+
+    Factors are sought from those of each run, if there are any, and kept there.
+    """
+    left_out = np.empty_like(centred)
+    for run in range(runs.max() + 1):
+        rows = sampled[runs[sampled] != run]
+        factors = _fitted(centred[rows], codes[rows], penalty, starts.get(run))
+        starts[run] = factors
+        left_out[runs == run] = scaled(centred[runs == run], _matrix_of(factors))
+    return left_out
 
 
 def _centred(log_posterior: Floats) -> Floats:
@@ -105,33 +132,41 @@ def _sampled(codes: Indices, at_most: int) -> Indices:
     return np.sort(np.argsort(codes, kind="stable")[::step])
 
 
-def _folds(codes: Indices, groups: Array) -> Indices:
-    """Return the fold of each touch: a run of each label's groups, as they came."""
+def _runs(codes: Indices, groups: Array, n_runs: int) -> Indices:
+    """Return in which run of its label's groups each touch is, as they came."""
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-    fold = np.empty(len(first), dtype=np.intp)
-    for code in np.unique(codes):
+    run = np.empty(len(first), dtype=np.intp)
+    for code in np.unique(codes[first]):
         of_label = np.flatnonzero(codes[first] == code)
-        fold[of_label] = np.arange(len(of_label)) * _N_FOLDS // max(len(of_label), 1)
-    return fold[group]
+        run[of_label] = np.arange(len(of_label)) * n_runs // len(of_label)
+    return run[group]
 
 
 def _fitted(
     centred: Floats, codes: Indices, penalty: float, start: Floats | None
 ) -> Floats:
-    """Return the matrix of least log loss and penalty, (n_classes + 1, n_classes)."""
+    """Return factors of least log loss and penalty, (n_classes + 1, n_classes)."""
     n_classes, shares = centred.shape[1], fair_shares(codes)
     shape = n_classes + 1, n_classes
 
     def loss(flat: Floats) -> tuple[float, Floats]:
-        matrix = flat.reshape(shape)
+        factors = flat.reshape(shape)
+        matrix = _matrix_of(factors)
         logits = centred + centred @ matrix[:-1] + matrix[-1]
         value, pull = log_loss(logits, codes, shares)
         slope = np.vstack([centred.T @ pull, pull.sum(axis=0)]) + penalty * matrix
-        return value + penalty * float(flat @ flat) / 2, slope.ravel()
+        # By the factors, of which the matrix is the square.
+        slope[:-1] = (slope[:-1] + slope[:-1].T) @ factors[:-1]
+        return value + penalty * float((matrix**2).sum()) / 2, slope.ravel()
 
-    begin = np.zeros(shape) if start is None else start
-    # Losses to a hundred thousandth: more moves nothing that anyone sees.
+    begin = _BEGIN * np.eye(*shape) if start is None else start
+    # Losses to a millionth: more moves nothing that anyone sees.
     fit: Any = minimize(
         loss, begin.ravel(), jac=True, method="L-BFGS-B", options={"ftol": 1e-6}
     )
-    return np.asarray(fit.x).reshape(shape)
+    return np.asarray(fit.x.reshape(shape))
+
+
+def _matrix_of(factors: Floats) -> Floats:
+    """Return the matrix of factors: symmetric, and no difference gets less by it."""
+    return np.vstack([factors[:-1] @ factors[:-1].T, factors[-1]])
