@@ -5,7 +5,9 @@ from copy import deepcopy
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.svm import SVC
 
 from palpate import Touches
 from palpate.encodings import CentroidMoments
@@ -184,3 +186,37 @@ def test_a_taxel_that_is_dead_is_filled(preset, with_rest, presses):
     model = ObjectRecogniser(preset).fit(taught)
     assert model.classes_.tolist() == np.unique(presses.object).tolist()
     assert np.isfinite(model.log_likelihood(taught)).all()
+
+
+def _electrodes(seed, n_each=12, sessions=1):
+    """Return what six electrodes read of one load, and of what tells three things."""
+    rng = np.random.default_rng(seed)
+    labels = np.repeat(["cup", "lid", "pot"], n_each)
+    load = 40 * rng.normal(size=(len(labels), 1))
+    tells = np.array([[1, -1, 0, 0, 0, 0], [0, 0, 1, -1, 0, 0], [0, 0, 0, 0, 1, -1]])
+    levels = load + 2.5 * tells.repeat(n_each, axis=0)
+    images = (levels + 0.5 * rng.normal(size=levels.shape))[:, np.newaxis]
+    session = np.tile(np.arange(sessions), len(labels))[: len(labels)].astype(str)
+    return Touches(images, object=labels, session=session, geometry="none")
+
+
+@pytest.mark.parametrize(
+    ("touches", "is_tried"),
+    [
+        (_electrodes(0, 16), True),
+        (_electrodes(0, 15), False),  # fewer than eight for each electrode
+        (_electrodes(0, 16, sessions=2), False),
+    ],
+    ids=["enough", "few", "of two sessions"],
+)
+def test_what_a_common_load_hides_is_told_by_directions(touches, is_tried):
+    learnt = ObjectRecogniser().fit(touches)
+    losses = {n: v["log_loss"] for n, v in learnt.chosen_["candidates"].items()}
+    assert ("directions of taxels" in losses) == is_tried
+    if is_tried:
+        assert min(losses, key=losses.get) == "directions of taxels"
+        assert learnt.score(_electrodes(1, 40)) > 0.95
+        simple = make_pipeline(StandardScaler(), SVC(C=10))
+        simple.fit(touches.images[:, 0], touches.object)
+        new = _electrodes(1, 40)
+        assert simple.score(new.images[:, 0], new.object) < 0.9

@@ -44,7 +44,7 @@ FEW_CELLS = 16
 KEPT_SHARE = 0.99
 # Taxels vary along directions that hold this share and count alike, also the least of
 # them, where there are so many touches for each taxel.
-DIRECTIONS_SHARE = 0.999
+DIRECTIONS_SHARE = 0.9999
 TOUCHES_EACH = 8
 
 # How objects come, and what an encoding for that must be blind to.
