@@ -25,7 +25,7 @@ from .._numbers import log_loss, log_softmax, without_gaps
 from .._types import Array, Floats, Indices
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier
-from ._matrix_scaling import PENALTIES, learn_scaling, scaled
+from ._matrix_scaling import Scaling, learn_scaling, scaled, scaling_with
 from ._nearby import NearbyTouches
 from ._ridge import fair_shares
 from ._touch_classifier import BayesRule, Groups, TouchClassifier, labelled_touches
@@ -223,18 +223,13 @@ class EncodingPool(BayesRule):
         sampled = np.sort(np.argsort(codes, kind="stable")[::step])
         weights = self.best_weights(posteriors[:, sampled], codes[sampled])
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
-        self._scale(posteriors, codes, groups, PENALTIES)
-        return self
+        return self._corrected_by(
+            learn_scaling(self._summed(posteriors), codes, groups)
+        )
 
-    def _scale(
-        self, posteriors: Floats, codes: Indices, groups: Array, penalties: Any
-    ) -> None:
-        """Correct what left-out touches tell together, and keep the correction."""
-        together = self._summed(posteriors)
-        learnt = learn_scaling(together, codes, groups, penalties)
-        self.scaling_, self.left_out_ = learnt.matrix, learnt.left_out
-        if penalties is PENALTIES:
-            self.penalty_ = learnt.penalty
+    def _corrected_by(self, scaling: Scaling) -> Self:
+        self.scaling_, self.penalty_, self.left_out_ = scaling
+        return self
 
     @staticmethod
     def best_weights(left_out: Floats, codes: Array) -> Floats:
@@ -324,10 +319,16 @@ class EncodingPool(BayesRule):
         if keep_shape and np.array_equal(before, self.classes_):
             self.left_out_ = self.pooled(posteriors)
             return self
+        together, penalty, matrix = (
+            self._summed(posteriors),
+            self.penalty_,
+            self.scaling_,
+        )
+        if penalty is None:
+            return self._corrected_by(Scaling(None, None, log_softmax(together)))
         rows, group = self.left_out_rows, as_groups(groups, len(touches))
-        penalties = () if self.penalty_ is None else (self.penalty_,)
-        self._scale(posteriors, codes[rows], group[rows], penalties)
-        return self
+        taught = together, codes[rows], group[rows]
+        return self._corrected_by(scaling_with(penalty, *taught, matrix))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).

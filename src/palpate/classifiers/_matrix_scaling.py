@@ -18,7 +18,6 @@ Dirichlet calibration", NeurIPS 2019.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 # A penalty is judged on so many runs of each label's groups, each left out by itself:
 # a third of a recording is another time. What is said of touches left out comes from
 # more of them, so that it is as good as what is said of new ones.
-_N_JUDGED, _N_LEFT_OUT = 3, 10
+_N_JUDGED, _N_LEFT_OUT = 3, 5
 # Touches times labels squared that a matrix is learnt from: more are thinned out; and
 # so many touches of each label, at least.
 _MOST_WORK, _FEWEST = 20_000_000, 4
@@ -63,41 +62,54 @@ def scaled(log_posterior: Floats, matrix: Floats | None) -> Floats:
     return np.asarray(log_softmax(centred + centred @ matrix[:-1] + matrix[-1]))
 
 
-def learn_scaling(
-    log_posterior: Floats,
-    codes: Indices,
-    groups: Array,
-    penalties: Iterable[float] = PENALTIES,
-) -> Scaling:
+def learn_scaling(log_posterior: Floats, codes: Indices, groups: Array) -> Scaling:
     """Learn from log posteriors (n_touches, n_classes) of touches left out.
 
     With the column of each touch's own label, and its group (n_touches,): touches of
-    one group do not correct each other. Of penalties, from the largest, one is taken
+    one group do not correct each other. Of `PENALTIES`, from the largest, one is taken
     where log loss falls by more than its standard error.
     """
-    n_classes = log_posterior.shape[1]
-    sampled = _sampled(codes, _MOST_WORK // n_classes**2)
     centred, each = _centred(log_posterior), np.arange(len(codes))
-    best = Scaling(None, None, log_softmax(log_posterior))
+    sampled = _sampled(codes, centred.shape[1])
+    left_out_before, chosen = log_softmax(log_posterior), None
     thirds = _runs(codes, groups, _N_JUDGED)
-    if len(sampled) < _FEWEST * n_classes or not thirds.any():
-        return best
     starts: dict[int, Floats] = {}
-    for penalty in penalties:
+    for penalty in PENALTIES if len(sampled) and thirds.any() else ():
         left_out = _left_out(centred, codes, sampled, thirds, penalty, starts)
-        gained = left_out[each, codes] - best.left_out[each, codes]
+        gained = (left_out - left_out_before)[each, codes]
         error = gained.std() / np.sqrt(len(gained))
         if gained.mean() > error:
-            best = Scaling(None, penalty, left_out)
+            left_out_before, chosen = left_out, penalty
         elif gained.mean() < -error:
             break
-    if best.penalty is None:
-        return best
-    factors = _fitted(centred[sampled], codes[sampled], best.penalty, starts[0])
+    if chosen is None:
+        return Scaling(None, None, log_softmax(log_posterior))
+    return scaling_with(chosen, log_posterior, codes, groups)
+
+
+def scaling_with(
+    penalty: float,
+    log_posterior: Floats,
+    codes: Indices,
+    groups: Array,
+    before: Floats | None = None,
+) -> Scaling:
+    """Learn with a penalty that was chosen, perhaps from a matrix as it was `before`.
+
+    Of touches as `learn_scaling` takes them; of too few there is no matrix.
+    """
+    centred = _centred(log_posterior)
+    sampled = _sampled(codes, centred.shape[1])
     runs = _runs(codes, groups, _N_LEFT_OUT)
+    if not (len(sampled) and runs.any()):
+        return Scaling(None, penalty, log_softmax(log_posterior))
+    start = None
+    if before is not None and before.shape[1] == centred.shape[1]:
+        start = _factors_of(before)
+    factors = _fitted(centred[sampled], codes[sampled], penalty, start)
     starts = dict.fromkeys(range(_N_LEFT_OUT), factors)
-    left_out = _left_out(centred, codes, sampled, runs, best.penalty, starts)
-    return Scaling(_matrix_of(factors), best.penalty, left_out)
+    left_out = _left_out(centred, codes, sampled, runs, penalty, starts)
+    return Scaling(_matrix_of(factors), penalty, left_out)
 
 
 def _left_out(
@@ -126,10 +138,11 @@ def _centred(log_posterior: Floats) -> Floats:
     return np.asarray(log_posterior - log_posterior.mean(axis=-1, keepdims=True))
 
 
-def _sampled(codes: Indices, at_most: int) -> Indices:
-    """Return every k-th touch of each label, for the least k that fits."""
-    step = -(-len(codes) // max(1, at_most))
-    return np.sort(np.argsort(codes, kind="stable")[::step])
+def _sampled(codes: Indices, n_classes: int) -> Indices:
+    """Return every k-th touch of each label, for the least k that fits; none of few."""
+    step = -(-len(codes) // max(1, _MOST_WORK // n_classes**2))
+    sampled = np.sort(np.argsort(codes, kind="stable")[::step])
+    return sampled if len(sampled) >= _FEWEST * n_classes else sampled[:0]
 
 
 def _runs(codes: Indices, groups: Array, n_runs: int) -> Indices:
@@ -170,3 +183,9 @@ def _fitted(
 def _matrix_of(factors: Floats) -> Floats:
     """Return the matrix of factors: symmetric, and no difference gets less by it."""
     return np.vstack([factors[:-1] @ factors[:-1].T, factors[-1]])
+
+
+def _factors_of(matrix: Floats) -> Floats:
+    """Return factors that a matrix is the square of."""
+    squares, directions = np.linalg.eigh(matrix[:-1])
+    return np.vstack([directions * np.sqrt(np.maximum(squares, 0)), matrix[-1]])
