@@ -234,3 +234,48 @@ def test_very_many_labels_are_not_corrected(lower):
         lower(patch, work_of_scaling=len(labels) * 25 // 8)
         pool = EncodingPool({"place": 2}).fit(touches, labels, groups=groups)
     assert pool.scaling_ is None
+
+
+@pytest.mark.parametrize("limit", ["rows", "work"])
+def test_a_label_that_is_seldom_left_out_is_not_taken_for_one_never_met(
+    limit, lower, monkeypatch
+):
+    touches, labels, groups = _rings(0)
+    if limit == "rows":  # so many answers that of some labels none is left out
+        least = "palpate.classifiers._touch_classifier.LEAST_LABELS"
+        monkeypatch.setattr(least, 4)
+        lower(monkeypatch, answers_left_out=len(labels) * 4)
+    else:  # so many touches that those of a seldom one fall between
+        lower(monkeypatch, work_of_scaling=25 * 25)
+        kept = (labels != 2) | (np.cumsum(labels == 2) < 4)
+        kept[:4] = False
+        touches, labels, groups = touches[kept], labels[kept], groups[kept]
+    pool = EncodingPool({"place": 2}).fit(touches, labels, groups=groups)
+    new, truth, _ = _rings(1)
+    uncorrected = copy(pool)
+    uncorrected.scaling_ = None
+    for label in range(5):
+        of_label = truth == label
+        before = uncorrected.score(new[of_label], truth[of_label])
+        assert pool.score(new[of_label], truth[of_label]) > before - 0.2
+
+
+@pytest.mark.parametrize("begin", [[0, 0, 0], [0, 2, 4]], ids=["one", "several"])
+def test_sessions_correct_whichever_label_each_began_with(begin):
+    touches, labels, _ = _rings(0)
+    session = np.tile(np.arange(3), 50)
+    order = np.lexsort(((labels - np.take(begin, session)) % 5, session))
+    pool = EncodingPool({"place": 2})
+    pool.fit(touches[order], labels[order], groups=session[order])
+    assert pool.penalty_ is not None
+
+
+def test_a_label_of_two_sessions_is_left_out_as_well_as_it_is_recognised():
+    touches, labels, _ = _rings(0)
+    session = np.tile(np.arange(6), 25)
+    kept = (labels != 2) | (session < 2)  # both in one run
+    pool = EncodingPool({"place": 2})
+    pool.fit(touches[kept], labels[kept], groups=session[kept])
+    left_out = pool.left_out_log_likelihood()[labels[kept] == 2, 2]
+    assert pool.penalty_ is not None
+    assert -left_out.mean() < np.log(5)  # no worse than knowing nothing

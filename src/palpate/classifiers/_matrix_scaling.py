@@ -34,7 +34,7 @@ PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 # more of them, so that it is as good as what is said of new ones.
 _N_JUDGED, _N_LEFT_OUT = 3, 5
 # Touches times labels squared that a matrix is learnt from: more are thinned out; and
-# so many touches of each label, at least.
+# so many touches for each label, at least.
 _MOST_WORK, _FEWEST = 20_000_000, 4
 # Where the search for factors begins: at none there is no slope.
 _BEGIN = 0.3
@@ -122,11 +122,14 @@ def _left_out(
 ) -> Floats:
     """Return log posteriors, each scaled by what other runs tell.
 
-    Factors are sought from those of each run, if there are any, and kept there.
+    Factors are sought from those of each run, if there are any, and kept there. A run
+    is left as it is where others lack a label: they would only tell against it.
     """
-    left_out = np.empty_like(centred)
+    left_out = log_softmax(centred)
     for run in range(runs.max() + 1):
         rows = sampled[runs[sampled] != run]
+        if len(np.unique(codes[rows])) < centred.shape[1]:
+            continue
         factors = _fitted(centred[rows], codes[rows], penalty, starts.get(run))
         starts[run] = factors
         left_out[runs == run] = scaled(centred[runs == run], _matrix_of(factors))
@@ -139,18 +142,31 @@ def _centred(log_posterior: Floats) -> Floats:
 
 
 def _sampled(codes: Indices, n_classes: int) -> Indices:
-    """Return every k-th touch of each label, for the least k that fits; none of few."""
+    """Return every k-th touch of each label, for the least k that fits.
+
+    None where they are few, or a label has none: it would be taken for one that is
+    never met.
+    """
     step = -(-len(codes) // max(1, _MOST_WORK // n_classes**2))
-    sampled = np.sort(np.argsort(codes, kind="stable")[::step])
-    return sampled if len(sampled) >= _FEWEST * n_classes else sampled[:0]
+    order = np.argsort(codes, kind="stable")
+    labels, first = np.unique(codes[order], return_index=True)
+    if len(labels) < n_classes or -(-len(codes) // step) < _FEWEST * n_classes:
+        return order[:0]
+    place = np.arange(len(codes)) - first[codes[order]]
+    return np.sort(order[place % step == 0])
 
 
 def _runs(codes: Indices, groups: Array, n_runs: int) -> Indices:
-    """Return in which run of its label's groups each touch is, as they came."""
-    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-    run = np.empty(len(first), dtype=np.intp)
-    for code in np.unique(codes[first]):
-        of_label = np.flatnonzero(codes[first] == code)
+    """Return in which run of its label's groups each touch is, as they came.
+
+    Groups of several labels count to the first of these, whichever was touched first.
+    """
+    names, group = np.unique(groups, return_inverse=True)
+    run = np.empty(len(names), dtype=np.intp)
+    label_of = np.full(len(names), codes.max())
+    np.minimum.at(label_of, group, codes)
+    for code in np.unique(label_of):
+        of_label = np.flatnonzero(label_of == code)
         run[of_label] = np.arange(len(of_label)) * n_runs // len(of_label)
     return run[group]
 
