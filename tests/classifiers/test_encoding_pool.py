@@ -201,8 +201,10 @@ def test_the_matrix_is_that_of_least_loss_and_penalty():
 
     def loss(matrix):
         log_posterior = log_softmax(logits + logits @ matrix[:-1] + matrix[-1], axis=1)
-        own = log_posterior[np.arange(len(labels)), labels].mean()
-        return pool.penalty_ * (matrix**2).sum() / 2 - own
+        own = log_posterior[np.arange(len(labels)), labels]
+        gaps = (own[:, np.newaxis] - log_posterior).sum(axis=1)
+        smoothed = gaps / (len(labels) + 2) / 4 - own  # Laplace's rule of succession
+        return pool.penalty_ * (matrix**2).sum() / 2 + smoothed.mean()
 
     matrix = pool.scaling_
     assert_array_equal(matrix[:-1], matrix[:-1].T)
@@ -279,3 +281,12 @@ def test_a_label_of_two_sessions_is_left_out_as_well_as_it_is_recognised():
     left_out = pool.left_out_log_likelihood()[labels[kept] == 2, 2]
     assert pool.penalty_ is not None
     assert -left_out.mean() < np.log(5)  # no worse than knowing nothing
+
+
+def test_two_sessions_do_not_tell_how_far_to_correct():
+    touches, labels, _ = _rings(0)
+    sessions = np.tile([0, 1], 75)
+    pool = EncodingPool({"place": 2}).fit(touches, labels, groups=sessions)
+    assert pool.scaling_ is None
+    sessions = np.tile([0, 1, 2], 50)
+    assert pool.fit(touches, labels, groups=sessions).scaling_ is not None

@@ -69,17 +69,18 @@ def learn_scaling(log_posterior: Floats, codes: Indices, groups: Array) -> Scali
     one group do not correct each other. Of `PENALTIES`, from the largest, one is taken
     where log loss falls by more than its standard error.
     """
-    centred, each = _centred(log_posterior), np.arange(len(codes))
+    centred = _centred(log_posterior)
     sampled = _sampled(codes, centred.shape[1])
-    left_out_before, chosen = log_softmax(log_posterior), None
+    loss, chosen = _smoothed_losses(log_softmax(log_posterior), codes), None
     thirds = _runs(codes, groups, _N_JUDGED)
     starts: dict[int, Floats] = {}
-    for penalty in PENALTIES if len(sampled) and thirds.any() else ():
+    can_judge = len(sampled) and len(np.unique(thirds)) == _N_JUDGED
+    for penalty in PENALTIES if can_judge else ():
         left_out = _left_out(centred, codes, sampled, thirds, penalty, starts)
-        gained = (left_out - left_out_before)[each, codes]
+        gained = loss - (corrected := _smoothed_losses(left_out, codes))
         error = gained.std() / np.sqrt(len(gained))
         if gained.mean() > error:
-            left_out_before, chosen = left_out, penalty
+            loss, chosen = corrected, penalty
         elif gained.mean() < -error:
             break
     if chosen is None:
@@ -174,15 +175,23 @@ def _runs(codes: Indices, groups: Array, n_runs: int) -> Indices:
 def _fitted(
     centred: Floats, codes: Indices, penalty: float, start: Floats | None
 ) -> Floats:
-    """Return factors of least log loss and penalty, (n_classes + 1, n_classes)."""
+    """Return factors of least log loss and penalty, (n_classes + 1, n_classes).
+
+    Of labels that are smoothed as in `_smoothed_losses`.
+    """
     n_classes, shares = centred.shape[1], fair_shares(codes)
-    shape = n_classes + 1, n_classes
+    shape, own = (n_classes + 1, n_classes), np.eye(n_classes)[codes]
+    # What smoothing adds to the loss is linear in the logits.
+    smoothing = _share_of_others(*centred.shape) * shares[:, np.newaxis]
+    smoothing = smoothing * (n_classes * own - 1)
 
     def loss(flat: Floats) -> tuple[float, Floats]:
         factors = flat.reshape(shape)
         matrix = _matrix_of(factors)
         logits = centred + centred @ matrix[:-1] + matrix[-1]
-        value, pull = log_loss(logits, codes, shares)
+        value = float(np.vdot(smoothing, logits))
+        plain, pull = log_loss(logits, codes, shares)
+        value, pull = value + plain, pull + smoothing
         slope = np.vstack([centred.T @ pull, pull.sum(axis=0)]) + penalty * matrix
         # By the factors, of which the matrix is the square.
         slope[:-1] = (slope[:-1] + slope[:-1].T) @ factors[:-1]
@@ -194,6 +203,22 @@ def _fitted(
         loss, begin.ravel(), jac=True, method="L-BFGS-B", options={"ftol": 1e-6}
     )
     return np.asarray(fit.x.reshape(shape))
+
+
+def _smoothed_losses(log_posterior: Floats, codes: Indices) -> Floats:
+    """Return the log loss of each touch (nats), its label smoothed by Laplace's rule.
+
+    Of n touches each counts as (n + 1) / (n + 2) of its label and as much of the others
+    as of the label it lacks: where all are told apart, being surer is no gain.
+    """
+    own = log_posterior[np.arange(len(codes)), codes]
+    gaps = log_posterior.shape[1] * own - log_posterior.sum(axis=1)
+    return np.asarray(_share_of_others(*log_posterior.shape) * gaps - own)
+
+
+def _share_of_others(n_touches: int, n_classes: int) -> float:
+    """Return how much a touch counts as each label that is not its own."""
+    return 1 / (n_touches + 2) / max(1, n_classes - 1)
 
 
 def _matrix_of(factors: Floats) -> Floats:
