@@ -201,9 +201,11 @@ def test_the_matrix_is_that_of_least_loss_and_penalty():
 
     def loss(matrix):
         log_posterior = log_softmax(logits + logits @ matrix[:-1] + matrix[-1], axis=1)
-        own = log_posterior[np.arange(len(labels)), labels]
-        gaps = (own[:, np.newaxis] - log_posterior).sum(axis=1)
-        smoothed = gaps / (len(labels) + 2) / 4 - own  # Laplace's rule of succession
+        of_label = log_posterior[np.arange(len(labels)), labels]
+        gaps = (of_label[:, np.newaxis] - log_posterior).sum(axis=1)
+        smoothed = (
+            gaps / (len(labels) + 2) / 4 - of_label
+        )  # Laplace's rule of succession
         return pool.penalty_ * (matrix**2).sum() / 2 + smoothed.mean()
 
     matrix = pool.scaling_

@@ -180,10 +180,10 @@ def _fitted(
     Of labels that are smoothed as in `_smoothed_losses`.
     """
     n_classes, shares = centred.shape[1], fair_shares(codes)
-    shape, own = (n_classes + 1, n_classes), np.eye(n_classes)[codes]
+    shape, one_hot = (n_classes + 1, n_classes), np.eye(n_classes)[codes]
     # What smoothing adds to the loss is linear in the logits.
     smoothing = _share_of_others(*centred.shape) * shares[:, np.newaxis]
-    smoothing = smoothing * (n_classes * own - 1)
+    smoothing = smoothing * (n_classes * one_hot - 1)
 
     def loss(flat: Floats) -> tuple[float, Floats]:
         factors = flat.reshape(shape)
@@ -211,9 +211,9 @@ def _smoothed_losses(log_posterior: Floats, codes: Indices) -> Floats:
     Of n touches each counts as (n + 1) / (n + 2) of its label and as much of the others
     as of the label it lacks: where all are told apart, being surer is no gain.
     """
-    own = log_posterior[np.arange(len(codes)), codes]
-    gaps = log_posterior.shape[1] * own - log_posterior.sum(axis=1)
-    return np.asarray(_share_of_others(*log_posterior.shape) * gaps - own)
+    of_label = log_posterior[np.arange(len(codes)), codes]
+    gaps = log_posterior.shape[1] * of_label - log_posterior.sum(axis=1)
+    return np.asarray(_share_of_others(*log_posterior.shape) * gaps - of_label)
 
 
 def _share_of_others(n_touches: int, n_classes: int) -> float:
