@@ -223,9 +223,8 @@ class EncodingPool(BayesRule):
         sampled = np.sort(np.argsort(codes, kind="stable")[::step])
         weights = self.best_weights(posteriors[:, sampled], codes[sampled])
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
-        return self._corrected_by(
-            learn_scaling(self._summed(posteriors), codes, groups)
-        )
+        together = self._summed(posteriors)
+        return self._corrected_by(learn_scaling(together, codes, groups))
 
     def _corrected_by(self, scaling: Scaling) -> Self:
         self.scaling_, self.penalty_, self.left_out_ = scaling
@@ -311,24 +310,18 @@ class EncodingPool(BayesRule):
                 name: copy(self.machines_[name]).refit(part, labels, groups, **more)
                 for name, part in self._parts(touches).items()
             }
-        before, (self.classes_, codes) = (
-            self.classes_,
-            np.unique(labels, return_inverse=True),
-        )
+        before = self.classes_
+        self.classes_, codes = np.unique(labels, return_inverse=True)
         posteriors = self.left_out_posteriors()
         if keep_shape and np.array_equal(before, self.classes_):
             self.left_out_ = self.pooled(posteriors)
             return self
-        together, penalty, matrix = (
-            self._summed(posteriors),
-            self.penalty_,
-            self.scaling_,
-        )
-        if penalty is None:
+        together = self._summed(posteriors)
+        if self.penalty_ is None:
             return self._corrected_by(Scaling(None, None, log_softmax(together)))
         rows, group = self.left_out_rows, as_groups(groups, len(touches))
         taught = together, codes[rows], group[rows]
-        return self._corrected_by(scaling_with(penalty, *taught, matrix))
+        return self._corrected_by(scaling_with(self.penalty_, *taught, self.scaling_))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).

@@ -44,9 +44,10 @@ class Scaling(NamedTuple):
     """What was learnt of log posteriors of touches left out.
 
     `matrix` (n_classes + 1, n_classes) is what `scaled` adds, the last row to every
-    touch, and `penalty` that of least log loss; both None where leaving all as it is
-    does as well. `left_out` (n_touches, n_classes) are the log posteriors, each scaled
-    by what touches of other groups tell.
+    touch, None where there are too few touches; `penalty` is that of least log loss,
+    None, as the matrix then is, where leaving all as it is does as well.
+    `left_out` (n_touches, n_classes) are the log posteriors, each scaled by what
+    touches of other groups tell.
     """
 
     matrix: Floats | None
@@ -127,7 +128,7 @@ def _left_out(
     is left as it is where others lack a label: they would only tell against it.
     """
     left_out = log_softmax(centred)
-    for run in range(runs.max() + 1):
+    for run in np.unique(runs).tolist():
         rows = sampled[runs[sampled] != run]
         if len(np.unique(codes[rows])) < centred.shape[1]:
             continue
@@ -227,6 +228,7 @@ def _matrix_of(factors: Floats) -> Floats:
 
 
 def _factors_of(matrix: Floats) -> Floats:
-    """Return factors that a matrix is the square of."""
+    """Return factors that a matrix is about the square of: none without a slope."""
     squares, directions = np.linalg.eigh(matrix[:-1])
-    return np.vstack([directions * np.sqrt(np.maximum(squares, 0)), matrix[-1]])
+    sizes = np.sqrt(np.maximum(squares, _BEGIN**2))
+    return np.vstack([directions * sizes, matrix[-1]])
