@@ -1,6 +1,9 @@
 """Bags of ROS 2 and 1, written by rosbags, become touches."""
 
 import re
+import sqlite3
+from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -220,10 +223,31 @@ def test_what_is_no_touch_is_refused(bag, tmp_path):
         read_bag(tmp_path / "no.mcap", "/pad")
 
 
-def test_the_package_that_reads_a_dataset_is_named(tmp_path, monkeypatch):
+def test_a_database_that_lacks_messages_is_refused(tmp_path):
+    """As one copied without its `-wal`; by itself it counts what is there."""
+    path = tmp_path / "bag"
+    messages = [_image(np.zeros((2, 2), np.uint8), "mono8")] * 3
+    kind = messages[0].__msgtype__
+    plugin = rosbag2.StoragePlugin.SQLITE3
+    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
+        connection = writer.add_connection("/pad", kind, typestore=STORE)
+        for number, message in enumerate(messages):
+            writer.write(connection, number, STORE.serialize_cdr(message, kind))
+    with closing(sqlite3.connect(path / "bag.db3", isolation_level=None)) as database:
+        database.execute("DELETE FROM messages WHERE timestamp = 2")
+    with pytest.raises(LibraryError, match=r"/pad must have 3 messages.*got 2\. Copy"):
+        read_bag(path)
+    assert len(read_bag(path / "bag.db3")) == 2
+
+
+@pytest.mark.parametrize("others", [False, True])
+def test_the_package_that_reads_a_dataset_is_named(tmp_path, monkeypatch, others):
+    """Also where a package for recordings of another kind is installed."""
     (tmp_path / "robot" / "meta").mkdir(parents=True)
     (tmp_path / "robot" / "meta" / "info.json").touch()
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [])
+    other = SimpleNamespace(load=lambda: other, is_dataset=lambda path: False)
+    points = [other] if others else []
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     with pytest.raises(LibraryError, match="install what reads it, plugs/lerobot"):
         read_bag(tmp_path / "robot")
 

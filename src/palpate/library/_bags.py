@@ -124,11 +124,12 @@ def _readers(path: Path) -> list[Any]:
     plugged = [
         point.load() for point in metadata.entry_points(group="palpate.recordings")
     ]
-    if not plugged and (path / "meta" / "info.json").is_file():
+    able = [module for module in plugged if module.is_dataset(path)]
+    if not able and (path / "meta" / "info.json").is_file():
         raise LibraryError(
             f"{path} looks like a LeRobotDataset: install what reads it, plugs/lerobot."
         )
-    return [module for module in plugged if module.is_dataset(path)]
+    return able
 
 
 @cache
@@ -220,6 +221,12 @@ def _messages(
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         stamp_s = 0.0 if stamp is None else float(stamp.sec + stamp.nanosec / 1e9)
         times.append(stamp_s or recorded_ns / 1e9)
+    if len(images) < (n_counted := sum(c.msgcount for c in chosen)):
+        raise LibraryError(
+            f"{topic} must have {n_counted} messages, as its bag counts them, got "
+            f"{len(images)}. Copy the bag again; of its .db3 or .mcap, given by "
+            "itself, what is there is read."
+        )
     if not images:
         raise LibraryError(f"topic must have messages, got none in {topic!r}.")
     return images, times, digest.hexdigest()
