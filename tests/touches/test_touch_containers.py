@@ -198,7 +198,11 @@ def test_labels_beside_objects_are_a_column_of_their_own(tmp_path, images):
             file[name] = values
     with h5py.File(tmp_path / "two.h5", "w") as file:
         file["images"], file["labels"], file["y"] = images, [*"abba"], [0, 1, 1, 0]
-    for name, column in (("t.npz", "label"), ("t.h5", "label"), ("two.h5", "y")):
+    with h5py.File(tmp_path / "groups.h5", "w") as file:  # the one beside the images
+        file["train/images"], file["train/label"] = images, [*"abba"]
+        file["arm/label"] = [0, 1, 1, 0]
+    names = {"t.npz": "label", "t.h5": "label", "two.h5": "y", "groups.h5": "label"}
+    for name, column in names.items():
         touches = Touches.load(tmp_path / name)
         assert touches.object.tolist() == [*"abba"]
         assert touches.columns[column].tolist() == [0, 1, 1, 0]

@@ -3,8 +3,8 @@
 Every reader asks for shape and type first and reads nothing that is larger than
 `max_bytes`. Of several arrays in a file, the only one of three or four axes is the
 images; others as long as it are columns under the last part of their names, `label`,
-`labels` or `y` the object unless one is called so. Pickles, objects and function
-handles are refused.
+`labels` or `y` the object unless one is called so; of two of one name that of the
+images' group is meant. Pickles, objects and function handles are refused.
 
 Messages of ROS, from a bag or off the wire, are any objects with the fields of their
 kind; what each kind means stands with `palpate.library.read_bag`.
@@ -148,7 +148,8 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
     if not beside & {"object", *_LABELS}:
         _refuse_touches_last(path, plain, images)
     has_object = "object" in beside
-    for name in plain:
+    group = images.rpartition("/")[0]  # of two of one name that beside the images
+    for name in sorted(plain, key=lambda n: n.rpartition("/")[0] != group):
         last = name.rpartition("/")[2]
         is_label = last in _LABELS and not has_object
         column = "object" if is_label and "object" not in chosen.values() else last
