@@ -2,7 +2,8 @@
 
 One feature of images, arrays or a video is read; it needs pyarrow, not lerobot, and
 for videos PyAV: most are AV1, which OpenCV does not decode. Of others' datasets the
-object is what the task says, `episode` its number; of palpate's own, all comes back.
+object is what the task says, `episode` its number, `time_s` its timestamp, unless they
+have features of these names; of palpate's own, all that was exported comes back.
 """
 
 import json
@@ -22,7 +23,8 @@ Array = NDArray[Any]
 TACTILE, RGB = "observation.tactile", ("r", "g", "b")
 _MAX_INFO = 16 * 2**20
 _APART_S = 1e-3  # a picture's time and the one that the table tells
-_TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
+_LABELS = ("object", "category", "session", "episode", "subject")
+_NUMBERS = ("time_s", "order")
 _MEASURED = tuple(
     f"observation.{name}" for name in ("position_mm", "direction", "force_n")
 )
@@ -44,16 +46,19 @@ def read(
         info = _info(folder)
         features: dict[str, Any] = info["features"]
         name = _chosen_feature(features, feature)
+        film = features[name]["dtype"] == "video"  # stands beside the table
         shape = tuple(int(n) for n in features[name]["shape"])
+        if (film or features[name]["dtype"] == "image") and shape[2] not in (1, 3):
+            shape = (*shape[1:], shape[0])  # written down with channels first
         n_frames = int(info["total_frames"])
         if (n_bytes := n_frames * prod(shape) * 4) > max_bytes:
             raise LibraryError(
                 f"The frames of {folder} must take at most {max_bytes} bytes, got "
                 f"{n_bytes}. Cut it, or raise max_bytes."
             )
-        wanted = [name, *_TEXTS, *_NUMBERS, *_MEASURED]
-        wanted += ["task_index", "episode_index", "timestamp"]
-        film = features[name]["dtype"] == "video"  # stands beside the table
+        single = [n for n, f in features.items() if list(f["shape"]) == [1]]
+        wanted = [n for n in (*_LABELS, *_NUMBERS) if n in single]
+        wanted += [name, *_MEASURED, "task_index", "episode_index", "timestamp"]
         kept = [n for n in wanted if n in features and not (film and n == name)]
         paths = sorted((folder / "data").glob("*/*.parquet"))
         table = pa.concat_tables([pq.read_table(path, columns=kept) for path in paths])
@@ -122,20 +127,22 @@ def _touches_of(
         if dtype.kind in "iuf" and np.can_cast(dtype, np.float32):
             images = images.astype(dtype)
     columns: dict[str, Any] = {}
-    for column in (*_TEXTS, *_NUMBERS, *_MEASURED):
+    for column in (*_LABELS, *_NUMBERS, *_MEASURED):
         if column in table.column_names:
             size = info["features"][column]["shape"]
-            values = np.array(table[column].to_pylist()) if column in _TEXTS else None
+            values = np.array(table[column].to_pylist()) if column in _LABELS else None
             if values is None:
                 values = _numbers_of(table[column], [] if size == [1] else size)
             columns[column.removeprefix("observation.")] = values
     if not about:  # another's: its episodes are visits, and tasks say what is done
-        columns["episode"] = table["episode_index"].to_numpy()
-        columns["time_s"] = table["timestamp"].to_numpy().astype(np.float64)
+        columns.setdefault("episode", table["episode_index"].to_numpy())
+        time_s = table["timestamp"].to_numpy().astype(np.float64)
+        columns.setdefault("time_s", time_s)
         # lerobot leaves the column of texts without a name of its own.
         texts = tasks.get("task") or tasks["__index_level_0__"]
         named = dict(zip(tasks["task_index"], texts, strict=True))
-        columns["object"] = [named[i] for i in table["task_index"].to_pylist()]
+        task = [named[i] for i in table["task_index"].to_pylist()]
+        columns.setdefault("object", task)
     if object is not None:
         columns["object"] = np.full(len(images), object)
     whole: dict[str, Any] = {}

@@ -10,6 +10,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.library import LibraryError, TouchLibrary, read_bag
+from palpate.touches import png_bytes
 
 pytest.importorskip("pyarrow.parquet")
 palpate_lerobot = pytest.importorskip("palpate_lerobot")
@@ -29,6 +30,8 @@ def library(tmp_path):
         rng.normal(size=(7, 3, 4)).astype(np.float32),
         object=["cup"] * 3 + ["pen"] * 4,
         session=["a", "a", "b", "a", "a", "a", "b"],
+        episode=[1, 2, 2, 1, 1, 2, 2],
+        subject=["ann", "bob"] * 3 + ["ann"],
         time_s=100 + np.arange(7) * 0.5,
         position_mm=rng.integers(-40, 40, (7, 3)).astype(np.float64),
         direction=np.eye(3)[[0, 1, 2, 0, 1, 2, 0]],
@@ -44,7 +47,8 @@ def test_an_export_to_lerobot_comes_back(library, tmp_path):
     again, stored = read_bag(tmp_path / "robot"), library.touches()
     order = np.argsort(again.columns["time_s"])
     assert_array_equal(again.images[order], stored.images)
-    for column in ("object", "session", "time_s", "position_mm", "direction"):
+    labels = ("object", "session", "episode", "subject")
+    for column in (*labels, "time_s", "position_mm", "direction"):
         assert_array_equal(again.columns[column][order], stored.columns[column])
     assert_array_equal(again.no_contact, stored.no_contact)
     for feature in ("meta", "object"):
@@ -62,6 +66,36 @@ def test_an_export_to_lerobot_comes_back(library, tmp_path):
     info.write_text(info.read_text().replace('"v3.0"', '"v2.1"'))
     with pytest.raises(LibraryError, match=r"format v3.0, got 'v2.1'"):
         read_bag(tmp_path / "robot")
+
+
+@pytest.mark.parametrize("sides", [[3, 4, 5], [4, 5, 3]], ids=["first", "last"])
+def test_pictures_of_others_have_channels_first_or_last(tmp_path, sides):
+    """A column `object` of theirs is what is touched; one of vectors is none."""
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    pictures = np.arange(180, dtype=np.uint8).reshape(3, 4, 5, 3)
+    features = {"gel": {"dtype": "image", "shape": sides}}
+    columns = {
+        "gel": [{"bytes": png_bytes(picture), "path": ""} for picture in pictures],
+        "object": ["cup", "pen", "pen"],
+        "order": [[1.0, 2.0]] * 3,
+        "task_index": [0, 0, 0],
+        "episode_index": [0, 0, 1],
+        "timestamp": np.array([0, 0.5, 0], np.float32),
+    }
+    features |= {n: {"dtype": "int64", "shape": [1]} for n in columns if n != "gel"}
+    features["order"]["shape"] = [2]
+    (tmp_path / "data/0").mkdir(parents=True)
+    (tmp_path / "meta").mkdir()
+    pq.write_table(pa.table(columns), tmp_path / "data/0/0.parquet")
+    tasks = pa.table({"task_index": [0], "task": ["touch something"]})
+    pq.write_table(tasks, tmp_path / "meta/tasks.parquet")
+    info = {"codebase_version": "v3.0", "features": features, "total_frames": 3}
+    (tmp_path / "meta/info.json").write_text(json.dumps(info))
+    read = read_bag(tmp_path)
+    assert_array_equal(read.images, pictures)
+    assert read.object.tolist() == ["cup", "pen", "pen"]
+    assert read.columns["episode"].tolist() == [0, 0, 1]
+    assert "order" not in read.columns
 
 
 @pytest.fixture
