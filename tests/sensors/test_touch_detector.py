@@ -339,12 +339,19 @@ def test_a_hold_is_of_the_last_64_frames():
 
 
 def test_a_stream_that_ends_in_contact_ends_with_a_touch():
-    images = np.stack([REST + level for level in (0, 0, 40, 40)]).astype(np.uint8)
-    touches = TouchDetector().touches_in(Touches(images, no_contact=REST))
+    images = np.stack([REST + level for level in (0, 0, 40, 50)]).astype(np.uint8)
+    labels = {"object": [*"aabc"], "force_n": [0, 0, 4, 5], "order": [6, 7, 8, 9]}
+    whole = {"no_contact": REST, "geometry": "array", "set_topic": np.array("/pad")}
+    touches = TouchDetector().touches_in(Touches(images, **labels, **whole))
     assert touches.columns["duration_s"].tolist() == [1]  # frames are a second apart
     assert touches.columns["time_s"].tolist() == [2]
     assert touches.order.tolist() == [0]
     assert_array_equal(touches.no_contact, REST)
+    # What is told of the frames stays; labels are of that of greatest change.
+    assert touches.object.tolist() == ["c"]
+    assert touches.columns["force_n"].tolist() == [5]
+    assert touches.geometry == "array"
+    assert touches.whole["set_topic"] == "/pad"
 
 
 @pytest.mark.parametrize("shape", [(4, 5), (4, 1)])

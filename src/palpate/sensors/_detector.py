@@ -39,6 +39,7 @@ _LEAST_NOISES, _N_LIMITS = 3.0, 60
 _MAX_PIXELS = 50_000_000  # of a film
 _LEAST_REST = 3  # frames of a baseline
 _REST_FRAMES = 10  # of a film, taken for touching nothing
+_ROW = "row"  # of a frame among those read as touches
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
 
@@ -277,7 +278,8 @@ class TouchDetector:
         -------
         Touches
             With `time_s` (the beginning), `duration_s` and the baseline as
-            `no_contact`; a touch that outlasts the stream is one too.
+            `no_contact`; of frames with what describes them, and the labels of the
+            frame of greatest change. A touch that outlasts the stream is one too.
 
         Raises
         ------
@@ -310,15 +312,17 @@ class TouchDetector:
                 f"none changed by {self.begin:.3g} for {self._min_frames} frames. Give "
                 f"its frame of no contact, or lower `begin`. {self.note}".strip()
             )
-        channels = None if recorded is None else recorded.channels
-        return Touches(
-            np.stack([touch.image for touch in touches]),
-            time_s=np.array([touch.began_s for touch in touches]),
-            duration_s=np.array([t.ended_s - t.began_s for t in touches]),
-            order=np.arange(len(touches)),
-            no_contact=self.baseline,
-            channels=channels or channels_of(touches[0].image.shape),
-        )
+        columns: dict[str, Any] = {}
+        whole: dict[str, Any] = {"channels": channels_of(touches[0].image.shape)}
+        if recorded is not None:
+            rows = [int(touch.columns[_ROW]) for touch in touches]
+            columns = {name: column[rows] for name, column in recorded.columns.items()}
+            whole = {**recorded.whole}
+        columns["time_s"] = np.array([touch.began_s for touch in touches])
+        columns["duration_s"] = np.array([t.ended_s - t.began_s for t in touches])
+        columns["order"] = np.arange(len(touches))
+        whole["no_contact"] = self.baseline
+        return Touches(np.stack([touch.image for touch in touches]), **columns, **whole)
 
     def baseline_offer(self, now_s: float) -> str:
         """Return why the baseline should be taken again, or nothing.
@@ -516,7 +520,7 @@ def _av_film(place: Path, colour: bool) -> Iterator[Frame]:
 def _frames_of(touches: Touches) -> Iterator[Frame]:
     times = touches.columns.get("time_s", range(len(touches)))
     for number, (image, time_s) in enumerate(zip(touches.images, times, strict=True)):
-        yield Frame(image, float(time_s), number)
+        yield Frame(image, float(time_s), number, columns={_ROW: number})
 
 
 def _moving(stack: Floats, least: float) -> bool:
