@@ -309,6 +309,10 @@ def test_a_recogniser_learns_from_a_data_frame():
     assert learnt.predict(frame).tolist() == of_array.predict(X).tolist()
     with pytest.raises(ValueError, match="feature names should match"):
         learnt.predict(frame.rename(columns={"taxel 2": "other"}))
+    one = learnt.start().update(frame.iloc[0])
+    assert one.posterior == of_array.start().update(X[0]).posterior
+    with pytest.raises(ValueError, match="must be in the same order"):
+        learnt.start().update(frame[frame.columns[::-1]].iloc[0])
 
 
 def test_a_function_may_be_an_encoding(touches):

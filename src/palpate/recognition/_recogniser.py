@@ -468,6 +468,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
     def _one_or_more(self, touches: Any) -> Touches:
         """Return touches, or one or several of what `fit` saw, as touches."""
         alone = hasattr(self, "n_features_in_") and n_axes(touches) == 1
+        if alone and hasattr(self, "feature_names_in_") and hasattr(touches, "iloc"):
+            return self._as_touches(touches.to_frame().T)  # a row, names and all
         return self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)
 
     def _evidence_of(self, touches: Touches) -> Evidence:
