@@ -23,7 +23,7 @@ Array = NDArray[Any]
 TACTILE, RGB = "observation.tactile", ("r", "g", "b")
 _MAX_INFO = 16 * 2**20
 _APART_S = 1e-3  # a picture's time and the one that the table tells
-_LABELS = ("object", "category", "session", "episode", "subject")
+_LABELS = ("object", "category", "session", "episode", "subject", "sensor")
 _NUMBERS = ("time_s", "order")
 _MEASURED = tuple(
     f"observation.{name}" for name in ("position_mm", "direction", "force_n")

@@ -32,6 +32,7 @@ def library(tmp_path):
         session=["a", "a", "b", "a", "a", "a", "b"],
         episode=[1, 2, 2, 1, 1, 2, 2],
         subject=["ann", "bob"] * 3 + ["ann"],
+        sensor=["pad"] * 7,
         time_s=100 + np.arange(7) * 0.5,
         position_mm=rng.integers(-40, 40, (7, 3)).astype(np.float64),
         direction=np.eye(3)[[0, 1, 2, 0, 1, 2, 0]],
@@ -47,10 +48,12 @@ def test_an_export_to_lerobot_comes_back(library, tmp_path):
     again, stored = read_bag(tmp_path / "robot"), library.touches()
     order = np.argsort(again.columns["time_s"])
     assert_array_equal(again.images[order], stored.images)
-    labels = ("object", "session", "episode", "subject")
+    labels = ("object", "session", "episode", "subject", "sensor")
     for column in (*labels, "time_s", "position_mm", "direction"):
         assert_array_equal(again.columns[column][order], stored.columns[column])
     assert_array_equal(again.no_contact, stored.no_contact)
+    library.add(again)
+    assert library.stats().n_touches == 7  # all are known again
     for feature in ("meta", "object"):
         with pytest.raises(
             LibraryError, match=r"must be an image, a video.*tactile.*got"

@@ -7,10 +7,10 @@ Of a LeRobotDataset v3.0 [1]_ one touch is one frame, one object in one session 
 episode) is one episode, and its task is "touch <object>", or "touch" without a label.
 The feature `observation.tactile` is an image where touches are pictures of a camera (8
 bits, grey or r, g, b), else an array of float32, NaN where it has gaps. `object`,
-`category`, `session`, `episode`, `subject`, `time_s`, `order` are features where
-touches have them; `timestamp` counts seconds from the first touch of the episode. What
-belongs to the whole set stands in `meta/info.json` under `palpate`, which other readers
-pass over.
+`category`, `session`, `episode`, `subject`, `sensor`, `time_s`, `order` are features
+where touches have them; `timestamp` counts seconds from the first touch of the episode.
+What belongs to the whole set stands in `meta/info.json` under `palpate`, which other
+readers pass over.
 
 Of touches all must have an object or none, whatever they are written to.
 
@@ -48,7 +48,7 @@ _FRAMES_PER_SECOND = 1  # a touch is a frame, and has its own time
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
 _KEYS = ("object", "category", "session", "episode", "sensor")
-_LABELS = ("object", "category", "session", "episode", "subject")
+_LABELS = ("object", "category", "session", "episode", "subject", "sensor")
 _NUMBERS = ("time_s", "order")
 _MEASURED = tuple(
     f"observation.{name}" for name in ("position_mm", "direction", "force_n")
