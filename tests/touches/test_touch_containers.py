@@ -46,12 +46,18 @@ def _mat(path, images):
     scipy.io.savemat(path, {"X": images, "label": labels, "force_n": force})
 
 
-def _mat73(path, images):
-    """Write HDF5 behind 512 bytes with its axes reversed, as MATLAB does."""
+def _mat73(path, images, **classes):
+    """Write HDF5 behind 512 bytes with its axes reversed, as MATLAB does.
+
+    `classes` are the class of an array, as MATLAB calls it, and the array.
+    """
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", userblock_size=512) as file:
         file["X"] = images.T
         file["force_n"] = [[1.0, 2, 3, 4]]
+        for name, (kind, array) in classes.items():
+            file[name] = np.transpose(array)
+            file[name].attrs["MATLAB_class"] = np.bytes_(kind)
     with path.open("r+b") as file:
         text = b"MATLAB 7.3 MAT-file, made by a test"
         file.write(text.ljust(124) + struct.pack("<H", 0x200) + b"IM")
@@ -115,6 +121,19 @@ def test_labels_of_matlab_that_would_be_lost_are_refused(tmp_path):
     names = np.array(["cup", "pen", "mug"])
     scipy.io.savemat(path, {"X": np.zeros((6, 4, 3)), "labels": names, "y": np.ones(6)})
     assert Touches.load(path).object.tolist() == ["1"] * 6
+
+
+def test_labels_of_matlab_7_3_are_texts_or_refused(tmp_path, images):
+    """A matrix of letters is one of their codes there; a cell refers to others."""
+    path, names = tmp_path / "t.mat", ["µg  ", "cup ", "pens", "cup "]
+    letters = np.array([[*map(ord, name)] for name in names], np.uint16)
+    _mat73(path, images, object=("char", letters), session=("char", letters[:, :1]))
+    touches = Touches.load(path)
+    assert touches.object.tolist() == ["µg", "cup", "pens", "cup"]
+    assert touches.session.tolist() == [*"µcpc"]
+    _mat73(path, images, label=("cell", np.zeros((1, 4))))
+    with pytest.raises(TouchesError, match=r"got cell label\. .* char"):
+        Touches.load(path)
 
 
 def test_bytes_of_hdf5_are_utf_8(tmp_path):

@@ -211,7 +211,13 @@ def _hdf5(path: Path, max_bytes: int, *, columns_first: bool = False) -> Arrays:
                 raise TouchesError(f"{path} must hold at most {_MAX_ARRAYS} arrays.")
             entry = _hdf5_entry(h5py, item, max_bytes)
             if columns_first:
-                entry = _turned(entry)
+                told = item.attrs.get("MATLAB_class")
+                kind = told.decode() if isinstance(told, bytes) else ""
+                is_label = name.rpartition("/")[2] in ("object", *_LABELS)
+                if is_label and kind not in {"", *_MATLAB_KINDS}:
+                    raise _no_numbers(path, kind, name)
+                is_text = kind == "char" and len(entry.shape) == 2
+                entry = _rows_of_text(entry) if is_text else _turned(entry)
             entries[name] = entry
 
         file.visititems(note)  # follows no link out of the file
@@ -224,6 +230,17 @@ def _turned(entry: _Entry) -> _Entry:
     flat = len(shape) == 2 and 1 in shape
     sides = (prod(shape),) if flat else shape
     return _Entry(sides, entry.dtype, lambda: entry.read().T.reshape(sides))
+
+
+def _rows_of_text(entry: _Entry) -> _Entry:
+    """Return a matrix of letters, columns first, as a text a row, without blanks."""
+    kind = np.dtype(f"<U{entry.shape[0]}")
+
+    def read() -> Array:
+        letters = np.ascontiguousarray(entry.read().T, "<u4")
+        return np.char.rstrip(letters.view(kind)[:, 0])
+
+    return _Entry(entry.shape[1:], kind, read)
 
 
 def _hdf5_entry(h5py: Any, item: Any, max_bytes: int) -> _Entry:
@@ -335,11 +352,7 @@ def _mat(path: Path, max_bytes: int) -> Arrays:
     numbers = [n for n, (_, kind) in listed.items() if kind in _MATLAB_KINDS]
     left = [name for name in listed if name not in numbers]
     if wanted := [n for n in left if not numbers or n in ("object", *_LABELS)]:
-        raise TouchesError(
-            f"{path} must hold numbers and rows of text, got {listed[wanted[0]][1]} "
-            f"{wanted[0]}. Cells, structures and strings are not read: in MATLAB save "
-            "each field by itself, and names as char(names)."
-        )
+        raise _no_numbers(path, listed[wanted[0]][1], wanted[0])
     read = loadmat(path, variable_names=numbers, mat_dtype=False, squeeze_me=False)
     entries = {}
     for name in numbers:
@@ -349,6 +362,14 @@ def _mat(path: Path, max_bytes: int) -> Arrays:
         flat = array.ravel() if 1 in array.shape and array.ndim == 2 else array
         entries[name] = _Entry(flat.shape, flat.dtype, lambda a=flat: a)  # type: ignore[misc]
     return _chosen(path, entries, max_bytes)
+
+
+def _no_numbers(path: Path, kind: str, name: str) -> TouchesError:
+    return TouchesError(
+        f"{path} must hold numbers and rows of text, got {kind} {name}. Cells, "
+        "structures and strings are not read: in MATLAB save each field by itself, and "
+        "names as char(names)."
+    )
 
 
 _MATLAB_KINDS = {
