@@ -161,6 +161,10 @@ def test_points_of_a_cloud_are_taxels(bag, rng, row_pad):
     assert_array_equal(read_bag(bag(named)).images, values[None])
     with pytest.raises(LibraryError, match=r"one reading a point .* fields ring, time"):
         read_bag(bag(_cloud(values, ("x", "y", "z", "ring", "time"))))
+    forces = _cloud(values)
+    forces.fields[3].count = 3  # of which one was read in silence
+    with pytest.raises(LibraryError, match=r"the fields force \(3 a point\)\."):
+        read_bag(bag(forces))
     short = _cloud(values)
     short.width = 1000
     with pytest.raises(

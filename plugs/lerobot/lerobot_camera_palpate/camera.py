@@ -88,7 +88,7 @@ class PalpateCamera(Camera):  # type: ignore[misc]
         self._sensor.disconnect()
 
     def _picture(self, image: NDArray[Any]) -> NDArray[Any]:
-        if image.dtype != np.uint8:
+        if image.dtype != np.uint8 or (self._low, self._high) != (0, 255):
             share = (image.astype(np.float64) - self._low) / (self._high - self._low)
             image = np.rint(np.nan_to_num(share).clip(0, 1) * 255).astype(np.uint8)
         if image.ndim == 2:

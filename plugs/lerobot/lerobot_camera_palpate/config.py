@@ -16,7 +16,7 @@ class PalpateCameraConfig(CameraConfig):  # type: ignore[misc]
         Such as `serial:/dev/ttyUSB0?shape=16x16` or `sim:mug`; see palpate's
         docs/reference/live.md.
     low, high : float
-        Of sensors whose frames are no 8-bit pictures, in their unit.
+        In the sensor's unit; 8 bits stay as they are unless these say otherwise.
     """
 
     sensor: str

@@ -49,11 +49,17 @@ def test_lerobot_finds_the_camera_by_its_package():
     assert (camera.height, camera.width, camera.fps) == (48, 64, 100)
 
 
-def test_readings_become_levels(replay):
-    images = np.array([[[0.0, 5.0, np.nan], [10.0, 20.0, -1.0]]])
+@pytest.mark.parametrize(
+    ("images", "levels"),
+    [
+        ([[[0.0, 5.0, np.nan], [10.0, 20.0, -1.0]]], [[0, 128, 0], [255, 255, 0]]),
+        (np.array([[[0, 5], [10, 20]]], np.uint8), [[0, 128], [255, 255]]),
+    ],
+)
+def test_readings_become_levels(replay, images, levels):
     with camera_of(sensor=replay(images), low=0, high=10) as camera:
         image = camera.async_read(2000)
-    assert image[..., 0].tolist() == [[0, 128, 0], [255, 255, 0]]
+    assert image[..., 0].tolist() == levels
 
 
 def test_colours_stay(replay):

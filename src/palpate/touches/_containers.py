@@ -404,13 +404,14 @@ def _cloud(message: Any, where: str) -> Array:
     fields = {str(f.name): f for f in message.fields if str(f.name) not in "xyz"}
     names = [name for name in fields if name == "intensity"] or list(fields)
     n_rows, n_cols = int(message.height), int(message.width)
-    if len(names) != 1 or fields[names[0]].datatype not in _POINT_TYPES:
-        listed = ", ".join(fields) or "none"
+    field = fields[names[0]] if len(names) == 1 else None
+    if field is None or field.datatype not in _POINT_TYPES or int(field.count) > 1:
+        several = {n: f" ({f.count} a point)" for n, f in fields.items() if f.count > 1}
+        listed = ", ".join(name + several.get(name, "") for name in fields)
         raise TouchesError(
             f"{where} must have one reading a point beside x, y and z, or a field "
-            f"intensity, got the fields {listed}."
+            f"intensity, got the fields {listed or 'none'}."
         )
-    field = fields[names[0]]
     order = ">" if message.is_bigendian else "<"
     dtype = np.dtype(order + _POINT_TYPES[field.datatype])
     content = np.asarray(message.data, dtype=np.uint8)
