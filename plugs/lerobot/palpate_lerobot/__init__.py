@@ -22,6 +22,7 @@ from palpate.touches import decode_bytes
 Array = NDArray[Any]
 TACTILE, RGB = "observation.tactile", ("r", "g", "b")
 _MAX_INFO = 16 * 2**20
+_LARGEST_WHOLE = 2**24  # below it float32 holds every whole number
 _APART_S = 1e-3  # a picture's time and the one that the table tells
 _LABELS = ("object", "category", "session", "episode", "subject", "sensor")
 _NUMBERS = ("time_s", "order")
@@ -124,7 +125,8 @@ def _touches_of(
     else:
         images = _numbers_of(table[name], shape if len(shape) > 1 else (1, *shape))
         dtype = np.dtype(about.get("dtype") or images.dtype)
-        if dtype.kind in "iuf" and np.can_cast(dtype, np.float32):
+        exact = dtype.kind == "f" or np.abs(images).max(initial=0) < _LARGEST_WHOLE
+        if dtype.kind in "iuf" and exact:
             images = images.astype(dtype)
     columns: dict[str, Any] = {}
     for column in (*_LABELS, *_NUMBERS, *_MEASURED):

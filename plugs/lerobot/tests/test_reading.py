@@ -23,11 +23,11 @@ def plugged(monkeypatch):
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
 
 
-@pytest.fixture
-def library(tmp_path):
+@pytest.fixture(params=[np.float32, np.int32, np.float64])
+def library(tmp_path, request):
     rng = np.random.default_rng(0)
     touches = Touches(
-        rng.normal(size=(7, 3, 4)).astype(np.float32),
+        rng.integers(-(2**20), 2**20, (7, 3, 4)).astype(request.param),
         object=["cup"] * 3 + ["pen"] * 4,
         session=["a", "a", "b", "a", "a", "a", "b"],
         episode=[1, 2, 2, 1, 1, 2, 2],
@@ -36,7 +36,7 @@ def library(tmp_path):
         time_s=100 + np.arange(7) * 0.5,
         position_mm=rng.integers(-40, 40, (7, 3)).astype(np.float64),
         direction=np.eye(3)[[0, 1, 2, 0, 1, 2, 0]],
-        no_contact=np.zeros((3, 4), np.float32),
+        no_contact=np.zeros((3, 4), request.param),
     )
     with TouchLibrary.open(tmp_path / "library", create=True) as opened:
         opened.add(touches)
@@ -48,6 +48,7 @@ def test_an_export_to_lerobot_comes_back(library, tmp_path):
     again, stored = read_bag(tmp_path / "robot"), library.touches()
     order = np.argsort(again.columns["time_s"])
     assert_array_equal(again.images[order], stored.images)
+    assert again.images.dtype == stored.images.dtype
     labels = ("object", "session", "episode", "subject", "sensor")
     for column in (*labels, "time_s", "position_mm", "direction"):
         assert_array_equal(again.columns[column][order], stored.columns[column])
