@@ -225,6 +225,10 @@ def test_what_is_no_touch_is_refused(bag, tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"nothing")
     with pytest.raises(LibraryError, match="must be a bag of ROS"):
         read_bag(tmp_path / "no.mcap", "/pad")
+    killed = bag(good)  # before it wrote its metadata
+    (killed / "metadata.yaml").unlink()
+    result = CliRunner().invoke(app, ["library", "add", f"{tmp_path}/lab", str(killed)])
+    assert re.search("must be a bag .*`ros2 bag reindex`", str(result.exception))
 
 
 def test_a_database_that_lacks_messages_is_refused(tmp_path):

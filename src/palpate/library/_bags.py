@@ -40,6 +40,7 @@ _KINDS = (
     "sensor_msgs/msg/Image, sensor_msgs/msg/CompressedImage, "
     "sensor_msgs/msg/PointCloud2"
 )
+_PARTS = {".mcap", ".db3", ".db3-wal", ".db3-shm"}
 _room = threading.local()  # how much the bag that is read may still unpack to
 
 
@@ -94,7 +95,9 @@ def read_bag(
     except Exception as error:  # rosbags raises many kinds on damaged bags
         raise LibraryError(
             f"{bag} must be a bag of ROS or an MCAP file, got: "
-            f"{error or type(error).__name__}. Check the path; it may be damaged."
+            f"{str(error).rstrip('.') or type(error).__name__}. Check the path; of a "
+            "recording that was cut off `ros2 bag reindex` mends the folder, `mcap "
+            "recover` an .mcap and `rosbag reindex` a .bag."
         ) from error
     finally:
         _room.left = inf
@@ -112,7 +115,9 @@ def read_bag(
 def is_recording(path: Path) -> bool:
     """Tell whether `read_bag` is for a file or folder, by its name and its files."""
     by_name = path.suffix.lower() in (".mcap", ".db3", ".bag")
-    return by_name or (path / "metadata.yaml").is_file() or bool(_readers(path))
+    endings = {part.suffix for part in path.glob("*")}  # without metadata it was cut
+    of_bag = (path / "metadata.yaml").is_file() or set() < endings <= _PARTS
+    return by_name or of_bag or bool(_readers(path))
 
 
 def _readers(path: Path) -> list[Any]:
