@@ -368,6 +368,19 @@ def test_what_another_program_wrote_is_read(tmp_path):
     assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
 
 
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_lists_of_another_program_keep_their_type(tmp_path, dtype):
+    """As pandas and polars write arrays; a number that lacks is NaN."""
+    images = np.arange(24).reshape(2, 3, 4).astype(dtype)
+    lists = pa.array(images.tolist(), pa.list_(pa.list_(pa.from_numpy_dtype(dtype))))
+    places = [[1.0, 2.0, None], [4.0, 5.0, 6.0]]
+    pq.write_table(pa.table({"image": lists, "position_mm": places}), tmp_path / "t.pq")
+    touches = Touches.load(tmp_path / "t.pq")
+    assert touches.images.dtype == dtype
+    assert_array_equal(touches.images, images)
+    assert_array_equal(touches.columns["position_mm"], np.array(places, float))
+
+
 @pytest.mark.parametrize("values", [["x", "y"], [7, 8], [0.5, None]])
 def test_a_recording_of_another_program_is_a_column(tmp_path, values):
     table = pa.table({"image": np.ones((2, 3, 4)).tolist(), "recording": values})

@@ -506,14 +506,13 @@ def _numpy(pa: Any, name: str, column_name: str, column: Any) -> Array:
     if is_text or pa.types.is_binary(kind):
         blank = "" if is_text else b""
         return np.array([blank if v is None else v for v in column.to_pylist()])
-    if pa.types.is_fixed_size_list(kind) and not column.null_count:
+    of_one_size = pa.types.is_fixed_size_list(kind)
+    if of_one_size or pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        sizes = {*column.value_lengths().to_pylist()}  # None of a list that lacks
+        if None in sizes or len(sizes) > 1:
+            raise _no_column(name, column_name, "lists of unequal length")
         flat = _numpy(pa, name, column_name, column.flatten())
-        return flat.reshape(len(column), kind.list_size, *flat.shape[1:])
-    if pa.types.is_list(kind) or pa.types.is_large_list(kind):
-        try:
-            return np.array(column.to_pylist())
-        except ValueError as error:
-            raise _no_column(name, column_name, "lists of unequal length") from error
+        return flat.reshape(len(column), *sizes, *flat.shape[1:])
     array: Array = column.to_numpy(zero_copy_only=False)
     if array.dtype.kind == "O":
         if not pa.types.is_boolean(kind):
