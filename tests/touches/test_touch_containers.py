@@ -414,6 +414,22 @@ def test_beside_numbered_taxels_other_numbers_are_columns(csv, names, n_taxels):
         assert touches.columns["humidity"].tolist() == [float(values["humidity"])] * 2
 
 
+@pytest.mark.parametrize("index", [False, True])
+def test_numbers_that_count_the_columns_are_names(csv, tmp_path, rng, index):
+    """They were a touch more, or a row of every touch."""
+    pandas = pytest.importorskip("pandas")
+    images = rng.integers(0, 9, (3, 6, 6))
+    for number, image in enumerate(images):
+        pandas.DataFrame(image).to_csv(tmp_path / f"{number}.csv", index=index)
+    assert_array_equal(Touches.load(tmp_path).images, images)
+    table = csv(pandas.DataFrame(images.reshape(3, 36)).to_csv(index=index))
+    if index:
+        with pytest.raises(TouchesError, match="names that differ, got , 0, 1"):
+            Touches.load(table, shape=(6, 6))
+    else:
+        assert_array_equal(Touches.load(table, shape=(6, 6)).images, images)
+
+
 def test_numbers_with_an_underscore_between_are_names(csv):
     touches = Touches.load(csv("0_0,0_1,1_0,1_1\n1,2,3,4\n"), shape=(2, 2))
     assert_array_equal(touches.images, [[[1, 2], [3, 4]]])

@@ -2,7 +2,8 @@
 
 Of a CSV file by itself, or a data frame, each row is a touch: the columns that
 `Touches` knows by name (`object`, `session`, `force_n`, `x_mm`...), or that hold text,
-are columns; all other numbers are taxels, in their order. Where taxels are numbered
+are columns; all other numbers are taxels, in their order; a first line of 0, 1, 2...
+(five at least) is the names that pandas gives. Where taxels are numbered
 (t0, t1, t2...), numbers of a name without one are columns too. Of a folder of CSV or
 `.npy` files each file is a touch, its lines the rows of taxels.
 """
@@ -26,6 +27,7 @@ _PLACES = ("x_mm", "y_mm", "z_mm")
 _TEXTS = ("object", "category", "session", "subject")
 _NAMED = COLUMNS | {*_PLACES, "subject"}
 _LEAST_OF_CLOCK = 5  # numbers a line, of which the first may be a time
+_LEAST_OF_COUNT = 5  # 0, 1, 2... that are names
 _FILE_NAMES = ("file", "filename", "file_name", "path", "image", "name")
 _LABELS = ("label", "class")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*(,\d+)?([eE][+-]?\d+)?")
@@ -111,7 +113,7 @@ def csv_arrays(
     """Return what `Touches` is made of, one touch a line; the first may be names."""
     lines = _lines(path, max_bytes)
     first = lines[0]
-    named = any(map(_is_name, first))
+    named = any(map(_is_name, first)) or _counts_columns(first)
     of_digits = all(map(_OF_DIGITS.fullmatch, first))
     if named and of_digits and re.search("[,;]", "".join(first)):
         raise TouchesError(
@@ -138,6 +140,15 @@ def csv_arrays(
     return table_arrays(table, shape, channels)
 
 
+def _counts_columns(first: list[str]) -> bool:
+    """Tell whether a first line is 0, 1, 2...: names that pandas makes, no readings.
+
+    Before them is nothing, where the first column is an index.
+    """
+    names = [str(n) for n in range(len(first))]
+    return len(first) >= _LEAST_OF_COUNT and first in (names, ["", *names[:-1]])
+
+
 def _is_clock(cells: Sequence[str]) -> bool:
     """Tell whether a first column of no name is a clock or a count, never a taxel.
 
@@ -162,7 +173,9 @@ def load_levels(path: Path, max_bytes: int) -> Array:
             )
         return np.asarray(images[0])
     if path.suffix.lower() != ".npy":
-        lines = enumerate(_lines(path, max_bytes), 1)
+        lines = [*enumerate(_lines(path, max_bytes), 1)]
+        if _counts_columns(first := lines[0][1]) and len(lines) > 1:
+            lines = [(n, row[first[0] == "" :]) for n, row in lines[1:]]
         return np.stack([_numbers(row, f"{path}, line {n}", 1) for n, row in lines])
     try:
         with path.open("rb") as file:
