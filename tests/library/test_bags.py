@@ -222,6 +222,8 @@ def test_what_is_no_touch_is_refused(bag, tmp_path):
         read_bag(bag(good, good), "/pad", max_bytes=5)
     with pytest.raises(LibraryError, match="one array of rows and columns"):
         read_bag(bag(_array(np.zeros(5), (2, 3))), "/pad")
+    with pytest.raises(LibraryError, match="must not be infinite"):
+        read_bag(bag(_array(np.full(4, np.inf), (2, 2))), "/pad")
     (tmp_path / "no.mcap").write_bytes(b"nothing")
     with pytest.raises(LibraryError, match="must be a bag of ROS"):
         read_bag(tmp_path / "no.mcap", "/pad")

@@ -88,9 +88,17 @@ def read_bag(
         with highlevel.AnyReader([bag], default_typestore=types) as reader:
             topic = _chosen_topic(reader, topic)
             images, times, digest = _messages(reader, topic, max_bytes)
+        return Touches(
+            np.stack(images),
+            object=None if object is None else np.full(len(images), object),
+            order=np.arange(len(images)),
+            time_s=np.array(times),
+            set_topic=np.array(topic),
+            set_bag_sha256=np.array(digest),
+        )
     except (LibraryError, ImportError):
         raise
-    except TouchesError as error:  # a message that is no image
+    except TouchesError as error:  # a message that is no image, or no touch
         raise LibraryError(str(error)) from error
     except Exception as error:  # rosbags raises many kinds on damaged bags
         raise LibraryError(
@@ -101,15 +109,6 @@ def read_bag(
         ) from error
     finally:
         _room.left = inf
-    labels = None if object is None else np.full(len(images), object)
-    return Touches(
-        np.stack(images),
-        object=labels,
-        order=np.arange(len(images)),
-        time_s=np.array(times),
-        set_topic=np.array(topic),
-        set_bag_sha256=np.array(digest),
-    )
 
 
 def is_recording(path: Path) -> bool:
