@@ -191,6 +191,33 @@ def test_a_server_that_starts_again_is_found_if_the_token_is_the_same(
         expect(page.locator("#refused")).to_be_hidden()
 
 
+def test_a_connection_that_falls_silent_is_lost(page, taught, serving, drawn):
+    """As after an hour of sleep: nothing comes any more, and nothing says so."""
+    heard = [True]
+
+    def through(socket):
+        server = socket.connect_to_server()
+        server.on_message(lambda message: heard[0] and socket.send(message))
+
+    page.route_web_socket("**/ws", through)
+    page.clock.install()
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        online = page.locator("body[data-online=true]")
+        online.wait_for()
+        heard[0] = False
+        taught.post_touch(drawn.images[0])
+        page.clock.fast_forward(30_000)
+        page.clock.fast_forward(30_000)
+        expect(page.locator("#offline")).to_be_visible()
+        heard[0] = True
+        page.clock.fast_forward(10_000)
+        online.wait_for()
+        expect(page.locator("#strip li")).to_have_count(1)
+        page.clock.fast_forward(30_000)  # with a sensor there is news every second
+        expect(page.locator("#offline")).to_be_hidden()
+
+
 def press(page, hand, session):
     hand.show(session, pressed=True)
     expect(page.locator("#contact")).to_have_text("touching")
