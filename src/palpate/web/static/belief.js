@@ -5,7 +5,7 @@ import { get, post, url } from "./api.js";
 import { decided, drawn, find, make, percent, pictures, pressable, show, step, text, unbroken } from "./dom.js";
 import { openPicture, openStored } from "./editor.js";
 import { marked } from "./marks.js";
-import { teachThese } from "./teach.js";
+import { keepOf, teachThese } from "./teach.js";
 
 const SHOWN = 6;
 const OTHERS = "var(--c7)";
@@ -39,7 +39,9 @@ const pictured = () => episode.touches.filter(({ miss }) => !miss).length;
 
 // Where touches look as if they were of another sensor, a doubt stands beside the name.
 export function showEpisode(whole, alarm = "") {
+  const goesOn = episode?.number === whole.number && whole.touches.length >= episode.touches.length;
   episode = whole;
+  keepOf(goesOn ? pictured() : 0);
   alarmText = alarm;
   alarmed = alarm !== "" && whole.touches.length > 0 && whole.decision !== "unknown";
   draw();

@@ -22,14 +22,23 @@ export function startTeach() {
 
 // The touches just made become the first of the object that is named next, or of `name`.
 export function teachThese(count, name = "") {
-  keeping = count;
-  show(find("first-touches"), count > 0);
-  sayKept();
+  keep(count);
   if (count) find("name").focus();
   if (name === "") return;
   find("name").value = name;
   find("name").setCustomValidity("");
   find("lesson").requestSubmit(find("start"));
+}
+
+// They are of one episode: more as it goes on, none once it is over.
+export function keepOf(count) {
+  if (keeping && keeping !== count) keep(count);
+}
+
+function keep(count) {
+  keeping = count;
+  show(find("first-touches"), count > 0);
+  sayKept();
 }
 
 function sayKept() {
