@@ -1,5 +1,6 @@
 """The page leads its user: its order, the next button, touches edited, the focus."""
 
+import math
 import re
 import shutil
 
@@ -9,7 +10,8 @@ import pytest
 from palpate import Touches
 from palpate._words import figure_of
 from palpate.evaluation import Plan, evaluate, write_report
-from palpate.library import TouchLibrary
+from palpate.library import LibraryError, TouchLibrary
+from palpate.sensors import DetectedTouch
 from palpate.web import LiveSession
 
 from .browser import PATIENT, card_of, expect, fits, resize
@@ -257,6 +259,38 @@ def test_without_a_connection_nothing_can_be_pressed(page, taught, open_page):
     expect(page.locator("#offline")).to_be_in_viewport()
     assert page.locator("main").evaluate("(main) => main.inert")
     assert page.locator("#steps").evaluate("(steps) => steps.inert")
+
+
+def test_a_touch_that_is_not_taken_is_told_until_one_is(
+    page, make_session, open_page, drawn, monkeypatch
+):
+    def full(*arguments, **options):
+        raise LibraryError("There is no room on the disk.")
+
+    session = make_session()
+    trouble = page.locator("#trouble")
+    touch = DetectedTouch(drawn.images[0], math.inf, 0.0, 9.0, 3)
+    with open_page(session, frames=True):
+        page.clock.install()
+        session.teach("pen", 8)
+        expect(page.locator("#stop")).to_be_visible()
+        with monkeypatch.context() as patched:
+            patched.setattr(session.teacher.library, "add", full)
+            for _ in range(2):
+                session._on_touch(touch, 0.0)
+                expect(trouble).to_have_text("There is no room on the disk.")
+                page.clock.fast_forward(7000)  # a message is gone by then
+                expect(trouble).to_be_visible()
+        session._on_touch(touch, 0.0)
+        expect(page.locator("#step-2")).to_contain_text("pen: 1 of 8")
+        expect(trouble).to_be_hidden()
+        session.stop_teaching()
+        with monkeypatch.context() as patched:
+            patched.setattr(session.episode, "add", full)
+            session._on_touch(touch, 0.0)
+            expect(trouble).to_be_visible()
+        session._on_touch(touch, 0.0)
+        expect(trouble).to_be_hidden()
 
 
 def test_nothing_covers_a_heading_below_the_steps(page, taught, open_page):

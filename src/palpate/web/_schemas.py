@@ -273,6 +273,9 @@ class State(BaseModel):
     ]
     learn_error: str
     message: str
+    trouble: Annotated[
+        str, Field(description="Why the last touch could not be taken, or empty.")
+    ] = ""
     health: dict[str, Any]
 
 

@@ -518,6 +518,7 @@ class LiveSession:
                 "unlearnt": self.unlearnt,
                 "learn_error": self.learn_error,
                 "message": self.message,
+                "trouble": self.trouble,
                 "health": self.health.to_dict(),
             }
 
@@ -633,7 +634,7 @@ class LiveSession:
 
     def _on_touch(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
-        teaching = False
+        teaching, was_well = False, not self.trouble
         try:
             with self._lock:
                 if detected.began_s < self._placed_s:
@@ -660,7 +661,7 @@ class LiveSession:
             self.message = self.trouble = str(error)
         except Exception as error:  # of a model's own parts: others do not end with it
             self.message = self.trouble = repr(error)
-        if teaching or self.trouble:
+        if teaching or self.trouble or not was_well:
             self._notify_state()
 
     def _recognise(
