@@ -263,6 +263,14 @@ def test_a_model_from_elsewhere_is_extended_and_never_replaced(
         assert counts(session) == {"bar": 16, "coin": 18}
         session.forget("coin")
         assert waited(lambda: not session.learning)
+        # One object is no model: its touches of elsewhere are nowhere but in the file.
+        assert "bar is known from it alone" in session.learn_error
+    with LiveSession(library=tmp_path / "library", model=base) as session:
+        assert session.unlearnt
+        for image in drawn.images[60:62]:
+            session.post_lesson("both", image)
+        session.learn(wait=True)
+        assert counts(session) == {"bar": 16, "both": 2}
     assert kept.read_bytes() == before
     # Nothing is added to it by a sensor of another size, and no such thing is said.
     other = ReplaySensor(small_touches("disc", 2).with_columns(no_contact=0 * SMALL))

@@ -45,6 +45,7 @@ BEGAN_BEFORE = (
     "That touch began before, perhaps on another thing: it does not count, touch again."
 )
 BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
+TOO_LITTLE = "Too little to learn: at least two objects with two touches each."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
 
@@ -792,12 +793,15 @@ class LiveSession:
                 )
             self.message = message + more
             return
+        if kept := answer["kept"]:
+            raise LearningError(
+                f"{TOO_LITTLE} The model stays as it was, for {kept[0]} is known from "
+                "it alone. Teach another object, then learn."
+            )
         self._use(None)
         path.unlink(missing_ok=True)
         self.teacher.journal.renamed.clear()  # nothing is known from elsewhere
-        raise LearningError(
-            "Too little to learn: at least two objects with two touches each."
-        )
+        raise LearningError(TOO_LITTLE)
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
