@@ -353,13 +353,18 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
         for image in drawn.images[:3]:
             session._on_touch(_detected(image), 0.0)
         session.undo()
+        session._on_touch(_detected(session.baseline), 0.0)  # shows no contact
+        silent = session.to_dict()["no_contact"]
     # Leaving the session does not end the lesson, as if the server was killed.
     with make_session(library=folder) as session:
+        session.watch.detector.baseline = None  # of a real sensor it is not taken yet
         interrupted = session.to_dict()["library"]["interrupted"]
         assert interrupted == {"name": "shoe", "wanted": 8, "done": 2}
         session.resume_teaching()
         lesson = session.to_dict()["lesson"]
         assert (lesson["name"], lesson["done"], lesson["wanted"]) == ("shoe", 2, 8)
+        assert lesson["no_contact"] == [3]
+        assert session.to_dict()["no_contact"] == silent
         assert session.to_dict()["library"]["interrupted"] is None
         session._on_touch(_detected(drawn.images[3]), 0.0)
         assert session.to_dict()["lesson"]["done"] == 3

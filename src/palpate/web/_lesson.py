@@ -219,7 +219,8 @@ class Journal:
     its touches the ids alone), until one begins or it is ended. `changed` are the
     objects whose touches are others than when the model learnt last, `renamed` those
     to be learnt under another name, or forgotten: "", in order. `session` is that of
-    the touches stored last, with the name of their sensor.
+    the touches stored last, with the name of their sensor; `no_contact_ids` are those
+    of touches taught here that show no contact.
     """
 
     def __init__(self, path: Path) -> None:
@@ -229,6 +230,7 @@ class Journal:
         self.renamed: list[tuple[str, str]] = []
         self.session: tuple[str, str] | None = None
         self.n_lessons = 0
+        self.no_contact_ids: set[str] = set()
         self._lesson: Lesson | None = None
         for line in self._lines():
             wrong = ValueError, TypeError, KeyError, AttributeError, RecursionError
@@ -297,12 +299,16 @@ class Journal:
             undone = self.actions.pop()
             self._change(undone)
             self._drop(undone)
+            if undone.kind == "taught":
+                self.no_contact_ids -= {*undone.ids}
         elif "changed" in line:
             renamed = [(str(old), str(new)) for old, new in line.get("renamed", ())]
             self.changed = {str(name) for name in line["changed"]}
             self.renamed = renamed
-        elif "no_contact" in line and self._lesson is not None:
-            self._lesson.no_contact_ids.add(str(line["no_contact"]))
+        elif "no_contact" in line:
+            self.no_contact_ids.add(str(line["no_contact"]))
+            if self._lesson is not None:
+                self._lesson.no_contact_ids.add(str(line["no_contact"]))
         elif "session" in line:
             session, sensor = line["session"]
             self.session = str(session), str(sensor)

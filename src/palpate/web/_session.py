@@ -510,7 +510,7 @@ class LiveSession:
                 "quality": self._quality,
                 "no_contact": sorted(
                     self._no_contact_ids.union(
-                        teacher.no_contact_ids if teacher else ()
+                        teacher.journal.no_contact_ids if teacher else ()
                     )
                 ),
                 "advice": self.advice,

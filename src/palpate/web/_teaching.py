@@ -97,8 +97,6 @@ class Teacher:
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
         self.elsewhere: set[str] = set()  # objects that the model knows from elsewhere
-        # Of touches taught here that show no contact.
-        self.no_contact_ids: set[str] = set()
         if TouchLibrary.is_library(self.folder):
             _ = self.library
             if self._desk is not None:
@@ -163,7 +161,10 @@ class Teacher:
         for key in keys:
             image = self.library.image(key)
             if image.shape == size:
-                self._add(key, image, baseline, noise)
+                # Judged when it was stored: the baseline of then is not that of now.
+                if key in interrupted.no_contact_ids:
+                    self._mark_no_contact(key)
+                self.lesson.add(key, image, baseline, noise)
         return name
 
     def end(self) -> None:
@@ -273,11 +274,14 @@ class Teacher:
         about = self._described.geometry, channels
         counts = self.lesson.shows_contact(image, baseline, *about)
         if not counts:  # known before it is there, so that it is never counted
-            self.lesson.no_contact_ids.add(key)
-            self.no_contact_ids.add(key)
-            self.journal.add_no_contact(key)
+            self._mark_no_contact(key)
         self.lesson.add(key, image, baseline, noise)
         return counts
+
+    def _mark_no_contact(self, key: str) -> None:
+        assert self.lesson is not None
+        self.lesson.no_contact_ids.add(key)
+        self.journal.add_no_contact(key)
 
     def undo(self) -> tuple[str, str]:
         """Take back what was done last on the page; return the object and what to say.
@@ -304,7 +308,6 @@ class Teacher:
                 reason = "undone on the page"
                 self.library.retract([row.id for row in left], reason=reason)
             self._drop_from_lesson(last.ids)
-            self.no_contact_ids -= {*last.ids}
             return str(left[0].object) if left else None
         gone = [row.id for row in rows if row.retracted]
         copies = [row.id for key in last.copies for row in self._row(key)]
