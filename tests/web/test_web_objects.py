@@ -403,3 +403,22 @@ def test_a_new_name_is_kept_without_the_blanks_around_it(folder, drawn):
         assert session.message == "bar is called long bar now."
         names = [entry["name"] for entry in session.to_dict()["library"]["objects"]]
     assert sorted(names) == ["a disc", "long bar", "tea cup"]
+
+
+def test_an_object_of_a_long_name_from_elsewhere_is_one_like_others(
+    folder, drawn, connected
+):
+    """The page itself gives no object a name of more than 80 characters."""
+    name = {"object": "long " * 40}
+    with TouchLibrary.open(folder) as library:
+        library.add(drawn[60:62].with_columns(object=2 * [name["object"]]))
+    with connected(LiveSession(library=folder)) as client:
+        touches = client.get("/api/objects/touches", params=name).json()
+        assert len(touches) == 2
+        assert client.get("/api/objects/archive", params=name).status_code == 200
+        for path, more in (("rename", {"name": "short"}), ("forget", {})):
+            answer = client.post(f"/api/objects/{path}", json=name | more)
+            assert answer.status_code == 200
+            name["object"] = "short"
+        objects = client.get("/api/state").json()["library"]["objects"]
+        assert [one["name"] for one in objects] == ["bar", "disc"]

@@ -207,7 +207,11 @@ class SensorWatch:
             thread.join(timeout=5.0)
 
     def take_baseline(
-        self, *, force: bool = False, ask_press: bool = False, timeout_s: float = _SILENT_S
+        self,
+        *,
+        force: bool = False,
+        ask_press: bool = False,
+        timeout_s: float = _SILENT_S,
     ) -> None:
         """Take the baseline, the frame of touching nothing, from the next frames.
 
@@ -281,7 +285,7 @@ class SensorWatch:
         }
 
     def _silence(self) -> str:
-        """Say that the sensor gives no frames, where it does not say that it is lost."""
+        """Say that no frames come, where the sensor does not say why."""
         if time.monotonic() - self._heard_s < _SILENT_S:
             return ""
         why = "Check its cable and that it is switched on."
