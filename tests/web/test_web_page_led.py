@@ -3,6 +3,7 @@
 import math
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -284,6 +285,12 @@ def test_a_touch_that_is_not_taken_is_told_until_one_is(
         session._on_touch(touch, 0.0)
         expect(page.locator("#step-2")).to_contain_text("pen: 1 of 8")
         expect(trouble).to_be_hidden()
+        session.post_lesson("pen", drawn.images[1])  # by a robot: not of the lesson
+        session._on_touch(replace(touch, image=drawn.images[2]), 0.0)
+        shown = page.locator("#lesson-strip li")
+        expect(shown).to_have_text(["1", "2"])
+        keys = [one.get_attribute("data-key") for one in shown.all()]
+        assert keys == session.teacher.lesson.ids
         session.stop_teaching()
         with monkeypatch.context() as patched:
             patched.setattr(session.episode, "add", full)

@@ -28,6 +28,7 @@ from ._images import Names
 # and made a fifth harder differ by 0.03 to 0.06 from themselves; two touches of a box,
 # a shoe or a bottle by 0.3 to 0.5 at the median, of a ball or a soft toy by 0.06.
 _ALIKE, _SIDE, _MAPPED = 0.03, 24, 60
+_SHOWN = 12  # touches of a lesson whose pictures the page shows
 _RECENT = 12  # touches of a lesson that tell what a middling one is
 MOST_ACTIONS = 1000
 _SITTING_S = 3600.0  # a sitting ends where the page was not used for longer
@@ -180,6 +181,7 @@ class Lesson:
             "wanted": self.wanted,
             "done": self.done,
             "stored": len(self.ids),
+            "newest": self.ids[-_SHOWN:],
             "no_contact": [
                 n for n, key in enumerate(self.ids, 1) if key in self.no_contact_ids
             ],
