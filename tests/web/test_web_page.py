@@ -191,6 +191,32 @@ def test_a_server_that_starts_again_is_found_if_the_token_is_the_same(
         expect(page.locator("#refused")).to_be_hidden()
 
 
+def test_touches_after_a_restart_have_pictures_of_their_own(
+    page, make_session, serving, drawn
+):
+    """They are numbered from 1 again; a browser keeps the pictures of an address."""
+    pictures, port = [], 0
+    for image in drawn.images[[0, 40]]:
+        session = make_session(sensor=False)
+        with serving(session, "the-first-token", port=port) as (address, token):
+            if not port:
+                page.goto(f"{address}/?token={token}")
+            page.locator("body[data-online=true]").wait_for()
+            session.post_touch(image)
+            shown = page.locator("#strip img")
+            expect(shown).to_have_js_property("naturalWidth", 96)
+            pictures.append(
+                shown.evaluate(
+                    """(shown) => { const drawn = document.createElement('canvas');
+                    drawn.getContext('2d').drawImage(shown, 0, 0);
+                    return drawn.toDataURL() }"""
+                )
+            )
+        port = int(address.rsplit(":", 1)[1])
+        expect(page.locator("#offline")).to_be_visible()
+    assert len({*pictures}) == 2
+
+
 def test_a_connection_that_falls_silent_is_lost(page, taught, serving, drawn):
     """As after an hour of sleep: nothing comes any more, and nothing says so."""
     heard = [True]

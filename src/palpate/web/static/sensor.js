@@ -187,9 +187,10 @@ function showPress(press) {
       : "This is what changed. Does it look like your press?");
   const picture = find("press-picture");
   show(picture, press.found);
+  if (!press.found) delete picture.dataset.number;
   if (press.found && picture.dataset.number !== String(press.number)) {
     picture.dataset.number = String(press.number);
-    picture.src = url(`baseline/press?number=${press.number}`);
+    picture.src = url(`baseline/press?time_ms=${Date.now()}`);
   }
   show(find("press-keep"), press.found && !press.lower);
   text(find("press-undo"), press.found ? "No, undo it" : "Undo the baseline");
