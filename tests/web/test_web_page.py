@@ -198,10 +198,13 @@ def test_touches_after_a_restart_have_pictures_of_their_own(
     pictures, port = [], 0
     for image in drawn.images[[0, 40]]:
         session = make_session(sensor=False)
+        key = session.post_lesson("disc", image)
         with serving(session, "the-first-token", port=port) as (address, token):
             if not port:
                 page.goto(f"{address}/?token={token}")
             page.locator("body[data-online=true]").wait_for()
+            stored = card_of(page, "disc").locator(".look")
+            expect(stored).to_have_attribute("data-key", key)
             session.post_touch(image)
             shown = page.locator("#strip img")
             expect(shown).to_have_js_property("naturalWidth", 96)

@@ -4,7 +4,7 @@ import { here, url } from "./api.js";
 import { addTouch, currentEpisode, showEpisode, showNearest, startBelief } from "./belief.js";
 import { find, say, show, text } from "./dom.js";
 import { startEditor } from "./editor.js";
-import { showObjects, startObjects } from "./objects.js";
+import { doubtObjects, showObjects, startObjects } from "./objects.js";
 import { drawFrame, showHealth, showOffline, showSensor, startSensor } from "./sensor.js";
 import { drawTile, showMixed, showSensors } from "./sensors.js";
 import { listen } from "./socket.js";
@@ -71,6 +71,7 @@ listen({
     document.body.dataset.online = String(whether);
     for (const part of [find("steps"), document.querySelector("main")]) part.inert = !whether;
     if (whether) return;
+    doubtObjects();
     showOffline();
     showNoStep();
   },
