@@ -300,6 +300,28 @@ def test_a_touch_that_is_not_taken_is_told_until_one_is(
         expect(trouble).to_be_hidden()
 
 
+def test_a_button_pressed_again_before_the_answer_is_one_order(
+    page, make_session, open_page, drawn
+):
+    """On a slow network nothing is seen at first, and people press again."""
+    session, orders = make_session(sensor=False), []
+    page.route("**/api/teach/undo", lambda order: orders.append(order))
+    with open_page(session):
+        for image in drawn.images[:2]:
+            session.post_lesson("pen", image)
+        for _ in range(2):
+            page.click("#undo")
+            expect(page.locator("#undo")).to_be_focused()
+        page.evaluate("() => fetch('/api/health')")  # orders before it are on the way
+        assert len(orders) == 1
+        with page.expect_request_finished(lambda one: "undo" in one.url):
+            orders[0].continue_()
+        expect(card_of(page, "pen").locator(".meta")).to_contain_text("1 touch,")
+        page.unroute("**/api/teach/undo")
+        page.click("#undo")
+        expect(page.locator("#none")).to_be_visible()
+
+
 def test_nothing_covers_a_heading_below_the_steps(page, taught, open_page):
     """Without a message, the page itself begins right under the steps."""
     with open_page(taught, frames=True):

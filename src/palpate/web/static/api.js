@@ -9,7 +9,21 @@ export const OF_ALL = { count: 1, paths: ["teach", "teach/stop", "learn", "place
 export const url = (path, number = here) =>
   `/api/${path}${number > 1 ? `${path.includes("?") ? "&" : "?"}sensor=${number}` : ""}`;
 
+const underWay = new Set();
+
+// What is pressed again before it is answered, as on a slow network, is one order.
 export async function post(path, body) {
+  const order = JSON.stringify([path, body]);
+  if (underWay.has(order)) return null;
+  underWay.add(order);
+  try {
+    return await postToAll(path, body);
+  } finally {
+    underWay.delete(order);
+  }
+}
+
+async function postToAll(path, body) {
   const all = OF_ALL.paths.includes(path) && find("as-one").checked;
   for (let number = 1; all && number <= OF_ALL.count; number += 1) {
     if (number !== here && (path !== "place" || takes(number, body.object))) await postTo(url(path, number), body);
