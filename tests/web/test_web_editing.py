@@ -218,6 +218,31 @@ def test_an_object_put_back_as_it_was_learnt_counts_as_unchanged(folder):
         assert not session.unlearnt
 
 
+def test_what_is_undone_is_known_by_its_name_of_now(folder):
+    """The model holds the touch, whatever its object was called when it was taught."""
+    with LiveSession(library=folder) as session:
+        session.move_touches([session.teacher.newest("bar", 1)[0].id], "disc")
+        session.learn(wait=True)
+        for old, new in (("disc", "x"), ("bar", "disc"), ("x", "bar")):
+            session.rename(old, new)
+            assert waited(lambda: not session.learning)
+        assert not session.unlearnt
+        last = session.to_dict()["library"]["undo"]
+        assert last == {"kind": "moved", "object": "disc", "to": "bar"}
+        session.undo()
+        assert session.message == "What was moved to bar is back with disc."
+        session.learn(wait=True)
+        keys = [row.id for row in session.teacher.newest("bar", 2)]
+        session.move_touches(keys, "cup")
+        session.learn(wait=True)
+        session.rename("cup", "mug")
+        assert waited(lambda: not session.learning)
+        session.undo()
+    with LiveSession(library=folder) as session:
+        assert session.to_dict()["library"]["changed"] == ["bar", "mug"]
+        assert session.unlearnt
+
+
 def test_what_is_undone_while_it_learns_is_still_to_be_learnt(folder, drawn, learn_by):
     with LiveSession(library=folder) as session:
         session.learn(wait=True)

@@ -209,10 +209,6 @@ class Action:
         _check_texts(self.kind, self.object, self.to)
         _check_texts(*_listed(self.ids), *_listed(self.copies), *_listed(self.others))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what the page shows of it."""
-        return {"kind": self.kind, "object": self.object, "to": self.to}
-
 
 class Journal:
     """Actions that can be undone, the newest last, and the lesson under way.

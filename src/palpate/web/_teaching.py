@@ -292,8 +292,14 @@ class Teacher:
         while (last := self.journal.last) is not None:
             name = self._undo(last)
             self.journal.pop()
+            # As they are called by now, perhaps otherwise than then.
+            keys = (*last.ids, *last.copies)
+            rows = [row for key in keys for row in self._row(key)]
+            self.journal.changed |= {*_objects(rows)}
+            self.journal.learnt()
             if name is not None:
-                return name, UNDONE[last.kind].format(name=name, to=last.to)
+                to = self._name_now(last.to, last.copies)
+                return name, UNDONE[last.kind].format(name=name, to=to)
         raise LibraryError(
             "There is no touch to undo: nothing done on this page is left. "
             "Older ones are removed by their pictures."
@@ -447,6 +453,7 @@ class Teacher:
             self._drop_from_lesson(keys)
 
     def to_dict(self) -> dict[str, Any]:
+        last = self.journal.last
         return {
             "folder": str(self.folder.resolve()),
             "objects": [
@@ -454,7 +461,13 @@ class Teacher:
                 for name, count in self._counts().items()
             ],
             "undoable": len(self.journal.actions),
-            "undo": None if self.journal.last is None else self.journal.last.to_dict(),
+            "undo": None
+            if last is None
+            else {
+                "kind": last.kind,
+                "object": self._name_now(last.object, last.ids),
+                "to": self._name_now(last.to, last.copies),
+            },
             "interrupted": self._interrupted(),
             "changed": sorted(self.journal.changed),
         }
