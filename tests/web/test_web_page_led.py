@@ -552,6 +552,14 @@ def test_all_sensors_are_not_taught_different_things_unasked(
         # The second sensor is asked after the first.
         assert waited(lambda: all(session.teacher.lesson for session in sessions))
         assert [session.teacher.lesson.name for session in sessions] == ["pen", "pen"]
+        for session in sessions:
+            session.teach("pen", 1000)
+    folders = [session.teacher.folder for session in sessions]
+    sessions = [make_session(rate_hz=60.0, library=folder) for folder in folders]
+    with open_page(sessions, frames=True):
+        page.click("#resume")  # the lesson that the end of the server cut off
+        expect(page.locator("#stop")).to_be_visible()
+        assert waited(lambda: all(session.teacher.lesson for session in sessions))
 
 
 @pytest.mark.slow

@@ -9,8 +9,9 @@ const tiles = new Map();
 let taught = ""; // the object of the lesson under way
 
 // Take in news of any sensor, chosen or not.
-export function showSensors({ kind, sensor_number: number, sensor, episode, lesson }) {
+export function showSensors({ kind, sensor_number: number, sensor, episode, lesson, library }) {
   if (kind === "state" && number === here) taught = lesson?.name ?? "";
+  if (kind === "state") OF_ALL.interrupted[library?.interrupted ? "add" : "delete"](number);
   if (!tiles.has(number)) addTile(number);
   const tile = tiles.get(number);
   if (sensor) {
