@@ -90,6 +90,7 @@ def test_touches_of_several_objects_are_counted_by_their_own_names(folder):
         assert journal.changed == {"bar", "disc"}
     with LiveSession(library=folder) as session:
         assert session.teacher.journal.changed == {"bar", "disc"}
+        assert session.to_dict()["library"]["undo"]["object"] == "bar"
         assert session.undo() == "bar, disc"
         assert session.message == "What was removed of bar, disc is back."
         assert counts(session) == {"bar": 8, "disc": 8}

@@ -465,7 +465,7 @@ class Teacher:
             if last is None
             else {
                 "kind": last.kind,
-                "object": self._name_now(last.object, last.ids),
+                "object": self._name_now(last.object, last.ids[:1]),
                 "to": self._name_now(last.to, last.copies),
             },
             "interrupted": self._interrupted(),
