@@ -90,6 +90,7 @@ def test_touches_of_several_objects_are_counted_by_their_own_names(folder):
         assert journal.changed == {"bar", "disc"}
     with LiveSession(library=folder) as session:
         assert session.teacher.journal.changed == {"bar", "disc"}
+        assert session.to_dict()["library"]["undo"]["object"] == "bar"
         assert session.undo() == "bar, disc"
         assert session.message == "What was removed of bar, disc is back."
         assert counts(session) == {"bar": 8, "disc": 8}
@@ -216,6 +217,31 @@ def test_an_object_put_back_as_it_was_learnt_counts_as_unchanged(folder):
     with LiveSession(library=folder) as session:
         assert session.to_dict()["library"]["changed"] == []
         assert not session.unlearnt
+
+
+def test_what_is_undone_is_known_by_its_name_of_now(folder):
+    """The model holds the touch, whatever its object was called when it was taught."""
+    with LiveSession(library=folder) as session:
+        session.move_touches([session.teacher.newest("bar", 1)[0].id], "disc")
+        session.learn(wait=True)
+        for old, new in (("disc", "x"), ("bar", "disc"), ("x", "bar")):
+            session.rename(old, new)
+            assert waited(lambda: not session.learning)
+        assert not session.unlearnt
+        last = session.to_dict()["library"]["undo"]
+        assert last == {"kind": "moved", "object": "disc", "to": "bar"}
+        session.undo()
+        assert session.message == "What was moved to bar is back with disc."
+        session.learn(wait=True)
+        keys = [row.id for row in session.teacher.newest("bar", 2)]
+        session.move_touches(keys, "cup")
+        session.learn(wait=True)
+        session.rename("cup", "mug")
+        assert waited(lambda: not session.learning)
+        session.undo()
+    with LiveSession(library=folder) as session:
+        assert session.to_dict()["library"]["changed"] == ["bar", "mug"]
+        assert session.unlearnt
 
 
 def test_what_is_undone_while_it_learns_is_still_to_be_learnt(folder, drawn, learn_by):
@@ -353,13 +379,18 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
         for image in drawn.images[:3]:
             session._on_touch(_detected(image), 0.0)
         session.undo()
+        session._on_touch(_detected(session.baseline), 0.0)  # shows no contact
+        silent = session.to_dict()["no_contact"]
     # Leaving the session does not end the lesson, as if the server was killed.
     with make_session(library=folder) as session:
+        session.watch.detector.baseline = None  # of a real sensor it is not taken yet
         interrupted = session.to_dict()["library"]["interrupted"]
         assert interrupted == {"name": "shoe", "wanted": 8, "done": 2}
         session.resume_teaching()
         lesson = session.to_dict()["lesson"]
         assert (lesson["name"], lesson["done"], lesson["wanted"]) == ("shoe", 2, 8)
+        assert lesson["no_contact"] == [3]
+        assert session.to_dict()["no_contact"] == silent
         assert session.to_dict()["library"]["interrupted"] is None
         session._on_touch(_detected(drawn.images[3]), 0.0)
         assert session.to_dict()["lesson"]["done"] == 3

@@ -263,6 +263,14 @@ def test_a_model_from_elsewhere_is_extended_and_never_replaced(
         assert counts(session) == {"bar": 16, "coin": 18}
         session.forget("coin")
         assert waited(lambda: not session.learning)
+        # One object is no model: its touches of elsewhere are nowhere but in the file.
+        assert "bar is known from it alone" in session.learn_error
+    with LiveSession(library=tmp_path / "library", model=base) as session:
+        assert session.unlearnt
+        for image in drawn.images[60:62]:
+            session.post_lesson("both", image)
+        session.learn(wait=True)
+        assert counts(session) == {"bar": 16, "both": 2}
     assert kept.read_bytes() == before
     # Nothing is added to it by a sensor of another size, and no such thing is said.
     other = ReplaySensor(small_touches("disc", 2).with_columns(no_contact=0 * SMALL))
@@ -395,3 +403,22 @@ def test_a_new_name_is_kept_without_the_blanks_around_it(folder, drawn):
         assert session.message == "bar is called long bar now."
         names = [entry["name"] for entry in session.to_dict()["library"]["objects"]]
     assert sorted(names) == ["a disc", "long bar", "tea cup"]
+
+
+def test_an_object_of_a_long_name_from_elsewhere_is_one_like_others(
+    folder, drawn, connected
+):
+    """The page itself gives no object a name of more than 80 characters."""
+    name = {"object": "long " * 40}
+    with TouchLibrary.open(folder) as library:
+        library.add(drawn[60:62].with_columns(object=2 * [name["object"]]))
+    with connected(LiveSession(library=folder)) as client:
+        touches = client.get("/api/objects/touches", params=name).json()
+        assert len(touches) == 2
+        assert client.get("/api/objects/archive", params=name).status_code == 200
+        for path, more in (("rename", {"name": "short"}), ("forget", {})):
+            answer = client.post(f"/api/objects/{path}", json=name | more)
+            assert answer.status_code == 200
+            name["object"] = "short"
+        objects = client.get("/api/state").json()["library"]["objects"]
+        assert [one["name"] for one in objects] == ["bar", "disc"]

@@ -191,6 +191,62 @@ def test_a_server_that_starts_again_is_found_if_the_token_is_the_same(
         expect(page.locator("#refused")).to_be_hidden()
 
 
+def test_touches_after_a_restart_have_pictures_of_their_own(
+    page, make_session, serving, drawn
+):
+    """They are numbered from 1 again; a browser keeps the pictures of an address."""
+    pictures, port = [], 0
+    for image in drawn.images[[0, 40]]:
+        session = make_session(sensor=False)
+        key = session.post_lesson("disc", image)
+        with serving(session, "the-first-token", port=port) as (address, token):
+            if not port:
+                page.goto(f"{address}/?token={token}")
+            page.locator("body[data-online=true]").wait_for()
+            stored = card_of(page, "disc").locator(".look")
+            expect(stored).to_have_attribute("data-key", key)
+            session.post_touch(image)
+            shown = page.locator("#strip img")
+            expect(shown).to_have_js_property("naturalWidth", 96)
+            pictures.append(
+                shown.evaluate(
+                    """(shown) => { const drawn = document.createElement('canvas');
+                    drawn.getContext('2d').drawImage(shown, 0, 0);
+                    return drawn.toDataURL() }"""
+                )
+            )
+        port = int(address.rsplit(":", 1)[1])
+        expect(page.locator("#offline")).to_be_visible()
+    assert len({*pictures}) == 2
+
+
+def test_a_connection_that_falls_silent_is_lost(page, taught, serving, drawn):
+    """As after an hour of sleep: nothing comes any more, and nothing says so."""
+    heard = [True]
+
+    def through(socket):
+        server = socket.connect_to_server()
+        server.on_message(lambda message: heard[0] and socket.send(message))
+
+    page.route_web_socket("**/ws", through)
+    page.clock.install()
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        online = page.locator("body[data-online=true]")
+        online.wait_for()
+        heard[0] = False
+        taught.post_touch(drawn.images[0])
+        page.clock.fast_forward(30_000)
+        page.clock.fast_forward(30_000)
+        expect(page.locator("#offline")).to_be_visible()
+        heard[0] = True
+        page.clock.fast_forward(10_000)
+        online.wait_for()
+        expect(page.locator("#strip li")).to_have_count(1)
+        page.clock.fast_forward(30_000)  # with a sensor there is news every second
+        expect(page.locator("#offline")).to_be_hidden()
+
+
 def press(page, hand, session):
     hand.show(session, pressed=True)
     expect(page.locator("#contact")).to_have_text("touching")
@@ -591,7 +647,23 @@ def test_a_wrong_name_is_put_right_with_the_touches_just_made(
                 taught.post_touch(image)
         expect(page.locator("#decision")).to_have_text("disc")
         n_touches = len(taught.episode.touches)
-        page.get_by_label("Wrong? It is").fill("lid")
+        wrong, first = page.get_by_label("Wrong? It is"), page.locator("#first-touches")
+        wrong.fill("unknown")
+        wrong.press("Enter")
+        expect(first).to_contain_text(f"the {n_touches} you just made")
+        taught.post_touch(drawn.images[0])
+        expect(first).to_contain_text(f"the {n_touches + 1} you just made")
+        # On a phone somebody begins another: its touches are of another thing.
+        taught.begin_episode()
+        taught.post_touch(drawn.images[30])
+        expect(first).to_be_hidden()
+        page.fill("#name", "lid")
+        page.press("#name", "Enter")
+        expect(page.locator("#step-2")).to_contain_text("lid: 0 of 12")
+        taught.stop_teaching()
+        for image in drawn.images[:n_touches]:
+            taught.post_touch(image)
+        wrong.fill("lid")
         page.get_by_role("button", name="Teach these touches as it").click()
         expect(page.locator("#step-2")).to_contain_text(f"lid: {n_touches} of 12")
 

@@ -1,7 +1,9 @@
 """The page leads its user: its order, the next button, touches edited, the focus."""
 
+import math
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ import pytest
 from palpate import Touches
 from palpate._words import figure_of
 from palpate.evaluation import Plan, evaluate, write_report
-from palpate.library import TouchLibrary
+from palpate.library import LibraryError, TouchLibrary
+from palpate.sensors import DetectedTouch
 from palpate.web import LiveSession
 
 from .browser import PATIENT, card_of, expect, fits, resize
@@ -259,6 +262,66 @@ def test_without_a_connection_nothing_can_be_pressed(page, taught, open_page):
     assert page.locator("#steps").evaluate("(steps) => steps.inert")
 
 
+def test_a_touch_that_is_not_taken_is_told_until_one_is(
+    page, make_session, open_page, drawn, monkeypatch
+):
+    def full(*arguments, **options):
+        raise LibraryError("There is no room on the disk.")
+
+    session = make_session()
+    trouble = page.locator("#trouble")
+    touch = DetectedTouch(drawn.images[0], math.inf, 0.0, 9.0, 3)
+    with open_page(session, frames=True):
+        page.clock.install()
+        session.teach("pen", 8)
+        expect(page.locator("#stop")).to_be_visible()
+        with monkeypatch.context() as patched:
+            patched.setattr(session.teacher.library, "add", full)
+            for _ in range(2):
+                session._on_touch(touch, 0.0)
+                expect(trouble).to_have_text("There is no room on the disk.")
+                page.clock.fast_forward(7000)  # a message is gone by then
+                expect(trouble).to_be_visible()
+        session._on_touch(touch, 0.0)
+        expect(page.locator("#step-2")).to_contain_text("pen: 1 of 8")
+        expect(trouble).to_be_hidden()
+        session.post_lesson("pen", drawn.images[1])  # by a robot: not of the lesson
+        session._on_touch(replace(touch, image=drawn.images[2]), 0.0)
+        shown = page.locator("#lesson-strip li")
+        expect(shown).to_have_text(["1", "2"])
+        keys = [one.get_attribute("data-key") for one in shown.all()]
+        assert keys == session.teacher.lesson.ids
+        session.stop_teaching()
+        with monkeypatch.context() as patched:
+            patched.setattr(session.episode, "add", full)
+            session._on_touch(touch, 0.0)
+            expect(trouble).to_be_visible()
+        session._on_touch(touch, 0.0)
+        expect(trouble).to_be_hidden()
+
+
+def test_a_button_pressed_again_before_the_answer_is_one_order(
+    page, make_session, open_page, drawn
+):
+    """On a slow network nothing is seen at first, and people press again."""
+    session, orders = make_session(sensor=False), []
+    page.route("**/api/teach/undo", lambda order: orders.append(order))
+    with open_page(session):
+        for image in drawn.images[:2]:
+            session.post_lesson("pen", image)
+        for _ in range(2):
+            page.click("#undo")
+            expect(page.locator("#undo")).to_be_focused()
+        page.evaluate("() => fetch('/api/health')")  # orders before it are on the way
+        assert len(orders) == 1
+        with page.expect_request_finished(lambda one: "undo" in one.url):
+            orders[0].continue_()
+        expect(card_of(page, "pen").locator(".meta")).to_contain_text("1 touch,")
+        page.unroute("**/api/teach/undo")
+        page.click("#undo")
+        expect(page.locator("#none")).to_be_visible()
+
+
 def test_nothing_covers_a_heading_below_the_steps(page, taught, open_page):
     """Without a message, the page itself begins right under the steps."""
     with open_page(taught, frames=True):
@@ -433,12 +496,29 @@ def test_a_thing_is_not_taught_under_the_name_of_another_of_the_desk_unasked(
         expect(mixed).to_be_hidden()
         page.select_option("#placed", "bar")
         expect(mixed).to_contain_text("On the desk lies bar")
+        placed = page.locator("#placed")
+        page.route("**/api/place", lambda route: route.fulfill(status=429, json={}))
+        page.select_option("#placed", "both")  # is refused, as somebody asks too much
+        expect(placed).to_have_value("bar")
+        page.unroute("**/api/place")
+        placed.focus()
+        session.place(None)  # by another page
+        expect(placed).to_have_value("")
+        session.place("bar")
+        expect(placed).to_have_value("bar")
         page.click("#start")
         page.get_by_role("button", name="Put disc there and start").click()
-        expect(page.locator("#placed")).to_have_value("disc")
+        expect(placed).to_have_value("disc")
         expect(page.locator("li.object h3")).to_have_text("disc")
         expect(page.locator("#progress")).to_be_hidden(timeout=PATIENT)
         expect(page.locator("#why-not")).to_contain_text("Teach a second object")
+        session.teach("disc", 1000)
+        expect(mixed).to_be_hidden()
+        session.place("bar")
+        words = "On the desk lies bar: its touches are stored as disc."
+        expect(mixed).to_have_text(words)
+        session.stop_teaching()
+        expect(mixed).to_be_hidden()
         session.post_lesson("W" * 80, session.baseline)
         for width in (1280, 390):
             resize(page, width, 844)
@@ -472,6 +552,14 @@ def test_all_sensors_are_not_taught_different_things_unasked(
         # The second sensor is asked after the first.
         assert waited(lambda: all(session.teacher.lesson for session in sessions))
         assert [session.teacher.lesson.name for session in sessions] == ["pen", "pen"]
+        for session in sessions:
+            session.teach("pen", 1000)
+    folders = [session.teacher.folder for session in sessions]
+    sessions = [make_session(rate_hz=60.0, library=folder) for folder in folders]
+    with open_page(sessions, frames=True):
+        page.click("#resume")  # the lesson that the end of the server cut off
+        expect(page.locator("#stop")).to_be_visible()
+        assert waited(lambda: all(session.teacher.lesson for session in sessions))
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from palpate.recognition import ModelFileError
 from palpate.sensors import Frame, SensorError
 from palpate.web import LiveSession, PageServer
 
-from .conftest import Event, Still
+from .conftest import Event, Still, waited
 
 
 @pytest.fixture
@@ -157,6 +157,20 @@ def test_a_slow_sensor_gets_its_baseline_too(hand, monkeypatch):
     with LiveSession(hand) as session:
         session.watch.take_baseline(timeout_s=0.5)  # ten frames take a second
         assert session.baseline is not None
+
+
+def test_a_sensor_that_hangs_is_told(hand, monkeypatch):
+    def lost():
+        return session.to_dict()["sensor"]["lost"]
+
+    with LiveSession(hand) as session:
+        assert waited(lambda: session.health.to_dict()["n_frames"] > 3)
+        assert lost() == ""
+        with monkeypatch.context() as patched:
+            patched.setattr("palpate.web._sensor_watch._SILENT_S", 0.1)
+            patched.setattr(hand, "_grab", lambda: time.sleep(0.01) or [])
+            assert waited(lambda: lost().startswith("hand gives no frames. Check its"))
+        assert waited(lambda: lost() == "")
 
 
 def test_two_who_ask_at_once_both_get_a_baseline(hand):

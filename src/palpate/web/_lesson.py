@@ -28,6 +28,7 @@ from ._images import Names
 # and made a fifth harder differ by 0.03 to 0.06 from themselves; two touches of a box,
 # a shoe or a bottle by 0.3 to 0.5 at the median, of a ball or a soft toy by 0.06.
 _ALIKE, _SIDE, _MAPPED = 0.03, 24, 60
+_SHOWN = 12  # touches of a lesson whose pictures the page shows
 _RECENT = 12  # touches of a lesson that tell what a middling one is
 MOST_ACTIONS = 1000
 _SITTING_S = 3600.0  # a sitting ends where the page was not used for longer
@@ -180,6 +181,7 @@ class Lesson:
             "wanted": self.wanted,
             "done": self.done,
             "stored": len(self.ids),
+            "newest": self.ids[-_SHOWN:],
             "no_contact": [
                 n for n, key in enumerate(self.ids, 1) if key in self.no_contact_ids
             ],
@@ -207,10 +209,6 @@ class Action:
         _check_texts(self.kind, self.object, self.to)
         _check_texts(*_listed(self.ids), *_listed(self.copies), *_listed(self.others))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what the page shows of it."""
-        return {"kind": self.kind, "object": self.object, "to": self.to}
-
 
 class Journal:
     """Actions that can be undone, the newest last, and the lesson under way.
@@ -219,7 +217,8 @@ class Journal:
     its touches the ids alone), until one begins or it is ended. `changed` are the
     objects whose touches are others than when the model learnt last, `renamed` those
     to be learnt under another name, or forgotten: "", in order. `session` is that of
-    the touches stored last, with the name of their sensor.
+    the touches stored last, with the name of their sensor; `no_contact_ids` are those
+    of touches taught here that show no contact.
     """
 
     def __init__(self, path: Path) -> None:
@@ -229,6 +228,7 @@ class Journal:
         self.renamed: list[tuple[str, str]] = []
         self.session: tuple[str, str] | None = None
         self.n_lessons = 0
+        self.no_contact_ids: set[str] = set()
         self._lesson: Lesson | None = None
         for line in self._lines():
             wrong = ValueError, TypeError, KeyError, AttributeError, RecursionError
@@ -297,12 +297,16 @@ class Journal:
             undone = self.actions.pop()
             self._change(undone)
             self._drop(undone)
+            if undone.kind == "taught":
+                self.no_contact_ids -= {*undone.ids}
         elif "changed" in line:
             renamed = [(str(old), str(new)) for old, new in line.get("renamed", ())]
             self.changed = {str(name) for name in line["changed"]}
             self.renamed = renamed
-        elif "no_contact" in line and self._lesson is not None:
-            self._lesson.no_contact_ids.add(str(line["no_contact"]))
+        elif "no_contact" in line:
+            self.no_contact_ids.add(str(line["no_contact"]))
+            if self._lesson is not None:
+                self._lesson.no_contact_ids.add(str(line["no_contact"]))
         elif "session" in line:
             session, sensor = line["session"]
             self.session = str(session), str(sensor)

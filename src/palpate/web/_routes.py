@@ -26,6 +26,7 @@ from ..touches import Touches
 from ._episode import episode_report
 from ._images import KINDS, is_miss, read_json, read_picture, thumbnail
 from ._schemas import (
+    LONGEST_TEXT,
     REFUSALS,
     Attempt,
     BaselineOrder,
@@ -48,7 +49,7 @@ from ._schemas import (
     StoredTouch,
 )
 from ._session import LiveSession
-from ._teaching import LONGEST_NAME, Teacher
+from ._teaching import Teacher
 
 _Given = ParamSpec("_Given")
 _Read = TypeVar("_Read")
@@ -185,7 +186,7 @@ Attempted = Annotated[tuple[dict[str, Any], Array | None], Depends(_attempted)]
 PlaceQuery = Annotated[Place, Depends(_place)]
 StoredTouches = Annotated[Teacher, Depends(_teacher)]
 Picture = Annotated[Array, Depends(_picture)]
-NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=LONGEST_NAME)]
+NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=LONGEST_TEXT)]
 
 
 @router.get("/state", response_model=State, tags=["state"])

@@ -12,12 +12,17 @@ from ._teaching import LONGEST_NAME, MOST_PER_LESSON
 _Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Vector = tuple[_Number, _Number, _Number]
 Numbers = Annotated[list[float] | None, Query(min_length=3, max_length=3)]
+LONGEST_TEXT = 1000
+# An object of elsewhere may have a longer name than a new one.
 Name = Annotated[
-    str, Field(min_length=1, max_length=LONGEST_NAME, description="Object's name.")
+    str, Field(min_length=1, max_length=LONGEST_TEXT, description="Object's name.")
 ]
 # What is wrong with a new name says `teachable_name`, in one sentence.
 NewName = Annotated[
-    str, Field(max_length=1000, description="Object's name, 1 to 80 printed characters")
+    str,
+    Field(
+        max_length=LONGEST_TEXT, description="Object's name, 1 to 80 printed characters"
+    ),
 ]
 
 
@@ -273,6 +278,9 @@ class State(BaseModel):
     ]
     learn_error: str
     message: str
+    trouble: Annotated[
+        str, Field(description="Why the last touch could not be taken, or empty.")
+    ] = ""
     health: dict[str, Any]
 
 

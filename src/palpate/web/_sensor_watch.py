@@ -6,6 +6,7 @@ thread they happen in.
 """
 
 import json
+import math
 import queue
 import threading
 import time
@@ -35,6 +36,7 @@ _BASELINE_FRAMES = 10
 _SHOWN_HZ = 45.0
 _STATE_EVERY_S = 1.0
 _RECENT, _COUNTED = 40, 100
+_SILENT_S = 3.0
 
 TakeTouch = Callable[[DetectedTouch, float], None]
 
@@ -178,6 +180,7 @@ class SensorWatch:
         self._stop = threading.Event()
         self._detected: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
         self._threads: list[threading.Thread] = []
+        self._heard_s = math.inf
 
     @cached_property
     def _painter(self) -> FramePainter:
@@ -190,7 +193,7 @@ class SensorWatch:
         if self._threads:
             return
         self.sensor.connect()
-        self.failed = ""
+        self.failed, self._heard_s = "", time.monotonic()
         for work in (self._follow, self._hand_on):
             thread = threading.Thread(target=work, daemon=True)
             self._threads.append(thread)
@@ -204,7 +207,11 @@ class SensorWatch:
             thread.join(timeout=5.0)
 
     def take_baseline(
-        self, *, force: bool = False, ask_press: bool = False, timeout_s: float = 3.0
+        self,
+        *,
+        force: bool = False,
+        ask_press: bool = False,
+        timeout_s: float = _SILENT_S,
     ) -> None:
         """Take the baseline, the frame of touching nothing, from the next frames.
 
@@ -264,7 +271,7 @@ class SensorWatch:
             "name": f"{sensor.name} ({self.address})" if self.address else sensor.name,
             "unit": sensor.unit,
             "shape": list(sensor.image_shape),
-            "lost": self.failed or sensor.lost,
+            "lost": self.failed or sensor.lost or self._silence(),
             "baseline": has_baseline,
             "zero": has_baseline,  # the name before; goes with the next release
             "touching": self.detector.touching,
@@ -276,6 +283,13 @@ class SensorWatch:
             if desk is None
             else {"objects": list(desk.objects), "placed": desk.placed},
         }
+
+    def _silence(self) -> str:
+        """Say that no frames come, where the sensor does not say why."""
+        if time.monotonic() - self._heard_s < _SILENT_S:
+            return ""
+        why = "Check its cable and that it is switched on."
+        return f"{self.sensor.name} gives no frames. {why}"
 
     def _press_to_dict(self) -> dict[str, Any]:
         """Return what is known of the test press; an array reads higher if pressed."""
@@ -338,6 +352,7 @@ class SensorWatch:
                 self._listeners.notify(Event("contact", values))
 
     def _step(self, frame: Frame) -> None:
+        self._heard_s = time.monotonic()
         self._health.count_frame(frame.time_s)
         resting = self._resting
         if resting is not None:

@@ -45,6 +45,7 @@ BEGAN_BEFORE = (
     "That touch began before, perhaps on another thing: it does not count, touch again."
 )
 BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
+TOO_LITTLE = "Too little to learn: at least two objects with two touches each."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
 
@@ -509,7 +510,7 @@ class LiveSession:
                 "quality": self._quality,
                 "no_contact": sorted(
                     self._no_contact_ids.union(
-                        teacher.no_contact_ids if teacher else ()
+                        teacher.journal.no_contact_ids if teacher else ()
                     )
                 ),
                 "advice": self.advice,
@@ -518,6 +519,7 @@ class LiveSession:
                 "unlearnt": self.unlearnt,
                 "learn_error": self.learn_error,
                 "message": self.message,
+                "trouble": self.trouble,
                 "health": self.health.to_dict(),
             }
 
@@ -633,7 +635,7 @@ class LiveSession:
 
     def _on_touch(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
-        teaching = False
+        teaching, was_well = False, not self.trouble
         try:
             with self._lock:
                 if detected.began_s < self._placed_s:
@@ -660,7 +662,7 @@ class LiveSession:
             self.message = self.trouble = str(error)
         except Exception as error:  # of a model's own parts: others do not end with it
             self.message = self.trouble = repr(error)
-        if teaching or self.trouble:
+        if teaching or self.trouble or not was_well:
             self._notify_state()
 
     def _recognise(
@@ -791,12 +793,15 @@ class LiveSession:
                 )
             self.message = message + more
             return
+        if kept := answer["kept"]:
+            raise LearningError(
+                f"{TOO_LITTLE} The model stays as it was, for {kept[0]} is known from "
+                "it alone. Teach another object, then learn."
+            )
         self._use(None)
         path.unlink(missing_ok=True)
         self.teacher.journal.renamed.clear()  # nothing is known from elsewhere
-        raise LearningError(
-            "Too little to learn: at least two objects with two touches each."
-        )
+        raise LearningError(TOO_LITTLE)
 
     @contextmanager
     def _changing(self) -> Iterator[None]:

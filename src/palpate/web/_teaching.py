@@ -97,8 +97,6 @@ class Teacher:
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
         self.elsewhere: set[str] = set()  # objects that the model knows from elsewhere
-        # Of touches taught here that show no contact.
-        self.no_contact_ids: set[str] = set()
         if TouchLibrary.is_library(self.folder):
             _ = self.library
             if self._desk is not None:
@@ -163,7 +161,10 @@ class Teacher:
         for key in keys:
             image = self.library.image(key)
             if image.shape == size:
-                self._add(key, image, baseline, noise)
+                # Judged when it was stored: the baseline of then is not that of now.
+                if key in interrupted.no_contact_ids:
+                    self._mark_no_contact(key)
+                self.lesson.add(key, image, baseline, noise)
         return name
 
     def end(self) -> None:
@@ -273,11 +274,14 @@ class Teacher:
         about = self._described.geometry, channels
         counts = self.lesson.shows_contact(image, baseline, *about)
         if not counts:  # known before it is there, so that it is never counted
-            self.lesson.no_contact_ids.add(key)
-            self.no_contact_ids.add(key)
-            self.journal.add_no_contact(key)
+            self._mark_no_contact(key)
         self.lesson.add(key, image, baseline, noise)
         return counts
+
+    def _mark_no_contact(self, key: str) -> None:
+        assert self.lesson is not None
+        self.lesson.no_contact_ids.add(key)
+        self.journal.add_no_contact(key)
 
     def undo(self) -> tuple[str, str]:
         """Take back what was done last on the page; return the object and what to say.
@@ -288,8 +292,14 @@ class Teacher:
         while (last := self.journal.last) is not None:
             name = self._undo(last)
             self.journal.pop()
+            # As they are called by now, perhaps otherwise than then.
+            keys = (*last.ids, *last.copies)
+            rows = [row for key in keys for row in self._row(key)]
+            self.journal.changed |= {*_objects(rows)}
+            self.journal.learnt()
             if name is not None:
-                return name, UNDONE[last.kind].format(name=name, to=last.to)
+                to = self._name_now(last.to, last.copies)
+                return name, UNDONE[last.kind].format(name=name, to=to)
         raise LibraryError(
             "There is no touch to undo: nothing done on this page is left. "
             "Older ones are removed by their pictures."
@@ -304,7 +314,6 @@ class Teacher:
                 reason = "undone on the page"
                 self.library.retract([row.id for row in left], reason=reason)
             self._drop_from_lesson(last.ids)
-            self.no_contact_ids -= {*last.ids}
             return str(left[0].object) if left else None
         gone = [row.id for row in rows if row.retracted]
         copies = [row.id for key in last.copies for row in self._row(key)]
@@ -444,6 +453,7 @@ class Teacher:
             self._drop_from_lesson(keys)
 
     def to_dict(self) -> dict[str, Any]:
+        last = self.journal.last
         return {
             "folder": str(self.folder.resolve()),
             "objects": [
@@ -451,7 +461,13 @@ class Teacher:
                 for name, count in self._counts().items()
             ],
             "undoable": len(self.journal.actions),
-            "undo": None if self.journal.last is None else self.journal.last.to_dict(),
+            "undo": None
+            if last is None
+            else {
+                "kind": last.kind,
+                "object": self._name_now(last.object, last.ids[:1]),
+                "to": self._name_now(last.to, last.copies),
+            },
             "interrupted": self._interrupted(),
             "changed": sorted(self.journal.changed),
         }

@@ -4,23 +4,39 @@ import { find, say } from "./dom.js";
 
 // Which of several sensors the page is about; what a hand does, all of them do.
 export const here = Math.max(1, parseInt(new URLSearchParams(location.search).get("sensor"), 10) || 1);
-export const OF_ALL = { count: 1, paths: ["teach", "teach/stop", "learn", "place", "episode/start", "episode/end"], desks: new Map() };
+export const OF_ALL = { count: 1, paths: ["teach", "teach/stop", "teach/resume", "learn", "place", "episode/start", "episode/end"], desks: new Map(), interrupted: new Set() };
 
 export const url = (path, number = here) =>
   `/api/${path}${number > 1 ? `${path.includes("?") ? "&" : "?"}sensor=${number}` : ""}`;
 
+const underWay = new Set();
+
+// What is pressed again before it is answered, as on a slow network, is one order.
 export async function post(path, body) {
+  const order = JSON.stringify([path, body]);
+  if (underWay.has(order)) return null;
+  underWay.add(order);
+  try {
+    return await postToAll(path, body);
+  } finally {
+    underWay.delete(order);
+  }
+}
+
+async function postToAll(path, body) {
   const all = OF_ALL.paths.includes(path) && find("as-one").checked;
   for (let number = 1; all && number <= OF_ALL.count; number += 1) {
-    if (number !== here && (path !== "place" || takes(number, body.object))) await postTo(url(path, number), body);
+    if (number !== here && takes(number, path, body)) await postTo(url(path, number), body);
   }
   return postTo(url(path), body);
 }
 
-// Whether something can be put before a sensor: others have desks of their own.
-const takes = (number, object) => {
+// Whether something can be put before a sensor, or a lesson of it can go on: others have
+// desks and lessons of their own.
+const takes = (number, path, body) => {
+  if (path === "teach/resume") return OF_ALL.interrupted.has(number);
   const desk = OF_ALL.desks.get(number);
-  return Boolean(desk && (object === null || desk.objects.includes(object)));
+  return path !== "place" || Boolean(desk && (body.object === null || desk.objects.includes(body.object)));
 };
 
 async function postTo(address, body) {

@@ -2,9 +2,9 @@
 
 import { here, url } from "./api.js";
 import { addTouch, currentEpisode, showEpisode, showNearest, startBelief } from "./belief.js";
-import { find, say, show } from "./dom.js";
+import { find, say, show, text } from "./dom.js";
 import { startEditor } from "./editor.js";
-import { showObjects, startObjects } from "./objects.js";
+import { doubtObjects, showObjects, startObjects } from "./objects.js";
 import { drawFrame, showHealth, showOffline, showSensor, startSensor } from "./sensor.js";
 import { drawTile, showMixed, showSensors } from "./sensors.js";
 import { listen } from "./socket.js";
@@ -24,7 +24,9 @@ const handlers = {
     showEpisode(state.episode, state.alarm);
     showNearest(state.nearest);
     showObjects(state);
-    if (message !== null && state.message !== message && state.message) say(state.message);
+    show(find("trouble"), state.trouble !== "");
+    text(find("trouble"), state.trouble);
+    if (message !== null && ![message, state.trouble, ""].includes(state.message)) say(state.message);
     message = state.message;
   },
   async touch({ episode, nearest }) {
@@ -69,6 +71,7 @@ listen({
     document.body.dataset.online = String(whether);
     for (const part of [find("steps"), document.querySelector("main")]) part.inert = !whether;
     if (whether) return;
+    doubtObjects();
     showOffline();
     showNoStep();
   },

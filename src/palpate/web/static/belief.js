@@ -5,7 +5,7 @@ import { get, post, url } from "./api.js";
 import { decided, drawn, find, make, percent, pictures, pressable, show, step, text, unbroken } from "./dom.js";
 import { openPicture, openStored } from "./editor.js";
 import { marked } from "./marks.js";
-import { teachThese } from "./teach.js";
+import { keepOf, teachThese } from "./teach.js";
 
 const SHOWN = 6;
 const OTHERS = "var(--c7)";
@@ -39,7 +39,9 @@ const pictured = () => episode.touches.filter(({ miss }) => !miss).length;
 
 // Where touches look as if they were of another sensor, a doubt stands beside the name.
 export function showEpisode(whole, alarm = "") {
+  const goesOn = episode?.number === whole.number && whole.touches.length >= episode.touches.length;
   episode = whole;
+  keepOf(goesOn ? pictured() : 0);
   alarmText = alarm;
   alarmed = alarm !== "" && whole.touches.length > 0 && whole.decision !== "unknown";
   draw();
@@ -213,11 +215,12 @@ function band(at, y, height, fill) {
 }
 
 function drawStrip(touches) {
-  pictures(find("strip"), touches.map(({ number, miss }) => {
-    if (miss) return { key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number} met nothing` };
-    const src = url(`episode/touches/${number}/picture?episode=${episode.number}`);
-    const large = url(`episode/touches/${number}/picture?episode=${episode.number}&side=480`);
-    return { key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number}`, src,
+  // By its time: a server that started again counts from 1, and a browser keeps pictures.
+  pictures(find("strip"), touches.map(({ number, miss, time_s: key }) => {
+    if (miss) return { key, label: String(number), alt: `Touch ${number} met nothing` };
+    const src = url(`episode/touches/${number}/picture?time_s=${key}`);
+    const large = `${src}&side=480`;
+    return { key, label: String(number), alt: `Touch ${number}`, src,
       open: () => openPicture(large, `Touch ${number}`) };
   }));
 }

@@ -39,11 +39,13 @@ export function show(element, whether) {
 export function pictures(list, items) {
   const old = new Map([...list.children].map((item) => [item.dataset.key, item]));
   list.replaceChildren(...items.map(({ key, label, alt, src, open }) => {
-    const kept = old.get(key);
+    const kept = old.get(String(key));
+    if (kept) {
+      text(kept.lastChild, label);
+      return kept;
+    }
     const picture = src ? make("img", { class: "thumb", alt, src }) : make("span", { class: "thumb missed", role: "img", "aria-label": alt }, "×");
-    if (!kept) return make("li", { "data-key": key }, pressable(picture, src && open), label);
-    text(kept.lastChild, label);
-    return kept;
+    return make("li", { "data-key": key }, pressable(picture, src && open), label);
   }));
 }
 

@@ -16,6 +16,9 @@ export function startObjects() {
   find("order").addEventListener("change", () => showObjects(newest));
 }
 
+// What happened to their touches is not known.
+export const doubtObjects = () => cards.forEach((card) => { delete card.dataset.count; });
+
 export function showObjects(state) {
   newest = state;
   const { library, model, quality } = state;
@@ -124,6 +127,7 @@ async function showThumbs(card, place, name, count) {
     if (!part) return;
     ids.push(...part);
   }
+  if (card.dataset.count !== String(count)) return; // it changed meanwhile
   const old = new Map([...place.children].map((item) => [item.dataset.key, item]));
   const focused = place.contains(document.activeElement);
   place.replaceChildren(...ids.map(({ id }) => old.get(id) ?? thumb(id, name, card)));

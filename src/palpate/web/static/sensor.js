@@ -19,8 +19,9 @@ export function startSensor() {
   find("press-keep").addEventListener("click", () => post("baseline/keep"));
   find("press-undo").addEventListener("click", () => post("baseline/undo"));
   find("numbers").addEventListener("change", showNumbers);
-  find("placed").addEventListener("change", ({ target }) =>
-    post("place", { object: target.value === "" ? null : target.value }));
+  find("placed").addEventListener("change", async ({ target }) => {
+    if (!await post("place", { object: target.value === "" ? null : target.value })) target.value = target.dataset.placed;
+  });
 }
 
 // The newest picture of each sensor; `shown` is called with what is drawn of any.
@@ -165,13 +166,16 @@ function showDesk(desk) {
   show(find("desk"), desk !== null);
   if (!desk) return;
   const select = find("placed");
+  const placed = desk.placed ?? "";
   if (select.dataset.objects !== desk.objects.join("\n")) {
+    delete select.dataset.placed;
     select.dataset.objects = desk.objects.join("\n");
     select.replaceChildren(
       make("option", { value: "" }, "nothing"),
       ...desk.objects.map((name) => make("option", { value: name }, name)));
   }
-  if (document.activeElement !== select) select.value = desk.placed ?? "";
+  if (select.dataset.placed === placed) return; // what is being chosen stays
+  select.dataset.placed = select.value = placed;
 }
 
 function showPress(press) {
@@ -183,9 +187,10 @@ function showPress(press) {
       : "This is what changed. Does it look like your press?");
   const picture = find("press-picture");
   show(picture, press.found);
+  if (!press.found) delete picture.dataset.number;
   if (press.found && picture.dataset.number !== String(press.number)) {
     picture.dataset.number = String(press.number);
-    picture.src = url(`baseline/press?number=${press.number}`);
+    picture.src = url(`baseline/press?time_ms=${Date.now()}`);
   }
   show(find("press-keep"), press.found && !press.lower);
   text(find("press-undo"), press.found ? "No, undo it" : "Undo the baseline");

@@ -6,9 +6,12 @@ import { decided, find, make, percent, show, text } from "./dom.js";
 
 const NOTHING_LEARNT = "nothing learnt";
 const tiles = new Map();
+let taught = ""; // the object of the lesson under way
 
 // Take in news of any sensor, chosen or not.
-export function showSensors({ kind, sensor_number: number, sensor, episode }) {
+export function showSensors({ kind, sensor_number: number, sensor, episode, lesson, library }) {
+  if (kind === "state" && number === here) taught = lesson?.name ?? "";
+  if (kind === "state") OF_ALL.interrupted[library?.interrupted ? "add" : "delete"](number);
   if (!tiles.has(number)) addTile(number);
   const tile = tiles.get(number);
   if (sensor) {
@@ -42,10 +45,10 @@ function addTile(number) {
 }
 
 // What lies before the sensors, where that differs and all of them are taught, or is
-// another thing of theirs than the one that is named; else "".
+// another thing of theirs than the one that is taught or named; else "".
 export function mixed() {
   const desk = OF_ALL.desks.get(here);
-  const named = find("name").value.trim();
+  const named = nameTaught();
   if (OF_ALL.count < 2 || !find("as-one").checked) {
     return desk?.placed && desk.placed !== named && desk.objects.includes(named) ? desk.placed : "";
   }
@@ -53,6 +56,8 @@ export function mixed() {
     .map(([number, desk]) => [number, desk.placed]);
   return new Set(placed.map(([, name]) => name)).size > 1 ? placed.map((one) => one.join(": ")).join(", ") : "";
 }
+
+const nameTaught = () => taught || find("name").value.trim();
 
 // Whether all that are taught can have the same thing before them.
 export function canPlace(name) {
@@ -64,7 +69,8 @@ export function showMixed() {
   const words = mixed();
   show(find("mixed"), words !== "");
   if (OF_ALL.count < 2 || !find("as-one").checked) {
-    text(find("mixed"), words && `On the desk lies ${words}: its touches would be stored as ${find("name").value.trim()}. Start asks whether to put that there.`);
+    const are = taught ? "are" : "would be";
+    text(find("mixed"), words && `On the desk lies ${words}: its touches ${are} stored as ${nameTaught()}.${taught ? "" : " Start asks whether to put that there."}`);
     return;
   }
   text(find("mixed"), words && `Different things lie before the sensors (${words}): all would be stored under one name. `

@@ -1,12 +1,11 @@
 // Teaching: a name, so many touches, undo, learn.
 
-import { get, OF_ALL, post, url } from "./api.js";
+import { OF_ALL, post, url } from "./api.js";
 import { chosen, drawn, find, make, pictures, show, step, text, unbroken } from "./dom.js";
 import { openStored } from "./editor.js";
 import { canPlace, mixed } from "./sensors.js";
 import { learnable } from "./steps.js";
 
-const SHOWN = 12;
 let keeping = 0;
 
 export function startTeach() {
@@ -22,14 +21,23 @@ export function startTeach() {
 
 // The touches just made become the first of the object that is named next, or of `name`.
 export function teachThese(count, name = "") {
-  keeping = count;
-  show(find("first-touches"), count > 0);
-  sayKept();
+  keep(count);
   if (count) find("name").focus();
   if (name === "") return;
   find("name").value = name;
   find("name").setCustomValidity("");
   find("lesson").requestSubmit(find("start"));
+}
+
+// They are of one episode: more as it goes on, none once it is over.
+export function keepOf(count) {
+  if (keeping && keeping !== count) keep(count);
+}
+
+function keep(count) {
+  keeping = count;
+  show(find("first-touches"), count > 0);
+  sayKept();
 }
 
 function sayKept() {
@@ -107,7 +115,7 @@ function showButtons(library, model, learning, sensor, error) {
   text(find("why-not"), why.join(" "));
 }
 
-async function showLesson({ name, wanted, done, stored, no_contact: silent, map, n_new: differ, prompt }) {
+function showLesson({ name, wanted, done, stored, newest, no_contact: silent, map, n_new: differ, prompt }) {
   text(find("progress-text"), `Touch ${name}: ${done} of ${wanted} are stored.` + (silent.length ? ` ${silent.length} more without contact.` : ""));
   find("bar").max = wanted;
   find("bar").value = done;
@@ -115,16 +123,13 @@ async function showLesson({ name, wanted, done, stored, no_contact: silent, map,
   text(find("elsewhere"), prompt);
   showVariety(map, stored, differ);
   const list = find("lesson-strip");
-  const now = `${name} ${stored} ${silent}`;
+  const now = `${name} ${newest} ${silent}`;
   if (list.dataset.shown === now) return;
   list.dataset.shown = now;
-  const few = Math.min(SHOWN, stored);
-  const ids = few ? await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${few}`) : [];
-  if (!ids || list.dataset.shown !== now) return;
   const like = new Map(map.map((one) => [one.number, one.like ? `${one.number} ≈ ${one.like}` : String(one.number)]));
-  const first = stored - few + 1;
+  const first = stored - newest.length + 1;
   const about = (number) => silent.includes(number) ? `${number} no contact` : like.get(number);
-  pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${first + at} of ${name}`,
+  pictures(list, newest.map((id, at) => ({ key: id, alt: `Touch ${first + at} of ${name}`,
     label: about(first + at), src: url(`touches/${id}/picture`), open: () => openStored(id, name, find("stop")) })));
 }
 
