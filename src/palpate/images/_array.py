@@ -4,7 +4,8 @@ Dead taxels are filled, the image is enlarged, gamma raises the low grey levels,
 filter removes what is far below the mean, and Otsu's threshold, partition by
 partition, makes the image binary. Each step is a function; `ArrayCleanUp` is the
 chain. Arrays of any shape are accepted, 10 x 10 taxels to 33 x 33 pixels being the
-paper's (doi:10.1155/2014/497275). `ChannelMean` brings several channels to grey.
+paper's (doi:10.1155/2014/497275). `ChannelMean` brings several
+channels to grey, or to how much they change.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sklearn.utils import Tags
 
 from .. import _checks
 from .._checks import check_count, check_images, check_option, check_positive
-from .._image_estimator import ImageEstimator
+from .._image_estimator import ImageEstimator, baseline_frames
 from .._numbers import otsu_thresholds
 from .._types import Array, Bools, Floats
 
@@ -294,22 +295,51 @@ def _solve(images: Floats, is_dead: Bools) -> Floats:
 class ChannelMean(ImageEstimator, by_channel=False):
     """Bring images of several channels to grey, their mean; grey ones stay.
 
+    Parameters
+    ----------
+    baseline : {"median"}, image or None, default=None
+        What is taken off each image first; see `palpate.encodings.GridLevels`.
+    squared : bool, default=False
+        The root of the mean square of the channels in place of their mean: how large a
+        force or a change of colour is, whichever way it points.
+
+    Attributes
+    ----------
+    baseline_ : ndarray of the shape of an image
+        What is taken off; 0 without a baseline.
+
     Examples
     --------
     >>> import numpy as np
     >>> from palpate.images import ChannelMean
-    >>> colour = np.zeros((2, 10, 10, 3), np.uint8)
-    >>> ChannelMean().fit_transform(colour).shape
-    (2, 10, 10)
+    >>> forces = np.array([[[[3.0, 4.0], [-4.0, 3.0]]]])
+    >>> ChannelMean().fit_transform(forces)
+    array([[[ 3.5, -0.5]]])
+    >>> ChannelMean(squared=True).fit_transform(forces).round(2)
+    array([[[3.54, 3.54]]])
     """
+
+    def __init__(
+        self, baseline: str | ArrayLike | None = None, squared: bool = False
+    ) -> None:
+        self.baseline, self.squared = baseline, squared
+
+    def _learn(self, images: Array) -> None:
+        check_option("squared", self.squared, (False, True))
+        self.baseline_ = np.zeros(1)
+        if self.baseline is not None:
+            self.baseline_ = np.median(baseline_frames(self.baseline, images), axis=0)
 
     def transform_checked(self, images: Array) -> Array:
         """Return images of shape (n_touches, n_rows, n_cols)."""
+        kind = np.result_type(images.dtype, np.float32)
+        if self.baseline is not None:
+            images = images - self.baseline_.astype(kind)
         if images.ndim == 3:
             return images
         # Channel by channel: `mean` over so short an axis takes several times as long.
-        mean: Floats = images[..., 0].astype(np.result_type(images.dtype, np.float32))
-        for channel in range(1, images.shape[3]):
-            mean += images[..., channel]
-        mean /= images.shape[3]
-        return mean
+        grey: Floats = np.zeros(images.shape[:3], dtype=kind)
+        for channel in np.moveaxis(images, -1, 0):
+            grey += np.square(channel, dtype=kind) if self.squared else channel
+        grey /= images.shape[3]
+        return np.sqrt(grey) if self.squared else grey

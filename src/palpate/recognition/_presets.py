@@ -254,18 +254,30 @@ def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any
     Of the latter nothing is taken off where `rest`, what it reads untouched, is not
     known: a median of touches would not move with them.
     """
+    size = ChannelMean(rest, squared=True)
+    encodings = _plane_encodings(touches, rest, size)
+    principal = PrincipalShare(KEPT_SHARE)
     spectrum = GridLevels(FEW_CELLS, spectrum=True, baseline=rest, pads=touches.pads)
-    encodings = _plane_encodings(touches, rest)
-    encodings["levels apart from place"] = [spectrum, PrincipalShare(KEPT_SHARE)]
+    encodings["levels apart from place"] = [spectrum, principal]
+    if touches.images.ndim == 4:
+        spectrum = GridLevels(FEW_CELLS, spectrum=True, pads=touches.pads)
+        encodings["sizes apart from place"] = [size, spectrum, principal]
     if min(touches.images.shape[1:3]) < FEW_TAXELS:
         encodings |= _taxel_encodings(touches)
     return encodings
 
 
-def _plane_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any]]:
-    """Encodings of a gel, pins or an array, whose picture is looked at as it is."""
+def _plane_encodings(
+    touches: Touches, rest: Array | None, size: ChannelMean | None = None
+) -> dict[str, list[Any]]:
+    """Encodings of a gel, pins or an array, whose picture is looked at as it is.
+
+    What tells shapes looks at the `size` of a change: a force, or a slope of a gel that
+    is lit in colours, points another way wherever it is turned.
+    """
     principal = PrincipalShare(KEPT_SHARE)
     baseline = "median" if rest is None else rest
+    size = ChannelMean(baseline, squared=True) if size is None else size
     levels = {
         "levels": GridLevels(baseline=baseline),
         "blurred levels": GridLevels(blur=1.0, baseline=baseline),
@@ -274,14 +286,20 @@ def _plane_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any
     encodings = {name: [grid, principal] for name, grid in levels.items()}
     pads = touches.pads
     if pads is not None and len(pads) > 1:
-        return encodings | {"shapes on the pads": [PadShapes(pads), StandardScaler()]}
+        shapes = [size, PadShapes(pads), StandardScaler()]
+        return encodings | {"shapes on the pads": shapes}
     encodings |= {
         "edges": [EdgeHistograms(), principal],
-        "moments about the centroid": [CentroidMoments(), RootScaler(), principal],
-        "moments on the disc": [ChannelMean(), DomeCrop(), *_moments(touches)],
+        "moments about the centroid": [
+            size,
+            CentroidMoments(),
+            RootScaler(),
+            principal,
+        ],
+        "moments on the disc": [size, DomeCrop(), *_moments(touches)],
     }
     if min(touches.images.shape[1:3]) >= FINE_TAXELS:
-        encodings["patterns on rings"] = [ChannelMean(), RingPatterns(), principal]
+        encodings["patterns on rings"] = [size, RingPatterns(), principal]
     return encodings
 
 
