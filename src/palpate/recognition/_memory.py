@@ -405,8 +405,6 @@ def labelled(X: Any, y: ArrayLike | None, label: str) -> Touches | TouchSource:
     """Return what is to be learnt as touches with labels, or explain."""
     if isinstance(X, Touches | TouchSource) and y is None:
         return X
-    if isinstance(X, list) and X and isinstance(X[0], Touches) and y is None:
-        return as_touches(X)
     if y is None:
         raise TypeError(
             f"touches must be Touches, got {type(X).__name__} without labels. "
