@@ -250,7 +250,8 @@ class Memory:
                 continue
             copies = _copies(self.features[rows], _SAME**2)
             touch = connected_components(copies, directed=False)[1]
-            pairs = np.unique(np.stack([touch, _codes(self.sessions[rows])]), axis=1)
+            session = np.unique(self.sessions[rows], return_inverse=True)[1]
+            pairs = np.unique(np.stack([touch, session]), axis=1)
             copied[rows] = np.bincount(pairs[0])[touch] > 1
         return copied
 
@@ -514,10 +515,6 @@ def left_out_groups(
         if n_met(objects, visits).min() > 1:
             return np.asarray(np.unique(visits, return_inverse=True)[1])
     return blocks_in_order(objects, touches.order)
-
-
-def _codes(names: Array) -> Indices:
-    return np.asarray(np.unique(names, return_inverse=True)[1])
 
 
 def n_met(objects: Array, visits: Array) -> Indices:

@@ -292,17 +292,16 @@ def in_another_session(
     touches: Touches,
     ranges: Ranges,
     rng: np.random.Generator,
-    rest: tuple[Floats, float] | None = None,
+    rest: tuple[Floats, float],
 ) -> Array:
     """Return images as an invented session would show them, in their own type.
 
     `rest` is what `at_rest` returns for them.
     """
-    images, dead = np.asarray(touches.images, dtype=np.float64), None
-    if touches.images.dtype.kind not in "ui":
-        dead, images = np.isnan(images), np.nan_to_num(images)
+    dead, kind = np.isnan(touches.images), touches.images.dtype
+    images = np.nan_to_num(touches.images.astype(np.float64), copy=False)
     shape, colours = images.shape[1:3], images.shape[3:]
-    still, signal = at_rest(touches) if rest is None else rest
+    still, signal = rest
     gains = np.exp(rng.normal(0, ranges.gain) + rng.normal(0, ranges.taxels, shape))
     slope = rng.normal(0, 1, 2) * ranges.slope
     down, across = (np.linspace(-1, 1, n) for n in shape)
@@ -316,12 +315,9 @@ def in_another_session(
     if ranges.shift:
         images = np.stack([_shifted(i, where, touches.pads) for i in images])
     images = images + np.where(still != 0, zero, 0.0)
-    kind = touches.images.dtype
     if kind.kind in "ui":
         limits = np.iinfo(kind)
         return np.clip(np.rint(images), limits.min, limits.max).astype(kind)
-    if dead is None or not dead.any():
-        return images
     return np.where(dead, np.nan, images)
 
 
