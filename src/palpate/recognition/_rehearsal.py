@@ -98,25 +98,25 @@ def rehearse(
     sessions_known = "sessions" in memory.units[1]
     taught = memory.features, memory.labels, memory.blocks
     moved = _and_confirmed(drawn, memory, parts)
-    rehearsal = rehearsed(pool, *taught, weighing, moved, sessions_known)
-    right, confirmed = np.split(rehearsal.right, [N_SESSIONS + 1])
+    pool, share, of_all = rehearsed(pool, *taught, weighing, moved, sessions_known)
+    right, confirmed = np.split(of_all, [N_SESSIONS + 1])
     report: dict[str, Any] = {
-        "share": rehearsal.share,
+        "share": share,
         "told_by": _left_out_by(memory) if sessions_known else "rehearsed sessions",
     }
     # Of few touches drawn none may be of a group that others are told apart without.
-    if is_asked := bool(np.isfinite(rehearsal.right).all()):
+    if is_asked := bool(np.isfinite(of_all).all()):
         report["right"] = [float(share) for share in right]
     report["drawn"] = [name for name, size in vars(ranges).items() if size]
     # Of a dome less is drawn than another mounting does.
     if is_asked and geometry != "dome":
-        report["expected"] = _expected(rehearsal.pool, memory, right[0], right[1:])
+        report["expected"] = _expected(pool, memory, right[0], right[1:])
         if len(confirmed):
-            report["confirmed"] = _expected(rehearsal.pool, memory, right[0], confirmed)
-    if rehearsal.pool.takes_weights:
-        replays = [*_replays(rehearsal.pool, memory, drawn, parts, seed)]
+            report["confirmed"] = _expected(pool, memory, right[0], confirmed)
+    if pool.takes_weights:
+        replays = [*_replays(pool, memory, drawn, parts, seed)]
         report["trust"] = _trust_in_one(replays)
-    return rehearsal.pool, report
+    return pool, report
 
 
 def _seen_by(encoder: TouchEncoder, ranges: Ranges | None) -> Ranges | None:
