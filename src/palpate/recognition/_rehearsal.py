@@ -63,7 +63,7 @@ RANGES = {
     "dome": Ranges(slope=0.07, shift=0.01),
     "array": Ranges(gain=0.3, taxels=0.2, zero=0.1, shift=1 / 30),
     "plane": Ranges(gain=0.3, taxels=0.2, zero=0.1, shift=1 / 30, colours=0.1),
-    "none": None,
+    "none": Ranges(),
 }
 # What encodings may be blind to, and the range of it.
 CHANGES = {"shifts": "shift", "gain": "gain"}
@@ -82,11 +82,11 @@ def rehearse(
     Of what `pool` learnt as `memory` of `touches`.
     """
     ranges = _seen_by(encoder, RANGES[geometry])
-    n_touches, n_labels = len(memory), len(memory.classes)
-    if ranges is None or KernelRidgeClassifier.learns_by_landmarks(n_touches, n_labels):
-        unknown = "how sessions change vectors is not known"
-        why = "too much was taught at once" if ranges else unknown
-        return pool, {"share": 0.0, "why": why}
+    changes = [name for name, size in vars(ranges).items() if size]
+    if not changes:
+        return pool, {"share": 0.0, "why": "how sessions change vectors is not known"}
+    if KernelRidgeClassifier.learns_by_landmarks(len(memory), len(memory.classes)):
+        return pool, {"share": 0.0, "why": "too much was taught at once"}
     rows = _rows(memory)
     shown = touches_of(touches, rows)
     drawn = draw_sessions(encoder, shown, ranges, memory, rows, seed)
@@ -107,7 +107,7 @@ def rehearse(
     # Of few touches drawn none may be of a group that others are told apart without.
     if is_asked := bool(np.isfinite(of_all).all()):
         report["right"] = [float(share) for share in right]
-    report["drawn"] = [name for name, size in vars(ranges).items() if size]
+    report["drawn"] = changes
     # Of a dome less is drawn than another mounting does.
     if is_asked and geometry != "dome":
         report["expected"] = _expected(pool, memory, right[0], right[1:])
@@ -119,10 +119,8 @@ def rehearse(
     return pool, report
 
 
-def _seen_by(encoder: TouchEncoder, ranges: Ranges | None) -> Ranges | None:
+def _seen_by(encoder: TouchEncoder, ranges: Ranges) -> Ranges:
     """Return ranges without that which all encodings in use are blind to."""
-    if ranges is None:
-        return None
     blind = [encoder.blind_to(name) for name in encoder.encodings]
     of_all = frozenset.intersection(*blind)
     return replace(ranges, **{CHANGES[name]: 0.0 for name in CHANGES.keys() & of_all})
