@@ -16,6 +16,7 @@ from palpate.recognition._rehearsal import (
     _and_confirmed,
     _replays,
     _trust_in_one,
+    at_rest,
     in_another_session,
 )
 from palpate.recognition._rehearsed import Drawn
@@ -158,10 +159,14 @@ def test_nothing_is_drawn_that_all_encodings_are_blind_to(presentation, changes,
     assert "expected" in record
 
 
+def another(touches, rng, **ranges):
+    return in_another_session(touches, Ranges(**ranges), rng, at_rest(touches))
+
+
 def test_a_drawn_session_changes_all_touches_alike():
     touches = _presses(3, 0)
     rng = np.random.default_rng(1)
-    images = in_another_session(touches, Ranges(gain=0.3, taxels=0.2), rng)
+    images = another(touches, rng, gain=0.3, taxels=0.2)
     gains = images / touches.images
     # One gain a taxel, whatever the touch.
     assert np.ptp(gains, axis=0).max() < 1e-9
@@ -173,7 +178,7 @@ def test_nothing_is_added_where_rest_is_zero_and_types_are_kept():
     levels[:, 3:6, 3:6] = 200
     touches = Touches(levels, geometry="array")
     rng = np.random.default_rng(2)
-    images = in_another_session(touches, Ranges(zero=0.3, gain=1.0), rng)
+    images = another(touches, rng, zero=0.3, gain=1.0)
     assert images.dtype == np.uint8
     away = np.ones((SIDE, SIDE), dtype=bool)
     away[3:6, 3:6] = False
@@ -188,7 +193,7 @@ def test_pads_are_moved_one_by_one_and_gaps_stay():
     pads = [[0, 0, 8, 8], [0, 9, 8, 8]]
     touches = Touches(images, geometry="array", pads=pads)
     rng = np.random.default_rng(3)
-    moved = in_another_session(touches, Ranges(shift=0.3), rng)
+    moved = another(touches, rng, shift=0.3)
     assert_array_equal(np.isnan(moved), np.isnan(images))
     assert not moved[:, :, 9:].any()  # what left the first pad is not on the other
 

@@ -315,14 +315,6 @@ def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
     assert again.belief_model().categories.tolist()[-1] == "mug"
 
 
-def test_a_promise_stands_for_the_touches_that_were_left_out(kinds):
-    recogniser, touches = kinds
-    promise = recogniser.start().update(touches[:3]).promise(0.2)
-    assert promise == recogniser.strangers_.promise(0.2)
-    assert promise.n_units == 6
-    assert "recorded as when they were learnt" in promise.population
-
-
 def test_a_thing_that_was_never_learnt_is_unknown_or_undecided():
     """Patterns of noise on 24 electrodes; twenty are met for the first time."""
     rng = np.random.default_rng(8)

@@ -174,12 +174,12 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     start = time.perf_counter()
     recogniser.fit(train)
     seconds = {"learn": time.perf_counter() - start}
-    _test_labels(test, plan.label, recogniser)
+    _check_labels(test, plan.label, recogniser)
     progress(f"{fold.name}: recognising {len(test)} touches")
     recognisers, test, evidence, confirmed = _remounted(recogniser, test, plan)
     *_, recogniser = recognisers.values()
     timing = _timed(recogniser, test)
-    labels = _test_labels(test, plan.label, recogniser)
+    labels = test.columns[plan.label]
     objects = labels if test.object is None else test.object
     of_test = evidence.log_likelihood, objects, labels, plan.orders, plan.seed
     flagged = Counter(filter(None, evidence.flags))
@@ -216,8 +216,7 @@ def _remounted(
     order = np.arange(len(test)) if order is None else order
     in_order = np.argsort(order, kind="stable")
     if way == "confirm":
-        labels_in_order = _test_labels(test, plan.label, recogniser)
-        names = labels_in_order if test.object is None else test.object
+        names = test.columns[plan.label] if test.object is None else test.object
         first = [in_order[names[in_order] == n][:number] for n in np.unique(names)]
         confirmed = np.isin(np.arange(len(test)), np.concatenate(first))
         if confirmed.all():
@@ -231,16 +230,15 @@ def _remounted(
         return {None: recogniser}, tested, evidence, test[confirmed]
     labels = [name for name in ("object", "category") if name in test.columns]
     session = np.zeros(len(test)) if test.session is None else test.session
+    recognisers, all_rows, parts = {}, [], []
     names, codes = np.unique(session, return_inverse=True)
-    of_sessions = {s: in_order[codes[in_order] == k] for k, s in enumerate(names)}
-    recognisers = {s: copy(recogniser) for s in of_sessions}
-    for s, rows in of_sessions.items():
-        recognisers[s].remount(test[rows[:number]].without(*labels))
-    evidence = Evidence.together(
-        [recognisers[s].evidence(test[rows]) for s, rows in of_sessions.items()]
-    )
-    tested = test[np.concatenate([*of_sessions.values()])]
-    return recognisers, tested, evidence, None
+    for k, s in enumerate(names):
+        rows = in_order[codes[in_order] == k]
+        unlabelled = test[rows[:number]].without(*labels)
+        recognisers[s] = copy(recogniser).remount(unlabelled)
+        parts.append(recognisers[s].evidence(test[rows]))
+        all_rows.append(rows)
+    return recognisers, test[np.concatenate(all_rows)], Evidence.together(parts), None
 
 
 def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:
@@ -256,15 +254,13 @@ def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:
     }
 
 
-def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Array:
-    labels = column_of(test, label)
-    new = np.setdiff1d(labels, recogniser.classes_)
+def _check_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> None:
+    new = np.setdiff1d(column_of(test, label), recogniser.classes_)
     if len(new):
         raise ValueError(
             f"test touches hold {label} {str(new[0])!r}, which was not learnt "
             f"({len(new)} such labels). Leave them out, or pass them as `unknown`."
         )
-    return labels
 
 
 def _meet_unknown(
@@ -366,7 +362,7 @@ def _strangers_aside_message(figures: dict[str, Any]) -> str:
     "" where nearly as many are named right then as the most probable one is.
     """
     ends = figures.get("decision")
-    right = max([0.0, *list(figures["accuracy"].values())[-1:]])
+    *_, right = figures["accuracy"].values()
     if not ends or ends["right"] >= (right - _GAIN) * ends["n_episodes"]:
         return ""
     n_episodes, n_named, n_wrong = ends["n_episodes"], ends["right"], ends["wrong"]
@@ -395,8 +391,6 @@ def _too_many_named(figures: dict[str, Any]) -> bool:
 def _verdict(figures: dict[str, Any]) -> str:
     """Return one sentence: whether known objects are told apart well, and why."""
     accuracy = figures["accuracy"]
-    if not accuracy:
-        return "Nothing can be said: no object has as many test touches as asked for."
     n_taught, n_test = figures["n_test_touches_taught"], figures["n_test_touches"]
     if n_taught >= _TAUGHT_SHARE * n_test:
         return (
@@ -454,8 +448,6 @@ def recommendations(figures: dict[str, Any], trials: Sequence[Trial]) -> list[st
 
 def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     accuracy = figures["accuracy"]
-    if not accuracy:
-        return
     *_, last = accuracy
     best = accuracy[last]
     idle = figures["flags"].get("no contact", 0.0)

@@ -270,7 +270,7 @@ def _other_day(figures: dict[str, Any]) -> str:
     accuracy = figures["accuracy"]
     if figures["split"] == "unseen-objects":
         return ""
-    if not (figures["elsewhere"] and accuracy):
+    if not figures["elsewhere"]:
         return sessions_message(figures["sessions"])
     visit = figures["split"] if figures["split"] in VISITS else ""
     k, *_ = accuracy

@@ -25,7 +25,6 @@ MOST_FOLDS = 20
 RECORDING = ("object", "session", "part")
 PRESS = ("press", "episode", "squeeze", "idle_of")
 
-Rows = Indices
 TestMasks = Iterator[tuple[str, Bools]]
 
 
@@ -60,8 +59,8 @@ class RowFold(NamedTuple):
     """A fold by row numbers: what is asked, in words, and who teaches and is asked."""
 
     name: str
-    train: Rows
-    test: Rows
+    train: Indices
+    test: Indices
 
 
 def split_touches(touches: Touches, split: str, label: str = "object") -> list[Fold]:
@@ -278,7 +277,7 @@ PROTOCOLS: dict[str, Callable[[Touches, int, int], TestMasks]] = {
 }
 
 
-def _places(touches: Touches) -> tuple[Rows, Rows, Rows]:
+def _places(touches: Touches) -> tuple[Indices, Indices, Indices]:
     """Return each touch's press, counted within its recording, and how many it has.
 
     Also the number of the recording; all of shape (n_touches,).
@@ -298,7 +297,7 @@ def _places(touches: Touches) -> tuple[Rows, Rows, Rows]:
     return place, count, recording
 
 
-def _codes(touches: Touches, *names: str) -> Rows:
+def _codes(touches: Touches, *names: str) -> Indices:
     """Number the touches by what these columns hold together, where there are any."""
     codes = np.zeros(len(touches), dtype=np.intp)
     for name in filter(touches.columns.__contains__, names):

@@ -17,4 +17,5 @@ from ._sentences import OTHER_SESSION as OTHER_SESSION
 from ._sentences import few_objects_warning as few_objects_warning
 from ._sentences import teaching_advice as teaching_advice
 from ._sentences import touch_note as touch_note
+from ._strangers import episode_evidence as episode_evidence
 from ._user_parts import Modality as Modality

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
@@ -83,21 +83,6 @@ class BeliefModel:
         if prior is None:
             return self.log_prior
         return _evidence.given_prior(prior, self.classes)
-
-    def uncalibrated(self) -> Self:
-        """Return this as if touches of one episode added up in full."""
-        return replace(self, sequence_calibration=_evidence.SequenceCalibration())
-
-    def after_each(
-        self, floored: Floats, each: Floats, log_distances: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return log posteriors and the evidence for a stranger after each touch.
-
-        Of many episodes at once, see `episode_evidence`.
-        """
-        tables = floored, each, log_distances
-        how = self.log_prior, self.sequence_calibration, self.strangers
-        return _strangers.episode_evidence(*tables, *how)
 
 
 class Belief:

@@ -126,7 +126,7 @@ class ContactCheck(BaseEstimator):
             return np.asarray(unlike < min(1 - SAME, QUIET * self.typical_))
         return np.zeros(len(cleaned), dtype=bool)
 
-    def learn_poses(self, encoder: TouchEncoder, left_out: Floats) -> Self:
+    def learn_poses(self, encoder: TouchEncoder, left_out: Floats) -> None:
         """Learn how new left-out training touches (n_touches, n_encodings) are.
 
         To encodings that see turns, and to those that are blind to them: of ours these
@@ -140,12 +140,6 @@ class ContactCheck(BaseEstimator):
                 for new in _by_sight(left_out, self.blind_)
             ]
         )
-        return self
-
-    def with_poses_of(self, other: Self) -> Self:
-        """Return this with what another has learnt of poses."""
-        self.blind_, self.usual_ = other.blind_, other.usual_
-        return self
 
     def flags(
         self, touches: Touches, cleaned: Array, novelty: Floats | None = None

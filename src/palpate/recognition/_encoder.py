@@ -239,9 +239,7 @@ class TouchEncoder(Encoder, BaseEstimator):
                 " Bring the arrays to these places, or learn again."
             )
 
-    def check_channels(
-        self, images: Array, channels: tuple[str, ...] | None = None
-    ) -> None:
+    def check_channels(self, images: Array, channels: tuple[str, ...] | None) -> None:
         """Refuse images in colour where grey ones were learnt, and the reverse.
 
         And the same `channels` in another order.

@@ -124,17 +124,15 @@ class Episode:
         return self.sentence
 
     def _add(self, touch: Any, options: dict[str, Any]) -> None:
-        n_before = self.belief.touches_used
-        self.belief.update(touch, **options)
-        belief = self.belief
-        flags = belief.flags[n_before:]
+        belief, n_before = self.belief, self.belief.touches_used
+        belief.update(touch, **options)
         self.touches.append(
             EpisodeTouch(
                 touch=len(self.touches) + 1,
                 posterior=belief.posterior,
                 unknown=belief.unknown,
                 categories=belief.categories,
-                flag=", ".join(filter(None, flags)),
+                flag=", ".join(filter(None, belief.flags[n_before:])),
             )
         )
         self._decide()

@@ -133,13 +133,12 @@ def given_prior(prior: Mapping[str, float], classes: Array) -> Floats:
         raise TypeError(
             f"prior must map objects to probabilities, got {type(prior).__name__}."
         )
-    if sorted(map(str, prior)) != sorted(names):
-        missing = sorted(set(names) ^ set(map(str, prior)))[0]
+    by_name = {str(name): value for name, value in prior.items()}
+    if different := sorted(by_name.keys() ^ set(names)):
         raise ValueError(
             f"prior must name every object and no other, got a difference in "
-            f"{missing!r}. The objects are {', '.join(names)}."
+            f"{different[0]!r}. The objects are {', '.join(names)}."
         )
-    by_name = {str(name): value for name, value in prior.items()}
     logs = np.log([check_positive("prior", by_name[name]) for name in names])
     log_prior: Floats = log_softmax(logs)
     if log_prior.min() < _LEAST_LOG_PRIOR:
@@ -215,9 +214,9 @@ def checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
 
 def check_every_touch(name: str, values: Floats) -> None:
     """Refuse log-likelihoods (n_touches, ..., n_objects) that are no numbers."""
-    if np.isnan(values).any() or not np.isfinite(values.max(axis=-1)).all():
-        bad = np.isnan(values).any(axis=-1) | ~np.isfinite(values.max(axis=-1))
-        bad = bad.reshape(len(values), -1).any(axis=1)
+    is_bad = ~np.isfinite(values.max(axis=-1))  # a row with NaN has it as its maximum
+    if is_bad.any():
+        bad = is_bad.reshape(len(values), -1).any(axis=1)
         raise ValueError(
             f"{name} must hold a finite number and no NaN for every touch, got "
             f"{values[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch "

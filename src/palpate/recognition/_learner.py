@@ -60,15 +60,6 @@ class Learner(BaseEstimator):
     """What `ObjectRecogniser` learns: encoding, classifier, memory, calibrations."""
 
     max_memory_gb: ClassVar[float] = 8.0
-    preset: PresetName | None
-    encodings: Mapping[str, Encoding] | None
-    classifier: Any
-    label: Label
-    floor: float | None
-    prior: Literal["uniform", "counts"]
-    presentation: Presentation
-    rehearse: bool
-    random_state: int
     encoder_: TouchEncoder | RemountedEncoder
     contact_: ContactCheck
     classifier_: TouchClassifier
@@ -79,6 +70,29 @@ class Learner(BaseEstimator):
 
     # The last check of the mounting: of today, so that no file holds it.
     _mounting: MountingCheck | None = None
+
+    def __init__(
+        self,
+        preset: PresetName | None = "default",
+        *,
+        encodings: Mapping[str, Encoding] | None = None,
+        classifier: Any = None,
+        label: Label = "object",
+        floor: float | None = None,
+        prior: Literal["uniform", "counts"] = "uniform",
+        presentation: Presentation = "auto",
+        rehearse: bool = True,
+        random_state: int = 0,
+    ) -> None:
+        self.preset = preset
+        self.encodings = encodings
+        self.classifier = classifier
+        self.label = label
+        self.floor = floor
+        self.prior = prior
+        self.presentation = presentation
+        self.rehearse = rehearse
+        self.random_state = random_state
 
     def fit(
         self,
@@ -462,8 +476,9 @@ class Learner(BaseEstimator):
         for name in {"n_features_in_", "feature_names_in_"} & vars(self).keys():
             delattr(self, name)
         X = unmasked("X", X)
-        of_touches = isinstance(X, list) and X and isinstance(X[0], Touches)
-        if isinstance(X, Touches | TouchSource) or of_touches or n_axes(X) != 2:
+        if isinstance(X, list) and X and isinstance(X[0], Touches):
+            X = as_touches(X)
+        if isinstance(X, Touches | TouchSource) or n_axes(X) != 2:
             return X, y
         vectors, labels = validate_data(
             self, X, y, dtype=np.float64, ensure_min_samples=2

@@ -212,7 +212,7 @@ def choose_pool(
         best = loss, (encoder, cleaned, learnt_steps, why)
     assert best is not None
     encoder, cleaned, learnt_steps, why = best[1]
-    chosen = {"geometry": find_geometry(touches), **why}
+    chosen = {"geometry": touches.geometry, **why}
     if len(losses) > 1:
         chosen["log_loss"] = losses
     return encoder, cleaned, learnt_steps, chosen
@@ -230,9 +230,9 @@ def choose_encoder(
     With several recipes each learns two thirds of the groups (at most `AT_MOST`
     touches) and is asked about the rest; the least log loss (nats) wins.
     """
-    chosen: dict[str, Any] = {"geometry": find_geometry(touches)}
+    chosen: dict[str, Any] = {"geometry": touches.geometry}
     if len(recipes) == 1:
-        name, encoder = next(iter(recipes.items()))
+        ((name, encoder),) = recipes.items()
         chosen |= {"encoding": name, "why": "the one encoding for this geometry"}
         return encoder, chosen
     few = shown_rows(labels, AT_MOST)

@@ -250,7 +250,8 @@ class Memory:
                 continue
             copies = _copies(self.features[rows], _SAME**2)
             touch = connected_components(copies, directed=False)[1]
-            pairs = np.unique(np.stack([touch, _codes(self.sessions[rows])]), axis=1)
+            session = np.unique(self.sessions[rows], return_inverse=True)[1]
+            pairs = np.unique(np.stack([touch, session]), axis=1)
             copied[rows] = np.bincount(pairs[0])[touch] > 1
         return copied
 
@@ -405,8 +406,6 @@ def labelled(X: Any, y: ArrayLike | None, label: str) -> Touches | TouchSource:
     """Return what is to be learnt as touches with labels, or explain."""
     if isinstance(X, Touches | TouchSource) and y is None:
         return X
-    if isinstance(X, list) and X and isinstance(X[0], Touches) and y is None:
-        return as_touches(X)
     if y is None:
         raise TypeError(
             f"touches must be Touches, got {type(X).__name__} without labels. "
@@ -516,10 +515,6 @@ def left_out_groups(
         if n_met(objects, visits).min() > 1:
             return np.asarray(np.unique(visits, return_inverse=True)[1])
     return blocks_in_order(objects, touches.order)
-
-
-def _codes(names: Array) -> Indices:
-    return np.asarray(np.unique(names, return_inverse=True)[1])
 
 
 def n_met(objects: Array, visits: Array) -> Indices:

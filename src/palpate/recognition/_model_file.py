@@ -17,7 +17,6 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -78,9 +77,7 @@ class ModelFileError(ValueError):
 
 
 def write_model(
-    path: str | Path,
-    model: object,
-    encodings: Mapping[str, UserEncoding] = MappingProxyType({}),
+    path: str | Path, model: object, encodings: Mapping[str, UserEncoding]
 ) -> Path:
     """Write `model` to `path` (`.palpate`), all or nothing.
 
@@ -143,9 +140,7 @@ def check_model_path(path: str | Path) -> Path:
 
 
 def read_model(
-    path: str | Path,
-    also: type,
-    encodings: Mapping[str, UserEncoding] = MappingProxyType({}),
+    path: str | Path, also: type, encodings: Mapping[str, UserEncoding]
 ) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 

@@ -143,9 +143,8 @@ def _joined(
             "of the preset's. Choose another name."
         )
     chains = {name: [encoding] for name, encoding in from_user.items()}
-    encodings = {**encoder.encodings, **chains}
     joined = copy(encoder)
-    joined.encodings = encodings
+    joined.encodings = {**encoder.encodings, **chains}
     return joined
 
 
@@ -196,14 +195,14 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
         return {"taxels": TouchEncoder(None, _taxel_encodings(touches))}
     if geometry == "dome":
         principal = PrincipalShare(KEPT_SHARE)
+        quantiles = [RingQuantiles(), StandardScaler(), principal]
         on_disc = {
             "moments and gradients": _moments(touches),
             "patterns on rings": [RingPatterns(), principal],
-            "quantiles on rings": [RingQuantiles(), StandardScaler(), principal],
+            "quantiles on rings": quantiles,
         }
         if colours := touches.images.ndim == 4:
             on_disc = {name: [ChannelMean(), *on_disc[name]] for name in on_disc}
-            quantiles = [RingQuantiles(), StandardScaler(), principal]
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": _allowed(candidates, presentation)}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from copy import copy
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from sklearn.utils import Tags
 from .._checks import STRANGERS, listed
 from .._numbers import with_floor
 from .._parallel import opencv_on_one_thread, results_of
-from .._types import Array, Floats, Label, Presentation, PresetName
+from .._types import Array, Floats
 from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..images import Poses
 from ..touches import Touches
@@ -134,29 +134,6 @@ class ObjectRecogniser(ClassifierMixin, Learner):
     >>> belief.update(touches[:3]).best
     'pen'
     """
-
-    def __init__(
-        self,
-        preset: PresetName | None = "default",
-        *,
-        encodings: Mapping[str, Encoding] | None = None,
-        classifier: Any = None,
-        label: Label = "object",
-        floor: float | None = None,
-        prior: Literal["uniform", "counts"] = "uniform",
-        presentation: Presentation = "auto",
-        rehearse: bool = True,
-        random_state: int = 0,
-    ) -> None:
-        self.preset = preset
-        self.encodings = encodings
-        self.classifier = classifier
-        self.label = label
-        self.floor = floor
-        self.prior = prior
-        self.presentation = presentation
-        self.rehearse = rehearse
-        self.random_state = random_state
 
     def check_mounting(self, touches: Touches | Evidence) -> MountingCheck:
         """Tell whether touches come from a session like those it was taught in.

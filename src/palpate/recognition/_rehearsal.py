@@ -63,7 +63,7 @@ RANGES = {
     "dome": Ranges(slope=0.07, shift=0.01),
     "array": Ranges(gain=0.3, taxels=0.2, zero=0.1, shift=1 / 30),
     "plane": Ranges(gain=0.3, taxels=0.2, zero=0.1, shift=1 / 30, colours=0.1),
-    "none": None,
+    "none": Ranges(),
 }
 # What encodings may be blind to, and the range of it.
 CHANGES = {"shifts": "shift", "gain": "gain"}
@@ -82,11 +82,11 @@ def rehearse(
     Of what `pool` learnt as `memory` of `touches`.
     """
     ranges = _seen_by(encoder, RANGES[geometry])
-    n_touches, n_labels = len(memory), len(memory.classes)
-    if ranges is None or KernelRidgeClassifier.learns_by_landmarks(n_touches, n_labels):
-        unknown = "how sessions change vectors is not known"
-        why = "too much was taught at once" if ranges else unknown
-        return pool, {"share": 0.0, "why": why}
+    changes = [name for name, size in vars(ranges).items() if size]
+    if not changes:
+        return pool, {"share": 0.0, "why": "how sessions change vectors is not known"}
+    if KernelRidgeClassifier.learns_by_landmarks(len(memory), len(memory.classes)):
+        return pool, {"share": 0.0, "why": "too much was taught at once"}
     rows = _rows(memory)
     shown = touches_of(touches, rows)
     drawn = draw_sessions(encoder, shown, ranges, memory, rows, seed)
@@ -98,31 +98,29 @@ def rehearse(
     sessions_known = "sessions" in memory.units[1]
     taught = memory.features, memory.labels, memory.blocks
     moved = _and_confirmed(drawn, memory, parts)
-    rehearsal = rehearsed(pool, *taught, weighing, moved, sessions_known)
-    right, confirmed = np.split(rehearsal.right, [N_SESSIONS + 1])
+    pool, share, of_all = rehearsed(pool, *taught, weighing, moved, sessions_known)
+    right, confirmed = np.split(of_all, [N_SESSIONS + 1])
     report: dict[str, Any] = {
-        "share": rehearsal.share,
+        "share": share,
         "told_by": _left_out_by(memory) if sessions_known else "rehearsed sessions",
     }
     # Of few touches drawn none may be of a group that others are told apart without.
-    if is_asked := bool(np.isfinite(rehearsal.right).all()):
+    if is_asked := bool(np.isfinite(of_all).all()):
         report["right"] = [float(share) for share in right]
-    report["drawn"] = [name for name, size in vars(ranges).items() if size]
+    report["drawn"] = changes
     # Of a dome less is drawn than another mounting does.
     if is_asked and geometry != "dome":
-        report["expected"] = _expected(rehearsal.pool, memory, right[0], right[1:])
+        report["expected"] = _expected(pool, memory, right[0], right[1:])
         if len(confirmed):
-            report["confirmed"] = _expected(rehearsal.pool, memory, right[0], confirmed)
-    if rehearsal.pool.takes_weights:
-        replays = [*_replays(rehearsal.pool, memory, drawn, parts, seed)]
+            report["confirmed"] = _expected(pool, memory, right[0], confirmed)
+    if pool.takes_weights:
+        replays = [*_replays(pool, memory, drawn, parts, seed)]
         report["trust"] = _trust_in_one(replays)
-    return rehearsal.pool, report
+    return pool, report
 
 
-def _seen_by(encoder: TouchEncoder, ranges: Ranges | None) -> Ranges | None:
+def _seen_by(encoder: TouchEncoder, ranges: Ranges) -> Ranges:
     """Return ranges without that which all encodings in use are blind to."""
-    if ranges is None:
-        return None
     blind = [encoder.blind_to(name) for name in encoder.encodings]
     of_all = frozenset.intersection(*blind)
     return replace(ranges, **{CHANGES[name]: 0.0 for name in CHANGES.keys() & of_all})
@@ -292,17 +290,16 @@ def in_another_session(
     touches: Touches,
     ranges: Ranges,
     rng: np.random.Generator,
-    rest: tuple[Floats, float] | None = None,
+    rest: tuple[Floats, float],
 ) -> Array:
     """Return images as an invented session would show them, in their own type.
 
     `rest` is what `at_rest` returns for them.
     """
-    images, dead = np.asarray(touches.images, dtype=np.float64), None
-    if touches.images.dtype.kind not in "ui":
-        dead, images = np.isnan(images), np.nan_to_num(images)
+    dead, kind = np.isnan(touches.images), touches.images.dtype
+    images = np.nan_to_num(touches.images.astype(np.float64), copy=False)
     shape, colours = images.shape[1:3], images.shape[3:]
-    still, signal = at_rest(touches) if rest is None else rest
+    still, signal = rest
     gains = np.exp(rng.normal(0, ranges.gain) + rng.normal(0, ranges.taxels, shape))
     slope = rng.normal(0, 1, 2) * ranges.slope
     down, across = (np.linspace(-1, 1, n) for n in shape)
@@ -316,12 +313,9 @@ def in_another_session(
     if ranges.shift:
         images = np.stack([_shifted(i, where, touches.pads) for i in images])
     images = images + np.where(still != 0, zero, 0.0)
-    kind = touches.images.dtype
     if kind.kind in "ui":
         limits = np.iinfo(kind)
         return np.clip(np.rint(images), limits.min, limits.max).astype(kind)
-    if dead is None or not dead.any():
-        return images
     return np.where(dead, np.nan, images)
 
 

@@ -23,19 +23,6 @@ LEAST_SHARE = 0.1
 _AT_MOST = 500
 
 
-class Rehearsal(NamedTuple):
-    """What was found of rehearsed sessions.
-
-    `pool` is the pool with both kinds of machines, or the plain one where the rehearsed
-    ones count for nothing (`share`); `right` (n_sessions + 1,) is the share of touches,
-    learnt from half of them, that are recognised as they are and in each session.
-    """
-
-    pool: EncodingPool
-    share: float
-    right: Floats
-
-
 class Drawn(NamedTuple):
     """Touches in invented sessions: features (n_sessions, n_drawn, n_features).
 
@@ -56,8 +43,11 @@ def rehearsed(
     weighing: Floats,
     drawn: Drawn,
     sessions_known: bool,
-) -> Rehearsal:
+) -> tuple[EncodingPool, float, Floats]:
     """Return a pool whose machines know invented sessions too, and how far they count.
+
+    The plain pool where they count for nothing. Also which share of touches, learnt
+    from half of them, is recognised as they are and in each session (n_sessions + 1,).
 
     Parameters
     ----------
@@ -104,7 +94,7 @@ def rehearsed(
     right = is_right.mean(axis=1) if is_asked.any() else np.full(len(is_right), np.nan)
     if share:
         pool = pool.beside(weighed, weighing, share, codes[rows], groups[rows])
-    return Rehearsal(pool, share, right)
+    return pool, share, right
 
 
 def _answers_of_drawn(

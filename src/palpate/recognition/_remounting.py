@@ -69,7 +69,9 @@ def remounted(
     other_kind = new.images.shape[1:] != tuple(learnt.encoder.image_shape_)
     contact = learnt.contact
     if new.no_contact is not None or other_kind:
-        contact = ContactCheck().fit(new, encoder).with_poses_of(contact)
+        poses = contact.blind_, contact.usual_
+        contact = ContactCheck().fit(new, encoder)
+        contact.blind_, contact.usual_ = poses
     learnt = replace(learnt, encoder=encoder, contact=contact)
     learnt, report = without_sessions(learnt)
     encoding = encoded(learnt.encoder, contact, new)

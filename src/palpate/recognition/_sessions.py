@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache
 from typing import Self
 
 import numpy as np
-from sklearn.metrics.pairwise import euclidean_distances
 
 from .._types import Array, Floats, Indices
 
@@ -56,11 +55,6 @@ class Taught:
     def means(self) -> Floats:
         """The mean touch of each object, shape (n_objects, n_features)."""
         return group_means(self.features, self.codes)
-
-    def log_distances(self, features: Floats) -> Floats:
-        """Return the logarithm of each touch's distance to the nearest of these."""
-        squared = euclidean_distances(features, self.features, squared=True)
-        return np.asarray(np.log(np.maximum(squared.min(axis=1), 1e-300)) / 2)
 
     @cached_property
     def within(self) -> Floats:
