@@ -194,15 +194,19 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     if geometry == "none":
         return {"taxels": TouchEncoder(None, _taxel_encodings(touches))}
     if geometry == "dome":
+        colours = touches.images.ndim == 4
+        grey = [ChannelMean()] if colours else []
+        changes = ChannelMean("median", squared=True)
         principal = PrincipalShare(KEPT_SHARE)
         quantiles = [RingQuantiles(), StandardScaler(), principal]
         on_disc = {
-            "moments and gradients": _moments(touches),
-            "patterns on rings": [RingPatterns(), principal],
-            "quantiles on rings": quantiles,
+            "moments and gradients": [*grey, *_moments(touches)],
+            "moments of changes": [changes, *_moments(touches)],
+            "patterns on rings": [*grey, RingPatterns(), principal],
+            "changes on rings": [changes, RingPatterns(), principal],
+            "quantiles on rings": [*grey, *quantiles],
         }
-        if colours := touches.images.ndim == 4:
-            on_disc = {name: [ChannelMean(), *on_disc[name]] for name in on_disc}
+        if colours:
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": _allowed(candidates, presentation)}
@@ -253,7 +257,7 @@ def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any
     Of the latter nothing is taken off where `rest`, what it reads untouched, is not
     known: a median of touches would not move with them.
     """
-    size = ChannelMean(rest, squared=True)
+    size = ChannelMean(squared=True)
     encodings = _plane_encodings(touches, rest, size)
     principal = PrincipalShare(KEPT_SHARE)
     spectrum = GridLevels(FEW_CELLS, spectrum=True, baseline=rest, pads=touches.pads)
@@ -276,6 +280,7 @@ def _plane_encodings(
     """
     principal = PrincipalShare(KEPT_SHARE)
     baseline = "median" if rest is None else rest
+    tells_changes = size is None or touches.images.ndim == 4
     size = ChannelMean(baseline, squared=True) if size is None else size
     levels = {
         "levels": GridLevels(baseline=baseline),
@@ -298,7 +303,9 @@ def _plane_encodings(
         "moments on the disc": [size, DomeCrop(), *_moments(touches)],
     }
     if min(touches.images.shape[1:3]) >= FINE_TAXELS:
-        encodings["patterns on rings"] = [size, RingPatterns(), principal]
+        encodings["patterns on rings"] = [ChannelMean(), RingPatterns(), principal]
+        if tells_changes:
+            encodings["changes on rings"] = [size, RingPatterns(), principal]
     return encodings
 
 
