@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
-from palpate.images import ArrayCleanUp, fill_dead_taxels
+from palpate.images import ArrayCleanUp, ChannelMean, fill_dead_taxels
 
 
 def resized(images, shape=(33, 33)):
@@ -203,3 +203,31 @@ def test_clean_up_fills_or_refuses_dead_taxels(touches):
 def test_lists_of_unequal_lengths_are_refused():
     with pytest.raises(ValueError, match=r"one array of shape .*unequal lengths\. Bri"):
         resized([[[1, 2], [3]]])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int32, np.float64])
+def test_the_size_of_a_change_does_not_depend_on_where_it_points(rng, dtype):
+    images = rng.integers(0, 200, (9, 4, 5, 3)).astype(dtype)
+    rest = images[0]
+    size = ChannelMean(rest, squared=True).fit_transform(images)
+    changes = images.astype(float) - rest
+    assert_allclose(size, np.sqrt((changes**2).mean(axis=3)), rtol=1e-5)
+    turned = (rest + np.roll(changes, 1, axis=3) * [1, -1, 1]).astype(float)
+    again = ChannelMean(rest, squared=True).fit_transform(turned)
+    assert_allclose(again, size, rtol=1e-5, atol=1e-4)
+    median = ChannelMean("median").fit_transform(images[..., 0])
+    assert_array_equal(np.median(median, axis=0), np.zeros((4, 5)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"baseline": "mean"}, "baseline must be one of 'median'"),
+        ({"baseline": np.zeros((3, 3))}, r"image of shape \(4, 5\) .* got \(3, 3\)"),
+        ({"baseline": np.full((4, 5), np.nan)}, "must be finite"),
+        ({"squared": "yes"}, "squared must be"),
+    ],
+)
+def test_channels_refuse_what_they_cannot_take_off(options, message):
+    with pytest.raises(ValueError, match=message):
+        ChannelMean(**options).fit(np.zeros((2, 4, 5)))

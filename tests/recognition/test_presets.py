@@ -115,6 +115,60 @@ def test_objects_that_differ_in_colour_alone_are_told_apart_on_a_dome():
     assert ObjectRecogniser().fit(without_colours).score(test_without) < 0.75
 
 
+def forces(n_touches, seed):
+    """Three shapes on a three-axis array; each taxel is pushed another way."""
+    rng, images = np.random.default_rng(seed), []
+    for shape in SHAPES.values():
+        for _ in range(n_touches):
+            load, (row, col) = np.zeros((6, 6)), rng.integers(0, 4, 2)
+            load[row : row + 3, col : col + 3] = np.rot90(shape, rng.integers(4))
+            force = rng.normal(size=(6, 6, 3))
+            force /= np.linalg.norm(force, axis=2, keepdims=True)
+            noise = rng.normal(0, 0.02, force.shape)
+            images.append(load[..., np.newaxis] * force + noise)
+    return Touches(
+        np.stack(images), object=np.repeat([*SHAPES], n_touches), channels=tuple("xyz")
+    )
+
+
+SHAPES = {
+    "bar": [[1, 1, 1], [0, 0, 0], [0, 0, 0]],
+    "corner": [[1, 1, 0], [1, 0, 0], [0, 0, 0]],
+    "two": [[1, 0, 1], [0, 0, 1], [0, 0, 0]],
+}
+
+
+def gel_presses(n_touches, seed):
+    """Three imprints, turned and moved, on a gel whose own texture is stronger."""
+    rng, images = np.random.default_rng(seed), []
+    rest = np.random.default_rng(9).uniform(40, 215, (40, 40))
+    for imprint in IMPRINTS.values():
+        for _ in range(n_touches):
+            turn, (down, across) = rng.uniform(0, 2 * np.pi), rng.uniform(-4, 4, 2)
+            y, x = np.mgrid[:40, :40] - 19.5
+            y, x = y - down, x - across
+            turned = y * np.cos(turn) - x * np.sin(turn)
+            image = rest + 20 * imprint(turned, y * np.sin(turn) + x * np.cos(turn))
+            images.append(np.clip(image + rng.normal(0, 4, rest.shape), 0, 255))
+    names = np.repeat([*IMPRINTS], n_touches)
+    return Touches(np.stack(images).astype(np.uint8), object=names, geometry="plane")
+
+
+IMPRINTS = {
+    "ring": lambda y, x: np.exp(-((np.hypot(y, x) - 8) ** 2) / 4),
+    "disc": lambda y, x: 0.7 * (np.hypot(y, x) < 8),
+    "cross": lambda y, x: (
+        (np.hypot(y, x) < 12) * np.exp(-(np.minimum(abs(y), abs(x)) ** 2) / 4)
+    ),
+}
+
+
+@pytest.mark.parametrize(("touch", "n_touches"), [(forces, 6), (gel_presses, 8)])
+def test_shapes_are_told_by_how_large_changes_are(touch, n_touches):
+    recogniser = ObjectRecogniser(rehearse=False).fit(touch(n_touches, 0))
+    assert recogniser.score(touch(10, 1)) > 0.95  # by levels and patterns as read 0.8
+
+
 @pytest.fixture(scope="module")
 def beside_rest():
     """Presses of all parts, taught and new, and a level at which each taxel rests."""
