@@ -224,4 +224,4 @@ def test_every_name_on_the_page_of_changes_is_in_the_code():
     files = [path for kind in kinds for path in ROOT.glob(kind)]
     for those, file in re.findall(listed, page):
         text = "".join(p.read_text() for p in files if str(p).endswith(f"/{file}"))
-        assert {*re.findall(r"(\w+)`", those)} <= {*re.findall(r"\w+", text)}, file
+        assert {*re.findall(r"`(\w+)`", those)} <= {*re.findall(r"\w+", text)}, file
