@@ -111,12 +111,16 @@ def test_an_index_links_every_page_that_is_written_by_hand(folder):
         assert f"# {title}\n" in written
 
 
-def test_the_page_of_commands_has_every_command():
+def test_the_page_of_commands_has_every_command_and_what_it_cannot_do_without():
     page = (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8")
     command = typer.main.get_command(app)
     for verb, inner in command.commands.items():
-        for name in getattr(inner, "commands", {"": None}):
-            assert f"`palpate {verb} {name}".rstrip() in page
+        for name, one in getattr(inner, "commands", {"": inner}).items():
+            form = re.escape(f"palpate {verb} {name}".rstrip())
+            (typed,) = re.findall(rf"\| `{form}((?: [^`a-z][^`]*)?)` \|", page)
+            needed = [option.opts for option in one.params if option.required]
+            options = [spellings for spellings in needed if spellings[0][0] == "-"]
+            assert all({*typed.split()} & {*spellings} for spellings in options)
 
 
 LICENCES = (ROOT / "docs/reference/licences.md").read_text()

@@ -220,3 +220,8 @@ def test_every_name_on_the_page_of_changes_is_in_the_code():
     code = "".join(path.read_text() for kind in kinds for path in ROOT.glob(kind))
     assert len(names) > 80
     assert names - {*re.findall(r"\w+", code)} == set()
+    listed = r"((?:`[\w.]+`(?:,\s+|\s+and\s+))*`[\w.]+`)\s+of\s+`([\w/]+\.(?:py|js))`"
+    files = [path for kind in kinds for path in ROOT.glob(kind)]
+    for those, file in re.findall(listed, page):
+        text = "".join(p.read_text() for p in files if str(p).endswith(f"/{file}"))
+        assert {*re.findall(r"`(\w+)`", those)} <= {*re.findall(r"\w+", text)}, file

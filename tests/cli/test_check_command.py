@@ -330,6 +330,7 @@ def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     advice = palpate.answer("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)
     (line,) = (line for line in advice if "all is of one session" in line)
+    assert "a column session" in line  # of archives and tables, which have no folders
     days = line.partition("such as ")[2].partition(",")[0].split(" and ")
     put_each(tmp_path / "days", 2, [*days, *(d.replace("mug", "pen") for d in days)])
     objects = palpate.answer("check", tmp_path / "days")["objects"]

@@ -2,6 +2,8 @@
 
 import binascii
 import pickle
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from numpy.testing import assert_array_equal
 
 from palpate.sensors import BinaryFraming, LineFraming
 
+ROOT = Path(__file__).parents[2]
 SHAPE = (3, 4)
 garbage = st.binary(max_size=40)
 numbers = st.lists(st.integers(0, 2**24).map(float), min_size=12, max_size=12)
@@ -28,6 +31,11 @@ def chunks(data, sizes):
 def test_the_documented_line_is_read():
     # 0x30 ^ ',' ^ ... worked out by hand for "0,12": 30^2C^31^32 = 1F.
     assert_array_equal(LineFraming((1, 2)).feed(b"$0,12*1F\n"), [[[0, 12]]])
+    for page in ("docs/reference/live.md", "src/palpate/sensors/_serial.py"):
+        text = (ROOT / page).read_text("utf-8")
+        (line,) = re.findall(r"^ *(\$0,.*\*..)$", text, re.MULTILINE)
+        decoded = LineFraming((2, 2)).feed(f"{line}\n".encode())
+        assert_array_equal(decoded, [[[0, 0], [12, 255]]])
 
 
 def test_every_digit_that_float32_holds_is_written():

@@ -97,6 +97,9 @@ def test_missing_and_empty_folders(put, tmp_path):
     (root / "b.npz").write_bytes(b"x")
     with pytest.raises(TouchesError, match=r"got 2 files of .gif, .npz.*one by one"):
         Touches.load(root)
+    (root / "library.sqlite").write_bytes(b"x")
+    with pytest.raises(TouchesError, match=r"library: TouchLibrary\.open\(path\)"):
+        Touches.load(root)
     with pytest.raises(TouchesError, match=r"of .jpg, .jpeg, .png, .csv, .npy"):
         Touches.load(root / "a.gif")
 

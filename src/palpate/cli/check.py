@@ -248,8 +248,8 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     if most_sessions < 2:
         advice.append(
             "all is of one session, as far as is written: mount the sensor anew for "
-            "half of the touches, in folders such as mug/day1 and mug/day2, or expect "
-            "less on another day"
+            "half of the touches, in folders such as mug/day1 and mug/day2, or a "
+            "column session; else expect less on another day"
         )
     if touches.no_contact is None and touches.geometry != "none":
         how = "--no-contact FILE"

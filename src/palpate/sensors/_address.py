@@ -166,7 +166,8 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
         raise AddressError(
             "sensor must be camera:NAME, serial:PORT, ros:TOPIC, replay:PATH or "
             f"sim:OBJECT{more}, got {address!r}. digit:, gelsight-mini:, anyskin: and "
-            "others come with plugs/drivers: pip install plugs/drivers."
+            'others are drivers of their own: pip install "git+https://github.com/'
+            'palpate/palpate#subdirectory=plugs/drivers".'
         )
     arguments = _written(address, kind, written)
     calibration = options.pop("calibration", None)

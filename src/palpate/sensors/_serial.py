@@ -6,7 +6,7 @@ Python reads them, `nan` for a dead taxel. With a checksum the values stand betw
 `$` and `*`, and after `*` come two hexadecimal digits: the exclusive or of all bytes
 between them (as in NMEA 0183)::
 
-    $0,0,12,255*1E
+    $0,0,12,255*1D
 
 **Bytes**, about a quarter as long and numbered: docs/reference/live.md has the layout.
 

@@ -433,6 +433,8 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         kinds = sorted({Path(name).suffix or "no ending" for name in files})
         got = f"{len(files)} files of {', '.join(kinds[:5])}" if files else "no files"
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
+        if ".sqlite" in kinds:
+            hint = " Of a library: TouchLibrary.open(path).touches()."
         if films := [kind for kind in kinds if kind.lower() in FILMS]:
             hint += f" Films ({films[0]}) are read one by one, each for its object."
         raise TouchesError(
