@@ -55,6 +55,17 @@ def folds(touches: Touches, column: str) -> list[Split]:
     ]
 
 
+def another_part(touches: Touches) -> list[Split]:
+    """Ask about one part of every object, in turn; its other parts teach."""
+    of, part = labels(touches), touches.columns["part"]
+    number = np.zeros(len(touches), dtype=np.intp)
+    for name in np.unique(of):
+        number[of == name] = np.unique(part[of == name], return_inverse=True)[1]
+    return [
+        Split(touches[number != n], touches[number == n]) for n in np.unique(number)
+    ]
+
+
 def random_fifth(touches: Touches) -> list[Split]:
     """Ask about touches drawn at random, a fifth of each object or so."""
     assert touches.object is not None
@@ -182,9 +193,9 @@ SETS = {
     )[:4],
     "across: balls, another day": balls,
     "across: dome, after a jump": jumped,
-    "across: DIGIT, another part": lambda f: folds(
-        Touches.load(f / "sessions" / "digit_survey.npz"), "part"
-    )[:3],
+    "across: DIGIT, another part": lambda f: another_part(
+        Touches.load(f / "sessions" / "digit_survey.npz")
+    ),
     "across: simulated dome": lambda f: mounted(
         simulate_touches(None, 80, n_sessions=4, mountings=True, random_state=SEED)
     ),
