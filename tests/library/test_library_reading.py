@@ -1,5 +1,6 @@
 """Touches that are read back: columns, channels, limits, selections."""
 
+import errno
 import mmap
 
 import numpy as np
@@ -31,7 +32,7 @@ def is_mapped(array):
     return isinstance(array, mmap.mmap)
 
 
-def test_limits_of_memory_are_reached_and_not_passed(library):
+def test_limits_of_memory_are_reached_and_not_passed(library, monkeypatch):
     library.add(Touches(images(), object=["a"] * 6))
     assert not is_mapped(library.touches(in_memory=N_BYTES).images)
     mapped = library.touches(in_memory=N_BYTES - 1).images
@@ -43,6 +44,14 @@ def test_limits_of_memory_are_reached_and_not_passed(library):
         library.touches(max_bytes=N_BYTES - 1)
     # By default 256 MiB are held in memory, and 64 GiB are read at all.
     assert not is_mapped(library.touches().images)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    # Room is taken first: a mapping that finds none later ends the program (SIGBUS).
+    monkeypatch.setattr("os.posix_fallocate", full, raising=False)
+    with pytest.raises(LibraryError, match="place with room for images, got: No space"):
+        library.touches(in_memory=0)
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ from ._rows import (
     stored_images,
     wide_values,
 )
-from ._store import FEATURES, LibraryError
+from ._store import FEATURES, LibraryError, room_for
 
 IN_MEMORY = 256 * 2**20  # bytes of images; more are mapped to a file
 NO_LIMIT = 2**62  # SQLite counts with 63 bits
@@ -194,8 +194,14 @@ class Selection(Labelled):
             )
         if n_bytes > in_memory:
             folder = self.tables.store.folder
-            scratch = folder if os.access(folder, os.W_OK) else None
-            with tempfile.TemporaryFile(dir=scratch) as file:  # the mapping keeps it
+            own = os.access(folder, os.W_OK)
+            scratch = folder if own else Path(tempfile.gettempdir())
+            with (
+                room_for("images", scratch, "Free space, or choose fewer by a filter."),
+                tempfile.TemporaryFile(dir=scratch) as file,  # the mapping keeps it
+            ):
+                if hasattr(os, "posix_fallocate"):  # a disk that fills later kills
+                    os.posix_fallocate(file.fileno(), 0, n_bytes)
                 images: Array = np.memmap(file, dtype=dtype, mode="w+", shape=shape)
         else:
             images = np.empty(shape, dtype)
