@@ -12,7 +12,7 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, Any, BinaryIO
 
 PARTIAL = ".partial-"
 
@@ -54,6 +54,23 @@ def write_text(target: Path, content: str) -> None:
     """Put `content` into `target` as UTF-8, whole or not at all; see `replacing`."""
     with replacing(target) as file:
         file.write(content.encode())
+
+
+def lock(file: IO[Any]) -> bool:
+    """Take the lock of an open file, unless another program has it.
+
+    The system gives it back when a program dies. Nothing keeps two programs apart where
+    there are no locks: on Windows, and on some file systems.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        pass
+    return True
 
 
 def flush_all(path: Path) -> None:
