@@ -264,7 +264,8 @@ class Journal:
             rested_s = time.time() - self.path.stat().st_mtime
         except OSError:
             return None
-        if self.session is None or self.session[1] != sensor or rested_s > _SITTING_S:
+        long_ago = abs(rested_s) > _SITTING_S  # below 0 where the clock went back
+        if self.session is None or self.session[1] != sensor or long_ago:
             return None
         return self.session[0]
 

@@ -143,10 +143,6 @@ class LiveSession:
             except BaseException:
                 self.stop()
                 raise
-            journal = None if self.teacher is None else self.teacher.journal
-            if journal is not None and not is_newer(journal.path, path):
-                journal.changed.clear()  # learnt since, by another program
-                journal.renamed.clear()
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -164,6 +160,7 @@ class LiveSession:
         try:
             if self.teacher is not None:
                 _ = self.teacher.library
+                self._note_as_learnt()  # since, perhaps by another program
         except ValueError:
             self.stop()
             raise
@@ -332,19 +329,24 @@ class LiveSession:
             return name
 
     def _note_as_learnt(self) -> None:
-        """Note which changed objects have just the touches again that were learnt.
+        """Note which changed objects have just the touches that were learnt.
 
         While it is learning nobody knows yet which these will be.
         """
-        if self.recogniser is None or self.learning:
+        teacher = self._teacher()
+        journal = teacher.journal
+        if self.recogniser is None or self.learning or not journal.changed:
             return
-        teacher, memory = self._teacher(), self.recogniser.memory_
+        if not {old for old, _ in journal.renamed} & self._n_elsewhere.keys():
+            journal.renamed.clear()  # the model knows none of these from elsewhere
+        renamed = {name for names in journal.renamed for name in names}
+        memory = self.recogniser.memory_
         labels, stored = memory.labels.astype(str), teacher.known_ids()
-        for name in [*teacher.journal.changed]:
+        for name in journal.changed - renamed:
             learnt = {*memory.touch_ids[labels == name].tolist()} & stored
             if teacher.ids_of(name) == learnt:
-                teacher.journal.changed.discard(name)
-                teacher.journal.learnt()
+                journal.changed.discard(name)
+                journal.learnt()
 
     def remove_touches(self, ids: Sequence[str]) -> str:
         """Leave stored touches out, which `undo` takes back; return what to say."""
@@ -813,11 +815,3 @@ class LiveSession:
         with self._lock:  # so that no state comes after a newer one
             if len(self.listeners):
                 self.listeners.notify(Event("state", self.to_dict()))
-
-
-def is_newer(path: Path, than: Path) -> bool:
-    """Return whether both files are there and the first was written later."""
-    try:
-        return path.stat().st_mtime > than.stat().st_mtime
-    except OSError:
-        return False
