@@ -118,7 +118,7 @@ class LiveSession:
             self.watch = SensorWatch(sensor, self._on_touch, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
-        self._placed_s = self._requested_s = self._baseline_s = -math.inf
+        self._placed_s = self._requested_s = -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -282,7 +282,7 @@ class LiveSession:
             self._expect_new_touch()
             self._watched().end_press()
             self.message = self.trouble = ""
-            touched = self.episode.taken_since(self._baseline_s)[-wanted:]
+            touched = self.episode.since_baseline()[-wanted:]
             if keep_episode and not touched:
                 self.message = BEFORE_BASELINE
             for image, columns in touched if keep_episode else ():
@@ -436,7 +436,8 @@ class LiveSession:
                 f"{desk.placed} touches the sensor. Put nothing on the desk, then take "
                 "the baseline again."
             ) from error
-        self.message, self._baseline_s = "The baseline is taken.", time.time()
+        self.message = "The baseline is taken."
+        self.episode.n_before_baseline = len(self.episode.touches)
         self._contact_evidence, self._n_contacts, self.alarm = [], 0, ""
         if self.teacher is not None:
             self.teacher.begin_session(changed or "new baseline")
@@ -447,7 +448,7 @@ class LiveSession:
         watch = self._watched()
         if undo:
             watch.undo_baseline()
-            self._baseline_s = time.time()
+            self.episode.n_before_baseline = len(self.episode.touches)
             self.message = "The baseline is undone."
         else:
             watch.end_press()
