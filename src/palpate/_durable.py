@@ -9,6 +9,7 @@ import errno
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,8 +22,9 @@ PARTIAL = ".partial-"
 def replacing(target: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `target` once the block ends well.
 
-    A file that is there is replaced in one step, and a link is followed. An `OSError`
-    names `target`; nothing is left behind then, nor where the block itself raises.
+    A file that is there is replaced in one step, for those who might read and write it;
+    a link is followed. An `OSError` names `target`; nothing is left behind then, nor
+    where the block itself raises.
     """
     place = target.resolve()
     partial = place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
@@ -31,6 +33,8 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
+        with suppress(OSError):  # there was none
+            shutil.copymode(place, partial)
         partial.replace(place)
     except BaseException as error:
         with suppress(OSError):
