@@ -1,14 +1,15 @@
 """Reading touches back: their rows, images and columns; features made of them.
 
 Features are computed once and kept beside the library. That is a cache and nothing
-more: it lies in `features/`, one folder per encoder and version, and may be deleted
-at any time. Each file holds the ids of some touches and their features; a damaged one
-is computed again.
+more: it lies in `features/`, one folder per encoder and version, of which the newest
+are kept, and may be deleted at any time. Each file holds the ids of some touches and
+their features; a damaged one is computed again.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 import warnings
 import zipfile
@@ -48,6 +49,7 @@ from ._store import FEATURES, LibraryError, room_for
 IN_MEMORY = 256 * 2**20  # bytes of images; more are mapped to a file
 NO_LIMIT = 2**62  # SQLite counts with 63 bits
 _TASKS_PER_FILE = 16  # of features, written when they are done
+_ENCODERS_KEPT = 16  # folders of features: more than the folds of an evaluation
 _ID = "S16"  # a last byte of zero is no matter among equals
 Encode = Callable[[Touches], Floats]
 
@@ -502,7 +504,11 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
 def _keep(cache: Path, ids: Array, features: Floats) -> None:
     """Add features to the cache, or warn where there is no room or no leave."""
     try:
-        cache.mkdir(parents=True, exist_ok=True)
+        if not cache.exists():  # each lesson has another encoder
+            cache.mkdir(parents=True, exist_ok=True)
+            others = sorted(cache.parent.iterdir(), key=lambda p: p.stat().st_mtime)
+            for oldest in others[:-_ENCODERS_KEPT]:
+                shutil.rmtree(oldest, ignore_errors=True)
         with replacing(cache / f"{uuid4().hex}.npz") as file:
             np.savez(file, ids=ids, x=features)
     except OSError as error:
