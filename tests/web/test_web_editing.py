@@ -42,6 +42,27 @@ def test_a_touch_moved_keeps_all_but_its_object_and_can_go_there_and_back(folder
             session.move_touches([row.id], "disc")
 
 
+def test_a_move_that_was_killed_is_finished_by_the_next_start(folder, monkeypatch):
+    """A touch is of one object, never of two for good."""
+
+    def killed(*_, **__):
+        raise KeyboardInterrupt
+
+    with LiveSession(library=folder) as session:
+        n_disc, n_bar = (counts(session)[name] for name in ("disc", "bar"))
+        keys = [row.id for row in session.teacher.newest("disc", 2)]
+        monkeypatch.setattr(session.teacher.library, "retract", killed)
+        with pytest.raises(KeyboardInterrupt):
+            session.move_touches(keys, "bar")
+        assert counts(session) == {"bar": n_bar + 2, "disc": n_disc}
+    for _ in range(2):
+        with LiveSession(library=folder) as session:
+            assert counts(session) == {"bar": n_bar + 2, "disc": n_disc - 2}
+    with LiveSession(library=folder) as session:
+        session.undo()
+        assert counts(session) == {"bar": n_bar, "disc": n_disc}
+
+
 def test_a_touch_is_moved_to_a_name_that_its_object_had_before(folder):
     with LiveSession(library=folder) as session:
         (row,) = session.teacher.newest("disc", 1)
