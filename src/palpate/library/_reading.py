@@ -8,6 +8,7 @@ their features; a damaged one is computed again.
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -202,8 +203,7 @@ class Selection(Labelled):
                 room_for("images", scratch, "Free space, or choose fewer by a filter."),
                 tempfile.TemporaryFile(dir=scratch) as file,  # the mapping keeps it
             ):
-                if hasattr(os, "posix_fallocate"):  # a disk that fills later kills
-                    os.posix_fallocate(file.fileno(), 0, n_bytes)
+                _take_room(file.fileno(), n_bytes)
                 images: Array = np.memmap(file, dtype=dtype, mode="w+", shape=shape)
         else:
             images = np.empty(shape, dtype)
@@ -349,6 +349,16 @@ class Selection(Labelled):
                 _keep(cache, ids[n_kept:n_done], written[-1])
                 waiting, n_kept = [], n_done
         return np.concatenate(written)
+
+
+def _take_room(handle: int, n_bytes: int) -> None:
+    """Take room for a mapping, which ends the program where the disk fills later."""
+    try:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(handle, 0, n_bytes)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # of the file system
+            raise
 
 
 def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
