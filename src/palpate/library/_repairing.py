@@ -173,7 +173,8 @@ def _exchange(path: Path, rebuilt: Path, away: Path) -> None:
     of another database it would be taken for its own.
     """
     away.mkdir(parents=True)
-    shutil.copymode(path, rebuilt)
+    with suppress(OSError):  # a file system without them
+        shutil.copymode(path, rebuilt)
     try:
         os.link(path, away / path.name)
     except OSError:  # no links on this file system
