@@ -21,11 +21,14 @@ from palpate._parallel import in_parallel
 def test_a_file_is_replaced_whole(tmp_path):
     target = tmp_path / "kept"
     write_text(target, "old")
+    target.chmod(0o600)
+    mode = target.stat().st_mode
     with replacing(target) as file:
         file.write(b"new")
         file.flush()
         assert target.read_bytes() == b"old"
     assert target.read_bytes() == b"new"
+    assert target.stat().st_mode == mode  # read by whom it was read before
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 

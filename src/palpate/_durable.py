@@ -9,10 +9,11 @@ import errno
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, Any, BinaryIO
 
 PARTIAL = ".partial-"
 
@@ -21,8 +22,9 @@ PARTIAL = ".partial-"
 def replacing(target: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `target` once the block ends well.
 
-    A file that is there is replaced in one step, and a link is followed. An `OSError`
-    names `target`; nothing is left behind then, nor where the block itself raises.
+    A file that is there is replaced in one step, for those who might read and write it;
+    a link is followed. An `OSError` names `target`; nothing is left behind then, nor
+    where the block itself raises.
     """
     place = target.resolve()
     partial = place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
@@ -31,6 +33,8 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
+        with suppress(OSError):  # there was none
+            shutil.copymode(place, partial)
         partial.replace(place)
     except BaseException as error:
         with suppress(OSError):
@@ -54,6 +58,23 @@ def write_text(target: Path, content: str) -> None:
     """Put `content` into `target` as UTF-8, whole or not at all; see `replacing`."""
     with replacing(target) as file:
         file.write(content.encode())
+
+
+def lock(file: IO[Any]) -> bool:
+    """Take the lock of an open file, unless another program has it.
+
+    The system gives it back when a program dies. Nothing keeps two programs apart where
+    there are no locks: on Windows, and on some file systems.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        pass
+    return True
 
 
 def flush_all(path: Path) -> None:

@@ -57,6 +57,21 @@ def test_escapes_in_names_of_files_are_shown(palpate, tmp_path):
     assert sum(r"\x1b[2J" in output for output in outputs) >= 6
 
 
+def test_letters_that_an_output_cannot_hold_are_written_out(
+    palpate, tmp_path, monkeypatch, model
+):
+    """As standard output has it under LC_ALL=C, or in a file on Windows."""
+    touches = tmp_path / "t.npz"
+    Touches(np.ones((2, 3, 24)), object=["Tässe"] * 2, geometry="none").save(touches)
+    held = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(held, "ascii"))
+    palpate.printed("recognise", model, touches)
+    sys.stdout.flush()
+    printed = held.getvalue().decode("ascii")
+    assert r"Touches of T\xe4sse:" in printed
+    assert re.search(r"touch   1  #*\.* 0\.", printed)
+
+
 def test_warnings_show_what_a_terminal_would_obey(palpate, monkeypatch):
     usual = warnings.formatwarning
 

@@ -361,6 +361,17 @@ def test_kept_features_of_another_encoding_are_made_anew(library, place):
     assert_array_equal(chosen.features("key", sums), expected)
 
 
+def test_lessons_do_not_fill_the_disk_with_features(filled):
+    """A model that learns more touches has another encoder, and so other features."""
+    chosen, kept = filled.select(), filled.folder / "features"
+    for number in range(18):
+        chosen.features(f"lesson{number}", sums)
+        os.utime(kept / f"lesson{number}", (number, number))
+    chosen.features("last", sums)
+    names = {path.name for path in kept.iterdir()}
+    assert names == {"last", *(f"lesson{number}" for number in range(3, 18))}
+
+
 def test_features_that_are_deleted_while_others_are_made_are_not_mistaken(library):
     """`features/` may be deleted at any time, also while it is filled."""
     library.add(_touches(0))

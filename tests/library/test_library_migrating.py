@@ -79,7 +79,9 @@ def test_format_1_is_format_2_without_seals(old, state, tmp_path, alter):
 
 
 @pytest.mark.parametrize("n_steps", range(1, 11))
-def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps):
+def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, alter, n_steps):
+    """Also of a library whose last change was made while the clock was behind."""
+    alter(old, "UPDATE changes SET time_s = 1 WHERE action = 'restore'")
     new = tmp_path / "new"
     remaining = iter(range(n_steps))
 
@@ -94,6 +96,10 @@ def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps)
         with pytest.raises(KeyboardInterrupt):
             migrate_library(old, new)
     assert not TouchLibrary.is_library(new)  # a part of a library is none
+    with TouchLibrary.open(shutil.copytree(new, tmp_path / "used"), create=True):
+        pass
+    with pytest.raises(LibraryError, match="used must be a new or empty folder"):
+        migrate_library(old, tmp_path / "used")  # it would take that one's place
     migrate_library(old, new)
     _assert_same(new, state)
     assert check_library(new).ok

@@ -1,6 +1,8 @@
 """Touches that are read back: columns, channels, limits, selections."""
 
+import errno
 import mmap
+import os
 
 import numpy as np
 import pytest
@@ -31,7 +33,7 @@ def is_mapped(array):
     return isinstance(array, mmap.mmap)
 
 
-def test_limits_of_memory_are_reached_and_not_passed(library):
+def test_limits_of_memory_are_reached_and_not_passed(library, monkeypatch):
     library.add(Touches(images(), object=["a"] * 6))
     assert not is_mapped(library.touches(in_memory=N_BYTES).images)
     mapped = library.touches(in_memory=N_BYTES - 1).images
@@ -43,6 +45,17 @@ def test_limits_of_memory_are_reached_and_not_passed(library):
         library.touches(max_bytes=N_BYTES - 1)
     # By default 256 MiB are held in memory, and 64 GiB are read at all.
     assert not is_mapped(library.touches().images)
+
+    def failing(*_):
+        raise OSError(number, os.strerror(number))
+
+    # Room is taken first: a mapping that finds none later ends the program (SIGBUS).
+    monkeypatch.setattr("os.posix_fallocate", failing, raising=False)
+    number = errno.EINVAL  # of some file systems
+    assert is_mapped(library.touches(in_memory=0).images)
+    number = errno.ENOSPC
+    with pytest.raises(LibraryError, match="place with room for images, got: No space"):
+        library.touches(in_memory=0)
 
 
 @pytest.mark.parametrize(

@@ -336,14 +336,33 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
         expected = str(read())
         shutil.rmtree(place / "features")
         before = {path: path.read_bytes() for path in place.iterdir()}
-        for path in (place, *before):
-            path.chmod(0o555)
-        assert outcome_elsewhere(read, _be_nobody) == expected
-        assert "may be written to" in outcome_elsewhere(add, _be_nobody)
-        assert outcome_elsewhere(backup, _be_nobody) == "6"
+        for path in before:
+            path.chmod(0o444)
+        for leave in (0o777, 0o555):  # to a group's folder, and to none
+            place.chmod(leave)
+            assert outcome_elsewhere(read, _be_nobody) == expected
+            assert "may be written to" in outcome_elsewhere(add, _be_nobody)
+            assert outcome_elsewhere(backup, _be_nobody) == "6"
+            # A log or its index of another's would keep the owner from writing.
+            shutil.rmtree(place / "features", ignore_errors=True)
+            assert {path: path.read_bytes() for path in place.iterdir()} == before
         assert "folder that can be made" in outcome_elsewhere(make, _be_nobody)
-        assert {path: path.read_bytes() for path in place.iterdir()} == before
         place.chmod(0o755)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="of POSIX")
+def test_a_library_of_a_group_can_be_written_by_all_of_it(tmp_path, alter):
+    before = os.umask(0o002)
+    try:
+        with TouchLibrary.open(tmp_path / "group", create=True) as library:
+            library.add(press_of(1))
+            library.backup(tmp_path / "copy")
+    finally:
+        os.umask(before)
+    alter(tmp_path / "copy", "UPDATE touches SET force_n = 9")
+    assert repair_library(tmp_path / "copy").rebuilt
+    for name in ("group", "copy"):
+        assert (tmp_path / name / "library.sqlite").stat().st_mode & 0o777 == 0o664
 
 
 def test_a_database_that_another_keeps_to_itself_is_left_alone(

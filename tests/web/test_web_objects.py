@@ -1,8 +1,10 @@
 """Objects of a library on the page: undone, renamed, exported, of several sizes."""
 
 import io
+import os
 import shutil
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -331,6 +333,7 @@ def test_a_name_changed_is_learnt_after_a_restart_before_it_was(
             session.forget("disc")
         assert waited(lambda: not session.learning)
     learn_by(learn_job)
+    os.utime(model, (time.time() + 9, time.time() + 9))  # the clock has gone back
     with LiveSession(library=tmp_path / "library", model=model) as session:
         assert session.unlearnt
         session.learn(wait=True)

@@ -89,6 +89,8 @@ def main() -> None:
     the environment shows the whole traceback of a failure.
     """
     as_json = "--json" in sys.argv
+    if isinstance(sys.stdout, io.TextIOWrapper):  # as standard error does by itself
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with _plain_warnings():
             code = app(prog_name="palpate", standalone_mode=False)

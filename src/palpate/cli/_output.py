@@ -98,7 +98,8 @@ def belief_line(touch: int, posterior: dict[str, float], unknown: float) -> str:
     shares = {**posterior, "unknown": unknown}
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     name, share = ranked[0]
-    bar = ("█" * round(share * BAR_WIDTH)).ljust(BAR_WIDTH, "·")
+    mark, rest = "█·" if "utf" in (sys.stdout.encoding or "").lower() else "#."
+    bar = (mark * round(share * BAR_WIDTH)).ljust(BAR_WIDTH, rest)
     others = "  ".join(f"{n} {_rounded_down(p)}" for n, p in ranked[1:OBJECTS_SHOWN])
     return f"  touch {touch:3d}  {bar} {_rounded_down(share)} {name}   {others}"
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import check_option
-from .._durable import PARTIAL, replacing, write_text
+from .._durable import PARTIAL, lock, replacing, write_text
 from .._types import Array, Floats
 from ..sensors import channels_of
 from ..simulation import SensorPose
@@ -365,18 +365,12 @@ def make_folder(folder: Path) -> None:
 
 
 def _locked(folder: Path) -> IO[bytes]:
-    """Open the lock of a folder; the system gives it back when a program dies."""
-    lock = (folder / _LOCK).open("ab")
-    try:
-        import fcntl
-    except ImportError:  # Windows: nothing keeps two programs apart.
-        return lock
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        lock.close()
+    """Open the lock of a folder, or say that another program has it."""
+    file = (folder / _LOCK).open("ab")
+    if not lock(file):
+        file.close()
         raise EpisodeError(
             f"{folder} is in use: another program adds to this episode. Wait for it "
             "or use another folder."
-        ) from error
-    return lock
+        )
+    return file

@@ -44,6 +44,7 @@ from ._store import (
     COUNT_NAME,
     FILE_NAME,
     Store,
+    Tally,
     is_unicode,
     make_folder,
     warn_of_network,
@@ -86,6 +87,7 @@ class TouchLibrary:
         self.folder = Path(folder)
         self._store = Store(self.folder)
         self._tables = Tables(self._store)
+        self._counted: tuple[Tally, list[ObjectRow]] | None = None
         warn_of_network(self.folder)
         n_touches, n_changes = self._store.n_lost()
         if n_touches or n_changes:
@@ -198,7 +200,10 @@ class TouchLibrary:
 
     def objects(self) -> list[ObjectRow]:
         """Return all objects with touches, sorted by name."""
-        return _adding.list_objects(self._store)
+        tally = self._store.tally()  # whatever was changed since has changed it
+        if self._counted is None or self._counted[0] != tally:
+            self._counted = tally, _adding.list_objects(self._store)
+        return [*self._counted[1]]
 
     def list(
         self,

@@ -104,7 +104,7 @@ def migrate_library(
     """
     old, new = Path(old), Path(new)
     begun = new / _BEGUN
-    if not begun.is_file():
+    if not begun.is_file() or (new / FILE_NAME).exists():  # a library was made there
         refuse_used(new)
     with (
         _explained(old),
@@ -198,8 +198,9 @@ class _OldLibrary:
     def enter_rest(self, store: Store, bar: Progress) -> None:
         """Enter touches and changes in their order, but for those in `store`."""
         number = store.count("SELECT max(number) FROM touches")
-        [(done_s,)] = store.rows("SELECT coalesce(max(time_s), 0) FROM changes")
-        waiting = [change for change in self._changes if change.time_s > done_s]
+        waiting = iter(self._changes)
+        for (time_s,) in store.rows("SELECT time_s FROM changes ORDER BY id"):
+            next((c for c in waiting if c.time_s == time_s), None)  # clocks may go back
         enter_all(store, self._touches_after(number, bar), waiting)
 
     def _touches_after(
@@ -239,8 +240,9 @@ class _OldLibrary:
 
     def _read_changes(self) -> Iterator[Change]:
         """Yield the changes; lists of touches stand in files, or follow from rows."""
-        rows = self._rows("SELECT added_s FROM touches ORDER BY number")
-        added_s = np.array([row[0] for row in rows])
+        rows = self._rows("SELECT id, added_s FROM touches ORDER BY number")
+        added_s = np.array([row["added_s"] for row in rows])
+        numbers = {row["id"].hex(): n for n, row in enumerate(rows, start=1)}
         rows = self._rows(
             "SELECT id, name, time_s, action, content FROM changes ORDER BY id"
         )
@@ -252,8 +254,10 @@ class _OldLibrary:
                 content["ids"] = self._ids(key, name, action)
             for note in ("time_s", "after", "digest", "action"):
                 content.pop(note, None)
-            before = np.flatnonzero(added_s < time_s)
-            after = int(before[-1]) + 1 if len(before) else 0  # numbers count from 1
+            # It came after the touches that it names, wherever the clock was.
+            named = [numbers.get(key, 0) for key in content.get("ids", ())]
+            before = np.flatnonzero(added_s < time_s) + 1  # numbers count from 1
+            after = max([0, *before[-1:].tolist(), *named])
             yield Change(time_s, action, content, after)
 
     def _ids(self, key: int, name: str, action: str) -> list[str]:

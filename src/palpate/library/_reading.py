@@ -1,14 +1,16 @@
 """Reading touches back: their rows, images and columns; features made of them.
 
 Features are computed once and kept beside the library. That is a cache and nothing
-more: it lies in `features/`, one folder per encoder and version, and may be deleted
-at any time. Each file holds the ids of some touches and their features; a damaged one
-is computed again.
+more: it lies in `features/`, one folder per encoder and version, of which the newest
+are kept, and may be deleted at any time. Each file holds the ids of some touches and
+their features; a damaged one is computed again.
 """
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import tempfile
 import warnings
 import zipfile
@@ -43,11 +45,12 @@ from ._rows import (
     stored_images,
     wide_values,
 )
-from ._store import FEATURES, LibraryError
+from ._store import FEATURES, LibraryError, room_for
 
 IN_MEMORY = 256 * 2**20  # bytes of images; more are mapped to a file
 NO_LIMIT = 2**62  # SQLite counts with 63 bits
 _TASKS_PER_FILE = 16  # of features, written when they are done
+_ENCODERS_KEPT = 16  # folders of features: more than the folds of an evaluation
 _ID = "S16"  # a last byte of zero is no matter among equals
 Encode = Callable[[Touches], Floats]
 
@@ -194,8 +197,13 @@ class Selection(Labelled):
             )
         if n_bytes > in_memory:
             folder = self.tables.store.folder
-            scratch = folder if os.access(folder, os.W_OK) else None
-            with tempfile.TemporaryFile(dir=scratch) as file:  # the mapping keeps it
+            own = os.access(folder, os.W_OK)
+            scratch = folder if own else Path(tempfile.gettempdir())
+            with (
+                room_for("images", scratch, "Free space, or choose fewer by a filter."),
+                tempfile.TemporaryFile(dir=scratch) as file,  # the mapping keeps it
+            ):
+                _take_room(file.fileno(), n_bytes)
                 images: Array = np.memmap(file, dtype=dtype, mode="w+", shape=shape)
         else:
             images = np.empty(shape, dtype)
@@ -341,6 +349,16 @@ class Selection(Labelled):
                 _keep(cache, ids[n_kept:n_done], written[-1])
                 waiting, n_kept = [], n_done
         return np.concatenate(written)
+
+
+def _take_room(handle: int, n_bytes: int) -> None:
+    """Take room for a mapping, which ends the program where the disk fills later."""
+    try:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(handle, 0, n_bytes)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # of the file system
+            raise
 
 
 def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
@@ -496,7 +514,11 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
 def _keep(cache: Path, ids: Array, features: Floats) -> None:
     """Add features to the cache, or warn where there is no room or no leave."""
     try:
-        cache.mkdir(parents=True, exist_ok=True)
+        if not cache.exists():  # each lesson has another encoder
+            cache.mkdir(parents=True, exist_ok=True)
+            others = sorted(cache.parent.iterdir(), key=lambda p: p.stat().st_mtime)
+            for oldest in others[:-_ENCODERS_KEPT]:
+                shutil.rmtree(oldest, ignore_errors=True)
         with replacing(cache / f"{uuid4().hex}.npz") as file:
             np.savez(file, ids=ids, x=features)
     except OSError as error:

@@ -173,6 +173,8 @@ def _exchange(path: Path, rebuilt: Path, away: Path) -> None:
     of another database it would be taken for its own.
     """
     away.mkdir(parents=True)
+    with suppress(OSError):  # a file system without them
+        shutil.copymode(path, rebuilt)
     try:
         os.link(path, away / path.name)
     except OSError:  # no links on this file system
@@ -331,6 +333,7 @@ def backup_library(store: Store, folder: Path, *, progress: bool | None = None) 
             Progress(n_pages, "Copying", progress) as bar,
         ):
             folder.mkdir(parents=True, exist_ok=True)
+            copy.touch()  # SQLite leaves leave for a group out
             store.backup(copy, lambda left, total: bar.reach(total - left))
             flush_all(copy)
             copy.replace(folder / FILE_NAME)

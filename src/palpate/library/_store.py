@@ -38,6 +38,7 @@ _PATIENCE_ALONE_S = 2.0  # where the file is opened for this program alone
 AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
 _TOGETHER = 32  # so many callers share a transaction
 _APPLICATION = 0x70616C70  # "palp"
+_AS_IT_STANDS = "ro&immutable=1"  # without files beside it
 PAGE_BYTES = 8192  # of SQLite; twice its default, since images are long
 _MOUNTS = Path("/proc/self/mounts")
 _NETWORK = ("nfs", "cifs", "smb", "afs", "ncpfs", "ceph", "lustre", "fuse.sshfs")
@@ -149,6 +150,7 @@ class Store:
         alone: bool = False,
     ) -> None:
         self.folder, self.path = folder, folder / name
+        self._log = folder / f"{name}-wal"
         self._lock = threading.RLock()
         # Of threads that write: who waits, and is one of them at work?
         self._waiting: deque[_Ticket] = deque()
@@ -168,8 +170,16 @@ class Store:
                 f"{folder} must be a library of touches, got no {name} in it. Make one "
                 "with `TouchLibrary.add`."
             )
+        mode = "rwc"
+        if is_there and not alone and not os.access(self.path, os.W_OK):
+            # Files that this user left beside the database would keep its owner out.
+            if not self._log.exists():
+                self.is_alone, mode = True, _AS_IT_STANDS
+        elif create and not is_there:
+            with suppress(OSError):  # SQLite leaves leave for a group out
+                self.path.touch()
         try:
-            self._open(create, locking="EXCLUSIVE" if alone else "NORMAL")
+            self._open(create, mode=mode, locking="EXCLUSIVE" if alone else "NORMAL")
         except DatabaseUnavailable as error:
             if create or alone or isinstance(error, DatabaseBusy):
                 raise
@@ -443,15 +453,14 @@ class Store:
         that may not be written to is read as it stands, when nothing is left in its
         log.
         """
-        log = self.path.with_name(f"{self.path.name}-wal")
         self.is_alone = True
         try:
             self._open(False, mode="rw", locking="EXCLUSIVE")
         except DatabaseUnavailable:
-            if log.is_file() and log.stat().st_size:
+            if self._log.is_file() and self._log.stat().st_size:
                 raise error from None
             try:
-                self._open(False, mode="ro&immutable=1")
+                self._open(False, mode=_AS_IT_STANDS)
             except DatabaseUnavailable:
                 raise error from None
 
@@ -620,7 +629,8 @@ _FIXES = {
     "what was acknowledged is kept.",
     "SQLITE_CANTOPEN": "Free space on the disk, and check that the folder may be "
     "written to.",
-    "SQLITE_READONLY": "Check that the folder and the file may be written to.",
+    "SQLITE_READONLY": "Check that the folder, the file, and its -wal and -shm may be "
+    "written to.",
     "SQLITE_NOMEM": "Free memory and try again.",
 }
 REPAIR = (

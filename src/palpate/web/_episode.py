@@ -117,6 +117,7 @@ class LiveEpisode:
         self._columns: list[Mapping[str, Any]] = []
         self.channels: Sequence[str] | None = None
         self.open = True
+        self.n_before_baseline = 0  # touches from before it was taken, or undone
 
     def add(
         self,
@@ -283,14 +284,11 @@ class LiveEpisode:
             if image is not None:
                 yield touch, image
 
-    def taken_since(self, time_s: float) -> list[tuple[Array, Mapping[str, Any]]]:
-        """Return pictures, and what was measured with each, from a time on."""
-        rows = zip(self.touches, self.images, self._columns, strict=False)
-        return [
-            (image, columns)
-            for touch, image, columns in rows
-            if image is not None and touch.time_s >= time_s
-        ]
+    def since_baseline(self) -> list[tuple[Array, Mapping[str, Any]]]:
+        """Return pictures, and what was measured with each, since the baseline."""
+        rows = [*zip(self.images, self._columns, strict=False)]
+        later = rows[self.n_before_baseline :]
+        return [(image, columns) for image, columns in later if image is not None]
 
     def as_touches(self) -> Touches:
         pictured = list(self.pictured())

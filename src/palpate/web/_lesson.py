@@ -218,7 +218,8 @@ class Journal:
     objects whose touches are others than when the model learnt last, `renamed` those
     to be learnt under another name, or forgotten: "", in order. `session` is that of
     the touches stored last, with the name of their sensor; `no_contact_ids` are those
-    of touches taught here that show no contact.
+    of touches taught here that show no contact. `moving` are the touches, and the
+    object, of a move that was begun.
     """
 
     def __init__(self, path: Path) -> None:
@@ -229,6 +230,7 @@ class Journal:
         self.session: tuple[str, str] | None = None
         self.n_lessons = 0
         self.no_contact_ids: set[str] = set()
+        self.moving: tuple[list[str], str] | None = None
         self._lesson: Lesson | None = None
         for line in self._lines():
             wrong = ValueError, TypeError, KeyError, AttributeError, RecursionError
@@ -244,6 +246,10 @@ class Journal:
     def add(self, action: Action, *, posted: bool = False) -> None:
         """Keep an action; what was `posted` is none of the lesson under way."""
         self._write({"action": dict(vars(action)), "posted": posted})
+
+    def begin_move(self, ids: Sequence[str], to: str) -> None:
+        """Note touches that are about to be copied `to` an object; none: it is over."""
+        self._write({"moving": {"ids": [*ids], "to": to}})
 
     def pop(self) -> None:
         """Forget the newest action: it is undone."""
@@ -264,7 +270,8 @@ class Journal:
             rested_s = time.time() - self.path.stat().st_mtime
         except OSError:
             return None
-        if self.session is None or self.session[1] != sensor or rested_s > _SITTING_S:
+        long_ago = abs(rested_s) > _SITTING_S  # below 0 where the clock went back
+        if self.session is None or self.session[1] != sensor or long_ago:
             return None
         return self.session[0]
 
@@ -284,8 +291,13 @@ class Journal:
         self.interrupted = None
 
     def _take(self, line: dict[str, Any]) -> None:
-        if "action" in line:
+        if "moving" in line:
+            ids, to = _listed(line["moving"]["ids"]), line["moving"]["to"]
+            _check_texts(to, *ids)
+            self.moving = (ids, to) if ids else None
+        elif "action" in line:
             action = Action(**line["action"])
+            self.moving = None
             self.actions = [*self.actions[1 - MOST_ACTIONS :], action]
             self._change(action)
             in_lesson = action.kind == "taught" and not line.get("posted")

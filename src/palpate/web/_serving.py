@@ -11,8 +11,9 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
+from .._durable import lock
 from .._extras import needed
 from ._session import LiveSession
 
@@ -172,16 +173,13 @@ class PageServer:
 
     @contextmanager
     def _kept_address(self) -> Iterator[None]:
-        """Keep the address beside the library while it is served.
-
-        The system gives the file back when a program dies.
-        """
+        """Keep the address beside the library while it is served."""
         if self._library is None:
             yield
             return
         path = Path(self._library) / ADDRESS_FILE
         with path.open("a+", encoding="utf-8") as file:
-            if _locked(file):
+            if lock(file):
                 file.truncate(0)
                 file.write(self.address)
                 file.flush()
@@ -216,23 +214,10 @@ def _served_at(library: str | Path) -> str:
     if not path.is_file():
         return ""
     with path.open("a+", encoding="utf-8") as file:
-        if _locked(file):
+        if lock(file):
             return ""
         file.seek(0)
         return file.read().strip()
-
-
-def _locked(file: IO[str]) -> bool:
-    """Take the lock of a file, unless another program has it."""
-    try:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except (ImportError, OSError):  # Windows; a file system without locks
-        pass
-    return True
 
 
 def _open_socket(host: str, port: int) -> socket.socket:

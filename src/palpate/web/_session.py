@@ -118,7 +118,7 @@ class LiveSession:
             self.watch = SensorWatch(sensor, self._on_touch, *observers, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
-        self._placed_s = self._requested_s = self._baseline_s = -math.inf
+        self._placed_s = self._requested_s = -math.inf
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -143,10 +143,6 @@ class LiveSession:
             except BaseException:
                 self.stop()
                 raise
-            journal = None if self.teacher is None else self.teacher.journal
-            if journal is not None and not is_newer(journal.path, path):
-                journal.changed.clear()  # learnt since, by another program
-                journal.renamed.clear()
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -164,6 +160,7 @@ class LiveSession:
         try:
             if self.teacher is not None:
                 _ = self.teacher.library
+                self._note_as_learnt()  # since, perhaps by another program
         except ValueError:
             self.stop()
             raise
@@ -285,7 +282,7 @@ class LiveSession:
             self._expect_new_touch()
             self._watched().end_press()
             self.message = self.trouble = ""
-            touched = self.episode.taken_since(self._baseline_s)[-wanted:]
+            touched = self.episode.since_baseline()[-wanted:]
             if keep_episode and not touched:
                 self.message = BEFORE_BASELINE
             for image, columns in touched if keep_episode else ():
@@ -332,19 +329,24 @@ class LiveSession:
             return name
 
     def _note_as_learnt(self) -> None:
-        """Note which changed objects have just the touches again that were learnt.
+        """Note which changed objects have just the touches that were learnt.
 
         While it is learning nobody knows yet which these will be.
         """
-        if self.recogniser is None or self.learning:
+        teacher = self._teacher()
+        journal = teacher.journal
+        if self.recogniser is None or self.learning or not journal.changed:
             return
-        teacher, memory = self._teacher(), self.recogniser.memory_
+        if not {old for old, _ in journal.renamed} & self._n_elsewhere.keys():
+            journal.renamed.clear()  # the model knows none of these from elsewhere
+        renamed = {name for names in journal.renamed for name in names}
+        memory = self.recogniser.memory_
         labels, stored = memory.labels.astype(str), teacher.known_ids()
-        for name in [*teacher.journal.changed]:
+        for name in journal.changed - renamed:
             learnt = {*memory.touch_ids[labels == name].tolist()} & stored
             if teacher.ids_of(name) == learnt:
-                teacher.journal.changed.discard(name)
-                teacher.journal.learnt()
+                journal.changed.discard(name)
+                journal.learnt()
 
     def remove_touches(self, ids: Sequence[str]) -> str:
         """Leave stored touches out, which `undo` takes back; return what to say."""
@@ -434,7 +436,8 @@ class LiveSession:
                 f"{desk.placed} touches the sensor. Put nothing on the desk, then take "
                 "the baseline again."
             ) from error
-        self.message, self._baseline_s = "The baseline is taken.", time.time()
+        self.message = "The baseline is taken."
+        self.episode.n_before_baseline = len(self.episode.touches)
         self._contact_evidence, self._n_contacts, self.alarm = [], 0, ""
         if self.teacher is not None:
             self.teacher.begin_session(changed or "new baseline")
@@ -445,7 +448,7 @@ class LiveSession:
         watch = self._watched()
         if undo:
             watch.undo_baseline()
-            self._baseline_s = time.time()
+            self.episode.n_before_baseline = len(self.episode.touches)
             self.message = "The baseline is undone."
         else:
             watch.end_press()
@@ -813,11 +816,3 @@ class LiveSession:
         with self._lock:  # so that no state comes after a newer one
             if len(self.listeners):
                 self.listeners.notify(Event("state", self.to_dict()))
-
-
-def is_newer(path: Path, than: Path) -> bool:
-    """Return whether both files are there and the first was written later."""
-    try:
-        return path.stat().st_mtime > than.stat().st_mtime
-    except OSError:
-        return False

@@ -6,6 +6,7 @@ What was done can be undone, also after a restart: see `Journal`.
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,10 @@ class Teacher:
         self.elsewhere: set[str] = set()  # objects that the model knows from elsewhere
         if TouchLibrary.is_library(self.folder):
             _ = self.library
+            if (moving := self.journal.moving) is not None:  # killed in the middle
+                self.journal.begin_move((), "")
+                with suppress(ValueError):  # all are moved
+                    self.move(*moving)
             if self._desk is not None:
                 stats = self.library.stats()
                 self._desk.go_on(stats.n_touches + stats.n_retracted)
@@ -341,6 +346,7 @@ class Teacher:
             raise ValueError(f"The touch is of {tidy} already. Choose another object.")
         keys, names = [row.id for row in rows], _objects(rows)
         copies: list[str] = []
+        self.journal.begin_move(keys, tidy)
         try:
             for row in rows:
                 copies.append(self._copy(row, tidy))
@@ -348,6 +354,7 @@ class Teacher:
         except ValueError:  # a touch is of one object, not of both
             if copies:
                 self.library.retract(copies, reason="the move failed on the page")
+            self.journal.begin_move((), "")
             raise
         self.journal.add(Action("moved", names[0], keys, copies, tidy, names[1:]))
         self._drop_from_lesson(keys)
