@@ -245,13 +245,15 @@ def _shift(centre: Floats) -> Floats:
     return np.where(gap >= 0, _BINOMIAL * powers, 0.0)
 
 
-def baseline_frames(baseline: str | ArrayLike, images: Array) -> Array:
+def baseline_frames(
+    baseline: str | ArrayLike, images: Array, names: Iterable[str] = ("median",)
+) -> Array:
     """Return frames whose median is a baseline, as many images or the one given.
 
-    "median" are images spread over all; a frame must be as large as they are.
+    One of `names` are images spread over all; a frame must be as large as they are.
     """
     if isinstance(baseline, str):
-        check_option("baseline", baseline, ("median",))
+        check_option("baseline", baseline, names)
         return np.asarray(images[evenly_spaced(len(images), _LOOKED_AT)])
     frames = check_finite(np.asarray(baseline)[np.newaxis])
     if frames.shape[1:] != images.shape[1:]:

@@ -297,8 +297,9 @@ class ChannelMean(ImageEstimator, by_channel=False):
 
     Parameters
     ----------
-    baseline : {"median"}, image or None, default=None
-        What is taken off each image first; see `palpate.encodings.GridLevels`.
+    baseline : {"median", "rings"}, image or None, default=None
+        What is taken off each image first: an image, the median of the training images,
+        or the means of that on rings about the middle, which are alike at all angles.
     squared : bool, default=False
         The root of the mean square of the channels in place of their mean: how large a
         force or a change of colour is, whichever way it points.
@@ -324,11 +325,24 @@ class ChannelMean(ImageEstimator, by_channel=False):
     ) -> None:
         self.baseline, self.squared = baseline, squared
 
+    @property
+    def keeps(self) -> frozenset[str]:
+        """Changes of an image that leave what comes out alike but for that change."""
+        if self.baseline is None:
+            return frozenset({"shifts", "turns", "gain"})
+        return frozenset({"turns"} if self._is_on_rings() else ())
+
+    def _is_on_rings(self) -> bool:
+        return isinstance(self.baseline, str) and self.baseline == "rings"
+
     def _learn(self, images: Array) -> None:
         check_option("squared", self.squared, (False, True))
         self.baseline_ = np.zeros(1)
         if self.baseline is not None:
-            self.baseline_ = np.median(baseline_frames(self.baseline, images), axis=0)
+            frames = baseline_frames(self.baseline, images, ("median", "rings"))
+            self.baseline_ = np.median(frames, axis=0)
+        if self._is_on_rings():
+            self.baseline_ = _means_on_rings(self.baseline_)
 
     def transform_checked(self, images: Array) -> Array:
         """Return images of shape (n_touches, n_rows, n_cols)."""
@@ -343,3 +357,13 @@ class ChannelMean(ImageEstimator, by_channel=False):
             grey += np.square(channel, dtype=kind) if self.squared else channel
         grey /= images.shape[3]
         return np.sqrt(grey) if self.squared else grey
+
+
+def _means_on_rings(image: Floats) -> Floats:
+    """Return the mean level on each pixel's ring about the middle, of its channel."""
+    down, across = (np.arange(side) - (side - 1) / 2 for side in image.shape[:2])
+    ring = np.hypot(down[:, np.newaxis], across).round().astype(np.intp).ravel()
+    planes = image.reshape(ring.size, -1).T
+    counts = np.maximum(np.bincount(ring), 1)
+    means = [(np.bincount(ring, plane) / counts)[ring] for plane in planes]
+    return np.stack(means, axis=-1).reshape(image.shape)

@@ -196,14 +196,14 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     if geometry == "dome":
         colours = touches.images.ndim == 4
         grey = [ChannelMean()] if colours else []
-        changes = ChannelMean("median", squared=True)
+        changes = ChannelMean("rings", squared=True)
         principal = PrincipalShare(KEPT_SHARE)
         quantiles = [RingQuantiles(), StandardScaler(), principal]
         on_disc = {
             "moments and gradients": [*grey, *_moments(touches)],
-            "moments of changes": [changes, *_moments(touches)],
+            "moments and gradients of changes": [changes, *_moments(touches)],
             "patterns on rings": [*grey, RingPatterns(), principal],
-            "changes on rings": [changes, RingPatterns(), principal],
+            "patterns on rings of changes": [changes, RingPatterns(), principal],
             "quantiles on rings": [*grey, *quantiles],
         }
         if colours:
@@ -258,7 +258,7 @@ def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any
     known: a median of touches would not move with them.
     """
     size = ChannelMean(squared=True)
-    encodings = _plane_encodings(touches, rest, size)
+    encodings = _plane_encodings(touches, rest, is_array=True)
     principal = PrincipalShare(KEPT_SHARE)
     spectrum = GridLevels(FEW_CELLS, spectrum=True, baseline=rest, pads=touches.pads)
     encodings["levels apart from place"] = [spectrum, principal]
@@ -271,17 +271,16 @@ def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any
 
 
 def _plane_encodings(
-    touches: Touches, rest: Array | None, size: ChannelMean | None = None
+    touches: Touches, rest: Array | None, is_array: bool = False
 ) -> dict[str, list[Any]]:
     """Encodings of a gel, pins or an array, whose picture is looked at as it is.
 
-    What tells shapes looks at the `size` of a change: a force, or a slope of a gel that
-    is lit in colours, points another way wherever it is turned.
+    Shapes are told by the size of what an array reads, as a force points another way
+    wherever it is turned. Of others by the mean of channels and by the size of changes:
+    so does a slope that is lit in colours.
     """
     principal = PrincipalShare(KEPT_SHARE)
     baseline = "median" if rest is None else rest
-    tells_changes = size is None or touches.images.ndim == 4
-    size = ChannelMean(baseline, squared=True) if size is None else size
     levels = {
         "levels": GridLevels(baseline=baseline),
         "blurred levels": GridLevels(blur=1.0, baseline=baseline),
@@ -290,22 +289,26 @@ def _plane_encodings(
     encodings = {name: [grid, principal] for name, grid in levels.items()}
     pads = touches.pads
     if pads is not None and len(pads) > 1:
-        shapes = [size, PadShapes(pads), StandardScaler()]
+        shapes = [ChannelMean(squared=True), PadShapes(pads), StandardScaler()]
         return encodings | {"shapes on the pads": shapes}
-    encodings |= {
-        "edges": [EdgeHistograms(), principal],
-        "moments about the centroid": [
-            size,
-            CentroidMoments(),
-            RootScaler(),
-            principal,
-        ],
-        "moments on the disc": [size, DomeCrop(), *_moments(touches)],
+    encodings["edges"] = [EdgeHistograms(), principal]
+    encodings |= _shape_encodings(touches, ChannelMean(squared=is_array))
+    if not is_array:
+        changes = _shape_encodings(touches, ChannelMean(baseline, squared=True))
+        encodings |= {f"{name} of changes": changes[name] for name in changes}
+    return encodings
+
+
+def _shape_encodings(touches: Touches, grey: ChannelMean) -> dict[str, list[Any]]:
+    """Encodings of shapes in a picture that is brought to grey."""
+    principal = PrincipalShare(KEPT_SHARE)
+    about_centroid = [CentroidMoments(), RootScaler(), principal]
+    encodings = {
+        "moments about the centroid": [grey, *about_centroid],
+        "moments on the disc": [grey, DomeCrop(), *_moments(touches)],
     }
     if min(touches.images.shape[1:3]) >= FINE_TAXELS:
-        encodings["patterns on rings"] = [ChannelMean(), RingPatterns(), principal]
-        if tells_changes:
-            encodings["changes on rings"] = [size, RingPatterns(), principal]
+        encodings["patterns on rings"] = [grey, RingPatterns(), principal]
     return encodings
 
 
