@@ -219,10 +219,21 @@ def test_the_size_of_a_change_does_not_depend_on_where_it_points(rng, dtype):
     assert_array_equal(np.median(median, axis=0), np.zeros((4, 5)))
 
 
+def test_what_is_taken_off_on_rings_turns_with_the_image(rng):
+    images = rng.random((7, 9, 9, 2))
+    rings = ChannelMean("rings", squared=True).fit(images)
+    upright = rings.transform(images)
+    turned = rings.transform(np.rot90(images, axes=(1, 2)))
+    assert_allclose(turned, np.rot90(upright, axes=(1, 2)), atol=1e-12)
+    assert rings.baseline_[0, 4, 0] == pytest.approx(rings.baseline_[4, 8, 0])
+    assert rings.keeps == {"turns"}
+    assert not ChannelMean("median").keeps
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"baseline": "mean"}, "baseline must be one of 'median'"),
+        ({"baseline": "mean"}, "baseline must be one of 'median', 'rings'"),
         ({"baseline": np.zeros((3, 3))}, r"image of shape \(4, 5\) .* got \(3, 3\)"),
         ({"baseline": np.full((4, 5), np.nan)}, "must be finite"),
         ({"squared": "yes"}, "squared must be"),
