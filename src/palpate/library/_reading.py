@@ -197,8 +197,8 @@ class Selection(Labelled):
             )
         if n_bytes > in_memory:
             folder = self.tables.store.folder
-            own = os.access(folder, os.W_OK)
-            scratch = folder if own else Path(tempfile.gettempdir())
+            is_writable = os.access(folder, os.W_OK)
+            scratch = folder if is_writable else Path(tempfile.gettempdir())
             with (
                 room_for("images", scratch, "Free space, or choose fewer by a filter."),
                 tempfile.TemporaryFile(dir=scratch) as file,  # the mapping keeps it

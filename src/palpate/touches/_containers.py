@@ -211,8 +211,9 @@ def _hdf5(path: Path, max_bytes: int, *, columns_first: bool = False) -> Arrays:
                 raise TouchesError(f"{path} must hold at most {_MAX_ARRAYS} arrays.")
             entry = _hdf5_entry(h5py, item, max_bytes)
             if columns_first:
-                told = item.attrs.get("MATLAB_class")
-                kind = told.decode() if isinstance(told, bytes) else ""
+                name_of_kind = item.attrs.get("MATLAB_class")
+                is_named = isinstance(name_of_kind, bytes)
+                kind = name_of_kind.decode() if is_named else ""
                 is_label = name.rpartition("/")[2] in ("object", *_LABELS)
                 if is_label and kind not in {"", *_MATLAB_KINDS}:
                     raise _no_numbers(path, kind, name)
