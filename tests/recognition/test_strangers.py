@@ -398,7 +398,7 @@ def test_a_thing_unlike_all_that_was_learnt_is_called_unknown(n_touches):
         ends[name] = end
     assert ends.pop("massage ball") == "unknown"
     right = [name == end for name, end in ends.items()]
-    assert sum(right) >= 4  # two of six stay undecided; of five draws 26 of 30 are named
+    assert sum(right) >= 4  # two stay undecided; of five draws 26 of 30 are named
     assert "unknown" not in ends.values()
 
 
