@@ -246,6 +246,20 @@ def test_where_good_and_fair_begin_and_a_control_is_as_good(right, control, begi
     assert verdict(figured(right, control)).startswith(begin)
 
 
+def test_after_one_touch_the_sentences_are_in_the_singular():
+    figures = figured(0.9, 0.1) | {"accuracy": {"1": 0.9}}
+    assert verdict(figures).startswith("Fair: 90 % right after 1 touch, where")
+
+
+@pytest.mark.parametrize("split", ["session", "subject"])
+def test_advice_on_mountings_needs_a_split_by_session_or_person(split):
+    figures = {"accuracy": (0.5, 0.5), "sessions": {"asked": 0}}
+    advice = advised(**figures, split=split)
+    assert advice.startswith("Another mounting costs accuracy")
+    assert "\n" not in advice
+    assert "one session" in advised(**figures)
+
+
 def test_objects_with_few_touches_are_named_alike_by_check_learn_and_evaluate():
     assert few_touches({"a": 9, "b": 20, "c": 60}) == (
         "few touches of a (9): 20 are a start, 60 are good"

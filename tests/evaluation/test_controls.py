@@ -59,6 +59,12 @@ def test_rims_are_found_beside_a_frame_of_no_contact(disc):
     assert_allclose(disc_centres(touches), [[52, 61]] * 3, atol=1)
 
 
+def test_sorted_pixels_are_shares_of_the_mean_level():
+    """Levels rise; each is over the total, times the number of taxels."""
+    touches = Touches(np.array([[[6.0, 1.0], [3.0, 2.0]], [[0.0, 0.0], [0.0, 0.0]]]))
+    assert_allclose(sorted_pixels(touches), [[1 / 3, 2 / 3, 1, 2], [0, 0, 0, 0]])
+
+
 def test_sorted_pixels_of_many_touches_are_those_of_each(rng):
     """Touches are taken by 256, and above 64 a side every second row and column."""
     images = rng.uniform(1, 9, (259, 5, 5))
@@ -122,8 +128,8 @@ def test_sorted_pixels_end_with_the_least_and_the_most(colour):
     assert (np.diff(values, axis=1) >= 0).all()
     assert_allclose(values[:, 0], flat.min(axis=1) / flat.mean(axis=1))
     assert_allclose(values[:, -1], flat.max(axis=1) / flat.mean(axis=1))
-    signed = Touches(np.array([[[-1.0, 3.0]], [[0.0, 0.0]]]))
-    assert_allclose(sorted_pixels(signed), [[-1 / 4 * 2, 3 / 4 * 2], [0, 0]])
+    signed = Touches(np.array([[[-1.0, 3.0]]]))
+    assert_allclose(sorted_pixels(signed), [[-1 / 4 * 2, 3 / 4 * 2]])
 
 
 def test_a_control_is_learnt_without_regard_to_units(rng):

@@ -175,15 +175,9 @@ def test_every_episode_ends_as_a_belief_that_decides_after_each_touch():
         assert ends.right[number] == (decision == ends.objects[number])
 
 
-def test_a_report_says_how_episodes_end_and_loads_nothing(result, tmp_path):
+def test_how_episodes_end_is_in_the_report(result, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     page = write_report(tmp_path / "r.html", *result).read_text()
-    addresses = re.findall(r"(?:src|href)=['\"]?([^'\" >]+)", page)
-    assert addresses
-    assert all(address.startswith(("data:", "#")) for address in addresses)
-    assert "<script" not in page
-    for name in NAMES:
-        assert name in page
     assert "Stopping at an error of 0.01, a refusal of 0.01" in page
     assert "<td>called unknown</td>" in page
     assert escape(result[0]["verdict"]) in page
@@ -202,6 +196,20 @@ def test_pure_noise_is_recognised_at_chance():
     figures, _ = evaluate(noise, split="between", plan=Plan(touches=(1,), orders=2))
     # 100 test touches at chance 0.25: four standard errors.
     assert abs(figures["accuracy"]["1"] - 0.25) < 0.18
+
+
+def test_objects_with_fewer_touches_are_left_out_at_k():
+    test = drawn(1, NAMES)
+    fewer = test[np.r_[0:16, 16:18, 32:48, 48:64]]
+    figures, _ = evaluate(drawn(0, NAMES), fewer, plan=PLAN)
+    assert figures["n_objects"] == {"1": 4, "3": 3, "6": 3}
+
+
+def test_one_touch_uses_every_test_touch_once():
+    figures, trials = evaluate(drawn(0, NAMES), drawn(1, NAMES, noise=3), plan=PLAN)
+    best = trials[0].evidence.log_likelihood.argmax(axis=1)
+    hits = trials[0].recogniser.classes_[best] == trials[0].fold.test.object
+    assert figures["accuracy"]["1"] == pytest.approx(hits.mean())
 
 
 def test_of_unseen_objects_categories_are_recognised(tmp_path, capsys):
@@ -227,6 +235,17 @@ def test_training_touches_drawn_with_the_same_seed_give_the_same_figures():
     assert first["n_train_touches"] == 32
     for key in ("accuracy", "log_loss", "ece", "controls", "decision"):
         assert first[key] == second[key]
+
+
+def test_report_is_one_file_that_loads_nothing(result, tmp_path):
+    path = write_report(tmp_path / "r.html", *result)
+    page = path.read_text()
+    addresses = re.findall(r"(?:src|href)=['\"]?([^'\" >]+)", page)
+    assert addresses
+    assert all(address.startswith(("data:", "#")) for address in addresses)
+    assert "<script" not in page
+    for name in NAMES:
+        assert name in page
 
 
 def test_report_escapes_names(tmp_path):

@@ -185,6 +185,14 @@ def test_the_first_touches_are_those_that_were_made_first():
     assert set(trial.fold.test.columns["time_s"]) == {0, -1, -2}
 
 
+def test_the_accuracy_expected_in_another_session_is_in_the_figures(week):
+    figures, _ = evaluate(week, split="between", plan=Plan(touches=(1,), orders=2))
+    sessions = figures["sessions"]
+    assert sessions["least"] == 1
+    assert sessions["median"] == 2
+    assert 0 < sessions["expected"] < figures["accuracy"]["1"]
+
+
 def test_where_sessions_were_tested_the_measured_accuracy_is_expected(week):
     figures, _ = evaluate(week, split="session", plan=PLAN)
     right = 100 * figures["accuracy"]["1"]

@@ -61,6 +61,13 @@ def test_taxels_outside_every_pad_do_not_count(check):
     assert flags(hand, dirt) == ["no contact", ""]
 
 
+def test_small_pads_are_never_double(check):
+    small = check(pressed(), geometry="array", pads=[[0, 0, 9, 7]])
+    double = np.zeros((1, 9, 20))
+    double[:, 0:3, 0:3] = double[:, 6:9, 4:7] = 120
+    assert flags(small, double) == [""]
+
+
 def test_channels_count_together(check):
     images = np.stack([pressed(), -0.5 * pressed(seed=1)], axis=-1)
     about = {"channels": ["x", "y"], "geometry": "array"}
@@ -221,13 +228,23 @@ def test_saturated_is_more_at_the_limit_than_in_training(
             assert flags(learnt, touches) == expected
 
 
+def test_the_usual_share_at_the_limit_is_the_99_percent_quantile(check):
+    images = np.full((24, 10, 10), 100, np.uint8) + np.eye(10, dtype=np.uint8)
+    images[0, :5] = 255
+    learnt = check(images, geometry="plane")
+    # The 99 % quantile of 23 zeros and 0.5 lies 0.77 of the way to the last.
+    assert learnt.at_limit_ == pytest.approx(0.5 * (0.99 * 23 - 22))
+
+
 @pytest.mark.parametrize(
     ("regions", "flag"),
     [
         ([(0, 0, 2, 8), (5, 2, 2, 2)], "double contact"),  # 16 and 4 taxels
         ([(0, 0, 2, 8), (5, 2, 1, 4)], "double contact"),
+        ([(0, 0, 2, 8), (5, 2, 4, 1)], "double contact"),
         ([(0, 0, 2, 8), (5, 2, 1, 3)], ""),  # 16 and 3
-        ([(0, 0, 8, 2), (0, 5, 3, 1)], ""),
+        ([(0, 0, 2, 8), (5, 2, 3, 1)], ""),
+        ([(0, 0, 8, 2), (0, 5, 1, 3)], ""),
         ([(0, 0, 8, 2), (0, 5, 1, 4)], "double contact"),
         ([(0, 0, 2, 8), (5, 0, 1, 3), (5, 5, 1, 3), (7, 8, 1, 3)], ""),
         ([(0, 0, 2, 8), (2, 8, 2, 8)], ""),  # corner to corner is one

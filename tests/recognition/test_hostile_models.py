@@ -129,6 +129,14 @@ def test_what_would_hang_or_fill_memory_is_refused(tmp_path, number, change, mes
     assert bool(message) == bool(refusal)
 
 
+def test_the_checksum_is_compared(tmp_path):
+    path = models()[0].save(tmp_path / "a.palpate")
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(content)
+    assert "checksum does not match" in refusal_of(path)
+
+
 def test_a_larger_file_than_asked_for_is_refused_unread(tmp_path, monkeypatch):
     path = models()[0].save(tmp_path / "a.palpate")
     monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "0.001")

@@ -1,5 +1,6 @@
 """Model files: what they hold, and that a hostile one executes nothing."""
 
+import pickle
 from copy import copy
 
 import numpy as np
@@ -115,6 +116,16 @@ def test_forged_content_is_refused(tmp_path, model, message):
 def test_documents_of_another_kind_are_refused(tmp_path, document, message):
     with pytest.raises(ModelFileError, match=message):
         ObjectRecogniser.load(forged(tmp_path / "b.palpate", document, {}))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"PK\x03\x04", b"\x80\x04.", b"x" * 4096, pickle.dumps({"a": 1})]
+)
+def test_other_files_are_refused(tmp_path, content):
+    path = tmp_path / "b.palpate"
+    path.write_bytes(content)
+    with pytest.raises(ModelFileError, match=r"b\.palpate is no palpate model"):
+        ObjectRecogniser.load(path)
 
 
 def test_a_missing_file_is_named(tmp_path):

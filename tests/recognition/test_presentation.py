@@ -45,6 +45,15 @@ def test_turns_that_tell_objects_apart_are_used_and_said(rng):
     assert any(sentence.startswith("turns matter here") for sentence in sentences)
 
 
+def test_presentation_any_is_blind_to_turns_that_fixed_sees(rng):
+    train, test = bars(rng, (0, 90)), bars(rng, (0, 90))
+    fixed = ObjectRecogniser(presentation="fixed").fit(train)
+    blind = ObjectRecogniser(presentation="any").fit(train)
+    assert fixed.score(test) > 0.95
+    # One bar at two angles is one object to whoever is blind to turns.
+    assert blind.score(test) < 0.75
+
+
 def test_presentation_any_recognises_turned_objects_taught_upright(rng):
     learnt = ObjectRecogniser(presentation="any").fit(two_shapes(rng))
     assert learnt.score(turned_anyhow(two_shapes(rng), rng)) > 0.95

@@ -97,6 +97,22 @@ def test_touches_that_point_everywhere_are_never_named(recogniser):
     assert closed.posterior == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
 
 
+def test_an_object_is_added_and_one_forgotten(rng):
+    everything = drawn(rng)
+    pens = everything.object == "pen"
+    learnt = ObjectRecogniser().fit(everything[~pens])
+    learnt.add_object("pen", everything[pens])
+    assert learnt.classes_.tolist() == ["ball", "mug", "pen"]
+    assert learnt.start().update(everything[pens][:3]).best == "pen"
+    learnt.forget_object("mug")
+    assert learnt.classes_.tolist() == ["ball", "pen"]
+    assert learnt.start().update(everything[pens][:3]).best == "pen"
+    with pytest.raises(ValueError, match="'ball', 'pen', got 'mug'"):
+        learnt.forget_object("mug")
+    with pytest.raises(ValueError, match="At least two objects must remain"):
+        learnt.forget_object("pen")
+
+
 def test_a_prior_by_counts_is_the_share_of_training_touches(rng):
     touches = drawn(rng)
     fewer = touches[np.r_[0:24, 24:36, 48:60]]
@@ -128,7 +144,7 @@ def test_a_damaged_or_truncated_model_is_refused(recogniser, tmp_path, where):
     else:
         del content[where:]
     path.write_bytes(content)
-    with pytest.raises(ModelFileError, match=r"m\.palpate is (damaged|no palpate)"):
+    with pytest.raises(ModelFileError, match=r"m\.palpate"):
         ObjectRecogniser.load(path)
 
 

@@ -52,6 +52,14 @@ def test_a_camera_that_sees_the_dome_elsewhere_is_found_again(recogniser, elsewh
     assert adapted.score(elsewhere) > 0.62
 
 
+def test_the_old_recogniser_stays_as_it_is(recogniser, elsewhere):
+    features = recogniser.memory_.features.copy()
+    shape = recogniser.encoder_.image_shape_
+    adapt(recogniser, elsewhere)
+    assert np.array_equal(recogniser.memory_.features, features)
+    assert recogniser.encoder_.image_shape_ == shape
+
+
 def test_a_model_that_was_adapted_is_saved(recogniser, elsewhere, tmp_path):
     adapted = adapt(recogniser, elsewhere)
     loaded = ObjectRecogniser.load(adapted.save(tmp_path / "m.palpate"))
