@@ -17,19 +17,10 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from ._checks import (
-    check_finite,
-    check_image_shape,
-    check_images,
-    check_levels,
-    check_option,
-)
-from ._numbers import evenly_spaced
+from ._checks import check_finite, check_image_shape, check_images, check_levels
 from ._types import Array, Bools, Floats
 
 _ORDER = 3  # third moments tell one end of an axis from the other
-# The median of so many training images is a baseline.
-_LOOKED_AT = 200
 _BINOMIAL = pascal(_ORDER + 1, kind="lower").astype(float)
 
 
@@ -243,22 +234,3 @@ def _shift(centre: Floats) -> Floats:
     gap = order[:, None] - order
     powers = (-centre[:, None, None]) ** np.maximum(gap, 0)
     return np.where(gap >= 0, _BINOMIAL * powers, 0.0)
-
-
-def baseline_frames(
-    baseline: str | ArrayLike, images: Array, names: Iterable[str] = ("median",)
-) -> Array:
-    """Return frames whose median is a baseline, as many images or the one given.
-
-    One of `names` are images spread over all; a frame must be as large as they are.
-    """
-    if isinstance(baseline, str):
-        check_option("baseline", baseline, names)
-        return np.asarray(images[evenly_spaced(len(images), _LOOKED_AT)])
-    frames = check_finite(np.asarray(baseline)[np.newaxis])
-    if frames.shape[1:] != images.shape[1:]:
-        raise ValueError(
-            f"baseline must be an image of shape {images.shape[1:]} like the "
-            f"others, got {frames.shape[1:]}. Crop or resize it."
-        )
-    return frames

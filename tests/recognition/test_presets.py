@@ -138,35 +138,9 @@ SHAPES = {
 }
 
 
-def gel_presses(n_touches, seed):
-    """Three imprints, turned and moved, on a gel whose own texture is stronger."""
-    rng, images = np.random.default_rng(seed), []
-    rest = np.random.default_rng(9).uniform(40, 215, (40, 40))
-    for imprint in IMPRINTS.values():
-        for _ in range(n_touches):
-            turn, (down, across) = rng.uniform(0, 2 * np.pi), rng.uniform(-4, 4, 2)
-            y, x = np.mgrid[:40, :40] - 19.5
-            y, x = y - down, x - across
-            turned = y * np.cos(turn) - x * np.sin(turn)
-            image = rest + 20 * imprint(turned, y * np.sin(turn) + x * np.cos(turn))
-            images.append(np.clip(image + rng.normal(0, 4, rest.shape), 0, 255))
-    names = np.repeat([*IMPRINTS], n_touches)
-    return Touches(np.stack(images).astype(np.uint8), object=names, geometry="plane")
-
-
-IMPRINTS = {
-    "ring": lambda y, x: np.exp(-((np.hypot(y, x) - 8) ** 2) / 4),
-    "disc": lambda y, x: 0.7 * (np.hypot(y, x) < 8),
-    "cross": lambda y, x: (
-        (np.hypot(y, x) < 12) * np.exp(-(np.minimum(abs(y), abs(x)) ** 2) / 4)
-    ),
-}
-
-
-@pytest.mark.parametrize(("touch", "n_touches"), [(forces, 6), (gel_presses, 8)])
-def test_shapes_are_told_by_how_large_changes_are(touch, n_touches):
-    recogniser = ObjectRecogniser(rehearse=False).fit(touch(n_touches, 0))
-    assert recogniser.score(touch(10, 1)) > 0.95  # by levels and patterns as read 0.8
+def test_shapes_on_three_axes_are_told_by_how_large_forces_are():
+    recogniser = ObjectRecogniser(rehearse=False).fit(forces(6, 0))
+    assert recogniser.score(forces(10, 1)) > 0.95  # by the mean of axes 0.6
 
 
 @pytest.fixture(scope="module")

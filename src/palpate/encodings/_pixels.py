@@ -16,14 +16,17 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import check_count, check_number, check_option
-from .._image_estimator import ImageEstimator, baseline_frames, by_channel
+from .._checks import check_count, check_finite, check_number, check_option
+from .._image_estimator import ImageEstimator, by_channel
+from .._numbers import evenly_spaced
 from .._types import Array, Complexes, Floats, Indices, Singles
 from ..images import OrientationRegulariser
 from ._edges_and_rings import lengths
 from ._moments import boxes_of, cut_out, size_of
 
 PAPER_SIDE = 13  # 169 values, as in the paper
+# The median of so many training images is a baseline.
+_LOOKED_AT = 200
 # Rings between these shares of the radius: nearer the centre a ring has no angles,
 # nearer the edge the smoothing reaches what lies outside.
 _INNER, _OUTER = 0.06, 0.93
@@ -194,9 +197,18 @@ class GridLevels(ImageEstimator, by_channel=False):
             _gaussian(len(cells), blur) for cells in (self.down_, self.across_)
         )
         self.baseline_ = np.zeros(1)
-        if self.baseline is not None:
-            frames = baseline_frames(self.baseline, images)
-            self.baseline_ = np.median(by_channel(self._means, frames), axis=0)
+        if isinstance(self.baseline, str):
+            check_option("baseline", self.baseline, ("median",))
+            rows = evenly_spaced(len(images), _LOOKED_AT)
+            self.baseline_ = np.median(by_channel(self._means, images[rows]), axis=0)
+        elif self.baseline is not None:
+            frame = check_finite(np.asarray(self.baseline)[np.newaxis])
+            if frame.shape[1:] != images.shape[1:]:
+                raise ValueError(
+                    f"baseline must be an image of shape {images.shape[1:]} like the "
+                    f"others, got {frame.shape[1:]}. Crop or resize it."
+                )
+            self.baseline_ = by_channel(self._means, frame)[0]
         if self.pads is not None:
             self.pads_ = boxes_of(self.pads, sides)
             self.grids_ = [

@@ -4,8 +4,8 @@ Dead taxels are filled, the image is enlarged, gamma raises the low grey levels,
 filter removes what is far below the mean, and Otsu's threshold, partition by
 partition, makes the image binary. Each step is a function; `ArrayCleanUp` is the
 chain. Arrays of any shape are accepted, 10 x 10 taxels to 33 x 33 pixels being the
-paper's (doi:10.1155/2014/497275). `ChannelMean` brings several
-channels to grey, or to how much they change.
+paper's (doi:10.1155/2014/497275). `ChannelMean` brings several channels to grey, or to
+how large they are.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sklearn.utils import Tags
 
 from .. import _checks
 from .._checks import check_count, check_images, check_option, check_positive
-from .._image_estimator import ImageEstimator, baseline_frames
+from .._image_estimator import ImageEstimator
 from .._numbers import otsu_thresholds
 from .._types import Array, Bools, Floats
 
@@ -297,17 +297,9 @@ class ChannelMean(ImageEstimator, by_channel=False):
 
     Parameters
     ----------
-    baseline : {"median", "rings"}, image or None, default=None
-        What is taken off each image first: an image, the median of the training images,
-        or the means of that on rings about the middle, which are alike at all angles.
     squared : bool, default=False
         The root of the mean square of the channels in place of their mean: how large a
-        force or a change of colour is, whichever way it points.
-
-    Attributes
-    ----------
-    baseline_ : ndarray of the shape of an image
-        What is taken off; 0 without a baseline.
+        force on three axes is, whichever way it points.
 
     Examples
     --------
@@ -320,50 +312,20 @@ class ChannelMean(ImageEstimator, by_channel=False):
     array([[[3.54, 3.54]]])
     """
 
-    def __init__(
-        self, baseline: str | ArrayLike | None = None, squared: bool = False
-    ) -> None:
-        self.baseline, self.squared = baseline, squared
-
-    @property
-    def keeps(self) -> frozenset[str]:
-        """Changes of an image that leave what comes out alike but for that change."""
-        if self.baseline is None:
-            return frozenset({"shifts", "turns", "gain"})
-        return frozenset({"turns"} if self._is_on_rings() else ())
-
-    def _is_on_rings(self) -> bool:
-        return isinstance(self.baseline, str) and self.baseline == "rings"
+    def __init__(self, squared: bool = False) -> None:
+        self.squared = squared
 
     def _learn(self, images: Array) -> None:
         check_option("squared", self.squared, (False, True))
-        self.baseline_ = np.zeros(1)
-        if self.baseline is not None:
-            frames = baseline_frames(self.baseline, images, ("median", "rings"))
-            self.baseline_ = np.median(frames, axis=0)
-        if self._is_on_rings():
-            self.baseline_ = _means_on_rings(self.baseline_)
 
     def transform_checked(self, images: Array) -> Array:
         """Return images of shape (n_touches, n_rows, n_cols)."""
-        kind = np.result_type(images.dtype, np.float32)
-        if self.baseline is not None:
-            images = images - self.baseline_.astype(kind)
         if images.ndim == 3:
             return images
+        kind = np.result_type(images.dtype, np.float32)
         # Channel by channel: `mean` over so short an axis takes several times as long.
         grey: Floats = np.zeros(images.shape[:3], dtype=kind)
         for channel in np.moveaxis(images, -1, 0):
             grey += np.square(channel, dtype=kind) if self.squared else channel
         grey /= images.shape[3]
         return np.sqrt(grey) if self.squared else grey
-
-
-def _means_on_rings(image: Floats) -> Floats:
-    """Return the mean level on each pixel's ring about the middle, of its channel."""
-    down, across = (np.arange(side) - (side - 1) / 2 for side in image.shape[:2])
-    ring = np.hypot(down[:, np.newaxis], across).round().astype(np.intp).ravel()
-    planes = image.reshape(ring.size, -1).T
-    counts = np.maximum(np.bincount(ring), 1)
-    means = [(np.bincount(ring, plane) / counts)[ring] for plane in planes]
-    return np.stack(means, axis=-1).reshape(image.shape)

@@ -314,9 +314,7 @@ class TouchEncoder(Encoder, BaseEstimator):
     def blind_to(self, name: str) -> frozenset[str]:
         """Return what an encoding does not change under: "shifts", "turns", "gain"."""
         steps = self.encodings[name]
-        blind = frozenset().union(*(getattr(s, "blind_to", ()) for s in steps))
-        # A baseline does not turn, or move, with what it is taken off.
-        return blind.intersection(*(s.keeps for s in steps if hasattr(s, "keeps")))
+        return frozenset().union(*(getattr(s, "blind_to", ()) for s in steps))
 
     def before_another_camera(self, touches: Touches) -> Self:
         """Return this encoder with its clean-up where other touches show the sensor."""

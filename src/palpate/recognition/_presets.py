@@ -194,19 +194,15 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     if geometry == "none":
         return {"taxels": TouchEncoder(None, _taxel_encodings(touches))}
     if geometry == "dome":
-        colours = touches.images.ndim == 4
-        grey = [ChannelMean()] if colours else []
-        changes = ChannelMean("rings", squared=True)
         principal = PrincipalShare(KEPT_SHARE)
         quantiles = [RingQuantiles(), StandardScaler(), principal]
         on_disc = {
-            "moments and gradients": [*grey, *_moments(touches)],
-            "moments and gradients of changes": [changes, *_moments(touches)],
-            "patterns on rings": [*grey, RingPatterns(), principal],
-            "patterns on rings of changes": [changes, RingPatterns(), principal],
-            "quantiles on rings": [*grey, *quantiles],
+            "moments and gradients": _moments(touches),
+            "patterns on rings": [RingPatterns(), principal],
+            "quantiles on rings": quantiles,
         }
-        if colours:
+        if colours := touches.images.ndim == 4:
+            on_disc = {name: [ChannelMean(), *on_disc[name]] for name in on_disc}
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": _allowed(candidates, presentation)}
@@ -257,28 +253,30 @@ def _array_encodings(touches: Touches, rest: Array | None) -> dict[str, list[Any
     Of the latter nothing is taken off where `rest`, what it reads untouched, is not
     known: a median of touches would not move with them.
     """
-    size = ChannelMean(squared=True)
-    encodings = _plane_encodings(touches, rest, is_array=True)
+    has_axes = touches.images.ndim == 4
+    encodings = _plane_encodings(touches, rest, has_axes)
     principal = PrincipalShare(KEPT_SHARE)
     spectrum = GridLevels(FEW_CELLS, spectrum=True, baseline=rest, pads=touches.pads)
     encodings["levels apart from place"] = [spectrum, principal]
-    if touches.images.ndim == 4:
+    if has_axes:
         spectrum = GridLevels(FEW_CELLS, spectrum=True, pads=touches.pads)
-        encodings["sizes apart from place"] = [size, spectrum, principal]
+        sizes = [ChannelMean(squared=True), spectrum, principal]
+        encodings["sizes apart from place"] = sizes
     if min(touches.images.shape[1:3]) < FEW_TAXELS:
         encodings |= _taxel_encodings(touches)
     return encodings
 
 
 def _plane_encodings(
-    touches: Touches, rest: Array | None, is_array: bool = False
+    touches: Touches, rest: Array | None, has_axes: bool = False
 ) -> dict[str, list[Any]]:
     """Encodings of a gel, pins or an array, whose picture is looked at as it is.
 
-    Shapes are told by the size of what an array reads, as a force points another way
-    wherever it is turned. Of others by the mean of channels and by the size of changes:
-    so does a slope that is lit in colours.
+    Where its channels are the axes of a force, shapes are told by how large that is: it
+    points another way wherever it is turned, and in the mean of axes it cancels.
     """
+    size = [ChannelMean(squared=True)] if has_axes else []
+    grey = size or [ChannelMean()]
     principal = PrincipalShare(KEPT_SHARE)
     baseline = "median" if rest is None else rest
     levels = {
@@ -289,26 +287,16 @@ def _plane_encodings(
     encodings = {name: [grid, principal] for name, grid in levels.items()}
     pads = touches.pads
     if pads is not None and len(pads) > 1:
-        shapes = [ChannelMean(squared=True), PadShapes(pads), StandardScaler()]
+        shapes = [*size, PadShapes(pads), StandardScaler()]
         return encodings | {"shapes on the pads": shapes}
-    encodings["edges"] = [EdgeHistograms(), principal]
-    encodings |= _shape_encodings(touches, ChannelMean(squared=is_array))
-    if not is_array:
-        changes = _shape_encodings(touches, ChannelMean(baseline, squared=True))
-        encodings |= {f"{name} of changes": changes[name] for name in changes}
-    return encodings
-
-
-def _shape_encodings(touches: Touches, grey: ChannelMean) -> dict[str, list[Any]]:
-    """Encodings of shapes in a picture that is brought to grey."""
-    principal = PrincipalShare(KEPT_SHARE)
     about_centroid = [CentroidMoments(), RootScaler(), principal]
-    encodings = {
-        "moments about the centroid": [grey, *about_centroid],
-        "moments on the disc": [grey, DomeCrop(), *_moments(touches)],
+    encodings |= {
+        "edges": [EdgeHistograms(), principal],
+        "moments about the centroid": [*size, *about_centroid],
+        "moments on the disc": [*grey, DomeCrop(), *_moments(touches)],
     }
     if min(touches.images.shape[1:3]) >= FINE_TAXELS:
-        encodings["patterns on rings"] = [grey, RingPatterns(), principal]
+        encodings["patterns on rings"] = [*grey, RingPatterns(), principal]
     return encodings
 
 
