@@ -350,6 +350,21 @@ def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
         place.chmod(0o755)
 
 
+def test_a_library_that_its_owner_wrote_to_is_read_no_further(folder, monkeypatch):
+    """A reader who may not write has no lock: pages may be of two moments."""
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "access", lambda *_: False)
+        reader = TouchLibrary.open(folder)
+    with reader:
+        n_touches = len(reader)
+        with TouchLibrary.open(folder) as owner:
+            owner.add(press_of(99))
+        with pytest.raises(LibraryError, match="was written to"):
+            reader.touches()
+    with TouchLibrary.open(folder) as again:
+        assert len(again) == n_touches + 1
+
+
 @pytest.mark.skipif(os.name != "posix", reason="of POSIX")
 def test_a_library_of_a_group_can_be_written_by_all_of_it(tmp_path, alter):
     before = os.umask(0o002)

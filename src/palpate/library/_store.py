@@ -158,6 +158,7 @@ class Store:
         self._explained = _Explained(self.path)
         self._count: int | None = None
         self._inode: int | None = None  # of the database, once it is open
+        self._stands: tuple[int, int] | None = None  # of one opened as it stands
         self.is_alone = alone  # locks out even a second connection of this program
         is_there = self.path.is_file() and self.path.stat().st_size > 0
         if create and name == FILE_NAME and not is_there and self._counts():
@@ -202,8 +203,19 @@ class Store:
                 self._count = None
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        with self._lock, self._explained:
-            return self._connection.execute(sql, values).fetchall()
+        try:
+            with self._lock, self._explained:
+                return self._connection.execute(sql, values).fetchall()
+        finally:
+            self._check_stands()
+
+    def _check_stands(self) -> None:
+        """Refuse what was read as it stands, unlocked, of a file that changed since."""
+        if self._stands is not None and self._stands != _written(self.path):
+            raise DatabaseUnavailable(
+                f"{self.path} must stay as it is while somebody reads it who may not "
+                "write to it, but it was written to. Open the library again."
+            )
 
     def first_row(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
         return next(iter(self.rows(sql, values)), None)
@@ -304,6 +316,7 @@ class Store:
         """Copy the database to the new file `target`, while others write."""
         place = f"{self.path.absolute().as_uri()}?mode=ro"
         with ExitStack() as stack:
+            stack.callback(self._check_stands)
             stack.enter_context(self._explained)
             copy = stack.enter_context(closing(sqlite3.connect(target)))
             source = self._connection
@@ -431,6 +444,7 @@ class Store:
         self, create: bool, *, mode: str = "rwc", locking: str = "NORMAL"
     ) -> None:
         place = f"{self.path.absolute().as_uri()}?mode={mode}"
+        self._stands = _written(self.path) if mode == _AS_IT_STANDS else None
         with self._explained:
             self._connection = sqlite3.connect(
                 place,
@@ -531,6 +545,15 @@ def _inode_of(path: Path) -> int | None:
         return path.stat().st_ino
     except OSError:
         return None
+
+
+def _written(path: Path) -> tuple[int, int] | None:
+    """Return what tells that a file was written to: when it was, and its size."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
 
 
 def chained(chain: bytes, digests: Sequence[bytes]) -> bytes:
