@@ -668,6 +668,27 @@ def test_a_wrong_name_is_put_right_with_the_touches_just_made(
         expect(page.locator("#step-2")).to_contain_text(f"lid: {n_touches} of 12")
 
 
+def test_a_late_refusal_is_not_put_on_the_name_that_is_typed_by_then(
+    page, taught, open_page
+):
+    orders = []
+    page.route("**/api/teach", lambda order: orders.append(order))
+    with open_page(taught):
+        name = page.locator("#name")
+        name.fill("unknown")
+        with page.expect_request("**/api/teach"):
+            name.press("Enter")
+        name.fill("lid")
+        with page.expect_response("**/api/teach") as refused:
+            orders[0].continue_()
+        assert refused.value.status == 422
+        expect(page.locator("#status")).to_contain_text("The name")
+        expect(name).to_have_js_property("validationMessage", "")
+        page.unroute("**/api/teach")
+        name.press("Enter")
+        expect(page.locator("#step-2")).to_contain_text("lid: 0 of 12")
+
+
 def test_a_name_has_a_doubt_beside_it_while_the_sensor_looks_changed(
     page, taught, open_page, drawn, monkeypatch
 ):

@@ -162,13 +162,17 @@ async function begin(event) {
     const answer = await chosen("Different things?", words, "Teach all the same", "Cancel", first);
     if (!answer || (answer === "first" && !await post("place", { object: order.object.trim() }))) return;
   }
-  if (!await post("teach", order)) {
+  const accepted = await post("teach", order);
+  // An answer that comes late is not about the name that is typed by then.
+  const same = find("name").value === order.object;
+  if (!accepted) {
     const refused = find("status").textContent;
+    if (!same) return;
     find("name").setCustomValidity(refused.startsWith("The name") ? refused : "");
     find("name").reportValidity();
     return;
   }
-  find("name").value = "";  // how many touches are wanted stays as it was typed
+  if (same) find("name").value = "";  // how many touches are wanted stays as it was typed
   teachThese(0);
   find("stop").focus();
   find("teach").scrollIntoView({ block: "nearest" });
