@@ -328,7 +328,10 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     """Refuse channels, pads and frames of presses that do not suit the images."""
     names, pads = whole.get("channels"), whole.get("pads")
     if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
-        fix = 'Name them in their order, such as channels=["r", "g", "b"].'
+        fix = (
+            'Name them in their order, such as channels=["r", "g", "b"] of colours or '
+            '["x", "y", "z"] of forces; an archive holds them as its array channels.'
+        )
         if images.shape[1] <= 4 < images.shape[3]:  # as PyTorch has them
             fix = (
                 "Channels come last: images.transpose(0, 2, 3, 1), each with its name."
