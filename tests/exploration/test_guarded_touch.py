@@ -4,9 +4,18 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from ball_world import SlowlySure
 from numpy.testing import assert_allclose
 
-from palpate.exploration import Guard, Hemisphere, RobotError, guarded_touch
+from palpate.exploration import (
+    Guard,
+    Hemisphere,
+    RandomHemisphere,
+    RobotError,
+    explore,
+    gather,
+    guarded_touch,
+)
 from palpate.sensors import SensorError
 
 START = Hemisphere().pose(0.7, 0.6)
@@ -72,6 +81,35 @@ def test_dead_taxels_are_no_fault(arm, sensor, monkeypatch):
     record = guarded_touch(arm, sensor, START)
     assert record.outcome == "touched"
     assert np.isnan(record.image).sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"robot": Mock(spec=["move_to", "read_pose", "read_force"])}, "retract, stop"),
+        ({"robot": None}, "robot must have .* got NoneType without move_to"),
+        ({"sensor": None}, "sensor must have image_shape, read, got NoneType"),
+        ({"guard": 3.0}, r"guard must be a Guard, got 3.0. Write Guard\("),
+        ({"strategy": Hemisphere()}, "got Hemisphere without hemisphere, next_pose"),
+        ({"recogniser": None}, "recogniser must have start, got NoneType"),
+        ({"start": (0, 0, 300)}, "start must be a SensorPose, got tuple"),
+    ],
+)
+def test_what_is_no_arm_or_lacks_a_method_is_not_moved(arm, sensor, given, message):
+    # Missed in contact alone, `retract` and `stop` would leave the arm pressing.
+    arms = {"robot": arm, "sensor": sensor}
+    strategy, learnt = {"strategy": RandomHemisphere()}, {"recogniser": SlowlySure()}
+    calls = {
+        guarded_touch: {**arms, "start": START},
+        gather: {**arms, **strategy},
+        explore: {**arms, **strategy, **learnt},
+    }
+    for call, arguments in calls.items():
+        if {*given} <= {*arguments, "guard"}:
+            with pytest.raises(TypeError, match=message):
+                call(**{**arguments, **given})
+    assert arm.visited == arm.retracts_mm == []
+    assert arm.n_read == 0
 
 
 @pytest.mark.parametrize("error", [RobotError, OSError, ZeroDivisionError])

@@ -180,11 +180,29 @@ def guarded_touch(
 
     Raises
     ------
+    TypeError
+        Something is no arm, sensor, pose or guard; nothing was moved.
     BaseException
         Only what ends a program (KeyboardInterrupt, SystemExit), after the arm
         was pulled back.
     """
-    return Toucher(robot, sensor, guard or Guard(), clock, lag=0).touch(start)
+    toucher = Toucher(robot, sensor, guard or Guard(), clock, lag=0)
+    if not isinstance(start, SensorPose):
+        raise TypeError(
+            f"start must be a SensorPose, got {type(start).__name__}. Write "
+            "SensorPose(position_mm, direction)."
+        )
+    return toucher.touch(start)
+
+
+def check_parts(name: str, thing: object, *parts: str) -> None:
+    """Refuse what lacks a part of its contract while nothing has moved yet."""
+    missing = [part for part in parts if not hasattr(thing, part)]
+    if missing:
+        raise TypeError(
+            f"{name} must have {', '.join(parts)}, got {type(thing).__name__} without "
+            f"{', '.join(missing)}. Write what is missing, or look at the order."
+        )
 
 
 @dataclass
@@ -197,6 +215,15 @@ class Toucher:
     clock: Clock = time.monotonic
     lag: int | None = None
     last_image: Array | None = None
+
+    def __post_init__(self) -> None:
+        methods = "move_to", "read_pose", "read_force", "retract", "stop"
+        check_parts("robot", self.robot, *methods)
+        check_parts("sensor", self.sensor, "image_shape", "read")
+        if not isinstance(self.guard, Guard):
+            raise TypeError(
+                f"guard must be a Guard, got {self.guard!r}. Write Guard(limit_n=5)."
+            )
 
     @property
     def wait_readings(self) -> int:

@@ -270,6 +270,8 @@ def check_robot(
     >>> check_robot(put_down(find_object("ball")).robot)
     """
     check_positive("way_mm", way_mm)
+    check_positive("max_miss_mm", max_miss_mm)
+    check_positive("max_offset_n", max_offset_n)
     _say(isinstance(robot, Robot), "it must have all methods of palpate's Robot")
     start = _pose(robot)
     _check_force(robot, max_offset_n)
