@@ -697,6 +697,8 @@ class _Approach:
             frame = np.asarray(self.sensor.read())
         except SensorError as error:
             raise _Fault(str(error), "no frame") from error
+        except Exception as error:  # a driver's own: not the arm is to be looked at
+            raise _Fault(f"{type(error).__name__}: {error}", "no frame") from error
         shape = tuple(self.sensor.image_shape)
         if frame.shape != shape or frame.dtype.kind not in "biuf":
             kind = f"A frame of shape {frame.shape} and type {frame.dtype}"
