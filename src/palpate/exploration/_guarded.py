@@ -58,7 +58,8 @@ class Guard:
         of the wrong sign, a fault.
     max_travel_mm : float, default=315.0
         Length of the approach after which there is nothing: from a hemisphere of
-        300 mm to its centre, and the depth of a dome.
+        300 mm to its centre, and the depth of a dome. For another radius give that and
+        15: beyond the centre it meets what the object stands on, and believes that.
     max_press_mm : float, default=20.0
         Way from the first contact after which something must be wrong.
     timeout_s : float, default=60.0
@@ -184,7 +185,8 @@ def guarded_touch(
         Something is no arm, sensor, pose or guard; nothing was moved.
     BaseException
         Only what ends a program (KeyboardInterrupt, SystemExit), after the arm
-        was pulled back.
+        was pulled back. SIGTERM raises nothing, and leaves the arm where it is, unless
+        the program turns it into an exit.
     """
     toucher = Toucher(robot, sensor, guard or Guard(), clock, lag=0)
     if not isinstance(start, SensorPose):
