@@ -58,7 +58,9 @@ def test_a_bad_force_sensor_is_found_in_the_air(arm, sensor, reading, message):
     ("frame", "message"),
     [
         pytest.param(SensorError("Nothing for 2 s."), "Nothing for 2 s.", id="missing"),
-        pytest.param(OSError(5, "unplugged"), "OSError: [Errno 5] unpl", id="unplugged"),
+        pytest.param(
+            OSError(5, "unplugged"), "OSError: [Errno 5] unpl", id="unplugged"
+        ),
         pytest.param([[1.0], [2.0, 3.0]], "ValueError: setting an array", id="ragged"),
         pytest.param(np.zeros((4, 3)), "(4, 3) and type float64", id="wrong size"),
         pytest.param(None, "() and type object arrived, not (3, 3)", id="None"),
