@@ -310,6 +310,11 @@ class InformativeTouch:
         nats_per_second: float = 0.005,
         speed_mm_s: float = 100.0,
     ) -> None:
+        if not isinstance(touch_map, TouchMap | SurfaceMap):
+            raise TypeError(
+                "touch_map must be a TouchMap or a SurfaceMap, got "
+                f"{type(touch_map).__name__}. Fit one: TouchMap().fit(recogniser, ...)."
+            )
         check_learnt(touch_map)
         self.touch_map = touch_map
         self.hemisphere = Hemisphere() if hemisphere is None else hemisphere
