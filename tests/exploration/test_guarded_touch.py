@@ -191,9 +191,17 @@ def test_a_start_within_the_object_is_left_again(arm, sensor):
     assert arm.stopped
 
 
-@pytest.mark.parametrize("method", ["retract", "read_pose"])
-def test_an_error_after_the_arm_came_back_takes_it_no_further(arm, sensor, method):
-    plain, errors = getattr(arm, method), [OSError("lost")]
+@pytest.mark.parametrize(
+    ("method", "error", "why"),
+    [
+        ("retract", OSError("lost"), "lost"),
+        ("read_pose", TimeoutError(), "TimeoutError"),
+    ],
+)
+def test_an_error_after_the_arm_came_back_takes_it_no_further(
+    arm, sensor, method, error, why
+):
+    plain, errors = getattr(arm, method), [error]
 
     def breaks(*args):
         result = plain(*args)
@@ -205,7 +213,7 @@ def test_an_error_after_the_arm_came_back_takes_it_no_further(arm, sensor, metho
     record = guarded_touch(arm, sensor, START)
     assert record.outcome == "touched"
     assert record.retracted
-    assert record.message == "Retracting failed (1): lost"
+    assert record.message == f"Retracting failed (1): {why}"
     assert_allclose(arm.pose.position_mm, START.position_mm, atol=1e-9)
 
 

@@ -361,7 +361,7 @@ class _Approach:
                     "mm inward of where it began."
                 )
             except BaseException as error:
-                self._note(f"Retracting failed ({attempt}): {error}")
+                self._note(f"Retracting failed ({attempt}): {_why(error)}")
                 if not isinstance(error, Exception):
                     interrupt = error
         else:
@@ -401,7 +401,7 @@ class _Approach:
                 self._note("The arm was stopped.")
                 return interrupt
             except BaseException as error:
-                self._note(f"Stopping failed: {error}")
+                self._note(f"Stopping failed: {_why(error)}")
                 if not isinstance(error, Exception):
                     interrupt = error
         return interrupt
@@ -715,3 +715,7 @@ class _Approach:
 
     def _note(self, text: str) -> None:
         self.message = f"{self.message} {text}".strip()
+
+
+def _why(error: BaseException) -> str:
+    return str(error) or type(error).__name__
