@@ -170,6 +170,24 @@ def test_a_full_disk_loses_only_the_attempt_that_was_not_recorded(
     assert not list(tmp_path.glob(".partial*"))
 
 
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_interrupted_while_it_is_written_no_touch_is_lost(tmp_path, monkeypatch, call):
+    place = os if call == "fsync" else Path
+    plain = getattr(place, call)
+
+    def interrupted(*args):
+        setattr(place, call, plain)
+        raise KeyboardInterrupt
+
+    with EpisodeLog(tmp_path) as log:
+        monkeypatch.setattr(place, call, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            log.append(_record(0))
+        log.append(_record(1))
+    assert [record.position_mm[2] for record in read_episode(tmp_path)] == [0, 1]
+    assert not list(tmp_path.glob(".partial*"))
+
+
 def test_leftovers_of_a_killed_program_are_swept(tmp_path):
     with EpisodeLog(tmp_path) as log:
         log.append(_record(0))

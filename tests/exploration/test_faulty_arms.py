@@ -494,6 +494,14 @@ def test_a_driver_of_two_units_is_not_sent_anywhere():
     assert arm.pose.position_mm.tolist() == [0, 0, 305]  # pulled back, no more
 
 
+@pytest.mark.parametrize("limit", ["way_mm", "max_miss_mm", "max_offset_n"])
+def test_a_limit_that_is_none_is_not_blamed_on_the_driver(limit):
+    arm = FaultyArm()
+    with pytest.raises(ValueError, match=f"{limit} must be positive"):
+        check_robot(arm, **{limit: np.nan})
+    assert arm.n == 0
+
+
 def test_a_driver_that_keeps_the_contract_passes():
     arm = FaultyArm()
     before = arm.pose

@@ -4,9 +4,18 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from ball_world import SlowlySure
 from numpy.testing import assert_allclose
 
-from palpate.exploration import Guard, Hemisphere, RobotError, guarded_touch
+from palpate.exploration import (
+    Guard,
+    Hemisphere,
+    RandomHemisphere,
+    RobotError,
+    explore,
+    gather,
+    guarded_touch,
+)
 from palpate.sensors import SensorError
 
 START = Hemisphere().pose(0.7, 0.6)
@@ -49,6 +58,10 @@ def test_a_bad_force_sensor_is_found_in_the_air(arm, sensor, reading, message):
     ("frame", "message"),
     [
         pytest.param(SensorError("Nothing for 2 s."), "Nothing for 2 s.", id="missing"),
+        pytest.param(
+            OSError(5, "unplugged"), "OSError: [Errno 5] unpl", id="unplugged"
+        ),
+        pytest.param([[1.0], [2.0, 3.0]], "ValueError: setting an array", id="ragged"),
         pytest.param(np.zeros((4, 3)), "(4, 3) and type float64", id="wrong size"),
         pytest.param(None, "() and type object arrived, not (3, 3)", id="None"),
         pytest.param(np.full((3, 3), "a"), "and type <U1 arrived", id="text"),
@@ -72,6 +85,35 @@ def test_dead_taxels_are_no_fault(arm, sensor, monkeypatch):
     record = guarded_touch(arm, sensor, START)
     assert record.outcome == "touched"
     assert np.isnan(record.image).sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"robot": Mock(spec=["move_to", "read_pose", "read_force"])}, "retract, stop"),
+        ({"robot": None}, "robot must have .* got NoneType without move_to"),
+        ({"sensor": None}, "sensor must have image_shape, read, got NoneType"),
+        ({"guard": 3.0}, r"guard must be a Guard, got 3.0. Write Guard\("),
+        ({"strategy": Hemisphere()}, "got Hemisphere without hemisphere, next_pose"),
+        ({"recogniser": None}, "recogniser must have start, got NoneType"),
+        ({"start": (0, 0, 300)}, "start must be a SensorPose, got tuple"),
+    ],
+)
+def test_what_is_no_arm_or_lacks_a_method_is_not_moved(arm, sensor, given, message):
+    # Missed in contact alone, `retract` and `stop` would leave the arm pressing.
+    arms = {"robot": arm, "sensor": sensor}
+    strategy, learnt = {"strategy": RandomHemisphere()}, {"recogniser": SlowlySure()}
+    calls = {
+        guarded_touch: {**arms, "start": START},
+        gather: {**arms, **strategy},
+        explore: {**arms, **strategy, **learnt},
+    }
+    for call, arguments in calls.items():
+        if {*given} <= {*arguments, "guard"}:
+            with pytest.raises(TypeError, match=message):
+                call(**{**arguments, **given})
+    assert arm.visited == arm.retracts_mm == []
+    assert arm.n_read == 0
 
 
 @pytest.mark.parametrize("error", [RobotError, OSError, ZeroDivisionError])
@@ -149,9 +191,17 @@ def test_a_start_within_the_object_is_left_again(arm, sensor):
     assert arm.stopped
 
 
-@pytest.mark.parametrize("method", ["retract", "read_pose"])
-def test_an_error_after_the_arm_came_back_takes_it_no_further(arm, sensor, method):
-    plain, errors = getattr(arm, method), [OSError("lost")]
+@pytest.mark.parametrize(
+    ("method", "error", "why"),
+    [
+        ("retract", OSError("lost"), "lost"),
+        ("read_pose", TimeoutError(), "TimeoutError"),
+    ],
+)
+def test_an_error_after_the_arm_came_back_takes_it_no_further(
+    arm, sensor, method, error, why
+):
+    plain, errors = getattr(arm, method), [error]
 
     def breaks(*args):
         result = plain(*args)
@@ -163,7 +213,7 @@ def test_an_error_after_the_arm_came_back_takes_it_no_further(arm, sensor, metho
     record = guarded_touch(arm, sensor, START)
     assert record.outcome == "touched"
     assert record.retracted
-    assert record.message == "Retracting failed (1): lost"
+    assert record.message == f"Retracting failed (1): {why}"
     assert_allclose(arm.pose.position_mm, START.position_mm, atol=1e-9)
 
 

@@ -113,6 +113,7 @@ def test_way_out_of_the_hemisphere_is_the_way_in(travel_mm):
     ("parameters", "message"),
     [
         ({"radius_mm": 0}, "radius_mm must be positive"),
+        ({"radius_mm": 0.3}, "at least 5, got 0.3. Give millimetres"),
         ({"lowest_rad": 2.0}, "lowest_rad must be finite and between 0.0 and 1.5"),
         ({"centre_mm": (0, np.nan, 0)}, "centre_mm must be finite"),
         ({"centre_mm": (0, 0)}, r"centre_mm must be x, y, z, got \(0, 0\)"),

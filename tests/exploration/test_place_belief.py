@@ -443,6 +443,8 @@ def test_a_map_that_learnt_nothing_is_refused(kind):
     for use in (InformativeTouch, kind.start):
         with pytest.raises(NotFittedError, match=f"{kind.__name__} has learnt"):
             use(kind())
+    with pytest.raises(TypeError, match="a TouchMap or a SurfaceMap, got ObjectRec"):
+        InformativeTouch(ObjectRecogniser())
     with pytest.raises(NotFittedError, match="It has learnt nothing yet"):
         kind().fit(ObjectRecogniser(), Touches(np.ones((1, 3, 3)), object=["mug"]))
 

@@ -82,6 +82,9 @@ def test_every_fault_is_told_in_this_file():
         before(faults={0: "none of these"})
     listed = str(refused.value).partition(", got ")[0]
     assert re.findall(r"'([^']+)'", listed) == [*OUTCOME_OF]
+    for number, error in ((-1, ValueError), ("1", TypeError)):  # would never come
+        with pytest.raises(error, match="faults must be"):
+            before(faults={number: "slow"})
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import sys
 import time
 from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec
+from unittest.mock import Mock
 
 import pytest
 from ros_network import (
@@ -24,7 +25,7 @@ from ros_network import (
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.library import TouchLibrary
+from palpate.library import LibraryError, TouchLibrary
 from palpate.sensors import open_sensor, ros_place
 from palpate.sensors.ros import STRING, read_message
 from palpate.web import LiveSession, RosPublisher
@@ -151,6 +152,29 @@ def test_a_touch_without_contact_keeps_no_lesson_open_that_confirm_began(
         publisher.close()
         assert session.teacher.lesson is None
     assert answer == (True, "3 touches are kept as knob; learn to use them.")
+
+
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_what_is_refused_leaves_no_lesson_open_and_ends_nothing(
+    make_session, drawn, monkeypatch
+):
+    with make_session() as session:
+        for image in drawn.images[:3]:
+            session.post_touch(image)
+        publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+        library, plain = session.teacher.library, session.teacher.library.add
+        calls = iter([plain, Mock(side_effect=LibraryError("No room. Free space."))])
+        monkeypatch.setattr(library, "add", lambda **touch: next(calls)(**touch))
+        assert publisher.ask("confirm knob") == (False, "No room. Free space.")
+        assert session.teacher.lesson is None  # else the next thing would be a knob
+        full = Mock(side_effect=OSError(28, "No space left on device"))
+        monkeypatch.setattr(session.teacher.journal, "begin_lesson", full)
+        assert publisher.ask("teach lid")[0] is False
+        assert session.teacher.lesson is None
+        # Whatever is raised, the thread that hears commands lives.
+        monkeypatch.setattr(session, "begin_episode", Mock(side_effect=KeyError("x")))
+        assert publisher.ask("start") == (False, "KeyError('x')")
+        publisher.close()
 
 
 def test_runs_of_the_tests_at_the_same_time_have_different_numbers():

@@ -16,7 +16,7 @@ import numpy as np
 from .._checks import check_count, size_text
 from ..sensors import TouchSensor
 from ..simulation import SensorPose
-from ._guarded import Clock, Guard, Toucher
+from ._guarded import Clock, Guard, Toucher, check_parts
 from ._place_belief import PlaceBelief
 from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches
 from ._robot import Robot, RobotError
@@ -164,11 +164,14 @@ def explore(
         The arm stands inside the hemisphere and cannot be brought out of it: it does
         not look at the object, its way out does not lead outward, or it did not move.
     TypeError, ValueError
-        `strategy` chose what is no pose on its hemisphere, and the arm was not moved.
+        Something is no arm, sensor, strategy or guard, or `strategy` chose what is no
+        pose on its hemisphere, and the arm was not moved.
     """
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
+    check_parts("recogniser", recogniser, "start")
+    check_parts("strategy", strategy, "hemisphere", "next_pose")
     hemisphere = strategy.hemisphere
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
     belief = _begun(recogniser, hemisphere, strangers)
@@ -228,6 +231,7 @@ def gather(
     check_count("n_touches", n_touches)
     check_count("max_faults", max_faults)
     toucher = Toucher(robot, sensor, guard or Guard(), clock)
+    check_parts("strategy", strategy, "hemisphere", "next_pose")
     touch = partial(touch_from_hemisphere, toucher, strategy.hemisphere)
     with EpisodeLog(folder, _settings(strategy)) as log:
         _refuse_other_size(log, sensor)

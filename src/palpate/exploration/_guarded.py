@@ -58,7 +58,8 @@ class Guard:
         of the wrong sign, a fault.
     max_travel_mm : float, default=315.0
         Length of the approach after which there is nothing: from a hemisphere of
-        300 mm to its centre, and the depth of a dome.
+        300 mm to its centre, and the depth of a dome. For another radius give that and
+        15: beyond the centre it meets what the object stands on, and believes that.
     max_press_mm : float, default=20.0
         Way from the first contact after which something must be wrong.
     timeout_s : float, default=60.0
@@ -180,11 +181,30 @@ def guarded_touch(
 
     Raises
     ------
+    TypeError
+        Something is no arm, sensor, pose or guard; nothing was moved.
     BaseException
         Only what ends a program (KeyboardInterrupt, SystemExit), after the arm
-        was pulled back.
+        was pulled back. SIGTERM raises nothing, and leaves the arm where it is, unless
+        the program turns it into an exit.
     """
-    return Toucher(robot, sensor, guard or Guard(), clock, lag=0).touch(start)
+    toucher = Toucher(robot, sensor, guard or Guard(), clock, lag=0)
+    if not isinstance(start, SensorPose):
+        raise TypeError(
+            f"start must be a SensorPose, got {type(start).__name__}. Write "
+            "SensorPose(position_mm, direction)."
+        )
+    return toucher.touch(start)
+
+
+def check_parts(name: str, thing: object, *parts: str) -> None:
+    """Refuse what lacks a part of its contract while nothing has moved yet."""
+    missing = [part for part in parts if not hasattr(thing, part)]
+    if missing:
+        raise TypeError(
+            f"{name} must have {', '.join(parts)}, got {type(thing).__name__} without "
+            f"{', '.join(missing)}. Write what is missing, or look at the order."
+        )
 
 
 @dataclass
@@ -197,6 +217,15 @@ class Toucher:
     clock: Clock = time.monotonic
     lag: int | None = None
     last_image: Array | None = None
+
+    def __post_init__(self) -> None:
+        methods = "move_to", "read_pose", "read_force", "retract", "stop"
+        check_parts("robot", self.robot, *methods)
+        check_parts("sensor", self.sensor, "image_shape", "read")
+        if not isinstance(self.guard, Guard):
+            raise TypeError(
+                f"guard must be a Guard, got {self.guard!r}. Write Guard(limit_n=5)."
+            )
 
     @property
     def wait_readings(self) -> int:
@@ -332,7 +361,7 @@ class _Approach:
                     "mm inward of where it began."
                 )
             except BaseException as error:
-                self._note(f"Retracting failed ({attempt}): {error}")
+                self._note(f"Retracting failed ({attempt}): {_why(error)}")
                 if not isinstance(error, Exception):
                     interrupt = error
         else:
@@ -372,7 +401,7 @@ class _Approach:
                 self._note("The arm was stopped.")
                 return interrupt
             except BaseException as error:
-                self._note(f"Stopping failed: {error}")
+                self._note(f"Stopping failed: {_why(error)}")
                 if not isinstance(error, Exception):
                     interrupt = error
         return interrupt
@@ -670,6 +699,8 @@ class _Approach:
             frame = np.asarray(self.sensor.read())
         except SensorError as error:
             raise _Fault(str(error), "no frame") from error
+        except Exception as error:  # a driver's own: not the arm is to be looked at
+            raise _Fault(f"{type(error).__name__}: {error}", "no frame") from error
         shape = tuple(self.sensor.image_shape)
         if frame.shape != shape or frame.dtype.kind not in "biuf":
             kind = f"A frame of shape {frame.shape} and type {frame.dtype}"
@@ -684,3 +715,7 @@ class _Approach:
 
     def _note(self, text: str) -> None:
         self.message = f"{self.message} {text}".strip()
+
+
+def _why(error: BaseException) -> str:
+    return str(error) or type(error).__name__

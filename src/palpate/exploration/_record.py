@@ -281,8 +281,12 @@ class EpisodeLog:
             if record.image is not None:
                 arrays["image"] = record.image
             path = self.folder / f"touch_{len(self.history):05d}.npz"
-            with replacing(path) as file:
-                np.savez(file, **arrays)
+            try:
+                _write(path, arrays)
+            except KeyboardInterrupt:  # the touch is made: kept before that goes on
+                _write(path, arrays)
+                self.history.append(record)
+                raise
         self.history.append(record)
 
     def _begin_or_compare(self, folder: Path) -> None:
@@ -331,6 +335,11 @@ def read_episode(folder: str | Path) -> list[TouchRecord]:
             f"touch_{min(missing):05d}. Bring the file back."
         )
     return [_read_record(numbered[number]) for number in sorted(numbered)]
+
+
+def _write(path: Path, arrays: Mapping[str, Any]) -> None:
+    with replacing(path) as file:
+        np.savez(file, **arrays)
 
 
 def _read_record(path: Path) -> TouchRecord:

@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from .._checks import check_number, check_option, check_positive
+from .._checks import check_count, check_number, check_option, check_positive
 from ..sensors import SimulatedBench
 from ..simulation import SensorPose
 
@@ -134,7 +134,8 @@ class SimulatedRobot:
         self._offset_n = check_number("offset_n", offset_n)
         self._speed = check_positive("speed_mm_s", speed_mm_s)
         self._rng = np.random.default_rng(random_state)
-        for fault in faults.values():
+        for number, fault in faults.items():
+            check_count("faults", number, at_least=0)
             check_option("faults", fault, FAULTS)
         self._faults = dict(faults)
         self._reading_n = self._offset_n
@@ -270,6 +271,8 @@ def check_robot(
     >>> check_robot(put_down(find_object("ball")).robot)
     """
     check_positive("way_mm", way_mm)
+    check_positive("max_miss_mm", max_miss_mm)
+    check_positive("max_offset_n", max_offset_n)
     _say(isinstance(robot, Robot), "it must have all methods of palpate's Robot")
     start = _pose(robot)
     _check_force(robot, max_offset_n)

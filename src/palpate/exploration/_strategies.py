@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
 Floats32 = NDArray[np.floating[Any]]
 _CLEAR_MM = 1.0
+_LEAST_RADIUS_MM = 5.0  # less is in metres: the arm would go to the object's middle
 _N_AROUND = 16
 _LEAST_PROMISE = 1e-3
 _LEAST = np.float32(1e-30)
@@ -83,7 +84,11 @@ class Hemisphere:
         if len(centre) != 3:
             raise ValueError(f"centre_mm must be x, y, z, got {self.centre_mm!r}.")
         object.__setattr__(self, "centre_mm", centre)
-        check_positive("radius_mm", self.radius_mm)
+        if check_positive("radius_mm", self.radius_mm) < _LEAST_RADIUS_MM:
+            raise ValueError(
+                f"radius_mm must be at least {_LEAST_RADIUS_MM:g}, got "
+                f"{self.radius_mm:g}. Give millimetres, and more than the object has."
+            )
         check_number("lowest_rad", self.lowest_rad, low=0.0, high=1.5)
         check_number("arc_rad", self.arc_rad, low=0.01, high=0.5)
 
@@ -305,6 +310,11 @@ class InformativeTouch:
         nats_per_second: float = 0.005,
         speed_mm_s: float = 100.0,
     ) -> None:
+        if not isinstance(touch_map, TouchMap | SurfaceMap):
+            raise TypeError(
+                "touch_map must be a TouchMap or a SurfaceMap, got "
+                f"{type(touch_map).__name__}. Fit one: TouchMap().fit(recogniser, ...)."
+            )
         check_learnt(touch_map)
         self.touch_map = touch_map
         self.hemisphere = Hemisphere() if hemisphere is None else hemisphere

@@ -205,7 +205,7 @@ class RosSensor(LiveSensor):
         except TouchesError as error:
             self._refuse(str(error))
         except Exception as error:  # rosbags raises many kinds on damaged bytes
-            self._refuse(f"{where} is damaged: {error or type(error).__name__}.")
+            self._refuse(f"{where} is damaged: {str(error) or type(error).__name__}.")
         else:
             return Reading(frame, device_time_s=self._stamped(message))
         return None

@@ -111,6 +111,8 @@ class RosPublisher:
             return True, self._do(*command[:_LONGEST].split(maxsplit=1))
         except (ValueError, OSError, RuntimeError, TypeError) as error:
             return False, str(error)
+        except Exception as error:  # of a part of its own: commands after it are heard
+            return False, repr(error)
 
     def _do(self, command: str = "", name: str = "") -> str:
         session = self._session

@@ -285,10 +285,14 @@ class LiveSession:
             touched = self.episode.since_baseline()[-wanted:]
             if keep_episode and not touched:
                 self.message = BEFORE_BASELINE
-            for image, columns in touched if keep_episode else ():
-                if teacher.lesson is None:  # the whole recording is stored already
-                    break
-                self.message = self._take(image, columns)
+            try:
+                for image, columns in touched if keep_episode else ():
+                    if teacher.lesson is None:  # the whole recording is stored already
+                        break
+                    self.message = self._take(image, columns)
+            except BaseException:  # refused: what is touched next is not of that name
+                teacher.end()
+                raise
             self._new_episode()
 
     def stop_teaching(self) -> None:

@@ -140,9 +140,9 @@ class Teacher:
             )
         lesson = Lesson(teachable_name(name), wanted)
         self.end()
+        self.journal.begin_lesson(lesson.name, wanted)  # where refused, there is none
         self._lessons += 1
         self.lesson = lesson
-        self.journal.begin_lesson(lesson.name, wanted)
         self._n_repeated, self._pictures = 0, {}
         if self._desk is not None and lesson.name in self._counts():
             rows = self._rows(lesson.name)
