@@ -177,6 +177,8 @@ def test_classifiers_without_probabilities_are_refused():
 def test_groups_of_other_touches_are_refused(classifier, separate):
     with pytest.raises(ValueError, match=r"one entry per training touch \(60\)"):
         classifier.fit(*separate[:2], groups=[1, 2])
+    with pytest.raises(TypeError, match="groups must hold labels of one kind, got Non"):
+        classifier.fit(*separate[:2], groups=[None, *["monday"] * 59])
 
 
 @pytest.mark.parametrize(
