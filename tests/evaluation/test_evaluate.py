@@ -67,6 +67,24 @@ def test_controls_without_their_cause_are_absent(result):
     assert set(controls["brightness"]) == {"1", "3", "6"}
 
 
+@pytest.mark.parametrize("name", ["an_idle_one", "the_idle_one"])
+def test_touches_that_say_nothing_name_nothing(name):
+    """Of equal beliefs the first in the alphabet is no answer."""
+    frame = np.random.default_rng(2).normal(size=(12, 14)) + 20
+
+    def touched(seed):
+        marks = np.random.default_rng(seed).normal(10, 0.5, (32, 12, 14))
+        marks[:16, :6] -= 9
+        marks[16:, :, :7] -= 9
+        marks[:5] = 0
+        about = {"no_contact": frame, "geometry": "array"}
+        return Touches(frame + marks, object=np.repeat([name, "pen"], 16), **about)
+
+    figures, _ = evaluate(touched(0), touched(1), plan=PLAN)
+    assert figures["flags"]["no contact"] == 5 / 32
+    assert figures["controls"]["no contact"] == {"1": 0, "3": 0}
+
+
 def test_decisions_are_right_and_use_few_touches(result):
     decision = result[0]["decision"]
     assert decision["accuracy"] == 1
