@@ -277,8 +277,8 @@ def check_label_kinds(y: ArrayLike, name: str = "y") -> None:
     """Refuse labels of several kinds, which have no order, and masked ones."""
     if isinstance(y, np.ma.MaskedArray) and (n_masked := int(y.mask.sum())):
         raise ValueError(
-            f"{name} must have no masked labels, got {n_masked}. Leave out touches without "
-            "a label."
+            f"{name} must have no masked labels, got {n_masked}. Leave out touches "
+            "without a label."
         )
     if isinstance(y, list | tuple):
         listed = list(y)
