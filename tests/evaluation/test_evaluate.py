@@ -53,8 +53,10 @@ def test_distinct_objects_are_told_apart(result):
 @pytest.mark.parametrize(("n_again", "is_said"), [(6, False), (7, True)])
 def test_a_tenth_of_touches_that_were_taught_too_is_the_verdict(n_again, is_said):
     """Also where one file holds counts as whole numbers, and another as floats."""
-    counts = [drawn(seed, NAMES) for seed in (0, 1)]
-    train, test = (Touches((1000 * t.images).round(), **t.columns, **t.whole) for t in counts)
+    train, test = (
+        Touches((1000 * touches.images).round(), **touches.columns, **touches.whole)
+        for touches in (drawn(0, NAMES), drawn(1, NAMES))
+    )
     met = Touches.concatenate([train[:n_again], test[n_again:]])
     whole = Touches(train.images.astype(np.int32), **train.columns, **train.whole)
     figures, _ = evaluate(whole, met, plan=PLAN)
