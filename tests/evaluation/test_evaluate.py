@@ -20,7 +20,7 @@ from palpate.evaluation import (
     write_report,
 )
 
-from .conftest import drawn
+from .conftest import drawn, often_idle
 
 PLAN = Plan(touches=(1, 3, 6), orders=5)
 NAMES = ("mug_a", "mug_b", "pen_a", "pen_b")
@@ -75,17 +75,7 @@ def test_controls_without_their_cause_are_absent(result):
 @pytest.mark.parametrize("name", ["an_idle_one", "the_idle_one"])
 def test_touches_that_say_nothing_name_nothing(name):
     """Of equal beliefs the first in the alphabet is no answer."""
-    frame = np.random.default_rng(2).normal(size=(12, 14)) + 20
-
-    def touched(seed):
-        marks = np.random.default_rng(seed).normal(10, 0.5, (32, 12, 14))
-        marks[:16, :6] -= 9
-        marks[16:, :, :7] -= 9
-        marks[:5] = 0
-        about = {"no_contact": frame, "geometry": "array"}
-        return Touches(frame + marks, object=np.repeat([name, "pen"], 16), **about)
-
-    figures, _ = evaluate(touched(0), touched(1), plan=PLAN)
+    figures, _ = evaluate(often_idle(0, name), often_idle(1, name), plan=PLAN)
     assert figures["flags"]["no contact"] == 5 / 32
     assert figures["controls"]["no contact"] == {"1": 0, "3": 0}
 
