@@ -50,11 +50,17 @@ class Fold:
 
     @property
     def n_taught(self) -> int:
-        """How many test touches have the levels of a training touch, of any type."""
-        parts = self.train.images, self.test.images
+        """How many test touches have the levels of a training touch, of any type.
+
+        Those of one level alone, as without contact, are no copies.
+        """
         taught, asked = (
-            [hash((image.astype(float) + 0.0).tobytes()) for image in images]  # no -0.0
-            for images in parts
+            [
+                hash((image.astype(float) + 0.0).tobytes())  # no -0.0
+                for image in touches.images
+                if np.nanmax(image) > np.nanmin(image)
+            ]
+            for touches in (self.train, self.test)
         )
         return int(np.isin(asked, taught).sum())
 
