@@ -404,7 +404,7 @@ def _numbers(name: str, values: ArrayLike) -> Floats:
     return numbers
 
 
-def mean_share(shares: ArrayLike) -> float:
+def mean_share(shares: Sequence[float] | Floats) -> float:
     """Return the mean of shares: means that differ by rounding alone are the same."""
     return round(float(np.mean(shares)), _SHARE_DIGITS)
 
