@@ -152,3 +152,9 @@ def test_a_sense_needs_two_labels_of_two_examples(y, message):
     with pytest.raises((TypeError, ValueError), match=f"y {message}"):
         Modality().fit(np.eye(4), y)
     Modality().fit(np.eye(4), ["a", "b", "b", "a"])
+
+
+def test_labels_of_a_sense_are_spelt_as_those_of_touch():
+    pandas = pytest.importorskip("pandas")
+    numbers = pandas.Series([1, 1, 20, 20]).astype("Int64")
+    assert Modality().fit(np.eye(4), numbers).classes_.tolist() == ["1", "20"]

@@ -236,7 +236,8 @@ class Modality(BaseEstimator):
         check_number("floor", self.floor, low=0, high=0.5)
         examples = check_array(X, dtype=np.float64)
         check_label_kinds(y)
-        labels = check_array(y, ensure_2d=False, dtype=None, input_name="y").astype(str)
+        check_array(y, ensure_2d=False, dtype=None, input_name="y")
+        labels = np.asarray(y).astype(str)
         if labels.shape != (len(examples),):
             raise ValueError(
                 f"y must have one label for each of {len(examples)} examples, "
