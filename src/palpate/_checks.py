@@ -273,12 +273,12 @@ def check_width(sigma: object) -> float:
     return width
 
 
-def check_label_kinds(y: ArrayLike) -> None:
+def check_label_kinds(y: ArrayLike, name: str = "y") -> None:
     """Refuse labels of several kinds, which have no order, and masked ones."""
     if isinstance(y, np.ma.MaskedArray) and (n_masked := int(y.mask.sum())):
         raise ValueError(
-            f"y must have no masked labels, got {n_masked}. Leave out touches without "
-            "a label."
+            f"{name} must have no masked labels, got {n_masked}. Leave out touches "
+            "without a label."
         )
     if isinstance(y, list | tuple):
         listed = list(y)
@@ -291,8 +291,8 @@ def check_label_kinds(y: ArrayLike) -> None:
     if len(first) > 1:
         shown = ", ".join(map(repr, first.values()))
         raise TypeError(
-            f"y must hold labels of one kind, got {' and '.join(first)}: {shown}. Make "
-            "all of them text, and leave out touches without a label."
+            f"{name} must hold labels of one kind, got {' and '.join(first)}: {shown}. "
+            "Make all of them text, and leave out touches without a label."
         )
 
 
@@ -308,6 +308,7 @@ def as_groups(groups: ArrayLike | None, n_touches: int) -> Indices:
     """Return the number of each training touch's group; by default its own."""
     if groups is None:
         return np.arange(n_touches)
+    check_label_kinds(groups, "groups")
     numbers = np.asarray(groups)
     if numbers.shape != (n_touches,):
         raise ValueError(

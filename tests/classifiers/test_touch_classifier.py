@@ -91,6 +91,18 @@ def test_learning_again_takes_other_touches(classifier, separate):
     assert_array_equal(model.predict(features[others][[0, -1]]), ["a", "c"])
 
 
+@each_classifier
+def test_a_session_of_several_labels_is_left_out_of_all_of_them(classifier, rng):
+    """What names the session alone must not name what else was met in it."""
+    labels, sessions = np.repeat(["a", "b"], 20), np.repeat([0, 1, 1, 2], 10)
+    features = np.tile(rng.normal(0, 0.1, (10, 2)), (4, 1))
+    features[:, 0] += labels == "b"
+    features[:, 1] += 2 * (sessions == 1)
+    model = classifier.fit(features, labels, groups=sessions)
+    best = model.classes_[model.left_out_log_likelihood().argmax(axis=1)]
+    assert (best == labels)[sessions == 1].mean() > 0.8
+
+
 @pytest.mark.parametrize("n_neighbors", [1, 3])
 def test_left_out_touches_have_not_met_themselves(separate, n_neighbors):
     _, labels, groups = separate
@@ -165,6 +177,8 @@ def test_classifiers_without_probabilities_are_refused():
 def test_groups_of_other_touches_are_refused(classifier, separate):
     with pytest.raises(ValueError, match=r"one entry per training touch \(60\)"):
         classifier.fit(*separate[:2], groups=[1, 2])
+    with pytest.raises(TypeError, match="groups must hold labels of one kind, got Non"):
+        classifier.fit(*separate[:2], groups=[None, *["monday"] * 59])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from sklearn import config_context
 
 from palpate.encodings import (
     CentroidMoments,
@@ -188,7 +189,12 @@ def test_components_do_not_depend_on_the_size_of_levels(encoder, scale, rng):
 @pytest.mark.parametrize("name", KINDS)
 def test_every_name_makes_an_encoder_with_that_many_features(name, rng):
     images = blobs(rng, n=8, size=24)
-    assert encoder_named(name, 4).fit_transform(images).shape == (8, 4)
+    few = encoder_named(name, 4).fit_transform(images)
+    assert few.shape == (8, 4)
+    pytest.importorskip("pandas")
+    with config_context(transform_output="pandas"):
+        in_frames = encoder_named(name, 4).fit_transform(images)
+    assert_array_equal(np.asarray(in_frames), few)
     encoder = encoder_named(name)
     assert type(encoder) is KINDS[name]
     assert len(encoder.fit_transform(images)) == 8

@@ -10,6 +10,8 @@ import pytest
 from palpate import Touches
 from palpate.evaluation import benchmark, benchmark_summary, write_benchmark
 
+from .conftest import often_idle
+
 NAMES = np.repeat(["a", "b", "c"], 20)
 
 
@@ -75,6 +77,11 @@ def test_touches_without_contact_are_scored_apart():
     row = entry_of(drawn(images, no_contact=bare))["rows"][0]
     assert row["no_contact"] == pytest.approx(1 / 3)  # all are the same: one answer
     assert entry_of(drawn())["rows"][0]["no_contact"] is None
+
+
+def test_touches_that_say_nothing_are_not_named_after_the_first_object():
+    entry = entry_of(often_idle(0, "an_idle_one"), "random", ["default"], repeats=1)
+    assert entry["rows"][0]["no_contact"] == 0
 
 
 def test_an_error_becomes_a_row_and_a_bad_archive_a_reason(tmp_path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from sklearn import config_context
 from sklearn.base import clone
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.pipeline import make_pipeline
@@ -157,6 +158,7 @@ def test_four_touches_of_two_objects_are_split(n_touches, counts, rng):
 
 @pytest.mark.parametrize("channels", [(), (3,)], ids=["grey", "colour"])
 def test_simple_recognisers_are_what_scikit_learn_does(channels):
+    pytest.importorskip("pandas")
     rng = np.random.default_rng(0)
     shape = (45, 40, 45, *channels)
     centres = rng.normal(size=(3, *shape[1:]))
@@ -178,6 +180,9 @@ def test_simple_recognisers_are_what_scikit_learn_does(channels):
         # Channels lie side by side, in another order than taxel by taxel.
         assert sorted(values[1]) == sorted(X[1])
         assert (ours.predict(values[~train]) == expected.predict(X[~train])).all()
+        with config_context(transform_output="pandas"):
+            in_frames = clone(ours).fit(values[train], labels[train])
+            assert (in_frames.predict(values) == ours.predict(values)).all()
         if name != "3-NN":
             # The kernel is summed by another routine: rounding.
             decided = ours.decision_function(values), expected.decision_function(X)

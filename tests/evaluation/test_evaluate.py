@@ -20,7 +20,7 @@ from palpate.evaluation import (
     write_report,
 )
 
-from .conftest import drawn
+from .conftest import drawn, often_idle
 
 PLAN = Plan(touches=(1, 3, 6), orders=5)
 NAMES = ("mug_a", "mug_b", "pen_a", "pen_b")
@@ -52,9 +52,14 @@ def test_distinct_objects_are_told_apart(result):
 
 @pytest.mark.parametrize(("n_again", "is_said"), [(6, False), (7, True)])
 def test_a_tenth_of_touches_that_were_taught_too_is_the_verdict(n_again, is_said):
-    train, test = drawn(0, NAMES), drawn(1, NAMES)
+    """Also where one file holds counts as whole numbers, and another as floats."""
+    train, test = (
+        Touches((1000 * touches.images).round(), **touches.columns, **touches.whole)
+        for touches in (drawn(0, NAMES), drawn(1, NAMES))
+    )
     met = Touches.concatenate([train[:n_again], test[n_again:]])
-    figures, _ = evaluate(train, met, plan=PLAN)
+    whole = Touches(train.images.astype(np.int32), **train.columns, **train.whole)
+    figures, _ = evaluate(whole, met, plan=PLAN)
     assert figures["n_test_touches_taught"] == n_again
     said = figures["verdict"].startswith("This says little of new touches: 7 of 64 ")
     assert said == is_said
@@ -65,6 +70,14 @@ def test_controls_without_their_cause_are_absent(result):
     assert controls["disc centre"] is None
     assert controls["no contact"] is None
     assert set(controls["brightness"]) == {"1", "3", "6"}
+
+
+@pytest.mark.parametrize("name", ["an_idle_one", "the_idle_one"])
+def test_touches_that_say_nothing_name_nothing(name):
+    """Of equal beliefs the first in the alphabet is no answer."""
+    figures, _ = evaluate(often_idle(0, name), often_idle(1, name), plan=PLAN)
+    assert figures["flags"]["no contact"] == 5 / 32
+    assert figures["controls"]["no contact"] == {"1": 0, "3": 0}
 
 
 def test_decisions_are_right_and_use_few_touches(result):

@@ -5,6 +5,7 @@ import pytest
 from sklearn.metrics import davies_bouldin_score, roc_auc_score
 
 from palpate.evaluation import calibration_error, davies_bouldin, roc_area
+from palpate.evaluation._trial import mean_share
 
 
 def test_bins_have_equal_mass():
@@ -110,3 +111,10 @@ def test_centroids_that_rounding_cannot_tell_apart_are_one(share, is_one):
     points = [[-1.0], [1.0], [-1.0 + share], [1.0 + share]]
     index = davies_bouldin(points, [0, 0, 1, 1])
     assert np.isinf(index) == is_one
+
+
+def test_a_control_that_is_right_as_often_has_the_same_figure():
+    """The verdict compares them: by rounding alone neither is ahead."""
+    touch, control = np.array([5, 5, 6, 5]) / 6, np.array([4, 5, 6, 6]) / 6
+    assert touch.mean() > control.mean()
+    assert mean_share(touch) == mean_share(control) == 0.875

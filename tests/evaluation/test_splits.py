@@ -218,3 +218,13 @@ def test_a_quarter_is_tested_rounded_down(n_touches, n_tested):
     for split in ("last", "between"):
         (fold,) = split_touches(touches, split)
         assert len(fold.test) == n_tested
+
+
+def test_touches_of_one_level_are_no_copies_of_each_other(rng):
+    """Arrays that show zeros where nothing touches them: nothing was taught by that."""
+    images = rng.normal(size=(10, 3, 3))
+    images[[0, 4]], images[:, 0, 0] = 0, np.nan
+    images[-1] = images[1]
+    touches = Touches(images, object=["a"] * 5 + ["b"] * 5)
+    (fold,) = split_touches(touches, "last")
+    assert fold.n_taught == 1

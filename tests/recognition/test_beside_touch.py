@@ -141,12 +141,20 @@ def test_a_floor_of_a_sense_is_at_most_a_half(floor):
 @pytest.mark.parametrize(
     ("y", "message"),
     [
-        (["a"] * 4, "hold at least two labels of two examples each"),
-        (["a", "a", "a", "b"], "hold at least two labels of two examples each"),
-        (["a", "b"], "have one label for each of 4 examples"),
+        (["a"] * 4, "must hold at least two labels of two examples each"),
+        (["a", "a", "a", "b"], "must hold at least two labels of two examples each"),
+        (["a", "b"], "must have one label for each of 4 examples"),
+        ([1.0, 1.0, np.nan, np.nan], "contains NaN"),
+        (["a", "a", None, None], "must hold labels of one kind"),
     ],
 )
 def test_a_sense_needs_two_labels_of_two_examples(y, message):
-    with pytest.raises(ValueError, match=f"y must {message}"):
+    with pytest.raises((TypeError, ValueError), match=f"y {message}"):
         Modality().fit(np.eye(4), y)
     Modality().fit(np.eye(4), ["a", "b", "b", "a"])
+
+
+def test_labels_of_a_sense_are_spelt_as_those_of_touch():
+    pandas = pytest.importorskip("pandas")
+    numbers = pandas.Series([1, 1, 20, 20]).astype("Int64")
+    assert Modality().fit(np.eye(4), numbers).classes_.tolist() == ["1", "20"]

@@ -254,12 +254,15 @@ class FromProbabilities(BayesRule):
         """Return `log_likelihood` of training touches with their folds left out."""
         check_is_fitted(self)
         result = np.full((len(self.touches_), len(self.classes_)), -np.inf)
-        # Group k of every label goes into fold k, so each fold keeps all labels.
-        fold_of = np.empty(len(result), dtype=np.intp)
-        for label in np.unique(self.labels_):
-            rows = self.labels_ == label
-            rank = np.unique(self.groups_[rows], return_inverse=True)[1]
-            fold_of[rows] = rank % _N_FOLDS
+        met = np.zeros((self.groups_.max() + 1, len(self.classes_)), dtype=np.intp)
+        met[self.groups_, np.searchsorted(self.classes_, self.labels_)] = 1
+        # Each group goes where its labels have fewest, so each fold keeps all labels.
+        in_folds = np.zeros((_N_FOLDS, len(self.classes_)), dtype=np.intp)
+        of_group = np.zeros(len(met), dtype=np.intp)
+        for group, labels in enumerate(met):
+            of_group[group] = (in_folds @ labels).argmin()
+            in_folds[of_group[group]] += labels
+        fold_of = of_group[self.groups_]
         for fold in np.unique(fold_of):
             train = np.flatnonzero(fold_of != fold)
             test = np.flatnonzero(fold_of == fold)

@@ -144,13 +144,12 @@ def _make(part: str, n_components: Components, options: dict[str, Any]) -> Any:
                 f"{count}. Use {side * side} or {(side + 1) ** 2}."
             )
         return ScaledPixels(min(side, PAPER_SIDE), **chosen)
-    return make_pipeline(
-        kind(**chosen), FunctionTransformer(_first, kw_args={"n": count})
-    )
+    first = FunctionTransformer(_first, kw_args={"n": count})
+    return make_pipeline(kind(**chosen), first.set_output(transform="default"))
 
 
-def _first(features: Floats, n: int) -> Floats:
-    return features[:, :n]
+def _first(features: ArrayLike, n: int) -> Floats:
+    return np.asarray(features)[:, :n]
 
 
 class EncodingUnion(ImageEstimator, by_channel=False):

@@ -236,6 +236,7 @@ def _rbf_by_scale(X: Floats, learnt: Floats) -> Floats:
     `SVC` takes it for its own kernel, many times faster where touches have thousands
     of taxels.
     """
+    learnt = np.asarray(learnt)  # where scikit-learn was told to give data frames
     variance = learnt.var()
     gamma = 1 / (learnt.shape[1] * variance) if variance else 1.0
     return np.asarray(rbf_kernel(X, learnt, gamma=gamma))

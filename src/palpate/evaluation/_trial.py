@@ -28,6 +28,7 @@ from ._splits import VISITS, Fold
 
 # Distances of centroids below this share of the touches' extent are rounding.
 _ROUNDING = 1e-14
+_SHARE_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,7 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     per_fold = [scores.accuracy.mean() for scores in of_folds]
     over_objects = together(of_folds, "accuracy")
     key, over = str(k), over_objects if len(of_folds) == 1 else per_fold
-    figures["accuracy"][key] = float(np.mean(per_fold))
+    figures["accuracy"][key] = mean_share(per_fold)
     figures["accuracy_sd"][key] = float(spread(over))
     enough = [t.episodes.objects_after(k) for t in trials]
     figures["n_objects"][key] = len(set().union(*enough))
@@ -324,7 +325,7 @@ def _mean_controls(trials: Sequence[Trial]) -> dict[str, dict[str, float] | None
     for name in trials[0].controls:
         curves = [c for t in trials if (c := t.controls[name]) is not None]
         keys = dict.fromkeys(k for curve in curves for k in curve)
-        mean = {k: float(np.mean([c[k] for c in curves if k in c])) for k in keys}
+        mean = {k: mean_share([c[k] for c in curves if k in c]) for k in keys}
         result[name] = mean if curves else None
     return result
 
@@ -401,6 +402,11 @@ def _numbers(name: str, values: ArrayLike) -> Floats:
             f"{name} must hold no NaN, got one for episode {episode}. Leave it out."
         )
     return numbers
+
+
+def mean_share(shares: Sequence[float] | Floats) -> float:
+    """Return the mean of shares: means that differ by rounding alone are the same."""
+    return round(float(np.mean(shares)), _SHARE_DIGITS)
 
 
 def spread(values: ArrayLike) -> Floats:

@@ -19,7 +19,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array, get_tags
 
-from .._checks import check_number
+from .._checks import check_label_kinds, check_number
 from .._numbers import with_floor
 from .._types import Array, Floats
 from ..classifiers import FromProbabilities, KernelRidgeClassifier
@@ -235,6 +235,8 @@ class Modality(BaseEstimator):
         """
         check_number("floor", self.floor, low=0, high=0.5)
         examples = check_array(X, dtype=np.float64)
+        check_label_kinds(y)
+        check_array(y, ensure_2d=False, dtype=None, input_name="y")
         labels = np.asarray(y).astype(str)
         if labels.shape != (len(examples),):
             raise ValueError(
