@@ -101,6 +101,11 @@ def test_a_touch_that_does_not_come_is_given_up_and_why(
     )
     give_up(session, 5.0)
     assert "5 s: ended. A touch has not ended: if nothing" in capsys.readouterr().err
+    gone = {"offer": why, "touching": True, "lost": "COM3 went away. Plug it in."}
+    give_up(SimpleNamespace(watch=SimpleNamespace(to_dict=lambda: gone)), 5.0)
+    assert capsys.readouterr().err == (
+        "No touch in 5 s: ended. COM3 went away. Plug it in.\n"
+    )
 
 
 def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
