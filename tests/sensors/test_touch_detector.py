@@ -385,6 +385,17 @@ def test_a_frame_of_nan_alone_is_neither_rest_nor_contact():
     assert (touch.change, touch.n_frames) == (40, 4)
 
 
+def test_a_reading_that_failed_makes_no_taxel_of_a_baseline_dead(rng):
+    frames = rng.normal(100, 1.0, (10, 4, 4)).astype(np.float32)
+    frames[3, 1, 1] = np.nan
+    frames[:, 2, 2] = np.nan
+    detector = TouchDetector()
+    detector.take_baseline(list(frames))
+    assert_array_equal(np.argwhere(np.isnan(detector.baseline)), [[2, 2]])
+    others = np.delete(frames[:, 1, 1], 3)
+    assert detector.baseline[1, 1] == pytest.approx(others.mean())
+
+
 def test_a_baseline_of_nan_alone_is_refused():
     detector = TouchDetector(REST)
     nothing = [np.full((4, 4), np.nan, np.float32)] * 8
@@ -428,3 +439,7 @@ def test_readings_that_are_given_again_and_again_do_not_hide_the_noise(rng):
     touches = TouchDetector().touches_in(Touches(images))
     assert touches.columns["time_s"].tolist() == [200]
     assert touches.columns["duration_s"].tolist() == [50]
+    for n_first in range(1, 11):  # readings that the first few were cut off from
+        detector = TouchDetector()
+        detector.take_baseline(list(images[n_first : n_first + 100]))
+        assert detector.noise == pytest.approx(1.0, rel=0.2)

@@ -109,6 +109,22 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
         LiveSession().take_baseline()
 
 
+def test_a_driver_that_is_asked_too_often_gets_a_baseline(rng):
+    """Asked 1000 times a second, of a device that measures 150 times."""
+    readings = rng.normal(100, 1.0, (400, SIDE, SIDE)).astype(np.float32)
+
+    class Polled(HandSensor):
+        def _grab(self):
+            time.sleep(0.001)
+            return [readings[int(time.monotonic() * 150) % 400]]
+
+    sensor = Polled()
+    sensor.dtype = np.dtype(np.float32)
+    with LiveSession(sensor) as session:
+        session.take_baseline()
+        assert session.watch.detector.noise == pytest.approx(1.0, rel=0.4)
+
+
 def press_once(sensor, session):
     sensor.show(session, pressed=True)
     assert waited(lambda: session.watch.detector.touching)

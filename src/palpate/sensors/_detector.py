@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from itertools import islice
+from itertools import islice, pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -186,14 +186,15 @@ class TouchDetector:
                 f"{len(stack)} among {len(frames)}: the others are NaN alone. Look at "
                 "the sensor and its cable."
             )
+        readings = stack[_are_new(stack)]
         # One reading again and again: its means may differ from it by rounding.
-        alike = all(np.array_equal(frame, stack[0], equal_nan=True) for frame in stack)
-        if not force and not alike and _moving(stack, self._least(frames[0])):
+        alike = len(readings) == 1
+        if not force and not alike and _moving(readings, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
                 "Leave it alone for a second and take the baseline again."
             )
-        mean = stack[0] if alike else stack.mean(axis=0)
+        mean = stack[0] if alike else _mean_of_numbers(stack)
         levels = [_rms(frame - mean) for frame in stack]
         noise = float(np.median(levels))
         first = self.baseline is None and not force
@@ -523,15 +524,31 @@ def _frames_of(touches: Touches) -> Iterator[Frame]:
         yield Frame(image, float(time_s), number, columns={_ROW: number})
 
 
+def _are_new(frames: Floats) -> list[bool]:
+    """Tell which frames differ from the one before.
+
+    A driver that is asked too often gives a reading again.
+    """
+    same = (np.array_equal(a, b, equal_nan=True) for a, b in pairwise(frames))
+    return [True, *(not again for again in same)]
+
+
 def _moving(stack: Floats, least: float) -> bool:
-    """Tell whether frames go somewhere, by more than their noise."""
+    """Tell whether readings go somewhere, by more than their noise."""
     # Second differences show noise (of noise alone their variance is six times that of
     # a frame), so that a steady way down is no noise.
     bends = stack[2:] - 2 * stack[1:-1] + stack[:-2]
-    noise = float(np.median([_rms(bend) for bend in bends])) / np.sqrt(6)
+    noise = float(np.median([_rms(bend) for bend in bends] or [0.0])) / np.sqrt(6)
     first, second = np.array_split(stack, 2)
     moved = _rms(second.mean(axis=0) - first.mean(axis=0))
     return bool(moved > max(_STEADY_NOISES * noise, least))
+
+
+def _mean_of_numbers(stack: Floats) -> Floats:
+    """Return the mean frame, of each taxel over its numbers; NaN where it has none."""
+    with np.errstate(invalid="ignore"):
+        mean: Floats = np.nansum(stack, axis=0) / np.sum(~np.isnan(stack), axis=0)
+    return mean
 
 
 def _pressed(image: Floats, least: float) -> str:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from ..sensors import (
 )
 from ._images import FramePainter
 
-_BASELINE_FRAMES = 10
+_BASELINE_FRAMES, _LEAST_CHANGES, _PATIENCE_S = 10, 4, 1.0
 _SHOWN_HZ = 45.0
 _STATE_EVERY_S = 1.0
 _RECENT, _COUNTED = 40, 100
@@ -223,8 +224,9 @@ class SensorWatch:
         if not self.detector.touching or force:
             with self._taking:  # one after the other
                 self._resting = frames
-                n_frames, deadline = 0, time.monotonic() + timeout_s
-                while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
+                n_frames, began_s = 0, time.monotonic()
+                deadline = began_s + timeout_s
+                while not _is_baseline(frames, began_s) and time.monotonic() < deadline:
                     time.sleep(0.01)
                     if len(frames) > n_frames:
                         n_frames, deadline = len(frames), time.monotonic() + timeout_s
@@ -387,6 +389,17 @@ class SensorWatch:
             with suppress(Exception):  # what cannot be told must not end the touches
                 self._take(touch, ended_s)
                 self._compare()
+
+
+def _is_baseline(frames: Sequence[Array], began_s: float) -> bool:
+    """Tell whether frames are enough: ten, and for a second not few readings again.
+
+    A driver that is asked too often gives each of its device's readings many times.
+    """
+    if len(frames) < _BASELINE_FRAMES or time.monotonic() - began_s > _PATIENCE_S:
+        return len(frames) >= _BASELINE_FRAMES
+    same = (np.array_equal(a, b, equal_nan=True) for a, b in pairwise(frames))
+    return not 0 < sum(not again for again in same) < _LEAST_CHANGES
 
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:
