@@ -15,6 +15,7 @@ from .sensor import (
     SensorOptions,
     Summary,
     give_up,
+    has_trouble,
     need_baseline,
 )
 
@@ -162,8 +163,7 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
                 give_up(session, timeout_s)
                 break
             changed.clear()  # before looking: what comes from now on is told again
-            if session.trouble:
-                say(f"palpate: {session.trouble}", file=sys.stderr)
+            if has_trouble(session):
                 break
             before, shown = shown, lesson.done
             if shown != before:

@@ -154,6 +154,15 @@ def need_baseline(session: "LiveSession") -> None:
             session.take_baseline(force=True)
 
 
+def has_trouble(session: "LiveSession") -> bool:
+    """Say what was wrong with the last touch; tell whether there is no use in more."""
+    from ..web import LiveSession
+
+    if session.trouble:
+        say(f"palpate: {session.trouble}", file=sys.stderr)
+    return session.trouble not in ("", LiveSession.began_before)
+
+
 def give_up(session: "LiveSession", timeout_s: float) -> None:
     """Say that no touch came, and what hinders the sensor, if it is known."""
     state = {} if session.watch is None else session.watch.to_dict()
