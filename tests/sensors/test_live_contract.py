@@ -166,6 +166,7 @@ def test_a_lost_device_is_found_again():
     sensor.retry_s = 0.01
     with sensor:
         numbers = [sensor.read_next().image[0, 0] for _ in range(20)]
+        assert sensor.n_dropped >= 3  # at least one for each failure
     assert {3, 4, 5}.isdisjoint(numbers)
     assert numbers[-1] > 5
     assert sensor.opened >= 4  # at first, and after each failure
@@ -614,6 +615,13 @@ def test_a_calibrated_sensor_gives_frames_in_its_unit(tmp_path, monkeypatch):
         package = SimpleNamespace(driver=lambda place: sensor)
         monkeypatch.setitem(sys.modules, "toy", package)
         return open_sensor("toy:0", calibration=Doubling())
+
+    class Whole(Counting):
+        step = 1.0  # of its numbers: nothing smaller is a touch
+
+    with calibrated(Whole()) as sensor:
+        sensor.read_next()
+        assert sensor.step == 2.0
 
     check_sensor(calibrated(Counting()))
     with calibrated(Bursting()) as sensor:

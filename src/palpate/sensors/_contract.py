@@ -147,7 +147,8 @@ class LiveSensor(ABC):
     n_frames : int
         Frames taken since it was connected.
     n_dropped : int
-        Frames lost since it was connected: damaged, missed, or never read.
+        Frames lost since it was connected: damaged, missed, or never read; at least
+        one for each failure of the device.
     queue_length : int
         A frame that nobody has read when so many newer ones wait is dropped and
         counted. Frames that come at once wait beside them, up to `burst_length`.
@@ -358,6 +359,7 @@ class LiveSensor(ABC):
 
     def _recover(self, error: BaseException) -> None:
         promised = self.image_shape, self.dtype
+        self._count_missed(1)
         while True:
             self.lost = str(error) if isinstance(error, SensorError) else repr(error)
             with suppress(BaseException):  # that it cannot even be closed is no news
