@@ -284,9 +284,15 @@ def test_a_silent_device_says_why():
 
 def test_a_device_whose_clock_stands_still_gives_no_fresh_frame_and_says_so():
     class Standing(Counting):
-        def _grab(self):
-            return [Reading(image, time_s=0.0) for image in super()._grab()]
+        stands_s = -100.0
 
+        def _grab(self):
+            return [Reading(image, time_s=self.stands_s) for image in super()._grab()]
+
+    # A clock of its own: all touches would have begun before they were asked for.
+    with Standing() as sensor, pytest.raises(SensorError, match=r"or use time\.mono"):
+        sensor.read_next(0.2)
+    Standing.stands_s = time.monotonic()
     # As long as a touch waits, an arm may press.
     with Standing() as sensor, ThreadPoolExecutor(1) as pool:
         reading = pool.submit(sensor.read)

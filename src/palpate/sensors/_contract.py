@@ -194,6 +194,7 @@ class LiveSensor(ABC):
         self._thread: threading.Thread | None = None
         self._latest: Frame | None = None
         self._number = self._largest_burst = 0
+        self._connected_s = 0.0
 
     @property
     def step(self) -> float:
@@ -241,6 +242,7 @@ class LiveSensor(ABC):
         self._latest, self.lost = None, ""
         self.n_frames = self.n_dropped = self._number = self._largest_burst = 0
         self._stop.clear()
+        self._connected_s = time.monotonic()
         try:
             self._open()
             if self._stop.is_set():  # by another thread, meanwhile
@@ -382,7 +384,13 @@ class LiveSensor(ABC):
         now_s = time.monotonic()
         taken_s = now_s if full.time_s is None else min(full.time_s, now_s)
         arrived = np.asarray(full.image)
-        if wrong := _broken_promise(arrived, self.image_shape, self.dtype):
+        wrong = _broken_promise(arrived, self.image_shape, self.dtype)
+        if not taken_s >= self._connected_s - _FRESH_S:  # or NaN
+            wrong = (
+                "it must give frames as they are taken: time_s must be of now, got "
+                f"{now_s - taken_s:.1f} s ago. Leave it out, or use time.monotonic()"
+            )
+        if wrong:
             self._count_missed(1)
             self.lost = wrong
             return
