@@ -127,6 +127,16 @@ def test_a_baseline_under_load_is_named_with_its_place(rng):
     assert "may press the sensor around row 4 column 4" in report["findings"][0]
 
 
+def test_hum_of_the_mains_is_no_press(rng):
+    """1000 frames a second of an array that hums with 50 Hz by 6 counts."""
+    images, times = frames(rng, noise=1.0, rate_hz=1000.0)
+    hum = np.rint(6 * np.cos(2 * np.pi * 50 * times)).astype(np.int16)
+    report = health(as_frames(images + hum[:, None, None], times))
+    assert "still changing" not in findings(report)
+    assert "unsteady supply" in findings(report)
+    assert len(report["findings"]) == 1
+
+
 def test_rest_that_differs_from_what_a_model_remembers_is_named(rng):
     images, times = frames(rng)
     rest = images.mean(axis=0)

@@ -23,9 +23,9 @@ from .._types import Array, Floats
 from ._contract import Frame, SensorError
 from ._detector import ContactError, TouchDetector
 
-# Parts of the frames whose means show drift, frames of a baseline, taxels named of each
-# kind, and pairs of frames for crosstalk.
-_PARTS, _REST, _NAMED, _PAIRS = 12, 10, 5, 400
+# Parts of the frames whose means show drift, frames and seconds of a baseline, taxels
+# named of each kind, and pairs of frames for crosstalk.
+_PARTS, _REST, _REST_S, _NAMED, _PAIRS = 12, 10, 0.2, 5, 400
 # Bad is noise so many times the typical one, this share of noise in common, a frame in
 # a hundred so many times as late as usual (told over so many frames), this share of
 # frames, or of the readings of a taxel, lost.
@@ -167,8 +167,10 @@ def sensor_health(
         )
         stack = stack[~is_empty]
     detector.step = max(step, 1.0) if stack.dtype.kind in "iu" else step
+    # Over ten periods of the mains, as where touches are taken.
+    n_first = sum(frame.time_s < frames[0].time_s + _REST_S for frame in frames)
     try:
-        detector.take_baseline(list(stack[:_REST]))
+        detector.take_baseline(list(stack[: max(_REST, n_first)]))
     except ContactError as error:
         findings.append(str(error))
     except SensorError:  # nothing but NaN: all taxels are named below

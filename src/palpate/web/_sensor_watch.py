@@ -33,7 +33,8 @@ from ..sensors import (
 )
 from ._images import FramePainter
 
-_BASELINE_FRAMES, _LEAST_CHANGES, _PATIENCE_S = 10, 4, 1.0
+_BASELINE_FRAMES, _BASELINE_S = 10, 0.2
+_LEAST_CHANGES, _PATIENCE_S = 4, 1.0
 _SHOWN_HZ = 45.0
 _STATE_EVERY_S = 1.0
 _RECENT, _COUNTED = 40, 100
@@ -225,11 +226,12 @@ class SensorWatch:
             with self._taking:  # one after the other
                 self._resting = frames
                 n_frames, began_s = 0, time.monotonic()
-                deadline = began_s + timeout_s
-                while not _is_baseline(frames, began_s) and time.monotonic() < deadline:
+                now_s, deadline = began_s, began_s + timeout_s
+                while not _is_baseline(frames, now_s - began_s) and now_s < deadline:
                     time.sleep(0.01)
+                    now_s = time.monotonic()
                     if len(frames) > n_frames:
-                        n_frames, deadline = len(frames), time.monotonic() + timeout_s
+                        n_frames, deadline = len(frames), now_s + timeout_s
                 self._resting = None
         else:  # is refused with the reason
             frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
@@ -391,15 +393,17 @@ class SensorWatch:
                 self._compare()
 
 
-def _is_baseline(frames: Sequence[Array], began_s: float) -> bool:
-    """Tell whether frames are enough: ten, and for a second not few readings again.
+def _is_baseline(frames: Sequence[Array], lasted_s: float) -> bool:
+    """Tell whether frames are enough: ten, over ten periods of the mains.
 
-    A driver that is asked too often gives each of its device's readings many times.
+    A driver that is asked too often gives each reading of its device many times: for a
+    second more readings are waited for.
     """
-    if len(frames) < _BASELINE_FRAMES or time.monotonic() - began_s > _PATIENCE_S:
-        return len(frames) >= _BASELINE_FRAMES
+    if len(frames) < _BASELINE_FRAMES or lasted_s < _BASELINE_S:
+        return False
     same = (np.array_equal(a, b, equal_nan=True) for a, b in pairwise(frames))
-    return not 0 < sum(not again for again in same) < _LEAST_CHANGES
+    n_changes = sum(not again for again in same)
+    return n_changes == 0 or n_changes >= _LEAST_CHANGES or lasted_s > _PATIENCE_S
 
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:
