@@ -207,6 +207,16 @@ def test_the_state_of_a_sensor_without_a_baseline(hand):
     assert state["warnings"] == [hand.unfixed]
 
 
+def test_a_frame_of_no_contact_of_another_sensor_is_said_and_taken_anew(hand):
+    hand.no_contact = lambda: np.zeros((4, 4), np.uint8)
+    with LiveSession(hand) as session:
+        told = "Frames must be of 4 x 4 taxels like the frame of no contact, got 12"
+        assert waited(lambda: told in session.to_dict()["sensor"]["lost"])
+        session.take_baseline()
+        press_once(hand, session)
+        assert session.to_dict()["sensor"]["lost"] == ""
+
+
 def test_a_lesson_ends_the_test_press(hand, tmp_path):
     with LiveSession(hand, library=tmp_path / "library") as session:
         session.take_baseline(ask_press=True)

@@ -339,13 +339,16 @@ class SensorWatch:
         shown_s = stated_s = 0.0
         touching = False
         while not self._stop.is_set():
+            frame = None
             try:
                 frame = self.sensor.read_next(0.5)
-            except SensorError:
-                frame = None
+                self._step(frame)
+                self.failed = ""
+            except SensorError as error:
+                if frame is not None:  # of another size than the frame of no contact
+                    self.failed = str(error)
             now_s = time.monotonic()
             if frame is not None:
-                self._step(frame)
                 if now_s - shown_s >= 1 / _SHOWN_HZ:
                     shown_s = now_s
                     self._show(frame)
