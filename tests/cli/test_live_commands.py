@@ -22,7 +22,7 @@ from palpate.cli import live, record
 from palpate.cli.sensor import give_up
 from palpate.library import TouchLibrary
 from palpate.recognition import Episode, ObjectRecogniser
-from palpate.sensors import ReplaySensor, SensorMemory, TouchDetector
+from palpate.sensors import ReplaySensor, SensorError, SensorMemory, TouchDetector
 from palpate.simulation import PressureArray, simulate_presses
 from palpate.web import LiveSession, PageServer, create_app
 
@@ -413,6 +413,18 @@ def test_record_in_two_mountings_makes_two_sessions(
     assert counts.tolist() == [2, 2]
     assert sum("new gel" in name for name in names) == 1
     assert sum("placed again" in name for name in names) == 1
+
+
+def test_a_sensor_that_is_not_plugged_in_again_yet_is_waited_for(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n\n"))
+    states = [SensorError("COM3 went away. Plug it in again.")]
+
+    def take_baseline(changed):
+        if states:
+            raise states.pop()
+
+    record._place_again(SimpleNamespace(take_baseline=take_baseline))
+    assert "Plug it in again. Then press Enter.\n" in capsys.readouterr().err
 
 
 def frames_of_a_check(palpate, address, page):

@@ -137,7 +137,7 @@ def _place_again(session: "LiveSession") -> None:
     while sys.stdin.readline():
         try:
             session.take_baseline(changed="placed again")
-        except ContactError as error:
+        except (ContactError, SensorError) as error:
             say(f"{error} Then press Enter.", file=sys.stderr)
         else:
             return

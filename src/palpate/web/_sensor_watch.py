@@ -348,10 +348,9 @@ class SensorWatch:
                 if frame is not None:  # of another size than the frame of no contact
                     self.failed = str(error)
             now_s = time.monotonic()
-            if frame is not None:
-                if now_s - shown_s >= 1 / _SHOWN_HZ:
-                    shown_s = now_s
-                    self._show(frame)
+            if frame is not None and now_s - shown_s >= 1 / _SHOWN_HZ:
+                shown_s = now_s
+                self._show(frame)
             late = now_s - stated_s > _STATE_EVERY_S
             if late or touching != self.detector.touching:
                 touching, stated_s = self.detector.touching, now_s
