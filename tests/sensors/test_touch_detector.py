@@ -130,6 +130,10 @@ def test_the_baseline_is_refused_while_something_comes_down():
     coming = [REST + 5 * step for step in range(10)]
     with pytest.raises(ContactError, match="still changing"):
         TouchDetector(REST).take_baseline(coming)
+    for ramp in ([], [50], [50, 55], [5, 40, 45, 55], [20, 20, 50, 50]):
+        levels = [0, 0, 0, *ramp, *[60] * 5]
+        with pytest.raises(ContactError, match="still changing"):
+            TouchDetector().take_baseline([REST + level for level in levels])
     with pytest.raises(ValueError, match="number of frames must be at least 3"):
         TouchDetector(REST).take_baseline([REST])
 

@@ -40,6 +40,7 @@ _MAX_PIXELS = 50_000_000  # of a film
 _LEAST_REST = 3  # frames of a baseline
 _REST_FRAMES = 10  # of a film, taken for touching nothing
 _ROW = "row"  # of a frame among those read as touches
+_LEAST_READINGS = 5  # of a device whose driver gives them again
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
 
@@ -186,7 +187,7 @@ class TouchDetector:
                 f"{len(stack)} among {len(frames)}: the others are NaN alone. Look at "
                 "the sensor and its cable."
             )
-        readings = stack[_are_new(stack)]
+        readings = _readings(stack)
         # One reading again and again: its means may differ from it by rounding.
         alike = len(readings) == 1
         if not force and not alike and _moving(readings, self._least(frames[0])):
@@ -524,13 +525,16 @@ def _frames_of(touches: Touches) -> Iterator[Frame]:
         yield Frame(image, float(time_s), number, columns={_ROW: number})
 
 
-def _are_new(frames: Floats) -> list[bool]:
-    """Tell which frames differ from the one before.
+def _readings(frames: Floats) -> Floats:
+    """Return what a device measured, of a driver that gives all of it several times.
 
-    A driver that is asked too often gives a reading again.
+    Those are frames that differ from the one before. Where any but the first and the
+    last, which may be cut, comes once, or few are different, these are all frames.
     """
     same = (np.array_equal(a, b, equal_nan=True) for a, b in pairwise(frames))
-    return [True, *(not again for again in same)]
+    first = np.flatnonzero([True, *(not again for again in same)])
+    few = 1 < len(first) < _LEAST_READINGS
+    return frames if few or (np.diff(first)[1:] == 1).any() else frames[first]
 
 
 def _moving(stack: Floats, least: float) -> bool:
@@ -538,7 +542,7 @@ def _moving(stack: Floats, least: float) -> bool:
     # Second differences show noise (of noise alone their variance is six times that of
     # a frame), so that a steady way down is no noise.
     bends = stack[2:] - 2 * stack[1:-1] + stack[:-2]
-    noise = float(np.median([_rms(bend) for bend in bends] or [0.0])) / np.sqrt(6)
+    noise = float(np.median([_rms(bend) for bend in bends])) / np.sqrt(6)
     first, second = np.array_split(stack, 2)
     moved = _rms(second.mean(axis=0) - first.mean(axis=0))
     return bool(moved > max(_STEADY_NOISES * noise, least))
