@@ -275,6 +275,13 @@ def test_the_same_sensor_is_not_accused(presses, harder):
     before = SensorMemory.of(presses[:30], np.zeros((6, 6)))
     assert before.gain_warning(presses[30:] * harder, np.zeros((6, 6))) == ""
     assert before.baseline_warning(np.zeros((6, 6))) == ""
+    # Nor is a taxel whose reading failed once, before or now; one that is dead is.
+    failed = presses.copy()
+    failed[[3, 40], 2, [1, 4]] = np.nan
+    before = SensorMemory.of(failed[:30], np.zeros((6, 6)))
+    assert before.gain_warning(failed[30:] * harder, np.zeros((6, 6))) == ""
+    failed[30:, 2, 4] = np.nan
+    assert "row 2 column 4." in before.gain_warning(failed[30:], np.zeros((6, 6)))
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3, 4.0])

@@ -69,8 +69,13 @@ class SensorMemory:
             shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
             if baseline.size > MOST_TAXELS:
                 shares.clear()
-        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
-        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
+        response = spread = np.empty((0, 0))
+        if shares:
+            known = ~np.isnan(shares)  # of a taxel not those where its reading failed
+            with np.errstate(invalid="ignore"):
+                response = np.nansum(shares, axis=0) / known.sum(axis=0)
+                squares = np.nansum((np.array(shares) - response) ** 2, axis=0)
+                spread = squares / known.sum(axis=0) ** 2
         return cls(baseline, float(np.median(changes)), response, spread, len(changes))
 
     @classmethod
