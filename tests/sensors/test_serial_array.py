@@ -215,8 +215,8 @@ def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(termina
 def test_bytes_that_are_no_frames_say_why(
     terminal, monkeypatch, lower, write, options, message
 ):
-    lower(monkeypatch, serial_silent_s=0.2)
-    terminal.play(endless((8, 16), write), 50)
+    lower(monkeypatch, serial_silent_s=0.1)
+    terminal.play(endless((8, 16), write), 100)
     with SerialArraySensor(
         terminal.port, **{"image_shape": (8, 16), **options}
     ) as array:
