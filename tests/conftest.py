@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 # What tests lower, each a number inside of palpate, to show with little what much does.
 LIMITS = {
     "answers_left_out": "palpate.classifiers._touch_classifier.MOST_ANSWERS",
+    "baseline_s": "palpate.web._sensor_watch._BASELINE_S",
     "browser_patience_s": "palpate.web._app._PATIENCE_S",
     "browser_queue": "palpate.web._app._LONGEST_QUEUE",
     "browsers": "palpate.web._app._MOST_CLIENTS",

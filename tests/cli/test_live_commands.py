@@ -2,10 +2,12 @@
 
 import io
 import json
+import queue
 import re
 import signal
 import subprocess
 import sys
+import weakref
 from contextlib import closing
 from types import SimpleNamespace
 from urllib.parse import urlsplit
@@ -16,11 +18,11 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.cli import record
+from palpate.cli import live, record
 from palpate.cli.sensor import give_up
 from palpate.library import TouchLibrary
 from palpate.recognition import Episode, ObjectRecogniser
-from palpate.sensors import ReplaySensor, SensorMemory, TouchDetector
+from palpate.sensors import ReplaySensor, SensorError, SensorMemory, TouchDetector
 from palpate.simulation import PressureArray, simulate_presses
 from palpate.web import LiveSession, PageServer, create_app
 
@@ -101,6 +103,11 @@ def test_a_touch_that_does_not_come_is_given_up_and_why(
     )
     give_up(session, 5.0)
     assert "5 s: ended. A touch has not ended: if nothing" in capsys.readouterr().err
+    gone = {"offer": why, "touching": True, "lost": "COM3 went away. Plug it in."}
+    give_up(SimpleNamespace(watch=SimpleNamespace(to_dict=lambda: gone)), 5.0)
+    assert capsys.readouterr().err == (
+        "No touch in 5 s: ended. COM3 went away. Plug it in.\n"
+    )
 
 
 def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
@@ -120,12 +127,12 @@ def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
                 listeners[-1](event)
             return max(n_stored - self._n_without, 0)
 
-    def recorded(lesson):
+    def recorded(lesson, trouble=""):
         session = SimpleNamespace(
             listeners=SimpleNamespace(add=listeners.append),
             teach=lambda name, wanted: None,
             teacher=SimpleNamespace(lesson=lesson),
-            trouble="",
+            trouble=trouble,
         )
         assert record._lesson(session, "bar", 2, 0.05) == 2
         return capsys.readouterr().err
@@ -138,6 +145,36 @@ def test_a_touch_that_comes_while_record_looks_is_not_missed(capsys):
     assert "without contact: it does not count" in messages
     assert "touch 2 of 2" in messages
     assert "touch 3" not in messages
+    # Who touches before the lesson begins may touch again.
+    assert "touch again.\n" in recorded(Lesson(), trouble=LiveSession.began_before)
+
+
+def test_live_goes_on_after_a_touch_that_began_before():
+    """As when a robot that still touches says `start` over --publish."""
+    events = queue.Queue()
+    for event in ({"lesson": None}, {"episode": {"number": 1}}):
+        events.put(event)
+    session = SimpleNamespace(trouble=LiveSession.began_before)
+    assert live._next_touch(session, events, 0.0) == {"number": 1}
+
+
+def test_live_without_an_end_keeps_no_episodes(palpate, replay, model, monkeypatch):
+    class Kept(dict):
+        pass
+
+    gone = []
+
+    def episode(session, events, most, timeout_s, ended, *, quiet):
+        if len(gone) == 3:
+            return None
+        told = Kept(number=ended + 1)
+        gone.append(weakref.ref(told))
+        assert sum(kept() is not None for kept in gone) <= 2  # with the one before
+        return told
+
+    monkeypatch.setattr(live, "_episode", episode)
+    palpate.printed("live", model, *replay, "--gap", "3", "--episodes", "0")
+    assert len(gone) == 3
 
 
 def test_record_ends_with_a_recording_that_is_over(palpate, recording, tmp_path):
@@ -376,6 +413,18 @@ def test_record_in_two_mountings_makes_two_sessions(
     assert counts.tolist() == [2, 2]
     assert sum("new gel" in name for name in names) == 1
     assert sum("placed again" in name for name in names) == 1
+
+
+def test_a_sensor_that_is_not_plugged_in_again_yet_is_waited_for(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n\n"))
+    states = [SensorError("COM3 went away. Plug it in again.")]
+
+    def take_baseline(changed):
+        if states:
+            raise states.pop()
+
+    record._place_again(SimpleNamespace(take_baseline=take_baseline))
+    assert "Plug it in again. Then press Enter.\n" in capsys.readouterr().err
 
 
 def frames_of_a_check(palpate, address, page):

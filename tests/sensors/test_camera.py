@@ -286,6 +286,18 @@ def test_an_unplugged_camera_is_found_again():
     assert capture.released >= 2
 
 
+def test_no_frame_is_made_of_pictures_of_another_size():
+    """Another program has set the size: of larger pictures a corner was taken."""
+    capture = FakeCapture()
+    sensor = camera(capture)
+    sensor.retry_s = 0.01
+    with sensor:
+        sensor.read_next()
+        capture.picture = np.full((48, 64, 3), 200, np.uint8)
+        assert "got 48 x 64. Ask for shape=48x64." in drained(sensor)
+        assert sensor.read_latest().image.max() < 200
+
+
 @pytest.mark.parametrize(
     ("capture", "message"),
     [

@@ -166,6 +166,7 @@ def test_a_lost_device_is_found_again():
     sensor.retry_s = 0.01
     with sensor:
         numbers = [sensor.read_next().image[0, 0] for _ in range(20)]
+        assert sensor.n_dropped >= 3  # at least one for each failure
     assert {3, 4, 5}.isdisjoint(numbers)
     assert numbers[-1] > 5
     assert sensor.opened >= 4  # at first, and after each failure
@@ -283,9 +284,15 @@ def test_a_silent_device_says_why():
 
 def test_a_device_whose_clock_stands_still_gives_no_fresh_frame_and_says_so():
     class Standing(Counting):
-        def _grab(self):
-            return [Reading(image, time_s=0.0) for image in super()._grab()]
+        stands_s = -100.0
 
+        def _grab(self):
+            return [Reading(image, time_s=self.stands_s) for image in super()._grab()]
+
+    # A clock of its own: all touches would have begun before they were asked for.
+    with Standing() as sensor, pytest.raises(SensorError, match=r"or use time\.mono"):
+        sensor.read_next(0.2)
+    Standing.stands_s = time.monotonic()
     # As long as a touch waits, an arm may press.
     with Standing() as sensor, ThreadPoolExecutor(1) as pool:
         reading = pool.submit(sensor.read)
@@ -614,6 +621,13 @@ def test_a_calibrated_sensor_gives_frames_in_its_unit(tmp_path, monkeypatch):
         package = SimpleNamespace(driver=lambda place: sensor)
         monkeypatch.setitem(sys.modules, "toy", package)
         return open_sensor("toy:0", calibration=Doubling())
+
+    class Whole(Counting):
+        step = 1.0  # of its numbers: nothing smaller is a touch
+
+    with calibrated(Whole()) as sensor:
+        sensor.read_next()
+        assert sensor.step == 2.0
 
     check_sensor(calibrated(Counting()))
     with calibrated(Bursting()) as sensor:

@@ -75,6 +75,18 @@ def test_taxels_that_are_nan_are_dead(rng):
     assert finding.startswith(f"2 of {len(images)} frames are NaN alone")
     assert report["dead"] == []
     assert np.isfinite(report["figures"]["noise"])
+    # Nor do a few, each of another taxel; of one in over 1 % of frames they do.
+    images, times = frames(rng, dtype=np.float32)
+    images[np.arange(100), np.repeat(np.arange(10), 10), np.tile(np.arange(10), 10)] = (
+        np.nan
+    )
+    images[::50, 4, 4] = np.nan
+    report = health(as_frames(images, times))
+    assert report["dead"] == [[4, 4]]
+    (finding,) = report["findings"]
+    assert "(row 4 column 4) never change or lack readings: dead, loose" in finding
+    assert np.isfinite(report["rest"]).all()
+    assert report["figures"]["noise"] == pytest.approx(2.02, rel=0.05)
 
 
 def test_hot_and_saturated_taxels_are_told_apart(rng):
@@ -113,6 +125,16 @@ def test_a_baseline_under_load_is_named_with_its_place(rng):
     images[:, 3:7, 3:7] += 200
     report = health(as_frames(images, times))
     assert "may press the sensor around row 4 column 4" in report["findings"][0]
+
+
+def test_hum_of_the_mains_is_no_press(rng):
+    """1000 frames a second of an array that hums with 50 Hz by 6 counts."""
+    images, times = frames(rng, noise=1.0, rate_hz=1000.0)
+    hum = np.rint(6 * np.cos(2 * np.pi * 50 * times)).astype(np.int16)
+    report = health(as_frames(images + hum[:, None, None], times))
+    assert "still changing" not in findings(report)
+    assert "unsteady supply" in findings(report)
+    assert len(report["findings"]) == 1
 
 
 def test_rest_that_differs_from_what_a_model_remembers_is_named(rng):
@@ -173,6 +195,15 @@ def test_one_frame_in_a_hundred_is_late_at_three_times_the_usual(
     report = health(as_frames(images, np.cumsum(gaps)))
     late = f"comes {late_ms} ms after the last, usually 20: something holds it up"
     assert (late in findings(report)) == reported
+
+
+def test_frames_that_a_port_hands_on_together_have_their_rate(rng):
+    """Eight of 500 a second every 16 ms, read within 10 us of each other."""
+    images, _ = frames(rng)
+    bursts, places = np.divmod(np.arange(600), 8)
+    report = health(as_frames(images, bursts * 0.016 + places * 1e-5))
+    assert report["figures"]["rate_hz"] == pytest.approx(500, rel=0.01)
+    assert "comes 16 ms after the last, usually 2:" in findings(report)
 
 
 @pytest.mark.parametrize(("n_lost", "reported"), [(5, False), (8, True)])
@@ -244,6 +275,13 @@ def test_the_same_sensor_is_not_accused(presses, harder):
     before = SensorMemory.of(presses[:30], np.zeros((6, 6)))
     assert before.gain_warning(presses[30:] * harder, np.zeros((6, 6))) == ""
     assert before.baseline_warning(np.zeros((6, 6))) == ""
+    # Nor is a taxel whose reading failed once, before or now; one that is dead is.
+    failed = presses.copy()
+    failed[[3, 40], 2, [1, 4]] = np.nan
+    before = SensorMemory.of(failed[:30], np.zeros((6, 6)))
+    assert before.gain_warning(failed[30:] * harder, np.zeros((6, 6))) == ""
+    failed[30:, 2, 4] = np.nan
+    assert "row 2 column 4." in before.gain_warning(failed[30:], np.zeros((6, 6)))
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3, 4.0])

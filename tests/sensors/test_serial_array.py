@@ -160,6 +160,18 @@ def one_byte(image, number):
     return BinaryFraming.write(image.astype(np.uint8), number)
 
 
+def with_dollar(image, number):
+    """A line whose checksum is of its `$` too."""
+    values, _, check = as_line(image, number).partition(b"*")
+    return values + f"*{int(check, 16) ^ ord('$'):02X}\n".encode()
+
+
+def crc_swapped(image, number):
+    """A frame whose checksum has its high byte first."""
+    packet = BinaryFraming.write(image, number)
+    return packet[:-2] + packet[:-3:-1]
+
+
 def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(terminal):
     with SerialArraySensor(terminal.port, (2, 2)) as sensor:
         os.write(terminal.master, b"2,13,14,15\r\n11,12,13,14\r\n")  # was 12
@@ -190,13 +202,21 @@ def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(termina
         ),
         (one_byte, {"framing": "binary"}, "uint8, expected uint16: `dtype=uint8`"),
         (lambda image, number: bytes(range(128, 250)) * 9, {}, "check `baud`"),
+        (with_dollar, {}, "The checksum of lines is wrong: after `*`"),
+        (crc_swapped, {"framing": "binary"}, "The checksum of frames is wrong"),
+        (lambda image, number: b"S:" + b"1;" * 128 + b"\n", {}, "got 'S:1;1;1;1;"),
+        (
+            lambda image, number: b"1,2,3,4,5,6,7,8,9,1,2,3,4,5,6,7\n" * 8,
+            {},
+            "A line holds 16 values, as one row: write all rows in one.",
+        ),
     ],
 )
 def test_bytes_that_are_no_frames_say_why(
     terminal, monkeypatch, lower, write, options, message
 ):
-    lower(monkeypatch, serial_silent_s=0.2)
-    terminal.play(endless((8, 16), write), 50)
+    lower(monkeypatch, serial_silent_s=0.1)
+    terminal.play(endless((8, 16), write), 100)
     with SerialArraySensor(
         terminal.port, **{"image_shape": (8, 16), **options}
     ) as array:

@@ -130,6 +130,10 @@ def test_the_baseline_is_refused_while_something_comes_down():
     coming = [REST + 5 * step for step in range(10)]
     with pytest.raises(ContactError, match="still changing"):
         TouchDetector(REST).take_baseline(coming)
+    for ramp in ([], [50], [50, 55], [5, 40, 45, 55], [20, 20, 50, 50]):
+        levels = [0, 0, 0, *ramp, *[60] * 5]
+        with pytest.raises(ContactError, match="still changing"):
+            TouchDetector().take_baseline([REST + level for level in levels])
     with pytest.raises(ValueError, match="number of frames must be at least 3"):
         TouchDetector(REST).take_baseline([REST])
 
@@ -385,6 +389,17 @@ def test_a_frame_of_nan_alone_is_neither_rest_nor_contact():
     assert (touch.change, touch.n_frames) == (40, 4)
 
 
+def test_a_reading_that_failed_makes_no_taxel_of_a_baseline_dead(rng):
+    frames = rng.normal(100, 1.0, (10, 4, 4)).astype(np.float32)
+    frames[3, 1, 1] = np.nan
+    frames[:, 2, 2] = np.nan
+    detector = TouchDetector()
+    detector.take_baseline(list(frames))
+    assert_array_equal(np.argwhere(np.isnan(detector.baseline)), [[2, 2]])
+    others = np.delete(frames[:, 1, 1], 3)
+    assert detector.baseline[1, 1] == pytest.approx(others.mean())
+
+
 def test_a_baseline_of_nan_alone_is_refused():
     detector = TouchDetector(REST)
     nothing = [np.full((4, 4), np.nan, np.float32)] * 8
@@ -428,3 +443,7 @@ def test_readings_that_are_given_again_and_again_do_not_hide_the_noise(rng):
     touches = TouchDetector().touches_in(Touches(images))
     assert touches.columns["time_s"].tolist() == [200]
     assert touches.columns["duration_s"].tolist() == [50]
+    for n_first in range(1, 11):  # readings that the first few were cut off from
+        detector = TouchDetector()
+        detector.take_baseline(list(images[n_first : n_first + 100]))
+        assert detector.noise == pytest.approx(1.0, rel=0.2)

@@ -138,6 +138,11 @@ class Still(LiveSensor):
         pass
 
 
+@pytest.fixture(autouse=True)
+def _short_baselines(monkeypatch, lower):
+    lower(monkeypatch, baseline_s=0.0)
+
+
 class HandSensor(LiveSensor):
     """An array that reads whatever a test says, and does not know its baseline."""
 

@@ -109,6 +109,30 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
         LiveSession().take_baseline()
 
 
+def test_a_driver_that_is_asked_too_often_gets_a_baseline(rng, monkeypatch, lower):
+    """Asked up to 1000 times a second, six times for each reading of its device."""
+    readings = rng.normal(100, 1.0, (400, SIDE, SIDE)).astype(np.float32)
+
+    class Polled(HandSensor):
+        n_asked = 0
+
+        def _grab(self):
+            time.sleep(0.001)
+            self.n_asked += 1
+            return [readings[self.n_asked // 6 % 400]]
+
+    sensor = Polled()
+    sensor.dtype = np.dtype(np.float32)
+    with LiveSession(sensor) as session:
+        session.take_baseline()
+        assert session.watch.detector.noise == pytest.approx(1.0, rel=0.4)
+        # Ten frames of 10 ms would be half a period of the mains, which they hum with.
+        lower(monkeypatch, baseline_s=0.1)
+        n_before = sensor.n_asked
+        session.take_baseline(force=True)
+        assert sensor.n_asked - n_before > 30
+
+
 def press_once(sensor, session):
     sensor.show(session, pressed=True)
     assert waited(lambda: session.watch.detector.touching)
@@ -181,6 +205,16 @@ def test_the_state_of_a_sensor_without_a_baseline(hand):
     assert (state["baseline"], state["zero"], state["desk"]) == (False, False, None)
     assert state["fixed"] == {"exposure": False}
     assert state["warnings"] == [hand.unfixed]
+
+
+def test_a_frame_of_no_contact_of_another_sensor_is_said_and_taken_anew(hand):
+    hand.no_contact = lambda: np.zeros((4, 4), np.uint8)
+    with LiveSession(hand) as session:
+        told = "Frames must be of 4 x 4 taxels like the frame of no contact, got 12"
+        assert waited(lambda: told in session.to_dict()["sensor"]["lost"])
+        session.take_baseline()
+        press_once(hand, session)
+        assert session.to_dict()["sensor"]["lost"] == ""
 
 
 def test_a_lesson_ends_the_test_press(hand, tmp_path):

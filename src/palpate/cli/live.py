@@ -28,6 +28,7 @@ from .sensor import (
     Summary,
     check_publish,
     give_up,
+    has_trouble,
     logged,
     need_baseline,
     published,
@@ -65,7 +66,8 @@ def live(
 
     check_count("touches", touches)
     check_count("episodes", episodes, at_least=0)
-    done: list[Episode] = []
+    done: list[Episode] = []  # filled for --json alone: without an end it would grow
+    n_done = ended = 0
     check_publish(publish)
     chosen = options.open(sensor)
     session = LiveSession(
@@ -86,19 +88,20 @@ def live(
         need_baseline(session)
         stack.enter_context(published(session, publish))
         try:
-            while episodes == 0 or len(done) < episodes:
-                ended = done[-1]["number"] if done else 0
+            while episodes == 0 or n_done < episodes:
                 episode = _episode(
                     session, events, touches, timeout, ended, quiet=as_json
                 )
                 if episode is None:
                     break
-                done.append(episode)
+                n_done, ended = n_done + 1, episode["number"]
+                if as_json:
+                    done.append(episode)
         except KeyboardInterrupt:
             say("Ended.", file=sys.stderr)
     if as_json:
         print_json({"episodes": done})
-    if not done or session.trouble:
+    if not n_done or session.trouble:
         raise typer.Exit(1)
 
 
@@ -145,6 +148,5 @@ def _next_touch(
         if "lesson" not in event:
             episode: Episode = event["episode"]
             return episode
-        if session.trouble:
-            say(f"palpate: {session.trouble}", file=sys.stderr)
+        if has_trouble(session):
             return None

@@ -15,6 +15,7 @@ from .sensor import (
     SensorOptions,
     Summary,
     give_up,
+    has_trouble,
     need_baseline,
 )
 
@@ -136,7 +137,7 @@ def _place_again(session: "LiveSession") -> None:
     while sys.stdin.readline():
         try:
             session.take_baseline(changed="placed again")
-        except ContactError as error:
+        except (ContactError, SensorError) as error:
             say(f"{error} Then press Enter.", file=sys.stderr)
         else:
             return
@@ -162,8 +163,7 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
                 give_up(session, timeout_s)
                 break
             changed.clear()  # before looking: what comes from now on is told again
-            if session.trouble:
-                say(f"palpate: {session.trouble}", file=sys.stderr)
+            if has_trouble(session):
                 break
             before, shown = shown, lesson.done
             if shown != before:

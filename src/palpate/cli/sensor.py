@@ -154,9 +154,21 @@ def need_baseline(session: "LiveSession") -> None:
             session.take_baseline(force=True)
 
 
+def has_trouble(session: "LiveSession") -> bool:
+    """Say what was wrong with the last touch; tell whether there is no use in more."""
+    from ..web import LiveSession
+
+    if session.trouble:
+        say(f"palpate: {session.trouble}", file=sys.stderr)
+    return session.trouble not in ("", LiveSession.began_before)
+
+
 def give_up(session: "LiveSession", timeout_s: float) -> None:
-    """Say that no touch came, and that the sensor has left its baseline, if it has."""
+    """Say that no touch came, and what hinders the sensor, if it is known."""
     state = {} if session.watch is None else session.watch.to_dict()
+    if lost := state.get("lost"):
+        say(f"No touch in {timeout_s:g} s: ended. {lost}", file=sys.stderr)
+        return
     why = state.get("offer", "")
     if state.get("touching") and not why:  # as while it drifts on
         why = (

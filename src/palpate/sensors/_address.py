@@ -387,6 +387,12 @@ class CalibratedSensor(LiveSensor):
         super().__init__(sensor.name, "kPa", shape, np.float64, geometry)
         self.channels = sensor.channels
         self._next_number = 0
+        self._step: float | None = None
+
+    @property
+    def step(self) -> float:
+        """What one step of the sensor's numbers is in its first frame (kPa)."""
+        return self._step or 0.0
 
     @property
     def desk(self) -> PlayedSensor | None:
@@ -418,7 +424,7 @@ class CalibratedSensor(LiveSensor):
             self.inner.disconnect()
             raise SensorError(misfit)
         self.fixed, self.unfixed = self.inner.fixed, self.inner.unfixed
-        self._next_number = 0
+        self._next_number, self._step = 0, None
 
     def _grab(self) -> Sequence[Reading]:
         try:
@@ -429,7 +435,11 @@ class CalibratedSensor(LiveSensor):
         self._count_missed(max(0, frame.number - self._next_number))
         self._next_number = frame.number + 1
         about = frame.time_s, frame.device_time_s, frame.columns
-        return [Reading(self._calibrated(frame.image), *about)]
+        image = self._calibrated(frame.image)
+        if self._step is None:
+            change = self._calibrated(frame.image + self.inner.step) - image
+            self._step = float(np.sqrt(np.mean(np.nan_to_num(change) ** 2)))
+        return [Reading(image, *about)]
 
     def _close(self) -> None:
         self.inner.disconnect()

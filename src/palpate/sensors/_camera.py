@@ -165,6 +165,9 @@ class CameraSensor(LiveSensor):
                 f"The camera {self.camera!r} opens but gives no picture. Another "
                 "program may be using it; close that, or plug the camera in again."
             )
+        self._check_size(picture)
+
+    def _check_size(self, picture: Array) -> None:
         if picture.ndim < len(self.image_shape):
             raise SensorError(
                 f"The camera {self.camera!r} must give colours, got grey levels. Leave "
@@ -212,6 +215,7 @@ class CameraSensor(LiveSensor):
             raise SensorError(
                 f"the camera {self.camera!r} stopped giving pictures. Plug it in again."
             )
+        self._check_size(picture)
         row, col, n_rows, n_cols = self.crop
         taken = picture[row : row + n_rows, col : col + n_cols]
         if picture.ndim == 3:

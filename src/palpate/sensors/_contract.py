@@ -147,7 +147,8 @@ class LiveSensor(ABC):
     n_frames : int
         Frames taken since it was connected.
     n_dropped : int
-        Frames lost since it was connected: damaged, missed, or never read.
+        Frames lost since it was connected: damaged, missed, or never read; at least
+        one for each failure of the device.
     queue_length : int
         A frame that nobody has read when so many newer ones wait is dropped and
         counted. Frames that come at once wait beside them, up to `burst_length`.
@@ -193,6 +194,7 @@ class LiveSensor(ABC):
         self._thread: threading.Thread | None = None
         self._latest: Frame | None = None
         self._number = self._largest_burst = 0
+        self._connected_s = 0.0
 
     @property
     def step(self) -> float:
@@ -240,6 +242,7 @@ class LiveSensor(ABC):
         self._latest, self.lost = None, ""
         self.n_frames = self.n_dropped = self._number = self._largest_burst = 0
         self._stop.clear()
+        self._connected_s = time.monotonic()
         try:
             self._open()
             if self._stop.is_set():  # by another thread, meanwhile
@@ -358,6 +361,7 @@ class LiveSensor(ABC):
 
     def _recover(self, error: BaseException) -> None:
         promised = self.image_shape, self.dtype
+        self._count_missed(1)
         while True:
             self.lost = str(error) if isinstance(error, SensorError) else repr(error)
             with suppress(BaseException):  # that it cannot even be closed is no news
@@ -380,7 +384,13 @@ class LiveSensor(ABC):
         now_s = time.monotonic()
         taken_s = now_s if full.time_s is None else min(full.time_s, now_s)
         arrived = np.asarray(full.image)
-        if wrong := _broken_promise(arrived, self.image_shape, self.dtype):
+        wrong = _broken_promise(arrived, self.image_shape, self.dtype)
+        if not taken_s >= self._connected_s - _FRESH_S:  # or NaN
+            wrong = (
+                "it must give frames as they are taken: time_s must be of now, got "
+                f"{now_s - taken_s:.1f} s ago. Leave it out, or use time.monotonic()"
+            )
+        if wrong:
             self._count_missed(1)
             self.lost = wrong
             return

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from itertools import islice
+from itertools import islice, pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ _MAX_PIXELS = 50_000_000  # of a film
 _LEAST_REST = 3  # frames of a baseline
 _REST_FRAMES = 10  # of a film, taken for touching nothing
 _ROW = "row"  # of a frame among those read as touches
+_LEAST_READINGS = 5  # of a device whose driver gives them again
 _NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
 
@@ -186,14 +187,15 @@ class TouchDetector:
                 f"{len(stack)} among {len(frames)}: the others are NaN alone. Look at "
                 "the sensor and its cable."
             )
+        readings = _readings(stack)
         # One reading again and again: its means may differ from it by rounding.
-        alike = all(np.array_equal(frame, stack[0], equal_nan=True) for frame in stack)
-        if not force and not alike and _moving(stack, self._least(frames[0])):
+        alike = len(readings) == 1
+        if not force and not alike and _moving(readings, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
                 "Leave it alone for a second and take the baseline again."
             )
-        mean = stack[0] if alike else stack.mean(axis=0)
+        mean = stack[0] if alike else _mean_of_numbers(stack)
         levels = [_rms(frame - mean) for frame in stack]
         noise = float(np.median(levels))
         first = self.baseline is None and not force
@@ -523,8 +525,20 @@ def _frames_of(touches: Touches) -> Iterator[Frame]:
         yield Frame(image, float(time_s), number, columns={_ROW: number})
 
 
+def _readings(frames: Floats) -> Floats:
+    """Return what a device measured, of a driver that gives all of it several times.
+
+    Those are frames that differ from the one before. Where any but the first and the
+    last, which may be cut, comes once, or few are different, these are all frames.
+    """
+    same = (np.array_equal(a, b, equal_nan=True) for a, b in pairwise(frames))
+    first = np.flatnonzero([True, *(not again for again in same)])
+    few = 1 < len(first) < _LEAST_READINGS
+    return frames if few or (np.diff(first)[1:] == 1).any() else frames[first]
+
+
 def _moving(stack: Floats, least: float) -> bool:
-    """Tell whether frames go somewhere, by more than their noise."""
+    """Tell whether readings go somewhere, by more than their noise."""
     # Second differences show noise (of noise alone their variance is six times that of
     # a frame), so that a steady way down is no noise.
     bends = stack[2:] - 2 * stack[1:-1] + stack[:-2]
@@ -532,6 +546,13 @@ def _moving(stack: Floats, least: float) -> bool:
     first, second = np.array_split(stack, 2)
     moved = _rms(second.mean(axis=0) - first.mean(axis=0))
     return bool(moved > max(_STEADY_NOISES * noise, least))
+
+
+def _mean_of_numbers(stack: Floats) -> Floats:
+    """Return the mean frame, of each taxel over its numbers; NaN where it has none."""
+    with np.errstate(invalid="ignore"):
+        mean: Floats = np.nansum(stack, axis=0) / np.sum(~np.isnan(stack), axis=0)
+    return mean
 
 
 def _pressed(image: Floats, least: float) -> str:

@@ -23,12 +23,13 @@ from .._types import Array, Floats
 from ._contract import Frame, SensorError
 from ._detector import ContactError, TouchDetector
 
-# Parts of the frames whose means show drift, frames of a baseline, taxels named of each
-# kind, and pairs of frames for crosstalk.
-_PARTS, _REST, _NAMED, _PAIRS = 12, 10, 5, 400
+# Parts of the frames whose means show drift, frames and seconds of a baseline, taxels
+# named of each kind, and pairs of frames for crosstalk.
+_PARTS, _REST, _REST_S, _NAMED, _PAIRS = 12, 10, 0.2, 5, 400
 # Bad is noise so many times the typical one, this share of noise in common, a frame in
-# a hundred so many times as late as usual, this share of frames lost.
-_HOT, _SHARED, _LATE, _LOST = 6.0, 0.3, 3.0, 0.01
+# a hundred so many times as late as usual (told over so many frames), this share of
+# frames, or of the readings of a taxel, lost.
+_HOT, _SHARED, _LATE, _BURST, _LOST = 6.0, 0.3, 3.0, 8, 0.01
 # With more, a sensor is a camera: single taxels are nothing to name.
 MOST_TAXELS = 4096
 # Rest that is off by more than this share of a touch's change spoils touches.
@@ -68,8 +69,13 @@ class SensorMemory:
             shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
             if baseline.size > MOST_TAXELS:
                 shares.clear()
-        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
-        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
+        response = spread = np.empty((0, 0))
+        if shares:
+            known = ~np.isnan(shares)  # of a taxel not those where its reading failed
+            with np.errstate(invalid="ignore"):
+                response = np.nansum(shares, axis=0) / known.sum(axis=0)
+                squares = np.nansum((np.array(shares) - response) ** 2, axis=0)
+                spread = squares / known.sum(axis=0) ** 2
         return cls(baseline, float(np.median(changes)), response, spread, len(changes))
 
     @classmethod
@@ -166,18 +172,21 @@ def sensor_health(
         )
         stack = stack[~is_empty]
     detector.step = max(step, 1.0) if stack.dtype.kind in "iu" else step
+    # Over ten periods of the mains, as where touches are taken.
+    n_first = sum(frame.time_s < frames[0].time_s + _REST_S for frame in frames)
     try:
-        detector.take_baseline(list(stack[:_REST]))
+        detector.take_baseline(list(stack[: max(_REST, n_first)]))
     except ContactError as error:
         findings.append(str(error))
     except SensorError:  # nothing but NaN: all taxels are named below
         pass
     n_touched = sum(detector.update(frame) is not None for frame in frames)
-    rest, noise = stack.mean(axis=0, dtype=np.float64), _noise(stack)
+    rest = np.asarray(np.nanmean(stack, axis=0, dtype=np.float64))
+    noise = _noise(stack)
     parts = np.array_split(stack, _PARTS)
     # From the first frame on: a mean of equal numbers may differ from them by rounding.
-    first = stack[0].astype(np.float64)
-    means = [first + (part - first).mean(axis=0) for part in parts]
+    first = np.nan_to_num(stack[0].astype(np.float64))
+    means = [first + np.nanmean(part - first, axis=0) for part in parts]
     figures = {
         **_times(frames),
         "noise": float(np.nanmedian(noise)),
@@ -212,7 +221,9 @@ def _findings(
     late_ms, usual_ms = figures["interval_99_ms"], 1000 / (figures["rate_hz"] or np.inf)
     signs = {
         f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
-        f"{_named(dead)} never change: dead or unplugged.": dead,
+        f"{_named(dead)} never change or lack readings: dead, loose or unplugged.": (
+            dead
+        ),
         f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
         f"Rest drifted by {drift:.3g} in {duration_s:.0f} s; a touch ends at "
         f"{limit:.3g}. Let it warm up, or take the baseline often.": drift > limit,
@@ -228,8 +239,10 @@ def _findings(
 
 
 def _times(frames: Sequence[Frame]) -> dict[str, Any]:
-    gaps_ms = np.diff([frame.time_s for frame in frames]) * 1000
-    usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
+    times_ms = np.array([frame.time_s for frame in frames]) * 1000
+    late_ms = float(np.percentile(np.diff(times_ms), 99))
+    # Over several frames: a serial port hands on some at once, then none for a while.
+    usual_ms = float(np.median(times_ms[_BURST:] - times_ms[:-_BURST])) / _BURST
     return {
         "frames": len(frames),
         "rate_hz": 1000 / usual_ms if usual_ms else None,
@@ -240,10 +253,12 @@ def _times(frames: Sequence[Frame]) -> dict[str, Any]:
 
 def _noise(stack: Array) -> Floats:
     """Return the noise of each taxel, from neighbouring frames."""
-    squares = np.zeros(stack.shape[1:])
+    squares, n_pairs = np.zeros(stack.shape[1:]), np.zeros(stack.shape[1:])
     for before, after in pairwise(image.astype(np.float64) for image in stack):
-        squares += (after - before) ** 2
-    return np.asarray(np.sqrt(squares / (len(stack) - 1) / 2))
+        change = after - before
+        squares += np.nan_to_num(change) ** 2
+        n_pairs += ~np.isnan(change)
+    return np.asarray(np.sqrt(squares / np.where(n_pairs, n_pairs, np.nan) / 2))
 
 
 def _drift(parts: list[Array], means: list[Floats], noise: Floats) -> float:
@@ -264,7 +279,7 @@ def _bad_taxels(
     is_still = (noise == 0) & (typical >= max(step / 2, 1e-300))
     is_loud = (noise > max(_HOT * typical, step)) & (typical > 0)
     masks = {
-        "dead": np.isnan(rest) | (is_still & ~is_full),
+        "dead": (np.isnan(stack).mean(axis=0) > _LOST) | (is_still & ~is_full),
         "hot": is_loud,
         "saturated": is_full,
     }

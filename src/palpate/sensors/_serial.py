@@ -53,7 +53,9 @@ _MANY_MISSED = 1000
 _LARGEST_WHOLE = 2**53
 _CODES = {code: name for name, (code, _) in _TYPES.items()}
 _TEXT = re.compile(rb"[\t\r -~]*")
-_LINES = 2
+_CHECKED = re.compile(rb"\$[^$*\n]+\*[0-9A-Fa-f]{2}\s")
+_BEGUN = re.compile(re.escape(SYNC) + rb"[\x01-\x04][^\0]{2}")
+_LINES, _SHOWN = 2, 40
 
 
 class SerialArraySensor(LiveSensor):
@@ -183,7 +185,7 @@ def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
     if looks is None:
         unclear = "Nothing whole came: check its cable, or give `shape`."
     elif not looks.framing:
-        unclear = "Its bytes are neither lines nor frames: check `baud`."
+        unclear = _why_neither(data[-_MOST_UNREAD:])
     else:
         unclear = f"Its lines have {looks.n_values} values: {looks.shapes}."
     raise SensorError(f"shape=auto did not find what {port} writes. {unclear}")
@@ -250,14 +252,13 @@ def why_no_frame(
     if seen is None:
         return ""
     if not seen.framing:
-        return (
-            "The bytes look neither like lines nor like frames: check `baud`, or say "
-            "`framing=binary`."
-        )
+        return _why_neither(data)
     if seen.framing != framing:
         looks = "binary" if seen.framing == "binary" else "lines"
         return f"The bytes look like {looks}: `framing={seen.framing}`."
     expected = shape[0] * shape[1]
+    if framing == "line" and seen.n_values == shape[1] < expected:
+        return f"A line holds {shape[1]} values, as one row: write all rows in one."
     if seen.n_values != expected or seen.shape not in (None, shape):
         return f"{seen.n_values} values, expected {expected}: {seen.shapes}."
     if framing == "binary":
@@ -265,6 +266,31 @@ def why_no_frame(
     if not seen.checksum and checksum is not False:
         return "The lines have no checksum: `checksum=no`."
     return ""
+
+
+def _why_neither(data: bytes) -> str:
+    """Return why bytes are neither lines nor frames, and the fix."""
+    if len(_BEGUN.findall(data)) > 1:
+        return (
+            "The checksum of frames is wrong: after the taxels, the low byte first, "
+            "CRC-16/CCITT-FALSE of all after A5 5A."
+        )
+    if _CHECKED.search(data):
+        return (
+            "The checksum of lines is wrong: after `*`, in two hexadecimal digits, the "
+            "exclusive or of all bytes between `$` and `*`."
+        )
+    pieces = data.split(b"\n")
+    line = pieces[-min(2, len(pieces))].strip()[:_SHOWN]  # the last one may be cut
+    if line and _TEXT.fullmatch(line):
+        return (
+            f"Lines must be numbers with commas or blanks between, ended by a newline, "
+            f"got {line.decode()!r}. Change what the array prints, or check `baud`."
+        )
+    return (
+        "The bytes look neither like lines nor like frames: check `baud`, or say "
+        "`framing=binary`."
+    )
 
 
 def _binary(data: bytes) -> BytesLayout | None:
@@ -287,7 +313,7 @@ def _lines(data: bytes) -> BytesLayout | None:
         return BytesLayout("")
     lines = [line.strip() for line in data.split(b"\n")[1:-1] if line.strip()]
     if len(lines) < _LINES:
-        return None
+        return None if len(data) < _MOST_UNREAD else BytesLayout("")
     counts = Counter(map(_values, lines))
     (n_values, checksum), _ = counts.most_common(1)[0]
     if not n_values:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ from ..sensors import (
 )
 from ._images import FramePainter
 
-_BASELINE_FRAMES = 10
+_BASELINE_FRAMES, _BASELINE_S = 10, 0.2
+_LEAST_CHANGES, _PATIENCE_S = 4, 1.0
 _SHOWN_HZ = 45.0
 _STATE_EVERY_S = 1.0
 _RECENT, _COUNTED = 40, 100
@@ -223,11 +225,13 @@ class SensorWatch:
         if not self.detector.touching or force:
             with self._taking:  # one after the other
                 self._resting = frames
-                n_frames, deadline = 0, time.monotonic() + timeout_s
-                while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
+                n_frames, began_s = 0, time.monotonic()
+                now_s, deadline = began_s, began_s + timeout_s
+                while not _is_baseline(frames, now_s - began_s) and now_s < deadline:
                     time.sleep(0.01)
+                    now_s = time.monotonic()
                     if len(frames) > n_frames:
-                        n_frames, deadline = len(frames), time.monotonic() + timeout_s
+                        n_frames, deadline = len(frames), now_s + timeout_s
                 self._resting = None
         else:  # is refused with the reason
             frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
@@ -335,16 +339,18 @@ class SensorWatch:
         shown_s = stated_s = 0.0
         touching = False
         while not self._stop.is_set():
+            frame = None
             try:
                 frame = self.sensor.read_next(0.5)
-            except SensorError:
-                frame = None
-            now_s = time.monotonic()
-            if frame is not None:
                 self._step(frame)
-                if now_s - shown_s >= 1 / _SHOWN_HZ:
-                    shown_s = now_s
-                    self._show(frame)
+                self.failed = ""
+            except SensorError as error:
+                if frame is not None:  # of another size than the frame of no contact
+                    self.failed = str(error)
+            now_s = time.monotonic()
+            if frame is not None and now_s - shown_s >= 1 / _SHOWN_HZ:
+                shown_s = now_s
+                self._show(frame)
             late = now_s - stated_s > _STATE_EVERY_S
             if late or touching != self.detector.touching:
                 touching, stated_s = self.detector.touching, now_s
@@ -387,6 +393,19 @@ class SensorWatch:
             with suppress(Exception):  # what cannot be told must not end the touches
                 self._take(touch, ended_s)
                 self._compare()
+
+
+def _is_baseline(frames: Sequence[Array], lasted_s: float) -> bool:
+    """Tell whether frames are enough: ten, over ten periods of the mains.
+
+    A driver that is asked too often gives each reading of its device many times: for a
+    second more readings are waited for.
+    """
+    if len(frames) < _BASELINE_FRAMES or lasted_s < _BASELINE_S:
+        return False
+    same = (np.array_equal(a, b, equal_nan=True) for a, b in pairwise(frames))
+    n_changes = sum(not again for again in same)
+    return n_changes == 0 or n_changes >= _LEAST_CHANGES or lasted_s > _PATIENCE_S
 
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:

@@ -41,9 +41,6 @@ ONE_SESSION = (
     "All was taught in one session. For another day: lift the sensor, place it again, "
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
-BEGAN_BEFORE = (
-    "That touch began before, perhaps on another thing: it does not count, touch again."
-)
 BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
 TOO_LITTLE = "Too little to learn: at least two objects with two touches each."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
@@ -80,6 +77,8 @@ class LiveSession:
         Whether it is learning now; `learn_error` says why it failed the last time.
     trouble : str
         Why the last touch of the sensor could not be taken; empty where it could.
+    began_before : str
+        The `trouble` of a touch that was under way when another one was asked for.
     most_per_lesson : int
         Touches that a lesson may want at most.
 
@@ -94,6 +93,10 @@ class LiveSession:
     """
 
     most_per_lesson: ClassVar[int] = MOST_PER_LESSON
+    began_before: ClassVar[str] = (
+        "That touch began before, perhaps on another thing: it does not count, touch "
+        "again."
+    )
 
     def __init__(
         self,
@@ -648,7 +651,7 @@ class LiveSession:
                 if detected.began_s < self._placed_s:
                     return
                 if detected.began_s < self._requested_s:
-                    raise ValueError(BEGAN_BEFORE)
+                    raise ValueError(self.began_before)
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 columns = detected.touch_columns
                 finite = {
