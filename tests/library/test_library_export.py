@@ -1,6 +1,7 @@
 """Archives, Parquet and datasets of a library are read back to the bit."""
 
 import json
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -158,30 +159,37 @@ def _ids(library):
     return {row.id for row in library.list(limit=None)}
 
 
-def _travelled(library, path, by=None):
-    """Export a library as Parquet and read that into another one, which has its ids.
+@pytest.fixture
+def travelled():
+    """Return how a library is exported as Parquet and read into another one.
 
-    Return the other one, and the parts that it was read in.
+    That has its ids; returned are the other one, and the parts that it was read in.
     """
-    assert library.export(path, by=by) == len(library)
-    parts = list(read_parquet(path))
-    other = TouchLibrary.open(library.folder.with_name("again"), create=True)
-    for part in parts:
-        other.add(part)
-    assert _ids(other) == _ids(library)
-    return other, parts
+    with ExitStack() as opened:
+
+        def travel(library, path, by=None):
+            assert library.export(path, by=by) == len(library)
+            parts = list(read_parquet(path))
+            again = library.folder.with_name("again")
+            other = opened.enter_context(TouchLibrary.open(again, create=True))
+            for part in parts:
+                other.add(part)
+            assert _ids(other) == _ids(library)
+            return other, parts
+
+        yield travel
 
 
 @pytest.mark.parametrize("dtype", ["u1", "<i2", ">f4", "<f8", "<u8"])
 @pytest.mark.parametrize("by", [None, "object", "session"])
-def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
+def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by, travelled):
     pad = SensorDescription("pad", "array", "kPa", 4.0, "array")
     for day in ("monday", "007"):  # sessions stay texts
         baseline = np.full((5, 6), len(day)).astype(dtype)
         touches = _presses(len(day), dtype=dtype, no_contact=baseline)
         library.add(touches, session=day, sensor=pad)
     path = tmp_path / "some.parquet"
-    again, parts = _travelled(library, path, by)
+    again, parts = travelled(library, path, by)
     with again:
         assert again.check().ok
         for day in ("monday", "007"):  # each session has its own baseline
@@ -194,10 +202,12 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
 
 
 @pytest.mark.parametrize("by", ["session", "episode"])
-def test_touches_without_a_number_are_a_part_of_their_own(library, tmp_path, by):
+def test_touches_without_a_number_are_a_part_of_their_own(
+    library, tmp_path, by, travelled
+):
     library.add(_presses(1, **{by: [1, 2, 1, 2, 1, 2]}))
     library.add(_presses(2))
-    again, parts = _travelled(library, tmp_path / "t.parquet", by)
+    again, parts = travelled(library, tmp_path / "t.parquet", by)
     folders = {path.name for path in (tmp_path / "t.parquet").iterdir()}
     assert folders == {f"{by}=", f"{by}=1.0", f"{by}=2.0"}
     assert all(part.columns[by].dtype.kind == "f" for part in parts)
@@ -205,9 +215,9 @@ def test_touches_without_a_number_are_a_part_of_their_own(library, tmp_path, by)
     assert_array_equal(source.columns[by], again.touches().columns[by])
 
 
-def test_numbers_that_a_path_carries_stay_numbers(library, tmp_path):
+def test_numbers_that_a_path_carries_stay_numbers(library, tmp_path, travelled):
     library.add(_presses(1, session=np.array([1, 12, 1, 12, 1, 12], np.int16)))
-    _, parts = _travelled(library, tmp_path / "t.parquet", "session")
+    _, parts = travelled(library, tmp_path / "t.parquet", "session")
     assert [part.session.dtype for part in parts] == [np.int16] * 2
 
 
@@ -233,7 +243,7 @@ def test_a_baseline_with_a_dead_taxel_describes_several_recordings(library, tmp_
         assert {*read(tmp_path / "t.parquet").whole} == {"no_contact"}
 
 
-def test_pictures_travel_as_their_own_files(library, tmp_path):
+def test_pictures_travel_as_their_own_files(library, tmp_path, travelled):
     folder = tmp_path / "in" / "cup"
     folder.mkdir(parents=True)
     rng = np.random.default_rng(0)
@@ -241,7 +251,7 @@ def test_pictures_travel_as_their_own_files(library, tmp_path):
         levels = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
         Image.fromarray(levels).save(folder / f"{number}.jpg", quality=80)
     library.add(Touches.load(tmp_path / "in", colour=True))
-    again, _ = _travelled(library, tmp_path / "some.parquet")
+    again, _ = travelled(library, tmp_path / "some.parquet")
     kept = [
         row["bytes"]
         for row in pq.read_table(tmp_path / "some.parquet")["image"].to_pylist()
@@ -252,7 +262,9 @@ def test_pictures_travel_as_their_own_files(library, tmp_path):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("order", [1, -1])
-def test_pictures_travel_beside_arrays_of_their_size(library, tmp_path, dtype, order):
+def test_pictures_travel_beside_arrays_of_their_size(
+    library, tmp_path, dtype, order, travelled
+):
     """Small ones, of which 128 are a row group; one has both."""
     rng = np.random.default_rng(0)
     images = rng.integers(0, 255, (300, 6, 7)).astype(dtype)
@@ -263,7 +275,7 @@ def test_pictures_travel_beside_arrays_of_their_size(library, tmp_path, dtype, o
     sets = [pictures, Touches(images[140:], object=["cup"] * 160)]
     for touches in sets[::order]:
         library.add(touches)
-    _, parts = _travelled(library, tmp_path / "t.parquet")
+    _, parts = travelled(library, tmp_path / "t.parquet")
     assert_alike(Touches.load(tmp_path / "t.parquet"), library.touches())
     files = {bytes(file) for part in parts for file in part.files}
     assert files >= {bytes(file) for file in pictures.files}
@@ -280,11 +292,11 @@ def test_bytes_travel_with_the_zeros_in_them(library, tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(2, 4, 5), (2, 4, 5, 2)])
-def test_images_of_true_and_false_travel(library, tmp_path, shape):
+def test_images_of_true_and_false_travel(library, tmp_path, shape, travelled):
     images = np.arange(np.prod(shape)).reshape(shape) % 3 == 0
     channels = {"channels": ["x", "y"]} if len(shape) == 4 else {}
     library.add(Touches(images, object=["a", "b"], **channels))
-    _, [part] = _travelled(library, tmp_path / "t.parquet")
+    _, [part] = travelled(library, tmp_path / "t.parquet")
     assert part.images.dtype == np.bool_
     assert_array_equal(part.images, images)
 
@@ -309,11 +321,11 @@ def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
 
 
 @pytest.mark.parametrize("by", [None, "object"])
-def test_a_store_that_fsspec_knows_serves(library, by):
+def test_a_store_that_fsspec_knows_serves(library, by, travelled):
     pytest.importorskip("fsspec")
     library.add(_presses(1))
     url = f"memory://bucket/{by}/some.parquet"
-    _travelled(library, url, by)
+    travelled(library, url, by)
     assert len(Touches.load(url)) == 6
     with pytest.raises(TouchesError, match="fsspec can open"):
         list(read_parquet("nosuchscheme://bucket/some.parquet"))
