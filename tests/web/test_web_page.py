@@ -50,6 +50,16 @@ def learn(page, count):
     )
 
 
+def call_all_unknown(taught):
+    """Let every score speak for a stranger: of two things little is called unknown."""
+    model = taught.recogniser.strangers_
+    always = replace(
+        model.low_curve, levels=np.zeros(1), log_ratios=np.full((1, 1), 9.0)
+    )
+    taught.recogniser.strangers_ = replace(model, low_curve=always, high_curve=always)
+    taught.begin_episode()
+
+
 def heading_of(session):
     """Return what the heading says of an episode with touches."""
     episode = session.episode.episode
@@ -340,14 +350,7 @@ def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, open_pa
 def test_an_unknown_object_is_taught_with_the_touches_just_made(
     page, taught, open_page, drawn
 ):
-    # Of two things taught little is called unknown: here every score speaks for it.
-    recogniser = taught.recogniser
-    model = recogniser.strangers_
-    always = replace(
-        model.low_curve, levels=np.zeros(1), log_ratios=np.full((1, 1), 9.0)
-    )
-    recogniser.strangers_ = replace(model, low_curve=always, high_curve=always)
-    taught.begin_episode()
+    call_all_unknown(taught)
     with open_page(taught):
         for image in drawn.images[drawn.object == "disc"][:3]:
             taught.post_touch(image.T[::-1] // 2 + 100)  # like nothing learnt
@@ -705,3 +708,12 @@ def test_a_name_has_a_doubt_beside_it_while_the_sensor_looks_changed(
         expect(page.locator("#decision")).to_have_text("disc")
         taught.take_baseline()
         expect(page.locator("#doubt")).to_be_hidden()
+        # Things that are known are called unknown then: nobody is led to teach them.
+        call_all_unknown(taught)
+        for image in discs[:9]:
+            taught.post_touch(image)
+        expect(page.locator("#decision")).to_have_text("Nothing I know")
+        expect(page.locator("#teach-this")).to_have_class("primary")
+        taught.post_touch(discs[9])
+        expect(page.locator("#doubt")).to_contain_text("In doubt: these touches do")
+        expect(page.locator("#teach-this")).not_to_have_class("primary")

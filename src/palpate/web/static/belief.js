@@ -37,13 +37,14 @@ export const currentEpisode = () => episode;
 // How many touches can be taught: where nothing was met there is no picture.
 const pictured = () => episode.touches.filter(({ miss }) => !miss).length;
 
-// Where touches look as if they were of another sensor, a doubt stands beside the name.
+// Where touches look as if they were of another sensor, a doubt stands beside what is
+// decided: on another day things that are known are called unknown.
 export function showEpisode(whole, alarm = "") {
   const goesOn = episode?.number === whole.number && whole.touches.length >= episode.touches.length;
   episode = whole;
   keepOf(goesOn ? pictured() : 0);
   alarmText = alarm;
-  alarmed = alarm !== "" && whole.touches.length > 0 && whole.decision !== "unknown";
+  alarmed = alarm !== "" && whole.touches.length > 0;
   draw();
 }
 

@@ -31,7 +31,7 @@ function stepOf({ sensor, lesson, model, library, learning }, next) {
 }
 
 // What is to be pressed next; nothing where a touch is next.
-function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode }) {
+function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode, alarm }) {
   if (sensor?.lost) return null;
   if (sensor?.press) return sensor.press.found && !sensor.press.lower ? "press-keep" : null;
   if (sensor && !sensor.baseline) return "baseline";
@@ -39,8 +39,9 @@ function buttonOf({ sensor, lesson, model, library, learning, unlearnt, episode 
   if (library?.interrupted) return "resume";
   if (library && learnable(library, model) && (unlearnt || isBehind(library, model))) return "learn";
   if (library && !model) return "start";
-  // What was withdrawn may have been of another thing.
-  if (episode.decision === "unknown" && library && !episode.withdrawn.length) return "teach-this";
+  // What was withdrawn may have been of another thing; and a sensor that looks changed
+  // makes strangers of things that are known.
+  if (episode.decision === "unknown" && library && !episode.withdrawn.length && !alarm) return "teach-this";
   return episode.decision === null ? null : "fresh";
 }
 
