@@ -188,24 +188,23 @@ def creeping(peaks, rows, residue, decay_s, gap_s, rng):
 @pytest.mark.parametrize("residue", [0, 0.01, 0.02, 0.05, 0.1])
 def test_presses_on_what_is_left_of_others_are_told_apart(residue, moved, rng):
     """Rubber creeps: ten presses 1.5 s apart were one touch, or none."""
-    n_presses = n_lost = n_doubled = n_merged = 0
+    n_doubled = n_merged = 0
+    lost = []
     for decay_s, gap_s in product((1, 3, 10), (0.7, 1.5, 3)):
         peaks = rng.permutation([18, 18, 60, 60, 300, 300, 1000, 1000])
         rows = rng.integers(4 if moved else 1, size=8)
         images, middles = creeping(peaks, rows, residue, decay_s, gap_s, rng)
-        detector = TouchDetector(np.zeros((4, 4)), begin=6.0)
-        n_held = [
-            sum(touch.began_s <= middle / 10 < touch.ended_s for middle in middles)
-            for touch in touches_in(detector, images)
-        ]
-        n_presses += len(middles)
-        n_lost += len(middles) - sum(n_held)
-        n_doubled += n_held.count(0)
-        n_merged += sum(n - 1 for n in n_held if n)
-    print(f"of {n_presses}: {n_lost} lost, {n_doubled} doubled, {n_merged} merged")
+        touches = touches_in(TouchDetector(np.zeros((4, 4)), begin=6.0), images)
+        holds = np.array(
+            [[t.began_s <= m / 10 < t.ended_s for m in middles] for t in touches]
+        )
+        n_doubled += np.sum(holds.sum(1) == 0)
+        n_merged += np.sum(np.maximum(holds.sum(1) - 1, 0))
+        lost += peaks[~holds.any(0)].tolist()
     assert n_doubled == n_merged == 0
     # Elsewhere changes add up as squares do: 18 beside 100 is a rise of 1.6.
-    assert n_lost <= (0.1 * n_presses if moved and residue > 0.02 else 0)
+    assert {*lost} <= ({18} if moved else set())
+    assert len(lost) <= 10  # of 72 presses, 18 of them gentle
 
 
 def rising_and_falling(*levels):
@@ -224,6 +223,9 @@ def rising_and_falling(*levels):
         ),
         pytest.param(np.linspace(1000, 0, 60), id="lifted slowly"),
         pytest.param(np.linspace(0, 1000, 60), id="pressed slowly"),
+        pytest.param(
+            np.array([0, 500, 500, 40, 9, 5, 12, 8, 15, 9, 4, 8]), id="left unsteady"
+        ),
     ],
 )
 def test_a_touch_of_changing_force_is_one(levels, rng):

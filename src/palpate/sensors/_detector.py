@@ -29,7 +29,9 @@ SUMMARIES = ("peak", "mean")
 # Limits in units of the noise, and never below so many of the numbers' steps.
 _BEGIN_NOISES, _LEAST_STEPS = 6.0, 2.0
 _END_SHARE = 0.5
-_LEFT_SHARE = 0.1  # of the peak of a touch that ended, may be left for a while
+# Of a touch's peak so much may be left for a while, from where the next must rise by
+# so much of it and so many times `begin`: what is left is no smooth decay.
+_LEFT_SHARE, _LEFT_RISE = 0.1, 2.0
 _HOLD_SHARE = 0.8
 _LONGEST_HOLD = 64
 _LARGEST_SIDE = 160
@@ -95,7 +97,7 @@ class TouchDetector:
         Limits of the change (sensor's unit). By default a touch begins at 6 times
         the noise of the frames that the baseline was taken from (at 2 steps at
         least), and ends at half of that, or already at a tenth of its peak; the
-        next must then rise by `begin`, and by a tenth, above what is left of it. An
+        next must then rise by twice `begin`, and by a tenth, above what is left. An
         `end` that is given holds as it is, and is at most `begin`.
     min_frames : int, default=2
         Contact that lasts fewer frames is no touch.
@@ -468,7 +470,8 @@ class TouchDetector:
 
 def _begins(change: float, left: float, begin: float) -> bool:
     """Tell whether a touch begins where `left` is left of those before."""
-    return change > left + max(begin, _LEFT_SHARE * left)
+    rise = max(_LEFT_RISE * begin, _LEFT_SHARE * left) if left else begin
+    return change > left + rise
 
 
 def _ends(change: float, left: float, peak: float, end: float, share: float) -> bool:
