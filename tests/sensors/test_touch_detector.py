@@ -1,6 +1,7 @@
 """Touches in streams whose touches are known."""
 
 import re
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -165,6 +166,97 @@ def test_a_contact_of_over_20_s_that_does_not_change_is_questioned():
     moving = TouchDetector(REST)
     touches_of(moving, [50, 90] * 125)
     assert moving.baseline_offer(25.0) == ""
+
+
+def creeping(peaks, rows, residue, decay_s, gap_s, rng):
+    """Presses of a row each, of which a share stays and decays; noise of 1, 10 Hz.
+
+    Returns the frames and the number of the middle one of each press.
+    """
+    left, images, middles = np.zeros((4, 1)), [np.zeros((4, 1))] * 10, []
+    for peak, row in zip(peaks, rows, strict=True):
+        press = 2 * peak * np.eye(4)[:, [row]]  # root mean square over four rows: peak
+        middles.append(len(images) + 3)
+        for force in (0.4, 0.8, 1, 1, 1, 0.6, 0.2, *[0] * round(10 * gap_s)):
+            left = np.maximum(left * np.exp(-0.1 / decay_s), residue * force * press)
+            images.append(force * press + left)
+    images += [left * np.exp(-n / 10 / decay_s) for n in range(20)]
+    return rng.normal(images, 1.0, (len(images), 4, 4)), middles
+
+
+@pytest.mark.parametrize("moved", [False, True])
+@pytest.mark.parametrize("residue", [0, 0.01, 0.02, 0.05, 0.1])
+def test_presses_on_what_is_left_of_others_are_told_apart(residue, moved, rng):
+    """Rubber creeps: ten presses 1.5 s apart were one touch, or none."""
+    n_doubled = n_merged = 0
+    lost = []
+    for decay_s, gap_s in product((1, 3, 10), (0.7, 1.5, 3)):
+        peaks = rng.permutation([18, 18, 60, 60, 300, 300, 1000, 1000])
+        rows = rng.integers(4 if moved else 1, size=8)
+        images, middles = creeping(peaks, rows, residue, decay_s, gap_s, rng)
+        touches = touches_in(TouchDetector(np.zeros((4, 4)), begin=6.0), images)
+        holds = np.array(
+            [[t.began_s <= m / 10 < t.ended_s for m in middles] for t in touches]
+        )
+        n_doubled += np.sum(holds.sum(1) == 0)
+        n_merged += np.sum(np.maximum(holds.sum(1) - 1, 0))
+        lost += peaks[~holds.any(0)].tolist()
+    assert n_doubled == n_merged == 0
+    # Elsewhere changes add up as squares do: 18 beside 100 is a rise of 1.6.
+    assert {*lost} <= ({18} if moved else set())
+    assert len(lost) <= 10  # of 72 presses, 18 of them gentle
+
+
+def rising_and_falling(*levels):
+    """Levels with half a second from each to the next."""
+    return np.concatenate(
+        [np.linspace(a, b, 5, endpoint=False) for a, b in pairwise(levels)]
+    )
+
+
+@pytest.mark.parametrize(
+    "levels",
+    [
+        pytest.param(rising_and_falling(0, 1000, *[150, 1000] * 5, 0), id="rocked"),
+        pytest.param(
+            rising_and_falling(0, 1000, *[1000] * 20, 150, 150, 0), id="relaxed"
+        ),
+        pytest.param(np.linspace(1000, 0, 60), id="lifted slowly"),
+        pytest.param(np.linspace(0, 1000, 60), id="pressed slowly"),
+        pytest.param(
+            np.array([0, 500, 500, 40, 9, 5, 12, 8, 15, 9, 4, 8]), id="left unsteady"
+        ),
+    ],
+)
+def test_a_touch_of_changing_force_is_one(levels, rng):
+    shaking = levels * rng.normal(1, 0.02, len(levels))
+    images = rng.normal(0, 1.0, (len(levels) + 20, 4, 4))
+    images[10:-10] += shaking[:, None, None]
+    assert len(touches_in(TouchDetector(np.zeros((4, 4)), begin=6.0), images)) == 1
+
+
+def test_a_touch_that_weakens_to_less_than_a_tenth_is_two():
+    """That cannot be told from a press on what is left, but by an end that is given."""
+    rest = np.zeros((4, 4))
+    levels = [0, *rising_and_falling(0, 1000, 90, 1000, 0), 0, 0]
+    assert len(touches_of(TouchDetector(rest, begin=6.0), levels, rest)) == 2
+    given_end = TouchDetector(rest, begin=6.0, end=3.0)
+    assert len(touches_of(given_end, levels, rest)) == 1
+
+
+def test_what_is_left_of_a_touch_is_no_rest_that_has_moved():
+    """Until it has stayed for 20 s; when it has gone, rest is what it was."""
+    detector, rest = TouchDetector(np.zeros((4, 4)), begin=6.0), np.zeros((4, 4))
+    decay = 50 * np.exp(-np.arange(300) / 50)  # 5 s; below 3 after 14 s
+    levels = [0] * 5 + [1000] * 5 + [*decay] + [0] * 15 + [5, 5]
+    for number, level in enumerate(levels):
+        detector.update(Frame(rest + level, number / 10, number))
+        assert detector.touching == (5 <= number < 10)
+        assert detector.baseline_offer(number / 10) == ""
+    stays = TouchDetector(rest, begin=6.0)
+    touches_of(stays, [0] * 5 + [1000] * 5 + [50] * 250, rest)
+    assert stays.baseline_offer(20.9) == ""
+    assert "no longer reads its baseline" in stays.baseline_offer(21.1)
 
 
 @settings(max_examples=50, deadline=None)

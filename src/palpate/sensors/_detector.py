@@ -4,7 +4,8 @@ A frame is compared with the frame of no contact (the baseline). Its change is t
 mean square of the difference over the taxels that work and their colours, in the
 sensor's unit. A touch begins where the change rises above one limit and ends where it
 falls below a lower one, so that a change near a limit does not make many touches of
-one.
+one. Rubber and gels creep: some of a press stays, and decays over seconds. So a touch
+also ends below a tenth of its peak, and what is then left counts as rest.
 """
 
 from collections import deque
@@ -28,6 +29,9 @@ SUMMARIES = ("peak", "mean")
 # Limits in units of the noise, and never below so many of the numbers' steps.
 _BEGIN_NOISES, _LEAST_STEPS = 6.0, 2.0
 _END_SHARE = 0.5
+# Of a touch's peak so much may be left for a while, from where the next must rise by
+# so much of it and so many times `begin`: what is left is no smooth decay.
+_LEFT_SHARE, _LEFT_RISE = 0.1, 2.0
 _HOLD_SHARE = 0.8
 _LONGEST_HOLD = 64
 _LARGEST_SIDE = 160
@@ -92,7 +96,9 @@ class TouchDetector:
     begin, end : float, optional
         Limits of the change (sensor's unit). By default a touch begins at 6 times
         the noise of the frames that the baseline was taken from (at 2 steps at
-        least), and ends at half of that. `end` is at most `begin`.
+        least), and ends at half of that, or already at a tenth of its peak; the
+        next must then rise by twice `begin`, and by a tenth, above what is left. An
+        `end` that is given holds as it is, and is at most `begin`.
     min_frames : int, default=2
         Contact that lasts fewer frames is no touch.
 
@@ -115,6 +121,7 @@ class TouchDetector:
 
     _peak_frame: Frame | None
     _idle_since_s: float
+    _left: float
 
     def __init__(
         self,
@@ -232,10 +239,15 @@ class TouchDetector:
             return None
         self.change = _rms(small - self._small_baseline)
         now_s = frame.time_s
+        share = _LEFT_SHARE if self._knows_rest and self._end is None else 0.0
         if not self.touching:
-            if self.change <= self.begin:
-                self._rested = True
-                self._learn_noise(frame.image)
+            if self._left and self.change < self.end:  # nothing is left any more
+                self._left, self._idle_since_s = 0.0, float("inf")
+            self._left = min(self._left, self.change)
+            if not _begins(self.change, self._left, self.begin):
+                if not self._left:
+                    self._rested = True
+                    self._learn_noise(frame.image)
                 # How far rest is from the baseline, over about half a second.
                 if self._idle_since_s > now_s:
                     self._idle_since_s, self._idle_change = now_s, self.change
@@ -245,7 +257,8 @@ class TouchDetector:
             self._n_frames = 0
             self._recent.clear()
             self._calm_since_s, self._calm_change = now_s, self.change
-        elif self.change < self.end:
+        elif _ends(self.change, self._left, self._peak, self.end, share):
+            self._left = self.change if self.change >= self.end else 0.0
             return self._ended(now_s)
         self._n_frames += 1
         if self.change > self._peak:
@@ -342,7 +355,10 @@ class TouchDetector:
                     "The same contact for over 20 s: if nothing touches the sensor, "
                     "insist on a new baseline."
                 )
-        elif now_s - self._idle_since_s > _IDLE_S and self._idle_change > self.end:
+        elif self._idle_change > self.end and (
+            # What is left of a touch may decay.
+            now_s - self._idle_since_s > (_STUCK_S if self._left else _IDLE_S)
+        ):
             return "The sensor at rest no longer reads its baseline: take it again."
         return ""
 
@@ -358,13 +374,16 @@ class TouchDetector:
             return ""
         limits = np.geomspace(least, most, _N_LIMITS)
         frames = self._min_frames
-        counts = [_n_runs(changes, x, _END_SHARE * x, frames) for x in limits]
+        counts = [_n_touches(changes, x, frames) for x in limits]
         if max(counts) <= n_touches:
             return ""
         best = np.flatnonzero(np.array(counts) == max(counts))
         runs = np.split(best, np.flatnonzero(np.diff(best) > 1) + 1)
         run = max(runs, key=len)
-        below = _n_runs(changes, least, self.begin, frames, below=self.begin)
+        rises, n_rises = ndimage.label(changes > least)
+        peaks = ndimage.maximum(changes, rises, np.arange(1, n_rises + 1))
+        lasted = np.bincount(rises)[1:] >= frames
+        below = np.count_nonzero(lasted & (np.asarray(peaks) <= self.begin))
         return (
             f"{n_touches} touches begin at a change of {self.begin:.3g}, "
             f"{max(counts)} would at {limits[run[len(run) // 2]]:.3g} "
@@ -377,6 +396,7 @@ class TouchDetector:
         self._small_baseline = np.empty(0) if baseline is None else _small(baseline)
         self.touching, self.change = False, 0.0
         self._n_frames, self._peak, self._began_s = 0, -1.0, 0.0
+        self._left = 0.0  # of touches that ended: the lowest change since
         self._peak_frame = None
         self._recent.clear()
         self._idle_since_s, self._idle_change = float("inf"), 0.0
@@ -409,7 +429,7 @@ class TouchDetector:
         Of a baseline that came without its noise, noise beyond the steps of the
         sensor's numbers would be a touch that never ends.
         """
-        if self._rested or self.noise or self._begin is not None:
+        if self._knows_rest:
             return False
         self._changes.append(self.change)
         self._learn_noise(image)
@@ -419,6 +439,11 @@ class TouchDetector:
         if not self._rested:
             self.noise, self._steps, self._changes = 0.0, [], []
         return self._rested
+
+    @property
+    def _knows_rest(self) -> bool:
+        """Whether rest is told from noise."""
+        return self._rested or self.noise > 0 or self._begin is not None
 
     def _least(self, image: Array | None) -> float:
         whole = image is not None and image.dtype.kind in "iu"
@@ -443,21 +468,31 @@ class TouchDetector:
         return DetectedTouch(image, *lasted, frame.device_time_s, frame.columns)
 
 
-def _n_runs(
-    changes: Floats, begin: float, end: float, least: int, below: float | None = None
-) -> int:
-    """Return how often changes rise above `begin` for `least` frames, then below `end`.
+def _begins(change: float, left: float, begin: float) -> bool:
+    """Tell whether a touch begins where `left` is left of those before."""
+    rise = max(_LEFT_RISE * begin, _LEFT_SHARE * left) if left else begin
+    return change > left + rise
 
-    With `below` a rise counts only if it never reaches that, and ends at `begin`.
-    """
+
+def _ends(change: float, left: float, peak: float, end: float, share: float) -> bool:
+    """Tell whether a touch of this peak, which began above `left`, ends."""
+    return change < left + max(end, share * (peak - left))
+
+
+def _n_touches(changes: Floats, begin: float, least: int) -> int:
+    """Return how many touches of `least` frames begin at `begin`, as in a detector."""
+    end = _END_SHARE * begin
     count = length = 0
-    peak = 0.0
+    left = peak = 0.0
     for change in [*changes.tolist(), 0.0]:
-        if change > (begin if not length or below is not None else end):
+        if not length:
+            left = min(left, change) if change >= end else 0.0
+            length, peak = int(_begins(change, left, begin)), change
+        elif _ends(change, left, peak, end, _LEFT_SHARE):
+            count += length >= least
+            length, left = 0, change if change >= end else 0.0
+        else:
             length, peak = length + 1, max(peak, change)
-        elif length:
-            count += length >= least and (below is None or peak <= below)
-            length, peak = 0, 0.0
     return count
 
 
