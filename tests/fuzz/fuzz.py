@@ -231,6 +231,13 @@ def client():
     return httpx.Client(base_url=address, headers=headers, timeout=30)
 
 
+def answered(*order, **parts):
+    """Return the answer to an order, asked again after a while where it is too fast."""
+    while (answer := client().request(*order, **parts)).status_code == 429:
+        time.sleep(float(answer.headers["Retry-After"]))
+    return answer
+
+
 def http(chance, folder):
     """Commands in any order, some damaged, are answered, never by a server error."""
     image = [[chance.randint(0, 255) for _ in range(4)] for _ in range(4)]
@@ -251,11 +258,10 @@ def http(chance, folder):
         if chance.random() < 0.6:
             data = changed(data, chance)
         kind = chance.choice(["application/json", "application/json", "text/plain"])
-        answer = client().post(
-            f"/api/{path}", content=data, headers={"Content-Type": kind}
-        )
+        headers = {"Content-Type": kind}
+        answer = answered("POST", f"/api/{path}", content=data, headers=headers)
         assert answer.status_code < 500, (path, data, answer.text)
-        assert client().get("/api/state").status_code == 200
+        assert answered("GET", "/api/state").status_code == 200
     return "answered"
 
 
