@@ -69,7 +69,9 @@ def model(chance, folder):
         blank = recogniser.encoder_.blank_touch()
     except ModelFileError:
         return "refused"
-    recogniser.start().update(blank)
+    with np.errstate(all="ignore"):  # numbers up to 1e308 may come to their limits
+        belief = recogniser.start().update(blank)
+    assert np.isfinite([belief.unknown, *belief.posterior.values()]).all()
     return "read"
 
 
