@@ -30,6 +30,7 @@ from ._output import WrongUse, say
 if TYPE_CHECKING:
     from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser
+    from ..sensors import TouchDetector
     from ..touches import Touches, TouchSource
 
     # Touches to learn from, held or read as they are needed.
@@ -106,6 +107,12 @@ def check_folder_of(path: Path | None) -> None:
     """Refuse a file to write in a folder that is not there, before the work."""
     if path is not None and not path.parent.is_dir():
         raise ValueError(f"There is no folder {path.parent} to write to; make it.")
+
+
+def say_limit(source: Path, detector: "TouchDetector") -> None:
+    """Say where another limit would have found more touches in a stream."""
+    if detector.note:
+        say(f"{source}: {detector.note} See --begin.", file=sys.stderr)
 
 
 def numbers_of_touches(text: str) -> tuple[int, ...]:
@@ -357,7 +364,10 @@ class Reading:
     ] = None
     begin: Annotated[
         float | None,
-        option("Of a film: the change at which a touch begins. Default: 6 noises."),
+        option(
+            "Of a film or with --detect: the change at which a touch begins. "
+            "Default: 6 noises."
+        ),
     ] = None
     max_megapixels: Annotated[
         float | None, option("Larger pictures are refused unread. Default: 50.")
@@ -501,8 +511,7 @@ class Reading:
             still = Touches.load(rest, colour=in_colour).images[0] if rest else None
             detector = TouchDetector(still, begin=self.begin)
             touches = detector.touches_in(path, colour=in_colour)
-            if detector.note:
-                say(f"{path}: {detector.note} See --begin.", file=sys.stderr)
+            say_limit(path, detector)
             return touches
         if self.where is not None:
             raise ValueError(
