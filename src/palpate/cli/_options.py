@@ -24,6 +24,7 @@ from warnings import catch_warnings, simplefilter
 
 import typer
 
+from .. import _durable
 from .._extras import install, needed
 from ._output import WrongUse, say
 
@@ -104,9 +105,9 @@ def typed(context: typer.Context, *names: str) -> list[str]:
 
 
 def check_folder_of(path: Path | None) -> None:
-    """Refuse a file to write in a folder that is not there, before the work."""
-    if path is not None and not path.parent.is_dir():
-        raise ValueError(f"There is no folder {path.parent} to write to; make it.")
+    """Refuse a file where none can be written, before the work for it."""
+    if path is not None:
+        _durable.check_folder_of(path)
 
 
 def say_limit(source: Path, detector: "TouchDetector") -> None:
@@ -247,11 +248,10 @@ def model_file(model: Path, library: Path | None = None) -> Path:
     """
     from .. import datasets
     from .._checks import did_you_mean, nearest_path
-    from .._durable import replacing
 
     if model.exists():
         return model
-    names = datasets.ready_models()
+    names = datasets.READY
     if str(model) not in names:
         if not nearest_path(model) and (near := did_you_mean(model, names)):
             raise ValueError(f"There is no model file {model}.{near}")
@@ -269,7 +269,7 @@ def model_file(model: Path, library: Path | None = None) -> Path:
             f"or the model {in_library}."
         )
     library.mkdir(parents=True, exist_ok=True)
-    with ready.open("rb") as file, replacing(in_library) as whole:
+    with ready.open("rb") as file, _durable.replacing(in_library) as whole:
         copyfileobj(file, whole)
     return in_library
 
