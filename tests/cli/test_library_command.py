@@ -330,4 +330,5 @@ def test_presses_that_run_into_one_are_told(palpate, tmp_path):
     words = ("library", "add", tmp_path / "lab", tmp_path / "frames.npz", "--detect")
     run = palpate(*words)
     assert "1 new of 1" in run.stdout
-    assert "2 would at" in run.stderr and "See --begin" in run.stderr
+    assert "2 would at" in run.stderr
+    assert "See --begin" in run.stderr

@@ -10,8 +10,8 @@ is fetched once, from its public source at a fixed commit or version, into `wher
 touches; it is made on this computer when first asked for, in seconds.
 """
 
-from ._fetch import card, fetch, load, names, where
 from ._fetch import READY as READY
+from ._fetch import card, fetch, load, names, where
 from ._fetch import ready_models as ready_models
 
 __all__ = ["card", "fetch", "load", "names", "where"]
