@@ -318,9 +318,14 @@ def _checked_labels(name: str, array: Array) -> Array:
 
 
 def _unprintable(name: str, text: str) -> TouchesError:
+    fix = "Leave out line breaks and control characters."
+    if any("\udc80" <= letter <= "\udcff" for letter in text):  # a byte of a file name
+        fix = (
+            "A name of a file that is no UTF-8, as of an old zip file: rename it, or, "
+            "where it is right, set PYTHONUTF8=1."
+        )
     return TouchesError(
-        f"{name} must be of letters that can be printed, got {text!r}. Leave out line "
-        "breaks and control characters."
+        f"{name} must be of letters that can be printed, got {text!r}. {fix}"
     )
 
 
