@@ -334,8 +334,8 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     names, pads = whole.get("channels"), whole.get("pads")
     if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
         fix = (
-            'Name them in their order, such as channels=["r", "g", "b"] of colours or '
-            '["x", "y", "z"] of forces; an archive holds them as its array channels.'
+            "List them in their order by `channels`, in an archive by its array "
+            "channels: r,g,b of colours, x,y,z of forces."
         )
         if images.shape[1] <= 4 < images.shape[3]:  # as PyTorch has them
             fix = (
