@@ -257,11 +257,17 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
             # Kinds first: numpy before 2.1 cannot compare texts with numbers.
             alike = _kind(entry) == _kind(first)
             if not alike or not np.array_equal(entry, first, equal_nan=numbers):
-                drop = f"Drop it with touches.without({name!r}), or keep"
-                keep = "Keep" if name == "channels" else drop
+                fix = f"Drop it with touches.without({name!r}), or keep the sets apart."
+                if name == "channels":
+                    fix = "Keep the sets apart."
+                elif name == "no_contact":  # an array without it is told worse
+                    fix += (
+                        " Of an array join the changes from each one's own: "
+                        "Touches(touches.differences(), **touches.columns)."
+                    )
                 raise TouchesError(
                     f"{name} must be the same in every set, got another one in set "
-                    f"{number}. {keep} the sets apart."
+                    f"{number}. {fix}"
                 )
     return dict(parts[0])
 
