@@ -13,9 +13,24 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO, Any, BinaryIO
 
 PARTIAL = ".partial-"
+
+
+def check_folder_of(target: Path, kind: type[ValueError] = ValueError) -> None:
+    """Refuse a place where nothing can be written, before the work for it is done.
+
+    `kind` says that there is no such folder, an `OSError` what else the disk says.
+    """
+    if not target.parent.is_dir():
+        raise kind(f"There is no folder {target.parent} to write to; make it.")
+    try:
+        with TemporaryFile(prefix=PARTIAL, dir=target.resolve().parent):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(target)) from error
 
 
 @contextmanager

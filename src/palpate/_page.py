@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ._durable import check_folder_of
 from ._extras import needed
 from ._types import RGB, Array
 
@@ -52,8 +53,7 @@ def check_report_path(path: str | Path) -> Path:
     target = Path(path)
     if target.suffix != ".html":
         raise ValueError(f"A report must end in .html, got {target.name!r}.")
-    if not target.parent.is_dir():
-        raise ValueError(f"There is no folder {target.parent} to write to; make it.")
+    check_folder_of(target)
     return target
 
 

@@ -324,8 +324,17 @@ def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):
     advice = palpate.answer("check", tmp_path / "set")["advice"]
     (line,) = (line for line in advice if "the same names" in line)
     assert line.startswith("the same names (mug, pen) are in later/ and teach/")
-    assert "--levels -/object" in line
-    assert "--levels object/session" in line
+    for levels in ("--levels object/session", "session/object", "-/object"):
+        assert levels in line
+    every = ["mug/Mo", "mug/Di", "Mug/Di", "pen/Mo", "pen/Di", "can/Mo", "can/Di"]
+    put_each(tmp_path / "named", 2, every)  # one of them met on one day alone
+    advice = palpate.answer("check", tmp_path / "named")["advice"]
+    assert any(
+        "the same names (Di, Mo) are in Mug/ and can/" in line for line in advice
+    )
+    words = ("check", tmp_path / "named", "--levels", "object/session")
+    advice = palpate.answer(*words)["advice"]
+    assert any("capitals alone (Mug and mug) count" in line for line in advice)
     put_each(tmp_path / "other", 2, ["tools/saw", "tools/awl", "toys/car", "toys/top"])
     advice = palpate.answer("check", tmp_path / "other")["advice"]
     assert not any("the same names" in line for line in advice)

@@ -320,3 +320,15 @@ def test_frames_become_touches_where_begin_says(palpate, tmp_path):
         lab = tmp_path / f"lab{len(begin)}"
         words = (tmp_path / "frames.npz", "--detect", "--object", "cup", *begin)
         assert many in palpate.printed("library", "add", lab, *words)
+
+
+def test_presses_that_run_into_one_are_told(palpate, tmp_path):
+    """A mat that creeps does not come back below the limit between two presses."""
+    levels = np.repeat([0, 90, 10, 90, 0], [12, 5, 5, 5, 5])
+    frames = np.broadcast_to(levels[:, None, None], (32, 4, 4)).astype(np.uint8)
+    Touches(frames).save(tmp_path / "frames.npz")
+    words = ("library", "add", tmp_path / "lab", tmp_path / "frames.npz", "--detect")
+    run = palpate(*words)
+    assert "1 new of 1" in run.stdout
+    assert "2 would at" in run.stderr
+    assert "See --begin" in run.stderr

@@ -480,6 +480,26 @@ def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tm
     assert not lab.exists()
 
 
+def test_a_folder_that_may_not_be_written_to_is_told_before_the_work(
+    palpate, tmp_path, monkeypatch
+):
+    """The touches are not there: they were to be read after that."""
+
+    def refuse(**how):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("palpate._durable.TemporaryFile", refuse)
+    gone, page = tmp_path / "gone.npz", tmp_path / "page.html"
+    model = page.with_suffix(".palpate")
+    for words, place in (
+        (["evaluate", "--train", gone, "--split", "last", "--report", page], page),
+        (["check", gone, "--report", page], page),
+        (["learn", gone, "-o", model], model),
+    ):
+        done = palpate.refusal(*words)
+        assert f"palpate: {place} must be a place with room" in done
+
+
 def test_a_library_that_is_served_already_is_named_with_its_address(
     palpate, served, tmp_path
 ):

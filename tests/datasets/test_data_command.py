@@ -89,6 +89,15 @@ def camera(rng, pattern):
     return cv2.imencode(".jpg", disc.clip(0, 255).astype(np.uint8))[1].tobytes()
 
 
+def test_a_missing_model_is_named_also_without_a_home(palpate, monkeypatch):
+    monkeypatch.delenv("PALPATE_DATA_HOME")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("pathlib.Path.home", lambda: 1 / 0)
+    assert "no model file my.palpate" in palpate.refusal(
+        "recognise", "my.palpate", "t.npz"
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:bathtip:UserWarning")
 def test_two_commands_make_the_demo(palpate, sources, tmp_path, monkeypatch):

@@ -245,6 +245,31 @@ def test_where_follows_the_environment_and_the_system(monkeypatch, tmp_path):
     assert str(where("given")) == "given"
 
 
+def test_without_a_home_the_cache_must_be_named(monkeypatch, tmp_path):
+    """As in a container whose user has no entry among the users of the system."""
+
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+    monkeypatch.delenv("PALPATE_DATA_HOME")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv("LOCALAPPDATA", raising=False)
+    monkeypatch.setattr("pathlib.Path.home", no_home)
+    with pytest.raises(ValueError, match=r"PALPATE_DATA_HOME must name.* Set it\."):
+        where()
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert where() == tmp_path / "palpate"
+
+
+def test_a_ready_model_that_cannot_be_kept_is_not_made(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "file"))
+    with pytest.raises(OSError, match="Set PALPATE_DATA_HOME to another"):
+        fetch("sim-array", progress=pytest.fail)
+
+
 def test_touches_of_a_ready_model_are_refused_before_it_is_made(tmp_path, monkeypatch):
     monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path))
     with pytest.raises(ValueError, match=r"^name must be one of .*, got 'sim-array'\."):

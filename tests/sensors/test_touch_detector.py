@@ -37,6 +37,14 @@ def test_one_touch_is_its_frame_of_greatest_change():
     assert (touch.began_s, touch.ended_s, touch.n_frames) == (0.2, 0.6, 4)
 
 
+def test_arrays_and_frames_are_told_apart():
+    """A loop of one's own mixes them up: `read` gives one, `read_next` the other."""
+    with pytest.raises(TypeError, match=r"a Frame, as `read_next` .* got ndarray"):
+        TouchDetector(REST).update(REST)
+    with pytest.raises(TypeError, match=r"arrays, as `read` .* got Frame"):
+        TouchDetector().take_baseline([Frame(REST, 0.0, 0)] * 3)
+
+
 def test_the_change_of_a_colour_frame_is_over_taxels_and_colours():
     rest = np.full((4, 4, 3), 100, np.uint8)
     redder = [0, 40, 40, 0] * np.array([[1.0], [0], [0]])  # red, green, blue by time

@@ -41,7 +41,7 @@ def test_channels_and_pads_are_named():
 @pytest.mark.parametrize(
     ("shape", "columns", "message"),
     [
-        ((1, 4, 6, 3), {}, r'none. .* such as channels=\["r", "g", "b"\] of .* array'),
+        ((1, 4, 6, 3), {}, "none. List .* `channels`, .* its array .* x,y,z"),
         ((1, 4, 6, 3), {"channels": ["r", "g"]}, "each of the 3 channels .*'g'"),
         ((1, 4, 6, 3), {"channels": ["r", "r", "b"]}, "different texts"),
         ((1, 4, 6, 3), {"channels": ["r", " ", "b"]}, "none of them empty"),

@@ -24,12 +24,14 @@ from warnings import catch_warnings, simplefilter
 
 import typer
 
+from .. import _durable
 from .._extras import install, needed
 from ._output import WrongUse, say
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser
+    from ..sensors import TouchDetector
     from ..touches import Touches, TouchSource
 
     # Touches to learn from, held or read as they are needed.
@@ -103,9 +105,15 @@ def typed(context: typer.Context, *names: str) -> list[str]:
 
 
 def check_folder_of(path: Path | None) -> None:
-    """Refuse a file to write in a folder that is not there, before the work."""
-    if path is not None and not path.parent.is_dir():
-        raise ValueError(f"There is no folder {path.parent} to write to; make it.")
+    """Refuse a file where none can be written, before the work for it."""
+    if path is not None:
+        _durable.check_folder_of(path)
+
+
+def say_limit(source: Path, detector: "TouchDetector") -> None:
+    """Say where another limit would have found more touches in a stream."""
+    if detector.note:
+        say(f"{source}: {detector.note} See --begin.", file=sys.stderr)
 
 
 def numbers_of_touches(text: str) -> tuple[int, ...]:
@@ -240,11 +248,10 @@ def model_file(model: Path, library: Path | None = None) -> Path:
     """
     from .. import datasets
     from .._checks import did_you_mean, nearest_path
-    from .._durable import replacing
 
     if model.exists():
         return model
-    names = datasets.ready_models()
+    names = datasets.READY
     if str(model) not in names:
         if not nearest_path(model) and (near := did_you_mean(model, names)):
             raise ValueError(f"There is no model file {model}.{near}")
@@ -262,7 +269,7 @@ def model_file(model: Path, library: Path | None = None) -> Path:
             f"or the model {in_library}."
         )
     library.mkdir(parents=True, exist_ok=True)
-    with ready.open("rb") as file, replacing(in_library) as whole:
+    with ready.open("rb") as file, _durable.replacing(in_library) as whole:
         copyfileobj(file, whole)
     return in_library
 
@@ -357,7 +364,10 @@ class Reading:
     ] = None
     begin: Annotated[
         float | None,
-        option("Of a film: the change at which a touch begins. Default: 6 noises."),
+        option(
+            "Of a film or with --detect: the change at which a touch begins. "
+            "Default: 6 noises."
+        ),
     ] = None
     max_megapixels: Annotated[
         float | None, option("Larger pictures are refused unread. Default: 50.")
@@ -501,8 +511,7 @@ class Reading:
             still = Touches.load(rest, colour=in_colour).images[0] if rest else None
             detector = TouchDetector(still, begin=self.begin)
             touches = detector.touches_in(path, colour=in_colour)
-            if detector.note:
-                say(f"{path}: {detector.note} See --begin.", file=sys.stderr)
+            say_limit(path, detector)
             return touches
         if self.where is not None:
             raise ValueError(

@@ -233,6 +233,15 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
         )
     if folders := _sets_of_same_names(touches):
         advice.append(folders)
+    spelt: dict[str, list[str]] = {}
+    for row in objects:
+        spelt.setdefault(row["object"].casefold(), []).append(row["object"])
+    if alike := [names for names in spelt.values() if len(names) > 1]:
+        pairs = ", ".join(" and ".join(names) for names in alike[:_NAMED])
+        advice.append(
+            f"objects whose names differ in capitals alone ({pairs}) count as "
+            "different ones: give them one name if they are one"
+        )
     if any(row["object"] == "unknown" for row in objects):
         advice.append(
             "no object can be called unknown, which is said of things never learnt: "
@@ -297,24 +306,27 @@ def _frames_of_touches(touches: "Touches") -> str:
 
 
 def _sets_of_same_names(touches: "Touches") -> str:
-    """Return what to do where two folders hold objects of the same names, or ""."""
+    """Return what to do where most folders hold objects of the same names, or ""."""
     if touches.object is None or touches.category is None:
         return ""
-    below: dict[str, set[str]] = {}
-    for name in set(map(str, touches.object)):
+    above: dict[str, list[str]] = {}
+    for name in sorted(set(map(str, touches.object))):
         folder, _, rest = name.partition("/")
-        below.setdefault(folder, set()).add(rest)
-    names = set.intersection(*below.values()) - {""} if len(below) > 1 else set()
+        above.setdefault(rest, []).append(folder)
+    n_folders = len({folder for inside in above.values() for folder in inside})
+    most = max(1, n_folders / 2)
+    names = [rest for rest in sorted(above) if rest and len(above[rest]) > most]
     if len(names) < 2:
         return ""
-    folders = sorted(below)
-    few = ", ".join(sorted(names)[:_NAMED]) + ", ..." * (len(names) > _NAMED)
+    folders = above[names[0]]
+    few = ", ".join(names[:_NAMED]) + ", ..." * (len(names) > _NAMED)
     of_folders = " and ".join(f"{folder}/" for folder in folders[:_NAMED])
     return (
         f"the same names ({few}) are in {of_folders}, and count as different objects: "
         "if each folder is a set of its own, one to learn and one to test, give it by "
-        f"itself, as .../{folders[0]}; if all are one set, say --levels -/object, or, "
-        "if the outer folders are the objects, --levels object/session"
+        f"itself, as .../{folders[0]}; if all are one set, say --levels object/session "
+        "where the outer folders are the objects, session/object where they are days, "
+        "-/object where they say nothing"
     )
 
 

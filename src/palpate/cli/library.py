@@ -17,6 +17,7 @@ from ._options import (
     flag,
     grouped,
     option,
+    say_limit,
     typed,
 )
 from ._output import answer, as_typed, counted, print_json, say, table
@@ -61,8 +62,9 @@ def add(
         bool,
         flag(
             "--detect",
-            "Of a bag: frames become touches where contact begins and ends, as those "
-            "of a film always do. The first ten are taken for touching nothing.",
+            "Of a bag, a table or an archive of frames: they become touches where "
+            "contact begins and ends, as those of a film always do. The first ten are "
+            "taken for touching nothing.",
         ),
     ] = False,
     reading: Reading,
@@ -116,7 +118,9 @@ def add(
             if detect:
                 from ..sensors import TouchDetector
 
-                part = TouchDetector(begin=begin).touches_in(part)
+                detector = TouchDetector(begin=begin)
+                part = detector.touches_in(part)
+                say_limit(touches, detector)
             if object_name is not None:
                 part = part.with_columns(object=[object_name] * len(part))
             ids = opened.add(part, session=session, episode=episode, sensor=described)

@@ -10,6 +10,7 @@ is fetched once, from its public source at a fixed commit or version, into `wher
 touches; it is made on this computer when first asked for, in seconds.
 """
 
+from ._fetch import READY as READY
 from ._fetch import card, fetch, load, names, where
 from ._fetch import ready_models as ready_models
 

@@ -35,7 +35,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from .._checks import check_option
-from .._durable import replacing, write_text
+from .._durable import check_folder_of, replacing, write_text
 from .._extras import needed
 from .._types import Array
 from ..touches import Touches
@@ -109,8 +109,15 @@ def _cached() -> Path:
     if home := os.environ.get("PALPATE_DATA_HOME"):
         return Path(home)
     caches = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
-    usual = Path.home() / _CACHES.get(sys.platform, ".cache")
-    return Path(os.environ.get(caches) or usual) / "palpate"
+    if named := os.environ.get(caches):
+        return Path(named) / "palpate"
+    try:
+        return Path.home() / _CACHES.get(sys.platform, ".cache") / "palpate"
+    except RuntimeError as error:  # a container's user without a home
+        raise ValueError(
+            "PALPATE_DATA_HOME must name a folder for what is made or fetched, got "
+            "nothing, and there is no home directory. Set it."
+        ) from error
 
 
 def fetch(
@@ -409,11 +416,17 @@ def _make_ready(name: str, folder: Path, say: Say | None) -> Path:
     path = _ready_file(name, folder)
     if path.is_file():
         return path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        check_folder_of(path)
+    except OSError as error:
+        raise OSError(
+            f"{name} must be kept in a folder that may be written to, got {folder}: "
+            f"{error.strerror}. Set PALPATE_DATA_HOME to another one."
+        ) from error
     if say is not None:
         say(f"{name}: simulating touches and learning them, once")
-    recogniser = ObjectRecogniser().fit(_ready_touches(name))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    recogniser.save(path)
+    ObjectRecogniser().fit(_ready_touches(name)).save(path)
     for older in path.parent.glob(f"{name}-*.palpate"):
         if older != path:
             older.unlink(missing_ok=True)

@@ -27,7 +27,7 @@ from sklearn.preprocessing import StandardScaler
 
 from .. import __version__, classifiers, encodings, images
 from .._checks import nearest_path
-from .._durable import replacing
+from .._durable import check_folder_of, replacing
 from .._types import Array
 from ..classifiers import EncodingPool
 from ._contact import ContactCheck
@@ -132,10 +132,7 @@ def check_model_path(path: str | Path) -> Path:
             f"A model file must end in .palpate, got {target.name!r}; "
             f"write to {target.with_suffix('.palpate').name!r}."
         )
-    if not target.parent.is_dir():
-        raise ModelFileError(
-            f"There is no folder {target.parent} to write {target.name} to; make it."
-        )
+    check_folder_of(target, ModelFileError)
     return target
 
 

@@ -181,6 +181,11 @@ class TouchDetector:
             that failed, are left out.
         """
         check_count("the number of frames", len(frames), at_least=_LEAST_REST)
+        if isinstance(frames[0], Frame):
+            raise TypeError(
+                "frames must be arrays, as `read` of a sensor returns, got Frame. Pass "
+                "the image of each."
+            )
         if self.touching and not force:
             raise ContactError(
                 "Something touches the sensor. Lift it and take the baseline again; "
@@ -226,6 +231,11 @@ class TouchDetector:
 
         `SensorError` says that the frame is of another size than the baseline.
         """
+        if not isinstance(frame, Frame):
+            raise TypeError(
+                "frame must be a Frame, as `read_next` of a sensor returns, got "
+                f"{type(frame).__name__}. A LiveSensor makes frames of arrays."
+            )
         if self.baseline is None:
             return None
         if frame.image.shape != self.baseline.shape:

@@ -257,11 +257,17 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
             # Kinds first: numpy before 2.1 cannot compare texts with numbers.
             alike = _kind(entry) == _kind(first)
             if not alike or not np.array_equal(entry, first, equal_nan=numbers):
-                drop = f"Drop it with touches.without({name!r}), or keep"
-                keep = "Keep" if name == "channels" else drop
+                fix = f"Drop it with touches.without({name!r}), or keep the sets apart."
+                if name == "channels":
+                    fix = "Keep the sets apart."
+                elif name == "no_contact":  # an array without it is told worse
+                    fix += (
+                        " Of an array join the changes from each one's own: "
+                        "Touches(touches.differences(), **touches.columns)."
+                    )
                 raise TouchesError(
                     f"{name} must be the same in every set, got another one in set "
-                    f"{number}. {keep} the sets apart."
+                    f"{number}. {fix}"
                 )
     return dict(parts[0])
 
@@ -318,9 +324,14 @@ def _checked_labels(name: str, array: Array) -> Array:
 
 
 def _unprintable(name: str, text: str) -> TouchesError:
+    fix = "Leave out line breaks and control characters."
+    if any("\udc80" <= letter <= "\udcff" for letter in text):  # a byte of a file name
+        fix = (
+            "A name of a file that is no UTF-8, as of an old zip file: rename it, or, "
+            "where it is right, set PYTHONUTF8=1."
+        )
     return TouchesError(
-        f"{name} must be of letters that can be printed, got {text!r}. Leave out line "
-        "breaks and control characters."
+        f"{name} must be of letters that can be printed, got {text!r}. {fix}"
     )
 
 
@@ -329,8 +340,8 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     names, pads = whole.get("channels"), whole.get("pads")
     if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
         fix = (
-            'Name them in their order, such as channels=["r", "g", "b"] of colours or '
-            '["x", "y", "z"] of forces; an archive holds them as its array channels.'
+            "List them in their order by `channels`, in an archive by its array "
+            "channels: r,g,b of colours, x,y,z of forces."
         )
         if images.shape[1] <= 4 < images.shape[3]:  # as PyTorch has them
             fix = (

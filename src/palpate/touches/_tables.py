@@ -4,7 +4,8 @@ Of a CSV file by itself, or a data frame, each row is a touch: the columns that
 `Touches` knows by name (`object`, `session`, `force_n`, `x_mm`...), or that hold text,
 are columns; all other numbers are taxels, in their order; a first line of 0, 1, 2...
 (five at least) is the names that pandas gives. Where taxels are numbered
-(t0, t1, t2...), numbers of a name without one are columns too. Of a folder of CSV or
+(t0, t1, t2...), numbers of a name without one are columns too, as is a first column
+that rises evenly, which is a clock. Of a folder of CSV or
 `.npy` files each file is a touch, its lines the rows of taxels.
 """
 
@@ -61,6 +62,9 @@ def table_arrays(
             )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
     named |= _beside_numbered([name for name in table if name not in named])
+    first, second = [*(name for name in table if name not in named), "", ""][:2]
+    if _stem(first) != _stem(second) and _is_clock(table[first]):
+        named.add(first)
     columns = {name: table[name] for name in named}
     if not (taxels := {n: column for n, column in table.items() if n not in named}):
         raise TouchesError(
@@ -97,11 +101,15 @@ def table_arrays(
 
 def _beside_numbered(names: Sequence[str]) -> set[str]:
     """Return which are no taxels: beside numbered ones (t0, t1...) those without."""
-    stems = {name: name.rstrip("0123456789") for name in names}
+    stems = {name: _stem(name) for name in names}
     numbered = [stem for name, stem in stems.items() if stem != name]
     if len(numbered) < 2 or len(set(numbered)) > 1:
         return set()
     return {name for name, stem in stems.items() if stem == name}
+
+
+def _stem(name: str) -> str:
+    return name.rstrip("0123456789")
 
 
 def csv_arrays(
@@ -121,12 +129,14 @@ def csv_arrays(
             "it again, or read it by pandas.read_csv and `Touches.from_frame`."
         )
     names = first if named else [f"taxel {n}" for n in range(len(first))]
-    if not named and _is_clock([row[0] for row in lines]):
+    column = [] if named else [row[0] for row in lines]
+    if all(map(_is_number, column)) and _is_clock(_numbers(column, "", 1)):
         names[0] = "time_s"
     if len(set(names)) < len(names) or not all(names):
         got = ", ".join(names[:8])
+        index = " Of pandas: to_csv(index=False) leaves out the index." * (not names[0])
         raise TouchesError(
-            f"{path} must have a first line of names that differ, got {got}."
+            f"{path} must have a first line of names that differ, got {got}.{index}"
         )
     rows = lines[named:]
     if not rows:
@@ -149,15 +159,15 @@ def _counts_columns(first: list[str]) -> bool:
     return len(first) >= _LEAST_OF_COUNT and first in (names, ["", *names[:-1]])
 
 
-def _is_clock(cells: Sequence[str]) -> bool:
-    """Tell whether a first column of no name is a clock or a count, never a taxel.
+def _is_clock(numbers: Array) -> bool:
+    """Tell whether a first column is a clock or a count, whatever its name, no taxel.
 
     It rises from each line to the next, by steps that are all within a tenth of their
     median; five lines at least. A taxel of a sensor with noise does not.
     """
-    if len(cells) < _LEAST_OF_CLOCK or not all(map(_is_number, cells)):
+    if len(numbers) < _LEAST_OF_CLOCK:
         return False
-    steps = np.diff([float(cell or "nan") for cell in cells])
+    steps = np.diff(numbers.astype(np.float64))
     usual = np.median(steps)
     return bool(usual > 0 and (np.abs(steps - usual) <= 0.1 * usual).all())
 
