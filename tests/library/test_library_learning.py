@@ -59,6 +59,37 @@ def test_of_several_baselines_of_an_array_the_newest_is_tried(library):
     assert "log_loss" not in held.chosen_
 
 
+def test_each_recording_of_an_array_is_seen_from_its_own_rest(library):
+    """Taxels rest at other levels each day, as where an array is unplugged."""
+
+    def day(seed):
+        presses = simulate_presses(None, 8, random_state=seed)
+        scale = np.percentile(presses.images, 99)
+        rest = 0.3 * scale * np.random.default_rng(seed).random((10, 10))
+        about = {"object": presses.object, "geometry": "array"}
+        return Touches(presses.images + rest, no_contact=rest, **about)
+
+    days = [day(seed) for seed in range(4)]
+    is_new = days[3].object == days[3].object[0]
+    for seed in (0, 1):
+        library.add(days[seed][days[seed].object != days[3].object[0]], session=seed)
+    chosen = library.select()
+    learnt = ObjectRecogniser().fit(chosen)
+    assert learnt.chosen_["encoding"].startswith("change from rest")
+    assert learnt.score(days[3][~is_new]) > 0.9
+    again = ObjectRecogniser().fit(chosen)  # by features that were kept
+    assert_array_equal(again.memory_.features, learnt.memory_.features)
+    library.add(days[2][is_new], session=2)
+    alone = library.select("session = 2")
+    learnt.add_object("new", alone)
+    assert learnt.score(days[3], np.where(is_new, "new", days[3].object)) > 0.9
+    assert alone.resting_at(days[2].no_contact) is alone
+    moved = alone.resting_at(days[0].no_contact)[[1, 2]].touches()
+    own_changes = days[2][is_new].differences()[[1, 2]]
+    assert_allclose(moved.differences(), own_changes, atol=1e-12)
+    assert_array_equal(alone.touches().images, days[2][is_new].images)
+
+
 @pytest.fixture
 def counted(monkeypatch, filled):
     """The number of touches of a library that each call encoded."""

@@ -105,10 +105,14 @@ class Selection(Labelled):
     """
 
     def __init__(
-        self, tables: Tables, numbers: Numbers, called: Names | None = None
+        self,
+        tables: Tables,
+        numbers: Numbers,
+        called: Names | None = None,
+        rest: Array | None = None,
     ) -> None:
         self.tables, self.numbers = tables, numbers
-        self._called = called or tables.names()
+        self._called, self._rest = called or tables.names(), rest
         rows = distinct(tables.store, "t.recording, t.layout", numbers)
         self._recordings = list(dict.fromkeys(row[0] for row in rows))
         self._layouts = {key: tables.layout(key) for key in {row[1] for row in rows}}
@@ -123,7 +127,7 @@ class Selection(Labelled):
     def __getitem__(self, rows: ArrayLike) -> Selection:
         """Pick touches by their places, which must rise; no image is read."""
         chosen = self.numbers[_rising(rows, len(self))]
-        return Selection(self.tables, chosen, self._called)
+        return Selection(self.tables, chosen, self._called, self._rest)
 
     @cached_property
     def columns(self) -> Mapping[str, Array]:
@@ -138,8 +142,35 @@ class Selection(Labelled):
     @property
     def no_contact(self) -> Array | None:
         """The newest no-contact image of these touches, or None."""
+        if self._rest is not None:
+            return self._rest
         newest_first = dict.fromkeys(reversed(self.recordings()))
         return newest_no_contact(self.tables, newest_first)
+
+    def resting_at(self, frame: Array) -> Selection:
+        """Return these touches as if the sensor had rested at a frame in all of them.
+
+        Images are floats: each less the no-contact image of its recording, where that
+        has one of this size, and more the `frame`. Where all rest there it is `self`.
+        """
+        moved = Selection(self.tables, self.numbers, self._called, np.asarray(frame))
+        return moved if any(move.any() for move in moved._moves.values()) else self
+
+    @cached_property
+    def _moves(self) -> dict[int, Floats]:
+        """What brings the images of a recording to the frame they are to rest at."""
+        if (rest := self._rest) is None:
+            return {}
+        moves, by_digest = {}, dict[str | None, Floats | None]()
+        for key in self._recordings:
+            digest = _entries(self.tables.recording(key).whole).get("no_contact")
+            if digest not in by_digest:
+                own_rest = newest_no_contact(self.tables, [key])
+                suits = own_rest is not None and own_rest.shape == rest.shape
+                by_digest[digest] = rest.astype(float) - own_rest if suits else None
+            if (move := by_digest[digest]) is not None:
+                moves[key] = move
+        return moves
 
     def recordings(self) -> list[int]:
         """Return the key of each touch's recording."""
@@ -207,7 +238,13 @@ class Selection(Labelled):
                 images: Array = np.memmap(file, dtype=dtype, mode="w+", shape=shape)
         else:
             images = np.empty(shape, dtype)
-        return Touches(images, **picked.read_columns(images, of), **picked.whole)
+        columns, whole = picked.read_columns(images, of), picked.whole
+        if self._rest is not None:
+            images, whole["no_contact"] = images.astype(np.float64), self._rest
+            keys = np.array(picked.recordings())
+            for key, move in self._moves.items():
+                images[keys == key] += move
+        return Touches(images, **columns, **whole)
 
     def parts(self) -> Iterator[Touches]:
         """Yield touches as they were added, of one recording and the same columns.
@@ -309,6 +346,8 @@ class Selection(Labelled):
         """
         if not key.isalnum():
             raise ValueError(f"key must be letters and digits, got {key!r}.")
+        if self._rest is not None:
+            key += "rested"
         cache = self.tables.store.folder / FEATURES / key
         ids = np.array(self._cells("id"), _ID)
         cached_ids, cached = _cached(cache)
@@ -329,7 +368,8 @@ class Selection(Labelled):
     ) -> Floats:
         """Return new features; what is done is kept now and then, should this stop."""
         layout = {n: a for n, a in self.whole.items() if n in LAYOUT}
-        encode_some = partial(_encoded, encode, layout)
+        moves = None if self._rest is None else self._moves
+        encode_some = partial(_encoded, encode, layout, moves)
         new = self[rows]
         step = n_at_once(*new.kind)
 
@@ -530,10 +570,16 @@ def _keep(cache: Path, ids: Array, features: Floats) -> None:
 
 
 def _encoded(
-    encode: Encode, layout: dict[str, Array], stored: list[StoredImage]
+    encode: Encode,
+    layout: dict[str, Array],
+    moves: dict[int, Floats] | None,
+    stored: list[StoredImage],
 ) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
-    images = np.empty((len(stored), *stored[0].shape), stored[0].dtype)
+    dtype = stored[0].dtype if moves is None else np.dtype(np.float64)
+    images = np.empty((len(stored), *stored[0].shape), dtype)
     for place, image in enumerate(stored):
         images[place] = image.unpacked()
+        if moves and image.row.recording in moves:
+            images[place] += moves[image.row.recording]
     return np.asarray(encode(Touches(images, **layout)), dtype=np.float64)

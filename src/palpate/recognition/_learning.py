@@ -15,7 +15,7 @@ from .._numbers import with_floor
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..images import NoLivingTaxelError
-from ..touches import Touches, TouchSource
+from ..touches import RecordedSource, Touches, TouchSource
 from ._contact import ContactCheck, encoded_and_flagged
 from ._encoder import Encoder, TouchEncoder, find_geometry
 from ._evidence import NO_CONTACT
@@ -95,7 +95,8 @@ def learn_encoding(
     names = {"no_contact", "pads"} & shown.whole.keys()
     kept = {name: shown.whole[name].copy() for name in names}
     # What it takes a search for rims to know is found out once.
-    shown = shown.with_columns(**kept, geometry=find_geometry(shown))
+    geometry = find_geometry(shown)
+    shown = shown.with_columns(**kept, geometry=geometry)
     lacks_rest = shown.geometry == "array" and shown.no_contact is None
     if lacks_rest and (newest := touches.no_contact) is not None:
         # Levels that taxels rest at are mostly theirs: it serves earlier sessions too.
@@ -103,8 +104,16 @@ def learn_encoding(
     labels_and_groups = labels[rows], group[rows]
     recipes = preset.encoders(shown, presentation)
     if any(len(recipe.encodings) > 1 for recipe in recipes.values()):
-        pooled = choose_pool(recipes, shown, *labels_and_groups)
+        rested, frame = shown, shown.no_contact
+        of_changes = any(recipe.as_changes for recipe in recipes.values())
+        if of_changes and frame is not None and not isinstance(touches, Touches):
+            moved = at_its_rest(touches, frame)
+            if moved is not touches:
+                rested = moved.touches(rows).with_columns(geometry=geometry)
+        pooled = choose_pool(recipes, shown, rested, *labels_and_groups)
         encoder, cleaned, learnt_steps, chosen = pooled
+        if encoder.as_changes:
+            shown = rested
     else:
         encoder, chosen = choose_encoder(preset, recipes, shown, *labels_and_groups)
         cleaned, learnt_steps = encoder.fit_clean(shown), {}
@@ -134,6 +143,7 @@ def encoded(
         nothing = np.array(flags) == NO_CONTACT
         return np.column_stack([features, encoder.look(batch), nothing])
 
+    touches = as_rested(encoder, touches)
     with naming_empty(touches):
         if isinstance(touches, Touches):
             table = encode(touches)
@@ -142,6 +152,25 @@ def encoded(
             table = touches.features(key, encode)
     features, looks, nothing = np.split(table, [-N_LOOKS - 1, -1], axis=1)
     return Encoded(np.ascontiguousarray(features), nothing[:, 0] > 0, looks)
+
+
+def as_rested(
+    encoder: Encoder, touches: Touches | TouchSource
+) -> Touches | TouchSource:
+    """Return touches as an encoder of changes is to see them: of one level of rest.
+
+    `Touches` have a frame of no contact of their own, or none.
+    """
+    frame = getattr(encoder, "baseline_", None)
+    if isinstance(touches, Touches) or frame is None:
+        return touches
+    sees_changes = getattr(encoder, "as_changes", False)
+    return at_its_rest(touches, frame) if sees_changes else touches
+
+
+def at_its_rest(touches: TouchSource, frame: Array) -> TouchSource:
+    """Return touches as if the sensor had rested at a frame, where that is known."""
+    return touches.resting_at(frame) if isinstance(touches, RecordedSource) else touches
 
 
 def memory_of(
@@ -192,16 +221,21 @@ def shown_rows(labels: Array, n_shown: int = SHOWN) -> Indices:
 
 
 def choose_pool(
-    recipes: Mapping[str, TouchEncoder], touches: Touches, labels: Array, group: Indices
+    recipes: Mapping[str, TouchEncoder],
+    touches: Touches,
+    rested: Touches,
+    labels: Array,
+    group: Indices,
 ) -> tuple[TouchEncoder, Array, dict[str, Any], dict[str, Any]]:
     """Return the first recipe, or one whose pool of encodings has less log loss (nats).
 
     By more than its standard error. With cleaned images, steps as `choose_encodings`
-    has learnt them, and the reasons.
+    has learnt them, and the reasons. Changes are told from touches that are `rested`.
     """
     best, losses = None, {}
     for name, recipe in recipes.items():
-        cleaned, learnt_steps = recipe.fit_clean(touches), dict[str, Any]()
+        seen, learnt_steps = rested if recipe.as_changes else touches, dict[str, Any]()
+        cleaned = recipe.fit_clean(seen)
         encoder, why = choose_encodings(recipe, cleaned, labels, group, learnt_steps)
         why["encoding"], loss = f"{name}: {why['encoding']}", why.pop("log_loss")
         losses[name] = float(loss.mean())

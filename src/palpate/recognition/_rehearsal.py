@@ -20,7 +20,7 @@ from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..touches import Touches, TouchSource
 from . import _sessions
 from ._encoder import Encoder, TouchEncoder
-from ._learning import shown_rows, touches_of
+from ._learning import as_rested, shown_rows, touches_of
 from ._memory import Memory
 from ._rehearsed import Drawn, halves, rehearsed
 
@@ -88,7 +88,7 @@ def rehearse(
     if KernelRidgeClassifier.learns_by_landmarks(len(memory), len(memory.classes)):
         return pool, {"share": 0.0, "why": "too much was taught at once"}
     rows = _rows(memory)
-    shown = touches_of(touches, rows)
+    shown = touches_of(as_rested(encoder, touches), rows)
     drawn = draw_sessions(encoder, shown, ranges, memory, rows, seed)
     n_drawn, _, n_features = drawn.features.shape
     away = drawn.features - drawn.features.mean(axis=0)

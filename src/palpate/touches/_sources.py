@@ -89,6 +89,18 @@ class TouchSource(Protocol):
         ...
 
 
+@runtime_checkable
+class RecordedSource(TouchSource, Protocol):
+    """Touches of several recordings, each with a frame of no contact of its own."""
+
+    def resting_at(self, frame: Array) -> TouchSource:
+        """Return the touches as if the sensor had rested at a frame in all of them.
+
+        Itself where it did.
+        """
+        ...
+
+
 def read_folder(
     path: str | PathLike[str],
     *,
