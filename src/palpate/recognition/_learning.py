@@ -15,7 +15,7 @@ from .._numbers import with_floor
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..images import NoLivingTaxelError
-from ..touches import RecordedSource, Touches, TouchSource
+from ..touches import Touches, TouchSource
 from ._contact import ContactCheck, encoded_and_flagged
 from ._encoder import Encoder, TouchEncoder, find_geometry
 from ._evidence import NO_CONTACT
@@ -170,7 +170,8 @@ def as_rested(
 
 def at_its_rest(touches: TouchSource, frame: Array) -> TouchSource:
     """Return touches as if the sensor had rested at a frame, where that is known."""
-    return touches.resting_at(frame) if isinstance(touches, RecordedSource) else touches
+    moved = getattr(touches, "resting_at", None)
+    return touches if moved is None else moved(frame)  # type: ignore[no-any-return]
 
 
 def memory_of(

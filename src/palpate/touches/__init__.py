@@ -16,7 +16,6 @@ from ._parquet import write_parquet as write_parquet
 from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
 from ._sources import ParquetTouches as ParquetTouches
-from ._sources import RecordedSource as RecordedSource
 from ._sources import TouchSource, read_folder, read_parquet
 from ._touches import Labelled as Labelled
 from ._touches import Touches

@@ -48,7 +48,9 @@ _AT_ONCE = 128
 class TouchSource(Protocol):
     """Labelled touches whose images are read piece by piece.
 
-    `TouchLibrary.select` returns one; the properties are as in `Touches`.
+    `TouchLibrary.select` returns one; the properties are as in `Touches`. One whose
+    recordings have frames of no contact of their own may have `resting_at(frame)`: a
+    source of the touches as if all had rested at that frame, or itself where they did.
     """
 
     @property
@@ -86,18 +88,6 @@ class TouchSource(Protocol):
 
     def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
         """Return features of all touches, made by `encode` or kept under `key`."""
-        ...
-
-
-@runtime_checkable
-class RecordedSource(TouchSource, Protocol):
-    """Touches of several recordings, each with a frame of no contact of its own."""
-
-    def resting_at(self, frame: Array) -> TouchSource:
-        """Return the touches as if the sensor had rested at a frame in all of them.
-
-        Itself where it did.
-        """
         ...
 
 
