@@ -167,7 +167,9 @@ class Selection(Labelled):
             if digest not in by_digest:
                 own_rest = newest_no_contact(self.tables, [key])
                 suits = own_rest is not None and own_rest.shape == rest.shape
-                by_digest[digest] = rest.astype(float) - own_rest if suits else None
+                # A taxel that was dead at rest stays as it is.
+                move = np.nan_to_num(rest.astype(float) - own_rest) if suits else None
+                by_digest[digest] = move
             if (move := by_digest[digest]) is not None:
                 moves[key] = move
         return moves

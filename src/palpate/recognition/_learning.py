@@ -171,7 +171,7 @@ def as_rested(
 def at_its_rest(touches: TouchSource, frame: Array) -> TouchSource:
     """Return touches as if the sensor had rested at a frame, where that is known."""
     moved = getattr(touches, "resting_at", None)
-    return touches if moved is None else moved(frame)  # type: ignore[no-any-return]
+    return touches if moved is None else moved(frame)
 
 
 def memory_of(
