@@ -77,6 +77,7 @@ def test_each_recording_of_an_array_is_seen_from_its_own_rest(library):
     learnt = ObjectRecogniser().fit(chosen)
     assert learnt.chosen_["encoding"].startswith("change from rest")
     assert learnt.score(days[3][~is_new]) > 0.9
+    assert not learnt.check_mounting(days[3][~is_new]).changed
     again = ObjectRecogniser().fit(chosen)  # by features that were kept
     assert_array_equal(again.memory_.features, learnt.memory_.features)
     library.add(days[2][is_new], session=2)

@@ -290,10 +290,18 @@ class TouchEncoder(Encoder, BaseEstimator):
         return self._side_by_side(parts), unexplained
 
     def look(self, touches: Touches, broken: Bools | None = None) -> Floats:
-        """Return what tells of light, rubber and gain, `broken` taxels filled."""
+        """Return what tells of light, rubber and gain, `broken` taxels filled.
+
+        Of an encoder of changes that of the changes: levels of rest are no matter.
+        """
         if len(touches) > BATCH:
             parts = [self.look(batch, broken) for batch in in_batches(touches)]
             return np.concatenate(parts)
+        if self.as_changes and (level := self.baseline_) is not None:
+            if touches.no_contact is not None:
+                level = self.living(touches.no_contact[np.newaxis], broken)[0]
+            images = self.living(touches.images, broken)
+            return looks(grey(images - level.astype(np.float64)), None)
         rest = self._idle(touches, broken)
         if not self.with_rest_ or (self.clean_up_ is None and self.baseline_ is None):
             rest = None  # as in what it learnt
