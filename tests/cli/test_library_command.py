@@ -189,6 +189,26 @@ def test_verbs_take_a_library_with_a_filter(palpate, folder, tmp_path):
     assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 30)
 
 
+def test_days_of_an_array_are_asked_as_they_are_learnt_each_from_its_rest(
+    palpate, tmp_path
+):
+    with TouchLibrary.open(tmp_path / "desk", create=True) as library:
+        for day in range(3):
+            presses = simulate_presses(None, 8, random_state=day)
+            scale = np.percentile(presses.images, 99)
+            rest = 0.3 * scale * np.random.default_rng(day).random((10, 10))
+            whole = {"no_contact": rest, "geometry": "array"}
+            touches = Touches(presses.images + rest, object=presses.object, **whole)
+            library.add(touches, session=f"day {day}")
+    words = ("--split", "session", "--touches", "1")
+    figures = palpate.answer("evaluate", "--train", tmp_path / "desk", *words)
+    assert figures["accuracy"]["1"] > 0.9
+    model = tmp_path / "m.palpate"
+    palpate.printed("learn", tmp_path / "desk", "-o", model)
+    episodes = palpate.answer("recognise", model, tmp_path / "desk")["episodes"]
+    assert np.mean([e["decision"] == e["object"] for e in episodes]) > 0.75
+
+
 def test_a_filter_in_a_file_selects_training_touches_as_a_typed_one_does(
     palpate, folder, tmp_path
 ):

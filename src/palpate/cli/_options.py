@@ -394,12 +394,19 @@ class Reading:
 
         `quiet` says nothing of what is left out.
         """
+        from ..recognition import find_geometry
+
         opened = self._library(path)
         if opened is None:
             return self._recording(path, topic, quiet=quiet)
         with opened as library:
             library.refuse_unknown(self.where)
-            return library.touches(self.where)
+            touches, chosen = library.touches(self.where), library.select(self.where)
+            if touches.no_contact is None and find_geometry(touches) == "array":
+                # As learning sees them: each recording from its own frame.
+                if (frame := chosen.no_contact) is not None:
+                    touches = chosen.resting_at(frame).touches()
+            return touches
 
     def like(self, recogniser: "ObjectRecogniser", path: Path) -> Self:
         """Return this, in colour where the model's pictures were and nothing is said.
