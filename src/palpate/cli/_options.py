@@ -402,10 +402,10 @@ class Reading:
         with opened as library:
             library.refuse_unknown(self.where)
             touches, chosen = library.touches(self.where), library.select(self.where)
-            if touches.no_contact is None and find_geometry(touches) == "array":
-                # As learning sees them: each recording from its own frame.
-                if (frame := chosen.no_contact) is not None:
-                    touches = chosen.resting_at(frame).touches()
+            # As learning sees them: each recording of an array from its own frame.
+            frame = chosen.no_contact if touches.no_contact is None else None
+            if frame is not None and find_geometry(touches) == "array":
+                return chosen.resting_at(frame).touches()
             return touches
 
     def like(self, recogniser: "ObjectRecogniser", path: Path) -> Self:
