@@ -83,6 +83,7 @@ def test_warnings_show_what_a_terminal_would_obey(palpate, monkeypatch):
     printed = palpate("doctor").stderr
     assert r"\x1b[2J" in printed
     assert "\x1b" not in printed
+    assert printed.startswith("palpate: ")  # no line of code
     assert warnings.formatwarning is usual
 
 

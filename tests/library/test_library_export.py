@@ -24,6 +24,21 @@ def filled(library, seven):
     return library
 
 
+def test_an_archive_of_touches_with_several_frames_of_no_contact_says_so(
+    library, tmp_path
+):
+    for level in (0.0, 1.0):
+        rest = np.full((5, 6), level)
+        library.add(_presses(1).with_columns(no_contact=rest), session=level)
+    with pytest.warns(UserWarning, match="Choose those of one session .* or write"):
+        library.export(tmp_path / "t.npz")
+    library.export(tmp_path / "one.npz", "session = 1")
+    assert_array_equal(Touches.load(tmp_path / "one.npz").no_contact, rest)
+    library.export(tmp_path / "t.parquet")
+    parts = read_parquet(tmp_path / "t.parquet")
+    assert [part.no_contact[0, 0] for part in parts] == [0, 1]
+
+
 def test_an_archive_holds_the_same_touches(filled, tmp_path):
     assert filled.export(tmp_path / "t.npz", "object = pen") == 4
     again = Touches.load(tmp_path / "t.npz")

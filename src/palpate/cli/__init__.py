@@ -150,11 +150,17 @@ def _shown(error: Any) -> str:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings with what a terminal would obey, in names of files, written out."""
+    """Show warnings with what a terminal would obey, in names of files, written out.
+
+    Those meant for users without the line of code that they come from.
+    """
     usual = warnings.formatwarning
 
-    def plain(message: Any, *rest: Any, **more: Any) -> str:
-        return usual(_output.printable(_output.as_typed(str(message))), *rest, **more)
+    def plain(message: Any, category: Any, *rest: Any, **more: Any) -> str:
+        text = _output.printable(_output.as_typed(str(message)))
+        if category is UserWarning:
+            return f"palpate: {text}\n"
+        return usual(text, category, *rest, **more)
 
     warnings.formatwarning = plain
     try:

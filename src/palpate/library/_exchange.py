@@ -22,6 +22,7 @@ References
 import json
 import secrets
 import shutil
+import warnings
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from itertools import chain
@@ -444,8 +445,15 @@ _TASKS_PANDAS = {
 
 
 def _write_archive(path: Path, picked: Selection) -> None:
+    touches = picked.touches()
+    if touches.no_contact is None and picked.no_contact is not None:
+        warnings.warn(
+            "An archive holds one frame of no contact, got touches of several: they are "
+            "left out. Choose those of one session (`where`), or write Parquet.",
+            stacklevel=4,
+        )
     try:
-        picked.touches().save(path)
+        touches.save(path)
     except TouchesError as error:
         if isinstance(error.__cause__, OSError):  # `path` is not what was asked for
             raise error.__cause__ from None
