@@ -448,8 +448,8 @@ def _write_archive(path: Path, picked: Selection) -> None:
     touches = picked.touches()
     if touches.no_contact is None and picked.no_contact is not None:
         warnings.warn(
-            "An archive holds one frame of no contact, got touches of several: they are "
-            "left out. Choose those of one session (`where`), or write Parquet.",
+            "An archive holds one frame of no contact, got touches of several, which "
+            "are left out. Choose those of one session (`where`), or write Parquet.",
             stacklevel=4,
         )
     try:
