@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .._checks import check_count, check_number, check_option
-from .._parallel import in_parallel
+from .._parallel import in_parallel, on_one_thread
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
     HOUSEHOLD,
@@ -218,7 +218,7 @@ def explore_to_learn(
         what was begun there goes on. Of one that holds more touches, the first are
         taken.
     random_state : int, default=0
-        Same number, same touches.
+        Same number, same touches, whatever `n_jobs`.
     n_jobs, progress : int and bool, optional
         Processes, and whether to show a bar; see `simulate_touches`.
 
@@ -287,6 +287,7 @@ class _PutDown(RandomHemisphere):
     surface: str = ""
 
 
+@on_one_thread()  # so that sums round alike everywhere
 def _session(
     camera: DomeCamera,
     turns: tuple[bool, bool],
