@@ -126,6 +126,7 @@ def test_processes_give_the_same_touches(tmp_path):
         ({"objects": ["spoon"]}, ValueError, "name must be one of stapler"),
         ({"objects": ["pen", "box", "pen"]}, ValueError, "got 'pen' twice"),
         ({"objects": [3]}, TypeError, "SimObject or names, got int"),
+        ({"objects": 3}, TypeError, "SimObject or names, got int"),
         ({"camera": "dome"}, TypeError, "camera must be a DomeCamera, .* got str"),
         ({"camera": PressureArray()}, TypeError, "GelCamera, got PressureArray"),
         ({"n_touches": 0}, ValueError, "n_touches must be at least 1"),

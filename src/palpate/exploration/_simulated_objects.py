@@ -171,7 +171,7 @@ def put_down(
 
 
 def explore_to_learn(
-    things: Iterable[SimObject] | None = None,
+    things: Iterable[SimObject | str] | SimObject | str | None = None,
     n_touches: int = 60,
     camera: DomeCamera | None = None,
     *,
@@ -191,8 +191,8 @@ def explore_to_learn(
 
     Parameters
     ----------
-    things : iterable of SimObject, optional
-        What to touch; their names differ. By default the ten household objects.
+    things : SimObject, str, or an iterable of them, optional
+        What to touch, as in `simulate_touches`; by default the ten household objects.
     n_touches : int, default=60
         Touches of each object; approaches that find nothing are not counted.
     camera : DomeCamera, optional
@@ -242,10 +242,7 @@ def explore_to_learn(
             "folder must be None where guarded is False, got "
             f"{str(folder)!r}. Only guarded attempts are kept."
         )
-    objects = list(HOUSEHOLD if things is None else things)
-    if not objects:
-        raise ValueError("things must hold at least one object, got none.")
-    objects = find_objects(objects)
+    objects = find_objects(HOUSEHOLD if things is None else things)
     check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
