@@ -31,23 +31,23 @@ encoder = EncodingUnion([FourierDescriptors(), ShapeGeometry()])
 taught, tested = slice(0, None, 2), slice(1, None, 2)  # every other press
 model = make_pipeline(encoder, StandardScaler(), KernelPCA(40))
 X = model.fit(binary[taught]).transform(binary)
-sigmas = 2.0 ** np.arange(-5, 6)
 median = np.median(pdist(X[taught]))
+widths = 2.0 ** np.arange(-5, 6)  # in median distances
 
 figure, axes = plt.subplots(1, 2, sharey=True, figsize=(7.2, 3.6))
 for axis, (normalize, C) in zip(
     axes, {"trace": 100, "variance": 3.16}.items(), strict=True
 ):
-    bank = [GaussianKernel(sigma) for sigma in sigmas]
+    bank = [GaussianKernel(width * median) for width in widths]
     svc = MKLSVC(C, kernels=bank, normalize=normalize, probability=False)
     svc.fit(X[taught], touches.object[taught])
     right = svc.score(X[tested], touches.object[tested])
     weights = 100 * svc.weights_.mean(axis=0)
-    axis.bar(np.log2(sigmas), weights)
-    axis.axvline(np.log2(median), color="C1", ls="--", label="median distance")
-    axis.set(xlabel="width of the Gaussian, power of 2")
+    axis.bar(np.log2(widths), weights)
+    axis.axvline(0, color="C1", ls="--", label="median distance")
+    axis.set(xlabel="log2 (width / median distance)")
     axis.set_title(f"{normalize}: {right:.0%} right")
-    narrow = weights[sigmas <= median / 2].sum()  # half the median or less
+    narrow = weights[widths <= 0.5].sum()
     print(
         f"{normalize}: {right:.0%} right, {narrow:.0f} % of the weight on narrow ones"
     )

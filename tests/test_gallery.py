@@ -168,9 +168,11 @@ def test_the_trace_favours_narrow_kernels_and_is_right_less_often(run):
     narrow, right = [], []
     for axis in names["axes"]:
         weights = np.array([bar.get_height() for bar in axis.patches])
-        narrow.append(weights[names["sigmas"] <= names["median"] / 2].sum())
+        narrow.append(weights[names["widths"] <= 0.5].sum())
         right.append(float(axis.get_title().split()[1].rstrip("%")))
-    assert narrow[0] > narrow[1]
+    # As docs/explanation/mkl.md tells of it (91 and 51 %, of the study).
+    assert narrow[0] > 85
+    assert narrow[1] < 60
     assert right[0] < right[1]
 
 

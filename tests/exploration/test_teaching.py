@@ -121,7 +121,7 @@ def test_a_seed_that_is_none_is_refused(random_state):
 
 
 def test_no_objects_are_refused():
-    with pytest.raises(ValueError, match="things must hold at least one object"):
+    with pytest.raises(ValueError, match="at least one object, got none"):
         explore_to_learn([], 2, CAMERA)
 
 

@@ -171,7 +171,8 @@ def test_another_mounting_looks_otherwise_and_the_same_seed_the_same():
         (GelCamera, {"width_mm": 0}, "width_mm must be positive"),
         (GelCamera, {"colours": (1, 0, 1)}, "colours must be positive"),
         (GelCamera, {"colours": (1.0, 1.0)}, r"colours must be 3 .*got \(1.0, 1.0\)"),
-        (GelCamera, {"image_shape": (24, 32, 24)}, "image_shape must be 2 numbers"),
+        (GelCamera, {"image_shape": (24, 32, 24)}, "image_shape must be a pair"),
+        (GelCamera, {"image_shape": (4000, 4000)}, "at most 8000000 pixels"),
         (GelCamera, {"shift_mm": (np.nan, 0.0)}, "shift_mm must be finite"),
     ],
 )

@@ -72,8 +72,15 @@ def test_split_corners_are_joined_again(tmp_path):
 
 def test_open_mesh_is_refused(saved, block):
     block.update_faces(np.arange(12) > 0)
-    with pytest.raises(ValueError, match=r"watertight, got 3 of 18 edges.*Close its"):
+    with pytest.raises(ValueError, match=r"watertight, got 3 of 18 edges.*close its"):
         load_mesh(saved("open.stl", block))
+
+
+def test_bodies_that_share_a_face_are_refused(saved, block):
+    """Two blocks side by side, as an assembly is exported: they have no holes."""
+    both = trimesh.util.concatenate([block, block.copy().apply_translation((40, 0, 0))])
+    with pytest.raises(ValueError, match="make one body of those that meet at an edge"):
+        load_mesh(saved("both.stl", both))
 
 
 @pytest.mark.parametrize(
@@ -112,6 +119,7 @@ def test_damaged_and_empty_files_are_refused(tmp_path, name, content):
     [
         ("v 0 0 nan\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 2 3\nf 2 3 4\n", "finite"),
         ("v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\nf 1 3 2\n", "flat surface"),
+        ("v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\n", "a cloud of points"),
     ],
 )
 def test_what_is_no_solid_is_refused(tmp_path, lines, message):

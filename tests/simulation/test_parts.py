@@ -100,6 +100,7 @@ def test_parts_are_found_by_name_number_or_themselves():
     [
         ("bolt", "among bar10, bar35, hexagon13-hole8.*got 'bolt'"),
         (13, "numbers from 1 to 12"),
+        (1.5, "numbers from 1 to 12.*got 1.5"),
         ([], "at least one part, got none"),
         (["bar10", 1, "bar10"], "names of their own, got 'bar10' twice"),
     ],

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from joblib import parallel_config
 from numpy.testing import assert_allclose, assert_array_equal
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate import Touches
+from palpate.exploration import explore_to_learn
 from palpate.simulation import (
     OBJECT_SETS,
     DomeCamera,
+    Membrane,
     PressureArray,
     Scene,
     TacTipPins,
@@ -87,6 +90,24 @@ def test_seed_settles_everything_whatever_the_jobs():
     assert (first.images != touch(6).images).any()
 
 
+@pytest.mark.parametrize("made_by", [simulate_touches, explore_to_learn])
+def test_contact_is_solved_on_one_thread(made_by, monkeypatch):
+    """Sums of several threads round otherwise: seen from 64 nodes on, as a gel has."""
+    thread_counts, pressed = set(), Membrane.pressed
+
+    def noted(*gaps, **limits):
+        pools = threadpool_info()
+        thread_counts.update(
+            pool["num_threads"] for pool in pools if pool["user_api"] == "blas"
+        )
+        return pressed(*gaps, **limits)
+
+    monkeypatch.setattr(Membrane, "pressed", noted)
+    with threadpool_limits(limits=2, user_api="blas"):
+        made_by([find_object("box")], 1, DomeCamera(image_shape=(24, 24)))
+    assert thread_counts == {1}
+
+
 @pytest.mark.slow
 def test_processes_give_the_same_touches(tmp_path):
     path = tmp_path / "tub.ply"
@@ -105,6 +126,7 @@ def test_processes_give_the_same_touches(tmp_path):
         ({"objects": ["spoon"]}, ValueError, "name must be one of stapler"),
         ({"objects": ["pen", "box", "pen"]}, ValueError, "got 'pen' twice"),
         ({"objects": [3]}, TypeError, "SimObject or names, got int"),
+        ({"objects": 3}, TypeError, "SimObject or names, got int"),
         ({"camera": "dome"}, TypeError, "camera must be a DomeCamera, .* got str"),
         ({"camera": PressureArray()}, TypeError, "GelCamera, got PressureArray"),
         ({"n_touches": 0}, ValueError, "n_touches must be at least 1"),

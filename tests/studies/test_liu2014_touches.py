@@ -74,6 +74,13 @@ def test_the_plan_changes_how_parts_are_pressed(tiny_plan):
     assert np.abs(angle).max() <= 5
 
 
+def test_a_condition_is_pressed_with_its_own_load(tiny_plan):
+    """Rows that are called 1 kgf were pressed with the load of `presses`."""
+    plan = tiny_plan(presses={"load_kgf": (3.0, 4.5)})
+    assert np.ptp(simulated_presses(plan).columns["force_n"]) > 1
+    assert_array_equal(simulated_presses(plan, 1.0).columns["force_n"], 9.80665)
+
+
 def test_reposing_leaves_shape_and_takes_strength(rng):
     images = np.zeros((8, 10, 10))
     images[:, 4:6, 4:6] = 100 * rng.uniform(1, 9, (8, 1, 1))

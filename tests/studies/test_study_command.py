@@ -97,6 +97,7 @@ def test_failures_say_what_to_do(arguments, message, monkeypatch, capsys, tmp_pa
     ("plan", "changes", "message"),
     [
         (Corradi2014Plan, {"n_touches": 5}, "n_touches must be at least 10, got 5"),
+        (Corradi2014Plan, {"encodings": ("hog",)}, "encodings must be one of 'hu'"),
         (Corradi2015Plan, {"partitions": 0}, "partitions must be at least 1"),
         (Corradi2015Plan, {"n_train": 2}, "n_train must be at least 6"),
         (Corradi2015Plan, {"n_simulated": 20}, "n_simulated must be at least 75"),

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .._checks import check_count, check_number, check_option
-from .._parallel import in_parallel
+from .._parallel import in_parallel, on_one_thread
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
     HOUSEHOLD,
@@ -171,7 +171,7 @@ def put_down(
 
 
 def explore_to_learn(
-    things: Iterable[SimObject] | None = None,
+    things: Iterable[SimObject | str] | SimObject | str | None = None,
     n_touches: int = 60,
     camera: DomeCamera | None = None,
     *,
@@ -191,8 +191,8 @@ def explore_to_learn(
 
     Parameters
     ----------
-    things : iterable of SimObject, optional
-        What to touch; their names differ. By default the ten household objects.
+    things : SimObject, str, or an iterable of them, optional
+        What to touch, as in `simulate_touches`; by default the ten household objects.
     n_touches : int, default=60
         Touches of each object; approaches that find nothing are not counted.
     camera : DomeCamera, optional
@@ -218,7 +218,7 @@ def explore_to_learn(
         what was begun there goes on. Of one that holds more touches, the first are
         taken.
     random_state : int, default=0
-        Same number, same touches.
+        Same number, same touches, whatever `n_jobs`.
     n_jobs, progress : int and bool, optional
         Processes, and whether to show a bar; see `simulate_touches`.
 
@@ -242,10 +242,7 @@ def explore_to_learn(
             "folder must be None where guarded is False, got "
             f"{str(folder)!r}. Only guarded attempts are kept."
         )
-    objects = list(HOUSEHOLD if things is None else things)
-    if not objects:
-        raise ValueError("things must hold at least one object, got none.")
-    objects = find_objects(objects)
+    objects = find_objects(HOUSEHOLD if things is None else things)
     check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
@@ -287,6 +284,7 @@ class _PutDown(RandomHemisphere):
     surface: str = ""
 
 
+@on_one_thread()  # so that sums round alike everywhere
 def _session(
     camera: DomeCamera,
     turns: tuple[bool, bool],

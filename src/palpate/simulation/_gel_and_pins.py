@@ -87,14 +87,14 @@ class GelCamera(DomeSensor):
     shift_mm: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, count in {"image_shape": 2, "colours": 3, "shift_mm": 2}.items():
+        as_dome = replace(self.dome, image_shape=self.image_shape)  # checks it
+        object.__setattr__(self, "image_shape", as_dome.image_shape)
+        for name, count in {"colours": 3, "shift_mm": 2}.items():
             value = getattr(self, name)
             row = tuple(value) if isinstance(value, tuple | list | np.ndarray) else ()
             if len(row) != count:
                 raise ValueError(f"{name} must be {count} numbers, got {value!r}.")
             object.__setattr__(self, name, row)
-        for side in self.image_shape:
-            check_count("image_shape", side, at_least=8)
         check_positive("width_mm", self.width_mm)
         check_number("relief", self.relief, low=0.0)
         for colour in self.colours:

@@ -42,7 +42,8 @@ def load_mesh(
     Parameters
     ----------
     path : path
-        An STL, OBJ or PLY file of one closed surface, or of several.
+        An STL, OBJ or PLY file of one closed surface, or of several without a common
+        edge.
     unit : {"mm", "cm", "m", "in", "inch"}, default="mm"
         What its numbers are in; the files themselves do not say.
     name, category : str, optional
@@ -111,7 +112,8 @@ def _closed_surface(
     file: Path, vertices: Floats, faces: NDArray[np.int64], unit: str
 ) -> Mesh:
     solid = bool(len(faces) and len(vertices))
-    _demand(file, solid, "must have triangles, got none: it is empty.")
+    none = "got none: it is empty, cut off, or a cloud of points. Export a surface."
+    _demand(file, solid, f"must have triangles, {none}")
     few = f"must have at most {MAX_MESH_FACES} triangles, got {len(faces)}."
     _demand(file, len(faces) <= MAX_MESH_FACES, f"{few} Simplify the mesh.")
     defined = faces.min() >= 0 and faces.max() < len(vertices)
@@ -132,7 +134,8 @@ def _closed_surface(
         n_open = int((shared != 2).sum())
         raise MeshError(
             f"{file.name} must be watertight, got {n_open} of {len(shared)} edges that "
-            "do not join exactly two triangles. Close its holes in a mesh editor."
+            "do not join exactly two triangles. In a mesh editor, close its holes, and "
+            "make one body of those that meet at an edge or a face."
         )
     filled = abs(mesh.volume) > 1e-9 * float(np.prod(mesh.extents))
     solid = filled or not mesh.is_winding_consistent

@@ -49,7 +49,9 @@ def find_objects(
 
     None of one name: their touches would be taken for those of one.
     """
-    requested = [objects] if isinstance(objects, SimObject | str) else list(objects)
+    if isinstance(objects, str) or not isinstance(objects, Iterable):
+        objects = [objects]
+    requested = list(objects)
     if not requested:
         raise ValueError("objects must name at least one object, got none.")
     things: dict[str, SimObject] = {}

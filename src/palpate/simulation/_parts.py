@@ -142,7 +142,9 @@ def find_parts(
     """
     if parts is None:
         return [*PARTS]
-    requested = [parts] if isinstance(parts, Part | str | int) else list(parts)
+    if isinstance(parts, str) or not isinstance(parts, Iterable):
+        parts = [parts]
+    requested = list(parts)
     if not requested:
         raise ValueError("parts must name at least one part, got none.")
     resolved = []

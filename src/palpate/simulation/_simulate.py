@@ -399,6 +399,7 @@ def _with_fields(scene: Scene, of_scene: dict[str, Any]) -> Scene:
     return replace(scene, **of_scene)
 
 
+@on_one_thread()  # so that sums round alike everywhere
 def _touch_object(
     sensor: DomeCamera | TacTipPins | GelCamera,
     thing: SimObject,
@@ -445,22 +446,22 @@ def _sessions_of(
             yield number, thing, session, of_part[start : start + _PER_TASK[0]]
 
 
+@on_one_thread()  # so that sums round alike everywhere
 def _press_all(
     array: PressureArray, draw: Any, parts: list[Part], seeds: list[SeedSequence]
 ) -> list[tuple[Frame, Press]]:
-    """Press each part once, on one thread so that sums round alike everywhere."""
+    """Press each part once."""
     loads, shift, turn, tilt_sd, roughness = draw
     pressed = []
-    with on_one_thread():
-        for part, seed in zip(parts, seeds, strict=True):
-            rng = np.random.default_rng(seed)
-            x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()
-            angle = float(turn * rng.uniform(-1, 1) % 360)
-            load = rng.uniform(*loads)
-            tilt = np.clip(tilt_sd * rng.standard_normal(2), -10, 10).tolist()
-            press = Press(x, y, angle, load, tuple(tilt), roughness)
-            stress = array.stress_kpa(part, press, rng)
-            pressed.append((array.read(stress, rng), press))
+    for part, seed in zip(parts, seeds, strict=True):
+        rng = np.random.default_rng(seed)
+        x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()
+        angle = float(turn * rng.uniform(-1, 1) % 360)
+        load = rng.uniform(*loads)
+        tilt = np.clip(tilt_sd * rng.standard_normal(2), -10, 10).tolist()
+        press = Press(x, y, angle, load, tuple(tilt), roughness)
+        stress = array.stress_kpa(part, press, rng)
+        pressed.append((array.read(stress, rng), press))
     return pressed
 
 

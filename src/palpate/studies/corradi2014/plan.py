@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import check_option
 from ..._types import Singles
 from ...images import (
     DerivativeMagnitude,
@@ -113,6 +114,8 @@ class Corradi2014Plan(Plan):
         self.check_counts("thinning", "recorded_step", "fold_limit", "choice_step")
         self.check_counts("n_touches", at_least=10)
         self.check_counts("seed", at_least=0)
+        for name in self.encodings:
+            check_option("encodings", name, COUNTS)
 
     def counts(self, encoding: str) -> tuple[int, ...]:
         """Numbers of components to try, always with the largest."""

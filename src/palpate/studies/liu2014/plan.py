@@ -167,16 +167,18 @@ def encode(images: NDArray[Any], n_partitions: int, n: int) -> Encoded:
 
 def simulated_presses(
     plan: Liu2014Plan,
-    load_kgf: float = PAPER_LOAD_KGF,
+    load_kgf: float | None = None,
     cover_mm: float = PAPER_COVER_MM,
 ) -> Touches:
-    """Press the plan's parts; the same places and angles for every load and cover."""
-    options: dict[str, Any] = {
-        "array": PressureArray(cover_mm=cover_mm),
-        "load_kgf": load_kgf,
-        "random_state": plan.seed,
-    }
-    return simulate_presses(plan.parts, plan.n_presses, **{**options, **plan.presses})
+    """Press the plan's parts; the same places and angles for every load and cover.
+
+    A load that is given is pressed with, whatever load `plan.presses` has.
+    """
+    options = {"load_kgf": PAPER_LOAD_KGF, "random_state": plan.seed, **plan.presses}
+    if load_kgf is not None:
+        options["load_kgf"] = load_kgf
+    array = PressureArray(cover_mm=cover_mm)
+    return simulate_presses(plan.parts, plan.n_presses, array=array, **options)
 
 
 def reposed_presses(touches: Touches, seed: int) -> Touches:
