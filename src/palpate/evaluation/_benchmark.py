@@ -39,11 +39,11 @@ Archives = str | Path | Iterable[str | Path] | Mapping[str, Touches]
 class Answers(NamedTuple):
     """A recogniser's answers in one fold: whether right, shape (n_test,), and more.
 
-    And which were `told`, (n_test,): of what says nothing the first label is no answer.
+    And which are `informative`, (n_test,): of others the first label is no answer.
     """
 
     right: Bools
-    told: Bools
+    informative: Bools
     learn_s: float
     per_touch_s: float
     after: dict[str, float]
@@ -300,8 +300,8 @@ def _preset_answers(
     right[np.concatenate(episodes.singles.rows)[:, 0]] = ends[1].hit
     after = {str(k): float(ends[k].accuracy.mean()) for k in sorted(ends) if k > 1}
     loss = float(ends[1].log_loss.mean())
-    told, learn_s = rows.max(axis=1) > rows.min(axis=1), learnt - start
-    return Answers(right, told, learn_s, ask_s, after, loss, recogniser.chosen_)
+    informative, learn_s = rows.max(axis=1) > rows.min(axis=1), learnt - start
+    return Answers(right, informative, learn_s, ask_s, after, loss, recogniser.chosen_)
 
 
 def _entries(
@@ -357,7 +357,9 @@ def _row(
         "se": _error([answer.right for answer in answers]),
         "after": {"1": _mean(shares), **after},
         "no_contact": _mean(
-            hit for answer, rows in pairs for hit in (answer.right & answer.told)[rows]
+            hit
+            for answer, rows in pairs
+            for hit in (answer.right & answer.informative)[rows]
         ),
         "log_loss": _mean(answer.log_loss for answer in answers),
         "seconds": {

@@ -327,8 +327,8 @@ def _controls(
     if (idle := without_contact(test)) is not None and idle.any():
         rows = trial.evidence.log_likelihood[idle]
         # What says the same of all labels names none, also the first of them.
-        own = np.searchsorted(recogniser.classes_, labels[idle])
-        rows[np.arange(len(rows)), own] -= _TIE
+        own_columns = np.searchsorted(recogniser.classes_, labels[idle])
+        rows[np.arange(len(rows)), own_columns] -= _TIE
         result["no contact"] = curve(rows, idle)
     return result
 

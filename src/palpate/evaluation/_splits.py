@@ -54,7 +54,7 @@ class Fold:
 
         Those of one level alone, as without contact, are no copies.
         """
-        taught, asked = (
+        learnt_digests, test_digests = (
             [
                 hash((image.astype(float) + 0.0).tobytes())  # no -0.0
                 for image in touches.images
@@ -62,7 +62,7 @@ class Fold:
             ]
             for touches in (self.train, self.test)
         )
-        return int(np.isin(asked, taught).sum())
+        return int(np.isin(test_digests, learnt_digests).sum())
 
 
 class RowFold(NamedTuple):

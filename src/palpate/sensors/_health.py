@@ -71,11 +71,11 @@ class SensorMemory:
                 shares.clear()
         response = spread = np.empty((0, 0))
         if shares:
-            known = ~np.isnan(shares)  # of a taxel not those where its reading failed
+            is_read = ~np.isnan(shares)  # of a taxel not those where its reading failed
             with np.errstate(invalid="ignore"):
-                response = np.nansum(shares, axis=0) / known.sum(axis=0)
+                response = np.nansum(shares, axis=0) / is_read.sum(axis=0)
                 squares = np.nansum((np.array(shares) - response) ** 2, axis=0)
-                spread = squares / known.sum(axis=0) ** 2
+                spread = squares / is_read.sum(axis=0) ** 2
         return cls(baseline, float(np.median(changes)), response, spread, len(changes))
 
     @classmethod
