@@ -394,7 +394,8 @@ def test_an_address_reaches_the_frames(tmp_path):
     assert levels == [0, 10, 10, 0, 20]
     images = []
     for seed in (1, 1, 2):
-        with open_sensor(f"sim:mug?shape=24x24&seed={seed}") as sensor:
+        # So slow that the first frame is there until it is read.
+        with open_sensor(f"sim:mug?shape=24x24&seed={seed}&rate=5") as sensor:
             images.append(sensor.read_next().image)
     assert_array_equal(images[0], images[1])
     assert not np.array_equal(images[0], images[2])
