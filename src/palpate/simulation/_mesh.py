@@ -99,7 +99,7 @@ def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
     try:
         mesh = load(BytesIO(content), file_type=kind[1:], **alone)
         vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
+        faces = np.array(getattr(mesh, "faces", ()), np.int64).reshape(-1, 3)
     except Exception as error:
         raise MeshError(
             f"{file.name} cannot be read as {kind[1:].upper()}: "
