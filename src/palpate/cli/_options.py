@@ -401,7 +401,8 @@ class Reading:
             return self._recording(path, topic, quiet=quiet)
         with opened as library:
             library.refuse_unknown(self.where)
-            touches, chosen = library.touches(self.where), library.select(self.where)
+            chosen = library.select(self.where)
+            touches = chosen.touches()
             # As learning sees them: each recording of an array from its own frame.
             frame = chosen.no_contact if touches.no_contact is None else None
             if frame is not None and find_geometry(touches) == "array":
