@@ -403,9 +403,9 @@ class Reading:
             library.refuse_unknown(self.where)
             chosen = library.select(self.where)
             touches = chosen.touches()
-            # As learning sees them: each recording of an array from its own frame.
+            # As learning sees them: each recording from its own frame.
             frame = chosen.no_contact if touches.no_contact is None else None
-            if frame is not None and find_geometry(touches) == "array":
+            if frame is not None and find_geometry(touches) in ("array", "plane"):
                 return chosen.resting_at(frame).touches()
             return touches
 
