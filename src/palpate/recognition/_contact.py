@@ -190,7 +190,7 @@ class ContactCheck(BaseEstimator):
         frame = touches.no_contact
         if frame is None or frame.shape != self.idle_.shape:
             return self.idle_
-        return living(np.asarray(frame)[np.newaxis], self.pads_)[0]
+        return np.asarray(living(np.asarray(frame)[np.newaxis], self.pads_)[0])
 
     def _counted(self, images: Array) -> Array:
         """Return the taxels on pads, (n_touches, n_levels); without pads the images."""
