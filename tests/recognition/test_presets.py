@@ -191,6 +191,27 @@ def test_a_picture_that_rests_at_one_level_is_taken_as_it_is(beside_rest):
     assert "log_loss" not in learnt.chosen_
 
 
+@pytest.mark.parametrize("level", [0.2, 5.0])
+def test_electrodes_that_rest_at_other_levels_are_told_by_their_changes(level):
+    """A change tells as much as what is read on one day, and is taken: it holds."""
+    kinds = np.random.default_rng(0).normal(size=(3, 9))
+
+    def day(seed, n):
+        rng = np.random.default_rng(seed)
+        changes = np.repeat(kinds, n, axis=0) + rng.normal(0, 0.3, (3 * n, 9))
+        changes[-1] = 0  # nothing
+        rest = level * rng.normal(size=(1, 9))
+        levels = (changes + rng.normal(0, 1e-3, changes.shape))[:, np.newaxis] + rest
+        return Touches(levels, no_contact=rest, geometry="none")
+
+    names = np.repeat(["a", "b", "c"], 21)[:-1]
+    learnt = ObjectRecogniser().fit(day(1, 21)[:-1], names)
+    assert learnt.chosen_["encoding"].startswith("change from rest: ")
+    another = day(2, 21)
+    assert learnt.score(another[:-1], names) > 0.95
+    assert [*learnt.evidence(another).flags] == [*[""] * 62, "no contact"]
+
+
 def test_a_gel_that_rests_otherwise_is_seen_from_its_own_frame():
     """Another day: its texture, light and colours lie otherwise on every touch."""
 

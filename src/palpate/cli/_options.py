@@ -405,7 +405,7 @@ class Reading:
             touches = chosen.touches()
             # As learning sees them: each recording from its own frame.
             frame = chosen.no_contact if touches.no_contact is None else None
-            if frame is not None and find_geometry(touches) in ("array", "plane"):
+            if frame is not None and find_geometry(touches) != "dome":
                 return chosen.resting_at(frame).touches()
             return touches
 

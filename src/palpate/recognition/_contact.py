@@ -94,7 +94,7 @@ class ContactCheck(BaseEstimator):
                 idle = Touches(np.asarray(frame)[np.newaxis], **whole)
                 self.idle_, self.kind_ = encoder.clean(idle)[0], "camera"
         elif frame is not None or geometry == "array":
-            self.kind_ = "array" if geometry == "array" else "plane"
+            self.kind_ = "plane" if geometry == "plane" else "array"
             if frame is not None:
                 self.idle_ = living(np.asarray(frame)[np.newaxis], self.pads_)[0]
             measure = self._change if self.kind_ == "array" else self._unlikeness

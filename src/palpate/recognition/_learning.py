@@ -37,6 +37,9 @@ FEWEST = 4
 # weight times the spread of their log posteriors over objects), at most so many.
 LEAST_SHARE = 0.05
 MOST_KEPT = 5
+# A later recipe must have less log loss by so many standard errors and by this (nats):
+# on one day what is read tells a little more than its change only by chance.
+SURE, WORTH = 2, 0.05
 # Memory of learning, as measured (docs/explanation/speed.md). Where each touch has a
 # kernel function: bytes for each touch and label, and for each pair of touches, twice
 # as many where what was solved is kept for later touches. Where landmarks stand for
@@ -97,7 +100,7 @@ def learn_encoding(
     # What it takes a search for rims to know is found out once.
     geometry = find_geometry(shown)
     shown = shown.with_columns(**kept, geometry=geometry)
-    lacks_rest = geometry in ("array", "plane") and shown.no_contact is None
+    lacks_rest = geometry != "dome" and shown.no_contact is None
     if lacks_rest and (newest := touches.no_contact) is not None:
         # Levels that taxels rest at are mostly theirs: it serves earlier sessions too.
         shown = shown.with_columns(no_contact=newest)
@@ -230,7 +233,7 @@ def choose_pool(
 ) -> tuple[TouchEncoder, Array, dict[str, Any], dict[str, Any]]:
     """Return the first recipe, or one whose pool of encodings has less log loss (nats).
 
-    By more than its standard error. With cleaned images, steps as `choose_encodings`
+    By `SURE` standard errors and `WORTH`. With cleaned images, steps as `choose_encodings`
     has learnt them, and the reasons. Changes are told from touches that are `rested`.
     """
     best, losses = None, {}
@@ -242,7 +245,8 @@ def choose_pool(
         losses[name] = float(loss.mean())
         if best is not None:
             better = best[0] - loss
-            if better.mean() <= better.std() / np.sqrt(len(better)):
+            error = better.std() / np.sqrt(len(better))
+            if better.mean() <= max(SURE * error, WORTH):
                 continue
         best = loss, (encoder, cleaned, learnt_steps, why)
     assert best is not None

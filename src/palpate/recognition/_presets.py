@@ -187,12 +187,10 @@ def _check_auto(preset: str, presentation: str) -> None:
 def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
     """One encoder of all encodings that the presentation allows.
 
-    Two where the sensor rests at levels of its own: of what it reads, in which such
-    levels lie on every touch, and of what changes.
+    Two where the sensor rests at levels of its own: of what changes, and of what it
+    reads, in which such levels lie on every touch.
     """
     geometry = find_geometry(touches)
-    if geometry == "none":
-        return {"taxels": TouchEncoder(None, _taxel_encodings(touches))}
     if geometry == "dome":
         principal = PrincipalShare(KEPT_SHARE)
         quantiles = [RingQuantiles(), StandardScaler(), principal]
@@ -209,14 +207,19 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     rest = touches.no_contact
     if rest is not None:  # as the touches are looked at: without dead taxels
         rest = living(rest[None], touches.pads)[0]
-    encodings = _array_encodings if geometry == "array" else _plane_encodings
-    pictures = TouchEncoder(None, encodings(touches, rest))
-    recipes = {"whole picture": _allowed(pictures, presentation)}
+    name, encodings = {
+        "none": ("taxels", _taxel_encodings),
+        "array": ("whole picture", _array_encodings),
+        "plane": ("whole picture", _plane_encodings),
+    }[geometry]
+    recipes = {}
+    # First, so that it is taken where both tell as much: it holds on another day too.
     if rest is not None and np.ptp(rest):
         of_changes = encodings(touches, np.zeros_like(rest))
         changes = TouchEncoder(None, of_changes, as_changes=True)
         recipes["change from rest"] = _allowed(changes, presentation)
-    return recipes
+    pictures = TouchEncoder(None, encodings(touches, rest))
+    return {**recipes, name: _allowed(pictures, presentation)}
 
 
 def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
@@ -230,7 +233,9 @@ def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
     return encoder.only(n for n in blind if blind[n] == max(blind.values()))
 
 
-def _taxel_encodings(touches: Touches) -> dict[str, list[Any]]:
+def _taxel_encodings(
+    touches: Touches, rest: Array | None = None
+) -> dict[str, list[Any]]:
     """Encodings of taxels that have no places."""
     encodings: dict[str, list[Any]] = {
         "taxels": [TaxelVector(), StandardScaler()],
