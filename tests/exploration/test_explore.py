@@ -125,7 +125,7 @@ def test_an_arm_that_was_lost_in_contact_is_not_said_to_be_stopped(arm, sensor):
     arm.retract = arm.stop = lost
     end = explore(arm, sensor, SlowlySure(2), STRATEGY)
     assert (end.ended_by, len(end.history)) == ("faults", 1)
-    assert "Stopping failed: no route to host" in end.reason
+    assert "could not be stopped (ConnectionError: no route to host)" in end.reason
     assert "was stopped" not in end.reason
 
 

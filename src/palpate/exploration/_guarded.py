@@ -26,7 +26,7 @@ from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
 from ._record import TouchRecord, tip_mm
-from ._robot import LEAST_COSINE, Robot
+from ._robot import LEAST_COSINE, Robot, stop_arm
 
 Clock = Callable[[], float]
 _LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3, "lag_readings": 0}
@@ -361,11 +361,12 @@ class _Approach:
                     "mm inward of where it began."
                 )
             except BaseException as error:
-                self._note(f"Retracting failed ({attempt}): {_why(error)}")
+                why = str(error) or type(error).__name__
+                self._note(f"Retracting failed ({attempt}): {why}")
                 if not isinstance(error, Exception):
                     interrupt = error
         else:
-            interrupt = self._stop() or interrupt
+            self._stop()
         if interrupt is not None:
             raise interrupt
 
@@ -389,22 +390,12 @@ class _Approach:
         is_there = self._was_at_start or aside <= self.guard.max_miss_mm
         return inward if is_there else 0.0
 
-    def _stop(self) -> BaseException | None:
-        """Stop an arm that does not come out; return what interrupted that, if any."""
+    def _stop(self) -> None:
+        """Stop an arm that does not come out."""
         self.retracted = False
         if self.outcome == "nothing":
             self.outcome = "robot error"
-        interrupt: BaseException | None = None
-        for _ in range(2):
-            try:
-                self.robot.stop()
-                self._note("The arm was stopped.")
-                return interrupt
-            except BaseException as error:
-                self._note(f"Stopping failed: {_why(error)}")
-                if not isinstance(error, Exception):
-                    interrupt = error
-        return interrupt
+        self._note(f"The arm {stop_arm(self.robot)}.")
 
     def check_offset(self) -> None:
         """Read the air once more: an offset that moved hides a load, or feigns one."""
@@ -416,8 +407,7 @@ class _Approach:
         moved_n = float(np.mean(readings[n_stale:])) - self._offset_n
         pressed_n = max(self.guard.contact_n, self.force_n / 2)
         if self.outcome == "touched" and moved_n > pressed_n:
-            if (interrupt := self._stop()) is not None:
-                raise interrupt
+            self._stop()
             raise _Fault(
                 f"{moved_n:.3f} N of {self.force_n:.3f} are still there after the arm "
                 "was pulled back: it did not come out, whatever it says.",
@@ -500,8 +490,8 @@ class _Approach:
                     missed_mm = np.linalg.norm(self._here() - here)
                     back = bool(missed_mm <= guard.max_miss_mm)
             finally:  # interrupted again, too
-                if not back and (interrupt := self._stop()) is not None:
-                    raise interrupt from None
+                if not back:
+                    self._stop()
             raise
 
     def _move(self, travel_mm: float) -> None:
@@ -715,7 +705,3 @@ class _Approach:
 
     def _note(self, text: str) -> None:
         self.message = f"{self.message} {text}".strip()
-
-
-def _why(error: BaseException) -> str:
-    return str(error) or type(error).__name__

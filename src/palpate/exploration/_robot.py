@@ -77,6 +77,26 @@ class Robot(Protocol):
         """Halt at once and stay; the last resort, allowed at any time."""
 
 
+def stop_arm(robot: Robot) -> str:
+    """Stop the arm, in a second attempt if need be; return whether it was stopped.
+
+    In words for a message. An interrupt meanwhile goes on afterwards.
+    """
+    end, interrupt = "", None
+    for _ in range(2):
+        try:
+            robot.stop()
+            end = "was stopped"
+            break
+        except BaseException as error:
+            end = f"could not be stopped ({type(error).__name__}: {error})"
+            if not isinstance(error, Exception):
+                interrupt = error
+    if interrupt is not None:
+        raise interrupt
+    return end
+
+
 class SimulatedRobot:
     """An arm over a `SimulatedBench`, as a `Robot`.
 

@@ -28,7 +28,7 @@ import numpy as np
 from ..simulation import SensorPose
 from ._guarded import Guard, Toucher, straight_steps
 from ._record import TouchRecord, tip_mm
-from ._robot import Robot, RobotError
+from ._robot import Robot, RobotError, stop_arm
 from ._strategies import Hemisphere
 
 # The way out must lead away from the centre: within 60 degrees of straight outward,
@@ -143,13 +143,13 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
             most_n = max(force_n, guard.limit_n)
         left_mm = hemisphere.way_out_mm(robot.read_pose())
     except BaseException:  # an interrupt too: it may press
-        _stop(robot)
+        stop_arm(robot)
         raise
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
     raise RobotError(
         f"The arm was to be pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} "
-        f"mm are left, with {force_n:.3f} N: it {_stop(robot)}. Free it by hand and "
+        f"mm are left, with {force_n:.3f} N: it {stop_arm(robot)}. Free it by hand and "
         "begin again."
     )
 
@@ -181,7 +181,7 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
                 clear = force_n <= guard.limit_n
         finally:  # interrupted again, too
             if not clear:
-                end = _stop(robot)
+                end = stop_arm(robot)
         if clear or not isinstance(error, Exception):
             raise
         raise WayError(
@@ -241,7 +241,7 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> float:
         raise WayError(
             f"{force_n:.3f} N before the arm sets out, beyond the limit of "
             f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
-            f"and {_stop(robot)}. Free it by hand.",
+            f"and {stop_arm(robot)}. Free it by hand.",
             "limit exceeded",
             retracted=False,
             force_n=force_n,
@@ -265,7 +265,7 @@ def _refuse_load(
         why = f" ({type(error).__name__}: {error})"
     finally:
         if not clear:
-            end = _stop(robot)
+            end = stop_arm(robot)
     where = f"it did not come free{why} and {end}"
     if clear:
         where = "it went back one step"
@@ -296,7 +296,7 @@ def _refuse_from(
         trouble = f" ({type(error).__name__}: {error})"
     finally:
         if not clear:
-            end = f"did not come back{trouble} and {_stop(robot)}"
+            end = f"did not come back{trouble} and {stop_arm(robot)}"
     raise WayError(f"{why} The arm {end}.", outcome, retracted=clear)
 
 
@@ -304,26 +304,6 @@ def _missed_mm(robot: Robot, pose: SensorPose) -> float:
     """Return how far from a pose the arm says that it is."""
     missed = np.subtract(robot.read_pose().position_mm, pose.position_mm)
     return float(np.linalg.norm(missed))
-
-
-def _stop(robot: Robot) -> str:
-    """Stop the arm, in a second attempt if need be; return whether it was stopped.
-
-    In words for a message. An interrupt meanwhile goes on afterwards.
-    """
-    end, interrupt = "", None
-    for _ in range(2):
-        try:
-            robot.stop()
-            end = "was stopped"
-            break
-        except BaseException as error:
-            end = f"could not be stopped ({type(error).__name__}: {error})"
-            if not isinstance(error, Exception):
-                interrupt = error
-    if interrupt is not None:
-        raise interrupt
-    return end
 
 
 @dataclass
