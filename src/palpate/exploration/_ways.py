@@ -2,9 +2,9 @@
 
 Between two touches nothing should be met. So the arm moves in steps of at most
 `Guard.way_step_mm`, and after each the force is read. A reading beyond
-`Guard.limit_n` ends the way: the last step is taken back, and where that does not help
-the arm is stopped. Readings that repeat themselves, `Guard.stuck_after` of them, end it
-too: the arm goes back to where another one came last. One step against something of
+`Guard.limit_n` ends the way, and so do readings that repeat themselves,
+`Guard.stuck_after` of them: the arm goes back to where another one came last, and where
+that does not help it is stopped. One step against something of
 k N/mm adds k x `way_step_mm`: with the default of 2.5 mm it stays below 3 N up to 1.2
 N/mm, and what is stiffer passes the limit by what that step adds, and is told.
 
@@ -21,7 +21,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -98,26 +98,40 @@ def follow(
                 robot.move_to(pose)
                 force_n = readings.late(wait_readings)
                 missed_mm = _missed_mm(robot, pose)
-            _refuse_load(robot, force_n, here, guard, wait_readings)
-            if not missed_mm <= guard.max_miss_mm:  # the next step may lead anywhere
-                why = (
-                    f"{ON_THE_WAY} the arm is {missed_mm:.2f} mm from where it was "
-                    f"sent, more than max_miss_mm = {guard.max_miss_mm:g}. Does it "
-                    "reach that far?"
-                )
-                _refuse_from(robot, trail, guard, why, "robot error")
+            outcome, why = _fault_of(force_n, missed_mm, readings.n_equal, guard)
+            if outcome:
+                met_n = abs(force_n) if outcome == "limit exceeded" else 0.0
+                _end_way(robot, trail, guard, wait_readings, why, outcome, met_n)
             # A coarse sensor may repeat itself all along the way.
             if not guard.stuck_after or readings.n_equal <= 1 + wait_readings:
                 trail.clear()
             trail.append(pose)
-            if guard.stuck_after and readings.n_equal >= guard.stuck_after:
-                why = (
-                    f"The force sensor is stuck at {readings.last_n:.4f} N for "
-                    f"{readings.n_equal} readings on the way. If it is that coarse, "
-                    "set stuck_after."
-                )
-                _refuse_from(robot, trail, guard, why, "force sensor")
             here = pose
+
+
+def _fault_of(
+    force_n: float, missed_mm: float, n_equal: int, guard: Guard
+) -> tuple[str, str]:
+    """Return the outcome that ends a way after a step, and why; "" where none does."""
+    if math.isnan(force_n):
+        return "force sensor", "The force sensor reads no number on the way."
+    if abs(force_n) > guard.limit_n:
+        return "limit exceeded", (
+            f"{force_n:.3f} N on the way to the start, beyond the limit of "
+            f"{guard.limit_n:g}: something stands where nothing should. Is the object "
+            "where the hemisphere has its centre, and does it fit?"
+        )
+    if not missed_mm <= guard.max_miss_mm:  # the next step may lead anywhere
+        return "robot error", (
+            f"{ON_THE_WAY} the arm is {missed_mm:.2f} mm from where it was sent, more "
+            f"than max_miss_mm = {guard.max_miss_mm:g}. Does it reach that far?"
+        )
+    if guard.stuck_after and n_equal >= guard.stuck_after:
+        return "force sensor", (
+            f"The force sensor is stuck at {force_n:.4f} N for {n_equal} readings on "
+            "the way. If it is that coarse, set stuck_after."
+        )
+    return "", ""
 
 
 def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
@@ -249,55 +263,32 @@ def _refuse_load_before(robot: Robot, guard: Guard) -> float:
     return reading_n
 
 
-def _refuse_load(
-    robot: Robot, force_n: float, before: SensorPose, guard: Guard, wait_readings: int
-) -> None:
-    """Where the force is beyond the limit take the last step back, and say so."""
-    if abs(force_n) <= guard.limit_n:
-        return
-    clear, why, end = False, "", ""
-    try:
-        robot.move_to(before)
-        for _ in range(wait_readings):
-            robot.read_force()
-        clear = abs(_reading(robot)) <= guard.limit_n
-    except Exception as error:
-        why = f" ({type(error).__name__}: {error})"
-    finally:
-        if not clear:
-            end = stop_arm(robot)
-    where = f"it did not come free{why} and {end}"
-    if clear:
-        where = "it went back one step"
-    if math.isnan(force_n):
-        message = f"The force sensor reads no number on the way: {where}."
-        raise WayError(message, "force sensor", retracted=clear)
-    raise WayError(
-        f"{force_n:.3f} N on the way to the start, beyond the limit of "
-        f"{guard.limit_n:g}: something stands where nothing should; {where}. Is the "
-        "object where the hemisphere has its centre, and does it fit?",
-        "limit exceeded",
-        retracted=clear,
-        force_n=abs(force_n),
-    )
-
-
-def _refuse_from(
-    robot: Robot, trail: list[SensorPose], guard: Guard, why: str, outcome: str
-) -> None:
+def _end_way(
+    robot: Robot,
+    trail: list[SensorPose],
+    guard: Guard,
+    wait_readings: int,
+    why: str,
+    outcome: str,
+    force_n: float = 0.0,
+) -> NoReturn:
     """Go back along a trail to its start, stop the arm if it does not; say why."""
     clear, trouble, end = False, "", "went back to an earlier step"
     try:
         for pose in reversed(trail):  # not straight: the object may lie between
             robot.move_to(pose)
         robot.retract(0.0)  # as a touch ends that did not move in
-        clear = _missed_mm(robot, trail[0]) <= guard.max_miss_mm
+        for _ in range(wait_readings):
+            robot.read_force()
+        is_back = _missed_mm(robot, trail[0]) <= guard.max_miss_mm
+        clear = is_back and abs(_reading(robot)) <= guard.limit_n
     except Exception as error:
         trouble = f" ({type(error).__name__}: {error})"
     finally:
         if not clear:
             end = f"did not come back{trouble} and {stop_arm(robot)}"
-    raise WayError(f"{why} The arm {end}.", outcome, retracted=clear)
+    message = f"{why} The arm {end}."
+    raise WayError(message, outcome, retracted=clear, force_n=force_n)
 
 
 def _missed_mm(robot: Robot, pose: SensorPose) -> float:
