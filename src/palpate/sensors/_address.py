@@ -407,7 +407,6 @@ class CalibratedSensor(LiveSensor):
     def _open(self) -> None:
         self.inner.connect()
         if misfit := self._misfit():
-            self.inner.disconnect()
             raise SensorError(misfit)
         self.fixed, self.unfixed = self.inner.fixed, self.inner.unfixed
         self._next_number, self._step = 0, None

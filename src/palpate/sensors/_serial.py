@@ -388,8 +388,8 @@ class LineFraming:
     def _whole(self, line: bytes, begun: bool) -> NDArray[np.float32] | None:
         """Return what a line is, `begun` where it stood behind a `$`."""
         if begun:
-            line, star, check = line.partition(b"*")
-            if not star or not _is_check(check, line):
+            line, _, check = line.partition(b"*")
+            if check.upper() != b"%02X" % _exclusive_or(line):
                 return None
             if self.checksum is None:
                 self.checksum = True
@@ -512,13 +512,6 @@ def _step(line: bytes) -> float:
         return 0.0
     numbers = line.replace(b",", b" ").split()
     return 10.0 ** -max(len(number.partition(b".")[2]) for number in numbers)
-
-
-def _is_check(written: bytes, values: bytes) -> bool:
-    try:
-        return len(written) == 2 and int(written, 16) == _exclusive_or(values)
-    except ValueError:
-        return False
 
 
 def _exclusive_or(values: bytes) -> int:
