@@ -26,7 +26,7 @@ from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
 from ._record import TouchRecord, tip_mm
-from ._robot import LEAST_COSINE, Robot, stop_arm
+from ._robot import LEAST_COSINE, Robot, distance_mm, stop_arm
 
 Clock = Callable[[], float]
 _LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3, "lag_readings": 0}
@@ -465,7 +465,7 @@ class _Approach:
         """Come to a start that is over a step away; go back where there is no air."""
         guard = self.guard
         first, here, step_mm = self.robot.read_pose(), self._here(), guard.way_step_mm
-        is_far = np.linalg.norm(np.subtract(self.start.position_mm, here)) > step_mm
+        is_far = distance_mm(self.start.position_mm, here) > step_mm
         try:
             for pose in straight_steps(first, self.start, step_mm) if is_far else ():
                 self.robot.move_to(pose)
@@ -477,9 +477,7 @@ class _Approach:
                         f"limit of {guard.limit_n:g}. Go round what stands there.",
                         "limit exceeded",
                     )
-                self._missed_mm = float(
-                    np.linalg.norm(np.subtract(self._here(), pose.position_mm))
-                )
+                self._missed_mm = distance_mm(self._here(), pose.position_mm)
                 self._refuse_miss()
         except BaseException:
             back = False
@@ -487,8 +485,7 @@ class _Approach:
                 with suppress(Exception):
                     self.robot.move_to(first)
                 with suppress(Exception):
-                    missed_mm = np.linalg.norm(self._here() - here)
-                    back = bool(missed_mm <= guard.max_miss_mm)
+                    back = distance_mm(self._here(), here) <= guard.max_miss_mm
             finally:  # interrupted again, too
                 if not back:
                     self._stop()
@@ -502,7 +499,7 @@ class _Approach:
         self.robot.move_to(pose)
         self.travel_mm = travel_mm
         here = self._here()
-        self._missed_mm = float(np.linalg.norm(here - np.asarray(pose.position_mm)))
+        self._missed_mm = distance_mm(here, pose.position_mm)
         if self._missed_mm > self.guard.max_miss_mm:
             reached = min(self._inward_mm(here), self.guard.max_travel_mm)
             self.farthest_mm = max(self.farthest_mm, reached)
@@ -534,8 +531,8 @@ class _Approach:
     def _measure(self) -> None:
         """Read the force; once a reading has reached `force_n`, wait and read again."""
         self._wait()
-        if self._most_of_readings() >= self.guard.force_n:
-            self._most_of_readings()
+        if max(map(abs, self._forces(self.guard.n_readings))) >= self.guard.force_n:
+            self._forces(self.guard.n_readings)
         if self.force_n < -self.guard.contact_n:
             raise _Fault(
                 f"{self.force_n:.3f} N: a force of the wrong sign. read_force must be "
@@ -561,22 +558,13 @@ class _Approach:
         self.lag_readings = next(k for k, n in enumerate(forces) if n >= half_n)
 
     def _forces(self, n_readings: int) -> list[float]:
-        """Read the force so often (N), each reading within the limit."""
-        forces = []
+        """Read the force so often (N), each reading within the limit; keep the mean."""
+        forces: list[float] = []
         for _ in range(n_readings):
             forces.append(self._read() - self._offset_n)
+            self.force_n = sum(forces) / len(forces)
             self._refuse_above_limit(forces[-1])
         return forces
-
-    def _most_of_readings(self) -> float:
-        """Read as often as is averaged, and return the magnitude of the largest."""
-        forces: list[float] = []
-        for _ in range(self.guard.n_readings):
-            force = self._read() - self._offset_n
-            forces.append(force)
-            self.force_n = sum(forces) / len(forces)
-            self._refuse_above_limit(force)
-        return max(map(abs, forces))
 
     def _refuse_above_limit(self, force: float) -> None:
         """Refuse a single reading beyond the limit, with or without its offset."""

@@ -28,7 +28,7 @@ import numpy as np
 from ..simulation import SensorPose
 from ._guarded import Guard, Toucher, straight_steps
 from ._record import TouchRecord, tip_mm
-from ._robot import Robot, RobotError, stop_arm
+from ._robot import Robot, RobotError, distance_mm, stop_arm
 from ._strategies import Hemisphere
 
 # The way out must lead away from the centre: within 60 degrees of straight outward,
@@ -104,7 +104,8 @@ class Way:
                 with _stopping_pressed(self.robot, self.guard):
                     self.robot.move_to(pose)
                     self._read_late()
-                    missed_mm = _missed_mm(self.robot, pose)
+                    place_mm = self.robot.read_pose().position_mm
+                    missed_mm = distance_mm(place_mm, pose.position_mm)
                 self._refuse(missed_mm)
                 # A coarse sensor may repeat itself all along the way.
                 if not self.guard.stuck_after or self.n_equal <= 1 + self.wait_readings:
@@ -177,7 +178,9 @@ class Way:
             self.robot.retract(0.0)  # as a touch ends that did not move in
             for _ in range(self.wait_readings):
                 self.robot.read_force()
-            is_back = _missed_mm(self.robot, self.trail[0]) <= self.guard.max_miss_mm
+            place_mm = self.robot.read_pose().position_mm
+            missed_mm = distance_mm(place_mm, self.trail[0].position_mm)
+            is_back = missed_mm <= self.guard.max_miss_mm
             clear = is_back and abs(_reading(self.robot)) <= self.guard.limit_n
         except Exception as error:
             trouble = f" ({type(error).__name__}: {error})"
@@ -296,12 +299,6 @@ def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) 
         "it would pass by the object or below it, so it is not moved. Take it by hand "
         "to a place outside the hemisphere, looking at its centre, and begin again."
     )
-
-
-def _missed_mm(robot: Robot, pose: SensorPose) -> float:
-    """Return how far from a pose the arm says that it is."""
-    missed = np.subtract(robot.read_pose().position_mm, pose.position_mm)
-    return float(np.linalg.norm(missed))
 
 
 def _reading(robot: Robot) -> float:
