@@ -325,7 +325,6 @@ class SurfaceTable:
 
     def __init__(self, surfaces: list[RadialSurface]) -> None:
         self.mean_mm = np.stack([surface.mean_mm for surface in surfaces])
-        self.noise_mm = np.array([surface.noise_mm for surface in surfaces])
         self.size_mm = np.array([surface.size_mm for surface in surfaces])
         self.symmetry = np.array([surface.symmetry() for surface in surfaces])
         variances = [surface.variance_mm2 + surface.noise_mm**2 for surface in surfaces]
