@@ -104,12 +104,11 @@ class Corradi2015Plan(Plan):
 
 @dataclass(frozen=True)
 class Objects:
-    """Touches to learn, others never learnt, and of all `recorded` objects if any."""
+    """Touches to learn, and others never learnt."""
 
     data: str
     learnt: Touches
     unseen: Touches
-    recorded: Touches | None = None
 
 
 def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
@@ -132,7 +131,7 @@ def recorded_objects(touches: Touches) -> Objects:
     first = [members[0] for members in names.values()]
     unseen = [names[kind][1] for kind in UNSEEN_CATEGORIES]
     chosen = [np.isin(objects, members) for members in (first, unseen)]
-    return Objects("bathtip", touches[chosen[0]], touches[chosen[1]], touches)
+    return Objects("bathtip", touches[chosen[0]], touches[chosen[1]])
 
 
 @dataclass(frozen=True, eq=False)
