@@ -169,16 +169,11 @@ def learnt_surface(
     # Few touches do not tell how smooth a thing is: all that may be is averaged.
     weight = np.exp(np.array(evidence) - max(evidence))
     weight /= weight.sum()
-    means = np.stack([part[0] for part in parts])
-    together = weight @ means
-    variances = np.stack([part[1] for part in parts]) + (means - together) ** 2
-    shape = N_HEIGHTS, N_AROUND
-    noises = np.array([part[2] for part in parts])
-    return RadialSurface(
-        together.reshape(shape),
-        (weight @ variances).reshape(shape),
-        float(np.sqrt(weight @ noises)),
-    )
+    means, variances, noises = map(np.array, zip(*parts, strict=True))
+    together, shape = weight @ means, (N_HEIGHTS, N_AROUND)
+    variance = weight @ (variances + (means - together) ** 2)
+    noise_mm = float(np.sqrt(weight @ noises))
+    return RadialSurface(together.reshape(shape), variance.reshape(shape), noise_mm)
 
 
 def last_log_density(
