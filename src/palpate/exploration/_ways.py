@@ -4,9 +4,9 @@ Between two touches nothing should be met. So the arm moves in steps of at most
 `Guard.way_step_mm`, and after each the force is read. A reading beyond
 `Guard.limit_n` ends the way, and so do readings that repeat themselves,
 `Guard.stuck_after` of them: the arm goes back to where another one came last, and where
-that does not help it is stopped. One step against something of
-k N/mm adds k x `way_step_mm`: with the default of 2.5 mm it stays below 3 N up to 1.2
-N/mm, and what is stiffer passes the limit by what that step adds, and is told.
+that does not help it is stopped. One step against something of k N/mm adds k x
+`way_step_mm`: with the default of 2.5 mm it stays below 3 N up to 1.2 N/mm, and what is
+stiffer passes the limit by what that step adds, and is told.
 
 A force sensor that is filtered, or read through a slow bus, follows the contact late.
 Nothing in the air shows that, so the first touches of an episode, and the ways to them,
