@@ -171,9 +171,8 @@ class Way:
         clear, trouble, end = False, "", "went back to an earlier step"
         met_n = abs(self.last_n) if outcome == "limit exceeded" else 0.0
         try:
-            for pose in reversed(
-                self.trail
-            ):  # not straight: the object may lie between
+            # Not straight: the object may lie between.
+            for pose in reversed(self.trail):
                 self.robot.move_to(pose)
             self.robot.retract(0.0)  # as a touch ends that did not move in
             for _ in range(self.wait_readings):
