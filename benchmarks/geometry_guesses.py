@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from palpate.simulation import Part, PressureArray, find_parts, simulate_presses
-from palpate.studies.liu2014.methods import Neighbours, Twofold, nested_figure
+from palpate.studies.liu2014 import Liu2014Plan
+from palpate.studies.liu2014.methods import Job, Neighbours, nested_figure
 from palpate.studies.liu2014.plan import encode
 
 N_PRESSES, RUNS, SEED = 20, 10, 0
@@ -27,7 +28,7 @@ N_PRESSES, RUNS, SEED = 20, 10, 0
 PARTS = find_parts()
 NUMBERS = np.unique([part.name for part in PARTS], return_inverse=True)[1]
 CODES = np.repeat(NUMBERS, N_PRESSES)
-COMPARED = (("GE", True), ("GE", False), ("FD", False), ("FD+GE", False))
+COMPARED = (("GE", "z-scored"), ("GE", "raw"), ("FD", "raw"), ("FD+GE", "raw"))
 
 Images = NDArray[np.float64]
 
@@ -37,18 +38,16 @@ def main() -> None:
         levels = np.clip(np.rint(images), 0, 255).astype(np.uint8)
         encoded = encode(levels, 2, 40)
         figures = {
-            f"{encoding}, {'z-scored' if scaled else 'raw'}": _right(
-                encoded.features(encoding, 40), scaled
-            )
-            for encoding, scaled in COMPARED
+            f"{encoding}, {scaling}": _right(encoded.features(encoding, 40), scaling)
+            for encoding, scaling in COMPARED
         }
         print(json.dumps({"condition": name, **figures}), flush=True)
 
 
-def _right(features: Images, scaled: bool) -> str:
-    method, twofold = Neighbours(), Twofold(scaled, 3)
-    runs = [twofold.run(method, features, CODES, (SEED, run)) for run in range(RUNS)]
-    figure = nested_figure(method.settings, runs)
+def _right(features: Images, scaling: str) -> str:
+    job = Job({"features": scaling}, features, CODES, Neighbours())
+    runs = [job.run(Liu2014Plan(seed=SEED), run) for run in range(RUNS)]
+    figure = nested_figure(job.method.settings, runs)
     return f"{figure['ours']:.1f} ± {figure['sd']:.1f}"
 
 

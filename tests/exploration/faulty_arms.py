@@ -275,7 +275,7 @@ def going_round(arm):
     ways = import_module("palpate.exploration._ways")
     arm.pose = NEAR.pose(0.0, 0.3)
     for azimuth in (3.0, 1.5, -1.5):
-        ways.follow(arm, NEAR, NEAR.pose(azimuth, 0.3), GUARD)
+        ways.Way(arm, GUARD).follow(NEAR, NEAR.pose(azimuth, 0.3))
     return []
 
 

@@ -226,15 +226,14 @@ def test_an_object_that_was_never_learnt_is_unknown(surface_map):
     assert info["right"] == (info["decision"] == "unknown")
 
 
-@pytest.mark.parametrize("mode", ["vector_entry_point", "sync", None])
 @pytest.mark.parametrize("name", [NAME, "palpate/TouchFlat-v0", BELIEF])
-def test_several_in_one_process_are_the_single_ones(surface_map, name, mode):
+def test_several_in_one_process_are_the_single_ones(surface_map, name):
     from gymnasium.utils.env_checker import data_equivalence
     from gymnasium.vector.utils import iterate
 
     learnt = {"surface_map": surface_map, "error": 1e-6} if name == BELIEF else {}
     options = {"objects": OBJECTS, "camera": CAMERA, "max_touches": 2, **learnt}
-    several = gymnasium.make_vec(name, 3, vectorization_mode=mode, **options)
+    several = gymnasium.make_vec(name, 3, **options)
     several.reset(seed=5)
     several.action_space.seed(1)
     actions = several.action_space.sample()

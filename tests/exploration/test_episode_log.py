@@ -252,9 +252,6 @@ def test_records_of_several_sensors_or_without_a_frame_make_no_touches(image):
     history = [_record(0), _record(1, image=image)]
     with pytest.raises(ValueError, match=r"frames of one shape, got .*\(2, 3\)"):
         as_touches(history)
-
-
-def test_records_without_a_touch_make_no_touches():
     with pytest.raises(ValueError, match="must hold a touch, got 1 attempts"):
         as_touches([_record(0, "nothing")])
 

@@ -223,7 +223,7 @@ class HeldAndNotStopped(HeldOnItsWay):
 def test_an_arm_that_cannot_go_back_on_its_way_is_not_said_to_be_out(kind):
     arm = kind()
     touched = faulty_arms.toucher_of(arm)
-    for why in ("did not come free (OSError: brakes)", "before the arm sets out"):
+    for why in ("did not come back (OSError: brakes)", "before the arm sets out"):
         record = touched(NEAR.pose(1.5, 0.3))
         assert record.outcome == "limit exceeded"
         assert why in record.message

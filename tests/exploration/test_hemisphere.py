@@ -71,6 +71,14 @@ def test_the_way_to_the_opposite_side_goes_over_the_top():
     assert max(pose.position_mm[2] for pose in way) > 30 + 295
 
 
+def test_the_way_to_the_top_from_below_the_ground_goes_round_the_object():
+    start = SensorPose(CENTRE - np.array([0, 0, 400]), (0, 0, 1))
+    way = [start, *HEMISPHERE.way(start, HEMISPHERE.pose(0, np.pi / 2))]
+    places = np.array([pose.position_mm for pose in way]) - CENTRE
+    assert np.linalg.norm(places, axis=1).min() > 300 - 1e-9
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 100
+
+
 def test_the_way_from_outside_comes_down_to_the_hemisphere():
     _assert_clear(SensorPose((900, -20, 30), (-1, 0, 0)), HEMISPHERE.pose(2.5, 0.2))
 

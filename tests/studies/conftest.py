@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from palpate.studies import held
 from palpate.studies.liu2014 import Liu2014Plan
 
 TINY = {
@@ -35,11 +36,7 @@ LEAST = {
 
 def rows_of(result, **wanted):
     """Return the rows of a result that have these entries."""
-    return [
-        row
-        for row in result["rows"]
-        if all(row.get(key) == value for key, value in wanted.items())
-    ]
+    return held(result["rows"], **wanted)
 
 
 def titles_of(study, result):

@@ -248,11 +248,11 @@ def test_the_best_encoding_is_chosen_without_the_tested_objects(recording):
     plan = Corradi2014Plan.quick(fold_limit=3, thinning=1)
     names = ("zernike-pca", "zernike")
     features = {name: candidate_features(recording, name) for name in names}
-    first = compare_fold(recording.only(), features, 0, plan)
+    first = compare_fold(recording, features, 0, plan)
     broken = {n: [p.copy() for p in parts] for n, parts in features.items()}
     for parts in broken.values():
         parts[0][recording.fold == 0] = 0
-    second = compare_fold(recording.only(), broken, 0, plan)
+    second = compare_fold(recording, broken, 0, plan)
     assert second["inner"] == first["inner"]
     assert second["right"] != first["right"]
     rows = compared_rows([first, second])

@@ -25,8 +25,8 @@ from palpate.studies.corradi2015.plan import (
     N_FREQUENCIES,
     N_RINGS,
     Encoded,
-    Encoder,
     Objects,
+    encode,
     moment_normalised,
     polar_fourier,
 )
@@ -206,7 +206,7 @@ def dome_touches():
 
 
 def test_densities_are_the_preset(dome_touches):
-    encoded = Encoder(dome_touches)(dome_touches)
+    encoded = encode(dome_touches)
     values = encoded.features["Zernike"]
     rows = np.array([[0, 1, 2], [12, 13, 14]])
     scores = Densities().scores(values, encoded.codes, values[rows])
@@ -221,7 +221,7 @@ def test_densities_are_the_preset(dome_touches):
 
 
 def test_all_features_are_finite_and_one_row_a_touch(dome_touches):
-    encoded = Encoder(dome_touches)(dome_touches)
+    encoded = encode(dome_touches)
     for values in encoded.features.values():
         assert len(values) == len(dome_touches)
         assert np.isfinite(values).all()

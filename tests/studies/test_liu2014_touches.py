@@ -22,8 +22,8 @@ from palpate.studies.liu2014.methods import (
     Fused,
     GaussianSVM,
     Half,
+    Job,
     Neighbours,
-    Twofold,
     median_distance,
     nested_figure,
     paper_figure,
@@ -166,7 +166,10 @@ def test_footprints_lie_where_the_presses_are():
         assert_allclose(np.argwhere(truth).mean(axis=0), centre, atol=1.0)
 
 
-SCALED = Twofold(scaled=True, inner_folds=2)
+def half_of(method, features, codes, train, test, scaling="z-scored"):
+    """Choose on one half and test on the other."""
+    job = Job({"features": scaling}, features, codes, method)
+    return job.half(train, test, seed=0, inner_folds=2)
 
 
 @pytest.fixture
@@ -209,23 +212,22 @@ METHODS = [
 def test_the_choice_never_sees_the_test_half(method, clouds, halves, rng):
     features, codes = clouds
     train, test = halves
-    honest = SCALED.half(method, features, codes, train, test, 0)
+    honest = half_of(method, features, codes, train, test)
     poisoned = codes.copy()
     poisoned[test] = (codes[test] + 1) % 3
-    wrong = SCALED.half(method, features, poisoned, train, test, 0)
+    wrong = half_of(method, features, poisoned, train, test)
     assert wrong.chosen == honest.chosen
     assert (wrong.right != honest.right).any()
     moved = features.copy()
     moved[test] = rng.normal(scale=1e3, size=moved[test].shape)
-    assert SCALED.half(method, moved, codes, train, test, 0).chosen == honest.chosen
+    assert half_of(method, moved, codes, train, test).chosen == honest.chosen
 
 
 def test_a_method_is_only_shown_training_touches(clouds, halves):
     features, codes = clouds
     train, test = halves
     method = Recorder()
-    raw = Twofold(scaled=False, inner_folds=2)
-    raw.half(method, features, codes, train, test, 0)
+    half_of(method, features, codes, train, test, "raw")
     allowed = {tuple(row) for row in features[train]}
     assert [len(training) for training, _ in method.training] == [15, 15, 30]
     for training, _ in method.training:
@@ -236,14 +238,15 @@ def test_the_choice_prefers_the_setting_that_generalises(clouds, halves):
     features, codes = clouds
     # A kernel far narrower than any distance knows nothing of other touches.
     method = GaussianSVM((1e-3, 1.0), (10.0,))
-    half = SCALED.half(method, features, codes, *halves, 0)
+    half = half_of(method, features, codes, *halves)
     assert half.chosen == 1
     assert half.right[1] > half.right[0]
 
 
 def test_a_run_tests_every_touch_once(clouds):
     features, codes = clouds
-    run = SCALED.run(Neighbours(), features, codes, (0, 1))
+    job = Job({"features": "raw"}, features, codes, Neighbours())
+    run = job.run(Liu2014Plan(), 1)
     assert [half.n_test for half in run] == [30, 30]
 
 
@@ -276,7 +279,7 @@ def test_scaling_is_that_of_the_training_half(clouds, halves):
     unit = median_distance(StandardScaler().fit_transform(features[train]))
     reference = make_pipeline(StandardScaler(), SVC(C=10, gamma=0.5 / unit**2))
     reference.fit(features[train], codes[train])
-    half = SCALED.half(method, features, codes, train, test, 0)
+    half = half_of(method, features, codes, train, test)
     assert half.right[0] == reference.score(features[test], codes[test])
 
 
@@ -284,8 +287,8 @@ def test_a_constant_feature_does_not_matter(clouds, halves):
     features, codes = clouds
     padded = np.column_stack([features, np.full(60, 0.1)])
     for method in (GaussianSVM((1.0,), (10.0,)), Neighbours()):
-        plain = SCALED.half(method, features, codes, *halves, 0)
-        same = SCALED.half(method, padded, codes, *halves, 0)
+        plain = half_of(method, features, codes, *halves)
+        same = half_of(method, padded, codes, *halves)
         assert_array_equal(same.right, plain.right)
 
 

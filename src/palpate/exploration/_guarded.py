@@ -26,7 +26,7 @@ from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
 from ._record import TouchRecord, tip_mm
-from ._robot import LEAST_COSINE, Robot
+from ._robot import LEAST_COSINE, Robot, distance_mm, stop_arm
 
 Clock = Callable[[], float]
 _LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3, "lag_readings": 0}
@@ -361,11 +361,12 @@ class _Approach:
                     "mm inward of where it began."
                 )
             except BaseException as error:
-                self._note(f"Retracting failed ({attempt}): {_why(error)}")
+                why = str(error) or type(error).__name__
+                self._note(f"Retracting failed ({attempt}): {why}")
                 if not isinstance(error, Exception):
                     interrupt = error
         else:
-            interrupt = self._stop() or interrupt
+            self._stop()
         if interrupt is not None:
             raise interrupt
 
@@ -389,22 +390,12 @@ class _Approach:
         is_there = self._was_at_start or aside <= self.guard.max_miss_mm
         return inward if is_there else 0.0
 
-    def _stop(self) -> BaseException | None:
-        """Stop an arm that does not come out; return what interrupted that, if any."""
+    def _stop(self) -> None:
+        """Stop an arm that does not come out."""
         self.retracted = False
         if self.outcome == "nothing":
             self.outcome = "robot error"
-        interrupt: BaseException | None = None
-        for _ in range(2):
-            try:
-                self.robot.stop()
-                self._note("The arm was stopped.")
-                return interrupt
-            except BaseException as error:
-                self._note(f"Stopping failed: {_why(error)}")
-                if not isinstance(error, Exception):
-                    interrupt = error
-        return interrupt
+        self._note(f"The arm {stop_arm(self.robot)}.")
 
     def check_offset(self) -> None:
         """Read the air once more: an offset that moved hides a load, or feigns one."""
@@ -416,8 +407,7 @@ class _Approach:
         moved_n = float(np.mean(readings[n_stale:])) - self._offset_n
         pressed_n = max(self.guard.contact_n, self.force_n / 2)
         if self.outcome == "touched" and moved_n > pressed_n:
-            if (interrupt := self._stop()) is not None:
-                raise interrupt
+            self._stop()
             raise _Fault(
                 f"{moved_n:.3f} N of {self.force_n:.3f} are still there after the arm "
                 "was pulled back: it did not come out, whatever it says.",
@@ -475,7 +465,7 @@ class _Approach:
         """Come to a start that is over a step away; go back where there is no air."""
         guard = self.guard
         first, here, step_mm = self.robot.read_pose(), self._here(), guard.way_step_mm
-        is_far = np.linalg.norm(np.subtract(self.start.position_mm, here)) > step_mm
+        is_far = distance_mm(self.start.position_mm, here) > step_mm
         try:
             for pose in straight_steps(first, self.start, step_mm) if is_far else ():
                 self.robot.move_to(pose)
@@ -487,9 +477,7 @@ class _Approach:
                         f"limit of {guard.limit_n:g}. Go round what stands there.",
                         "limit exceeded",
                     )
-                self._missed_mm = float(
-                    np.linalg.norm(np.subtract(self._here(), pose.position_mm))
-                )
+                self._missed_mm = distance_mm(self._here(), pose.position_mm)
                 self._refuse_miss()
         except BaseException:
             back = False
@@ -497,11 +485,10 @@ class _Approach:
                 with suppress(Exception):
                     self.robot.move_to(first)
                 with suppress(Exception):
-                    missed_mm = np.linalg.norm(self._here() - here)
-                    back = bool(missed_mm <= guard.max_miss_mm)
+                    back = distance_mm(self._here(), here) <= guard.max_miss_mm
             finally:  # interrupted again, too
-                if not back and (interrupt := self._stop()) is not None:
-                    raise interrupt from None
+                if not back:
+                    self._stop()
             raise
 
     def _move(self, travel_mm: float) -> None:
@@ -512,7 +499,7 @@ class _Approach:
         self.robot.move_to(pose)
         self.travel_mm = travel_mm
         here = self._here()
-        self._missed_mm = float(np.linalg.norm(here - np.asarray(pose.position_mm)))
+        self._missed_mm = distance_mm(here, pose.position_mm)
         if self._missed_mm > self.guard.max_miss_mm:
             reached = min(self._inward_mm(here), self.guard.max_travel_mm)
             self.farthest_mm = max(self.farthest_mm, reached)
@@ -544,8 +531,8 @@ class _Approach:
     def _measure(self) -> None:
         """Read the force; once a reading has reached `force_n`, wait and read again."""
         self._wait()
-        if self._most_of_readings() >= self.guard.force_n:
-            self._most_of_readings()
+        if max(map(abs, self._forces(self.guard.n_readings))) >= self.guard.force_n:
+            self._forces(self.guard.n_readings)
         if self.force_n < -self.guard.contact_n:
             raise _Fault(
                 f"{self.force_n:.3f} N: a force of the wrong sign. read_force must be "
@@ -571,22 +558,13 @@ class _Approach:
         self.lag_readings = next(k for k, n in enumerate(forces) if n >= half_n)
 
     def _forces(self, n_readings: int) -> list[float]:
-        """Read the force so often (N), each reading within the limit."""
-        forces = []
+        """Read the force so often (N), each reading within the limit; keep the mean."""
+        forces: list[float] = []
         for _ in range(n_readings):
             forces.append(self._read() - self._offset_n)
+            self.force_n = sum(forces) / len(forces)
             self._refuse_above_limit(forces[-1])
         return forces
-
-    def _most_of_readings(self) -> float:
-        """Read as often as is averaged, and return the magnitude of the largest."""
-        forces: list[float] = []
-        for _ in range(self.guard.n_readings):
-            force = self._read() - self._offset_n
-            forces.append(force)
-            self.force_n = sum(forces) / len(forces)
-            self._refuse_above_limit(force)
-        return max(map(abs, forces))
 
     def _refuse_above_limit(self, force: float) -> None:
         """Refuse a single reading beyond the limit, with or without its offset."""
@@ -715,7 +693,3 @@ class _Approach:
 
     def _note(self, text: str) -> None:
         self.message = f"{self.message} {text}".strip()
-
-
-def _why(error: BaseException) -> str:
-    return str(error) or type(error).__name__

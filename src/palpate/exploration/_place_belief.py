@@ -98,9 +98,8 @@ class PlaceBelief(BeliefOfPlaces):
         super().__init__(surface_map.recogniser, log_prior, strangers)
         self.map = surface_map
         self.centre_mm = np.asarray(centre_mm, dtype=np.float64)
-        self.filter = surface_map.filter_before()
+        self.filter, self._faces, self._stranger = surface_map.filters_before()
         self._tips_mm, self._ways = np.zeros((0, 3)), np.zeros((0, 3))
-        self._faces, self._stranger = surface_map.unlearnt_before()
         shape = len(surface_map.states_), surface_map.n_turns
         self._pictures = np.zeros(shape)
         self.log_place: Floats = np.zeros(self._pictures.size)

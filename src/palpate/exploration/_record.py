@@ -254,14 +254,19 @@ class EpisodeLog:
         if self.folder is None:
             return self
         make_folder(self.folder)
-        self._lock = _locked(self.folder)
+        self._lock = (self.folder / _LOCK).open("ab")
         try:
+            if not lock(self._lock):
+                raise EpisodeError(
+                    f"{self.folder} is in use: another program adds to this episode. "
+                    "Wait for it or use another folder."
+                )
             for partial in self.folder.glob(f"{PARTIAL}*"):
                 partial.unlink()
             self._begin_or_compare(self.folder)
             self.history = read_episode(self.folder)
         except BaseException:
-            self._lock.close()
+            self.__exit__()
             raise
         return self
 
@@ -371,15 +376,3 @@ def make_folder(folder: Path) -> None:
             f"folder must be a folder or a new name, got the file {str(file)!r}. Use "
             "another folder."
         ) from error
-
-
-def _locked(folder: Path) -> IO[bytes]:
-    """Open the lock of a folder, or say that another program has it."""
-    file = (folder / _LOCK).open("ab")
-    if not lock(file):
-        file.close()
-        raise EpisodeError(
-            f"{folder} is in use: another program adds to this episode. Wait for it "
-            "or use another folder."
-        )
-    return file

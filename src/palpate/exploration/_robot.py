@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .._checks import check_count, check_number, check_option, check_positive
 from ..sensors import SimulatedBench
@@ -75,6 +76,31 @@ class Robot(Protocol):
 
     def stop(self) -> None:
         """Halt at once and stay; the last resort, allowed at any time."""
+
+
+def distance_mm(one_mm: ArrayLike, other_mm: ArrayLike) -> float:
+    """Return how far apart two places are."""
+    return float(np.linalg.norm(np.subtract(one_mm, other_mm)))
+
+
+def stop_arm(robot: Robot) -> str:
+    """Stop the arm, in a second attempt if need be; return whether it was stopped.
+
+    In words for a message. An interrupt meanwhile goes on afterwards.
+    """
+    end, interrupt = "", None
+    for _ in range(2):
+        try:
+            robot.stop()
+            end = "was stopped"
+            break
+        except BaseException as error:
+            end = f"could not be stopped ({type(error).__name__}: {error})"
+            if not isinstance(error, Exception):
+                interrupt = error
+    if interrupt is not None:
+        raise interrupt
+    return end
 
 
 class SimulatedRobot:
@@ -201,9 +227,8 @@ class SimulatedRobot:
     def _move(self, pose: SensorPose) -> None:
         if self.stopped:
             raise RobotError("The arm was stopped.")
-        here = np.asarray(self.read_pose().position_mm)
-        way = np.linalg.norm(np.asarray(pose.position_mm) - here)
-        self._seconds += float(way) / self._speed
+        way_mm = distance_mm(pose.position_mm, self._pose.position_mm)
+        self._seconds += way_mm / self._speed
         self._pose = pose
         if self._fails("out of reach"):
             x, y, z = np.asarray(pose.position_mm)
@@ -310,8 +335,7 @@ def _check_place(
     robot: Robot, wanted: SensorPose, max_miss_mm: float, after: str
 ) -> None:
     pose = _pose(robot)
-    missed = np.asarray(pose.position_mm) - np.asarray(wanted.position_mm)
-    missed_mm = float(np.linalg.norm(missed))
+    missed_mm = distance_mm(pose.position_mm, wanted.position_mm)
     _say(
         missed_mm <= max_miss_mm,
         f"after {after} read_pose() must be where it was sent, within {max_miss_mm:g} "

@@ -121,8 +121,8 @@ class Hemisphere:
         """Yield poses from one outside the hemisphere to one on it, round the object.
 
         The last is `end`; all face the centre and are outside or on the hemisphere.
-        Where the shortest way from one below its centre would pass underneath the
-        object, it leads over the top.
+        Where the shortest way would pass underneath the object, or all ways are as
+        long, it leads over the top.
         """
         centre = np.asarray(self.centre_mm)
         arm, goal = (np.asarray(p.position_mm) - centre for p in (start, end))
@@ -130,15 +130,19 @@ class Hemisphere:
         first, last = arm / distance[0], goal / distance[1]
         angle = float(np.arccos(np.clip(first @ last, -1, 1)))
         n_pieces = max(1, int(np.ceil(angle / self.arc_rad)))
-        shares = np.arange(1, n_pieces) / n_pieces
-        outs = [_between(first, last, angle, share) for share in shares]
-        lowest = min((out[2] for out in outs), default=1.0)
-        if lowest < min(first[2], last[2]) - _CLEAR_MM / self.radius_mm:
-            top = self.pose_towards((0.0, 0.0, 1.0), end.roll_rad)
-            yield from self.way(start, top)
-            yield from self.way(top, end)
+        shares = np.arange(1, n_pieces)[:, np.newaxis] / n_pieces
+        outs = np.sin((1 - shares) * angle) * first + np.sin(shares * angle) * last
+        is_opposite = angle > np.pi - 1e-6
+        if not is_opposite:
+            outs /= np.linalg.norm(outs, axis=1, keepdims=True)
+        least = min(first[2], last[2]) - _CLEAR_MM / self.radius_mm
+        if is_opposite or outs[:, 2].min(initial=1.0) < least:
+            over = (0.0, 0.0, 1.0) if last[2] < 1 - 1e-9 else (1.0, 0.0, 0.0)
+            between = self.pose_towards(over, end.roll_rad)
+            yield from self.way(start, between)
+            yield from self.way(between, end)
             return
-        for share, out in zip(shares, outs, strict=True):
+        for share, out in zip(shares[:, 0], outs, strict=True):
             reach = (1 - share) * distance[0] + share * distance[1]
             yield SensorPose(centre + reach * out, -out, end.roll_rad)
         yield end
@@ -421,16 +425,3 @@ def outward(azimuth_rad: float, elevation_rad: float) -> Floats:
     """Return the unit vector at an azimuth and an elevation, (3,)."""
     flat, height = np.cos(elevation_rad), np.sin(elevation_rad)
     return np.array([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), height])
-
-
-def _between(first: Floats, last: Floats, angle: float, share: float) -> Floats:
-    """Point at a share of the arc; over the top where the ends are opposite."""
-    if np.sin(angle) < 1e-6 and angle > 1:
-        top = np.array([0.0, 0.0, 1.0])
-        if share < 0.5:
-            return _between(first, top, float(np.arccos(first[2])), 2 * share)
-        return _between(top, last, float(np.arccos(last[2])), 2 * share - 1)
-    if angle < 1e-9:
-        return first
-    ends = np.sin((1 - share) * angle) * first + np.sin(share * angle) * last
-    return np.asarray(ends / np.linalg.norm(ends))

@@ -169,16 +169,11 @@ def learnt_surface(
     # Few touches do not tell how smooth a thing is: all that may be is averaged.
     weight = np.exp(np.array(evidence) - max(evidence))
     weight /= weight.sum()
-    means = np.stack([part[0] for part in parts])
-    together = weight @ means
-    variances = np.stack([part[1] for part in parts]) + (means - together) ** 2
-    shape = N_HEIGHTS, N_AROUND
-    noises = np.array([part[2] for part in parts])
-    return RadialSurface(
-        together.reshape(shape),
-        (weight @ variances).reshape(shape),
-        float(np.sqrt(weight @ noises)),
-    )
+    means, variances, noises = map(np.array, zip(*parts, strict=True))
+    together, shape = weight @ means, (N_HEIGHTS, N_AROUND)
+    variance = weight @ (variances + (means - together) ** 2)
+    noise_mm = float(np.sqrt(weight @ noises))
+    return RadialSurface(together.reshape(shape), variance.reshape(shape), noise_mm)
 
 
 def last_log_density(
@@ -325,7 +320,6 @@ class SurfaceTable:
 
     def __init__(self, surfaces: list[RadialSurface]) -> None:
         self.mean_mm = np.stack([surface.mean_mm for surface in surfaces])
-        self.noise_mm = np.array([surface.noise_mm for surface in surfaces])
         self.size_mm = np.array([surface.size_mm for surface in surfaces])
         self.symmetry = np.array([surface.symmetry() for surface in surfaces])
         variances = [surface.variance_mm2 + surface.noise_mm**2 for surface in surfaces]

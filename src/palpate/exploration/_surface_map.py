@@ -293,18 +293,16 @@ class SurfaceMap:
         """Return `start` with the middle of a hemisphere."""
         return self.start(None, strangers, centre_mm=hemisphere.centre_mm)
 
-    def filter_before(self) -> PlaceFilter:
-        """Return the filter before the first touch."""
-        looseness = self.looseness or Looseness()
-        return PlaceFilter.before(self.table_, self.n_turns, looseness)
-
-    def unlearnt_before(self) -> tuple[UnlearntSurfaces, UnlearntSurfaces]:
-        """Return the faces that were never learnt, and a stranger, likewise."""
-        looseness, before = self.looseness or Looseness(), UnlearntSurfaces.before
+    def filters_before(
+        self,
+    ) -> tuple[PlaceFilter, UnlearntSurfaces, UnlearntSurfaces]:
+        """Return what is filtered: known faces, those never learnt, and a stranger."""
+        looseness, unlearnt = self.looseness or Looseness(), UnlearntSurfaces.before
         learnt, other = self._sizes_mm
         return (
-            before(other, _OTHER_FACE_MM, looseness),
-            before(np.array([learnt.mean()]), MEAN_SD_MM, looseness),
+            PlaceFilter.before(self.table_, self.n_turns, looseness),
+            unlearnt(other, _OTHER_FACE_MM, looseness),
+            unlearnt(np.array([learnt.mean()]), MEAN_SD_MM, looseness),
         )
 
     @property

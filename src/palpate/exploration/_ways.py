@@ -2,11 +2,11 @@
 
 Between two touches nothing should be met. So the arm moves in steps of at most
 `Guard.way_step_mm`, and after each the force is read. A reading beyond
-`Guard.limit_n` ends the way: the last step is taken back, and where that does not help
-the arm is stopped. Readings that repeat themselves, `Guard.stuck_after` of them, end it
-too: the arm goes back to where another one came last. One step against something of
-k N/mm adds k x `way_step_mm`: with the default of 2.5 mm it stays below 3 N up to 1.2
-N/mm, and what is stiffer passes the limit by what that step adds, and is told.
+`Guard.limit_n` ends the way, and so do readings that repeat themselves,
+`Guard.stuck_after` of them: the arm goes back to where another one came last, and where
+that does not help it is stopped. One step against something of k N/mm adds k x
+`way_step_mm`: with the default of 2.5 mm it stays below 3 N up to 1.2 N/mm, and what is
+stiffer passes the limit by what that step adds, and is told.
 
 A force sensor that is filtered, or read through a slow bus, follows the contact late.
 Nothing in the air shows that, so the first touches of an episode, and the ways to them,
@@ -20,15 +20,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ..simulation import SensorPose
 from ._guarded import Guard, Toucher, straight_steps
 from ._record import TouchRecord, tip_mm
-from ._robot import Robot, RobotError
+from ._robot import Robot, RobotError, distance_mm, stop_arm
 from ._strategies import Hemisphere
 
 # The way out must lead away from the centre: within 60 degrees of straight outward,
@@ -62,7 +62,8 @@ def touch_from_hemisphere(
     _check_on(hemisphere, pose)
     how: dict[str, Any]
     try:
-        follow(toucher.robot, hemisphere, pose, toucher.guard, toucher.wait_readings)
+        way = Way(toucher.robot, toucher.guard, toucher.wait_readings)
+        way.follow(hemisphere, pose)
     except WayError as error:
         outcome, how = error.outcome, {"peak_force_n": error.force_n}
         how |= {"message": str(error), "retracted": error.retracted}
@@ -74,50 +75,119 @@ def touch_from_hemisphere(
     return TouchRecord(outcome, pose, tip_mm(pose), **how)
 
 
-def follow(
-    robot: Robot,
-    hemisphere: Hemisphere,
-    end: SensorPose,
-    guard: Guard,
-    wait_readings: int = 0,
-) -> None:
-    """Move round the object to a pose on the hemisphere, in guarded steps.
+@dataclass
+class Way:
+    """A way between touches: the last `n_equal` readings of the force were `last_n`.
 
-    First, and after each step, so many readings are waited for, which may still be of
-    before. `WayError` says that one was beyond `guard.limit_n`, or no number, that they
-    repeat themselves, or that the arm is not where it was sent.
+    `trail` are the poses from where another reading came last.
     """
-    for _ in range(wait_readings):
-        robot.read_force()
-    readings = _Readings(robot, guard, _refuse_load_before(robot, guard))
-    here = robot.read_pose()
-    trail = [here]  # from where the force last changed
-    for waypoint in hemisphere.way(here, end):
-        for pose in straight_steps(here, waypoint, guard.way_step_mm):
-            with _stopping_pressed(robot, guard):
-                robot.move_to(pose)
-                force_n = readings.late(wait_readings)
-                missed_mm = _missed_mm(robot, pose)
-            _refuse_load(robot, force_n, here, guard, wait_readings)
-            if not missed_mm <= guard.max_miss_mm:  # the next step may lead anywhere
-                why = (
-                    f"{ON_THE_WAY} the arm is {missed_mm:.2f} mm from where it was "
-                    f"sent, more than max_miss_mm = {guard.max_miss_mm:g}. Does it "
-                    "reach that far?"
-                )
-                _refuse_from(robot, trail, guard, why, "robot error")
-            # A coarse sensor may repeat itself all along the way.
-            if not guard.stuck_after or readings.n_equal <= 1 + wait_readings:
-                trail.clear()
-            trail.append(pose)
-            if guard.stuck_after and readings.n_equal >= guard.stuck_after:
-                why = (
-                    f"The force sensor is stuck at {readings.last_n:.4f} N for "
-                    f"{readings.n_equal} readings on the way. If it is that coarse, "
-                    "set stuck_after."
-                )
-                _refuse_from(robot, trail, guard, why, "force sensor")
-            here = pose
+
+    robot: Robot
+    guard: Guard
+    wait_readings: int = 0
+    last_n: float = math.nan
+    n_equal: int = 1
+    trail: list[SensorPose] = field(default_factory=list)
+
+    def follow(self, hemisphere: Hemisphere, end: SensorPose) -> None:
+        """Move round the object to a pose on the hemisphere, in guarded steps.
+
+        First, and after each step, `wait_readings` are waited for, which may still be
+        of before. `WayError` says that one was beyond `guard.limit_n`, or no number,
+        that they repeat themselves, or that the arm is not where it was sent.
+        """
+        self._set_out()
+        here = self.robot.read_pose()
+        self.trail = [here]
+        for waypoint in hemisphere.way(here, end):
+            for pose in straight_steps(here, waypoint, self.guard.way_step_mm):
+                with _stopping_pressed(self.robot, self.guard):
+                    self.robot.move_to(pose)
+                    self._read_late()
+                    place_mm = self.robot.read_pose().position_mm
+                    missed_mm = distance_mm(place_mm, pose.position_mm)
+                self._refuse(missed_mm)
+                # A coarse sensor may repeat itself all along the way.
+                if not self.guard.stuck_after or self.n_equal <= 1 + self.wait_readings:
+                    self.trail.clear()
+                self.trail.append(pose)
+                here = pose
+
+    def _set_out(self) -> None:
+        """Refuse to set out with a load on: the last touch is not over."""
+        for _ in range(self.wait_readings):
+            self.robot.read_force()
+        self.last_n = _reading(self.robot)
+        if math.isnan(self.last_n):
+            message = "The force sensor reads no number before the way."
+            raise WayError(message, "force sensor", retracted=True)
+        if abs(self.last_n) > self.guard.limit_n:
+            raise WayError(
+                f"{abs(self.last_n):.3f} N before the arm sets out, beyond the limit "
+                f"of {self.guard.limit_n:g}: it has not come out, whatever it says of "
+                f"its pose, and {stop_arm(self.robot)}. Free it by hand.",
+                "limit exceeded",
+                retracted=False,
+                force_n=abs(self.last_n),
+            )
+
+    def _read_late(self) -> None:
+        """Wait for the reading after a step, or the first that is beyond the limit."""
+        for _ in range(1 + self.wait_readings):
+            force_n = _reading(self.robot)
+            self.n_equal = self.n_equal + 1 if force_n == self.last_n else 1
+            self.last_n = force_n
+            if not abs(force_n) <= self.guard.limit_n:
+                break
+
+    def _refuse(self, missed_mm: float) -> None:
+        """End the way where a step must not be followed by another."""
+        guard, force_n = self.guard, self.last_n
+        if math.isnan(force_n):
+            self._end("force sensor", "The force sensor reads no number on the way.")
+        if abs(force_n) > guard.limit_n:
+            self._end(
+                "limit exceeded",
+                f"{force_n:.3f} N on the way to the start, beyond the limit of "
+                f"{guard.limit_n:g}: something stands where nothing should. Is the "
+                "object where the hemisphere has its centre, and does it fit?",
+            )
+        if not missed_mm <= guard.max_miss_mm:  # the next step may lead anywhere
+            self._end(
+                "robot error",
+                f"{ON_THE_WAY} the arm is {missed_mm:.2f} mm from where it was sent, "
+                f"more than max_miss_mm = {guard.max_miss_mm:g}. Does it reach that "
+                "far?",
+            )
+        if guard.stuck_after and self.n_equal >= guard.stuck_after:
+            self._end(
+                "force sensor",
+                f"The force sensor is stuck at {force_n:.4f} N for {self.n_equal} "
+                "readings on the way. If it is that coarse, set stuck_after.",
+            )
+
+    def _end(self, outcome: str, why: str) -> NoReturn:
+        """Go back along the trail, stop the arm if it does not; say why."""
+        clear, trouble, end = False, "", "went back to an earlier step"
+        met_n = abs(self.last_n) if outcome == "limit exceeded" else 0.0
+        try:
+            # Not straight: the object may lie between.
+            for pose in reversed(self.trail):
+                self.robot.move_to(pose)
+            self.robot.retract(0.0)  # as a touch ends that did not move in
+            for _ in range(self.wait_readings):
+                self.robot.read_force()
+            place_mm = self.robot.read_pose().position_mm
+            missed_mm = distance_mm(place_mm, self.trail[0].position_mm)
+            is_back = missed_mm <= self.guard.max_miss_mm
+            clear = is_back and abs(_reading(self.robot)) <= self.guard.limit_n
+        except Exception as error:
+            trouble = f" ({type(error).__name__}: {error})"
+        finally:
+            if not clear:
+                end = f"did not come back{trouble} and {stop_arm(self.robot)}"
+        message = f"{why} The arm {end}."
+        raise WayError(message, outcome, retracted=clear, force_n=met_n)
 
 
 def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
@@ -143,13 +213,13 @@ def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
             most_n = max(force_n, guard.limit_n)
         left_mm = hemisphere.way_out_mm(robot.read_pose())
     except BaseException:  # an interrupt too: it may press
-        _stop(robot)
+        stop_arm(robot)
         raise
     if left_mm <= _OUTSIDE_MM and force_n <= guard.limit_n:
         return
     raise RobotError(
         f"The arm was to be pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} "
-        f"mm are left, with {force_n:.3f} N: it {_stop(robot)}. Free it by hand and "
+        f"mm are left, with {force_n:.3f} N: it {stop_arm(robot)}. Free it by hand and "
         "begin again."
     )
 
@@ -181,7 +251,7 @@ def _stopping_pressed(robot: Robot, guard: Guard) -> Iterator[None]:
                 clear = force_n <= guard.limit_n
         finally:  # interrupted again, too
             if not clear:
-                end = _stop(robot)
+                end = stop_arm(robot)
         if clear or not isinstance(error, Exception):
             raise
         raise WayError(
@@ -228,122 +298,6 @@ def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) 
         "it would pass by the object or below it, so it is not moved. Take it by hand "
         "to a place outside the hemisphere, looking at its centre, and begin again."
     )
-
-
-def _refuse_load_before(robot: Robot, guard: Guard) -> float:
-    """Refuse to set out with a load on: the last touch is not over; return it."""
-    reading_n = _reading(robot)
-    force_n = abs(reading_n)
-    if math.isnan(force_n):
-        message = "The force sensor reads no number before the way."
-        raise WayError(message, "force sensor", retracted=True)
-    if force_n > guard.limit_n:
-        raise WayError(
-            f"{force_n:.3f} N before the arm sets out, beyond the limit of "
-            f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
-            f"and {_stop(robot)}. Free it by hand.",
-            "limit exceeded",
-            retracted=False,
-            force_n=force_n,
-        )
-    return reading_n
-
-
-def _refuse_load(
-    robot: Robot, force_n: float, before: SensorPose, guard: Guard, wait_readings: int
-) -> None:
-    """Where the force is beyond the limit take the last step back, and say so."""
-    if abs(force_n) <= guard.limit_n:
-        return
-    clear, why, end = False, "", ""
-    try:
-        robot.move_to(before)
-        for _ in range(wait_readings):
-            robot.read_force()
-        clear = abs(_reading(robot)) <= guard.limit_n
-    except Exception as error:
-        why = f" ({type(error).__name__}: {error})"
-    finally:
-        if not clear:
-            end = _stop(robot)
-    where = f"it did not come free{why} and {end}"
-    if clear:
-        where = "it went back one step"
-    if math.isnan(force_n):
-        message = f"The force sensor reads no number on the way: {where}."
-        raise WayError(message, "force sensor", retracted=clear)
-    raise WayError(
-        f"{force_n:.3f} N on the way to the start, beyond the limit of "
-        f"{guard.limit_n:g}: something stands where nothing should; {where}. Is the "
-        "object where the hemisphere has its centre, and does it fit?",
-        "limit exceeded",
-        retracted=clear,
-        force_n=abs(force_n),
-    )
-
-
-def _refuse_from(
-    robot: Robot, trail: list[SensorPose], guard: Guard, why: str, outcome: str
-) -> None:
-    """Go back along a trail to its start, stop the arm if it does not; say why."""
-    clear, trouble, end = False, "", "went back to an earlier step"
-    try:
-        for pose in reversed(trail):  # not straight: the object may lie between
-            robot.move_to(pose)
-        robot.retract(0.0)  # as a touch ends that did not move in
-        clear = _missed_mm(robot, trail[0]) <= guard.max_miss_mm
-    except Exception as error:
-        trouble = f" ({type(error).__name__}: {error})"
-    finally:
-        if not clear:
-            end = f"did not come back{trouble} and {_stop(robot)}"
-    raise WayError(f"{why} The arm {end}.", outcome, retracted=clear)
-
-
-def _missed_mm(robot: Robot, pose: SensorPose) -> float:
-    """Return how far from a pose the arm says that it is."""
-    missed = np.subtract(robot.read_pose().position_mm, pose.position_mm)
-    return float(np.linalg.norm(missed))
-
-
-def _stop(robot: Robot) -> str:
-    """Stop the arm, in a second attempt if need be; return whether it was stopped.
-
-    In words for a message. An interrupt meanwhile goes on afterwards.
-    """
-    end, interrupt = "", None
-    for _ in range(2):
-        try:
-            robot.stop()
-            end = "was stopped"
-            break
-        except BaseException as error:
-            end = f"could not be stopped ({type(error).__name__}: {error})"
-            if not isinstance(error, Exception):
-                interrupt = error
-    if interrupt is not None:
-        raise interrupt
-    return end
-
-
-@dataclass
-class _Readings:
-    """Readings of the force on a way; the last `n_equal` of them were `last_n`."""
-
-    robot: Robot
-    guard: Guard
-    last_n: float
-    n_equal: int = 1
-
-    def late(self, wait_readings: int) -> float:
-        """Return the reading after so many, or the first that is beyond the limit."""
-        for _ in range(1 + wait_readings):
-            force_n = _reading(self.robot)
-            self.n_equal = self.n_equal + 1 if force_n == self.last_n else 1
-            self.last_n = force_n
-            if not abs(force_n) <= self.guard.limit_n:
-                break
-        return self.last_n
 
 
 def _reading(robot: Robot) -> float:

@@ -22,8 +22,7 @@ References
    https://github.com/TimSchneider42/active-perception-gym
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -422,25 +421,6 @@ def belief_touch_env(
     return BeliefObservations(env, surface_map, **how)
 
 
-def touch_vector_env(
-    num_envs: int = 1, *, flat: bool = False, **options: Any
-) -> gymnasium.vector.SyncVectorEnv:
-    """Return several environments that take their steps together in this process.
-
-    `options` are those of `TouchEnv`; with `flat`, each is made by `flat_touch_env`.
-    An episode that is over is begun anew by the next step, as Gymnasium does by
-    default.
-    """
-    return _several(flat_touch_env if flat else TouchEnv, num_envs, **options)
-
-
-def _several(
-    make: Callable[..., gymnasium.Env[Any, Any]], num_envs: int = 1, **options: Any
-) -> gymnasium.vector.SyncVectorEnv:
-    making = [partial(make, **options)] * check_count("num_envs", num_envs)
-    return gymnasium.vector.SyncVectorEnv(making)
-
-
 def active_perception_env(**options: Any) -> Any:
     """Return the task as an `ActiveClassificationEnv` of ap_gym, for its wrappers.
 
@@ -492,18 +472,6 @@ def active_perception_env(**options: Any) -> Any:
     return ActiveTouch()
 
 
-gymnasium.register(
-    "palpate/Touch-v0",
-    f"{__name__}:TouchEnv",
-    vector_entry_point=f"{__name__}:touch_vector_env",
-)
-gymnasium.register(
-    "palpate/TouchFlat-v0",
-    f"{__name__}:flat_touch_env",
-    vector_entry_point=partial(touch_vector_env, flat=True),
-)
-gymnasium.register(
-    "palpate/TouchBelief-v0",
-    f"{__name__}:belief_touch_env",
-    vector_entry_point=partial(_several, belief_touch_env),
-)
+gymnasium.register("palpate/Touch-v0", f"{__name__}:TouchEnv")
+gymnasium.register("palpate/TouchFlat-v0", f"{__name__}:flat_touch_env")
+gymnasium.register("palpate/TouchBelief-v0", f"{__name__}:belief_touch_env")

@@ -62,61 +62,48 @@ def _word(keyword: str, **values: Any) -> _Option:
     return _Option(keyword, values.__getitem__, " or ".join(values))
 
 
-_SHAPE = {"shape": _Option("image_shape", _shape, "rows x columns such as 16x16")}
-_RATE = {"rate": _Option("rate_hz", float, "a number of frames a second")}
-_DESK = {
-    **_SHAPE,
-    **_RATE,
+_YES_NO = {"1": True, "0": False, "yes": True, "no": False}
+_WIDTHS = ("uint8", "uint16", "int16", "float32")
+_OPTIONS = {
+    "shape": _Option("image_shape", _shape, "rows x columns such as 16x16"),
+    "rate": _Option("rate_hz", float, "a number of frames a second"),
+    "exposure": _Option("exposure", float, "a number in the driver's own unit"),
+    "gain": _Option("gain", float, "a number in the driver's own unit"),
+    "crop": _Option("crop", _whole, "row,column,rows,columns like 0,80,480,480"),
+    "rotation": _Option("rotation", int, "0, 90, 180 or 270 degrees"),
+    "scale": _Option("scale", float, "a share of at most 1, such as 0.5"),
+    "fourcc": _Option("fourcc", str, "four letters such as MJPG"),
+    "colour": _word("colour", **_YES_NO),
+    "baud": _Option("baud", int, "a whole number of bits a second"),
+    "framing": _word("framing", line="line", binary="binary"),
+    "checksum": _word("checksum", yes=True, no=False),
+    "dtype": _word("dtype", **{name: name for name in _WIDTHS}),
+    "unit": _Option("unit", str, "a text"),
     "hold": _Option("hold", int, "a whole number of frames"),
     "gap": _Option("gap", int, "a whole number of frames"),
     "place": _Option("place", str, "what to put on the desk, or `nothing`"),
-}
-_YES_NO = {"1": True, "0": False, "yes": True, "no": False}
-_WIDTHS = ("uint8", "uint16", "int16", "float32")
-_OPTIONS: dict[str, dict[str, _Option]] = {
-    "camera": {
-        **_SHAPE,
-        **_RATE,
-        "exposure": _Option("exposure", float, "a number in the driver's own unit"),
-        "gain": _Option("gain", float, "a number in the driver's own unit"),
-        "crop": _Option("crop", _whole, "row,column,rows,columns like 0,80,480,480"),
-        "rotation": _Option("rotation", int, "0, 90, 180 or 270 degrees"),
-        "scale": _Option("scale", float, "a share of at most 1, such as 0.5"),
-        "fourcc": _Option("fourcc", str, "four letters such as MJPG"),
-        "colour": _word("colour", **_YES_NO),
-    },
-    "serial": {
-        "shape": _Option(
-            "image_shape",
-            lambda text: text if text == "auto" else _shape(text),
-            "such as 16x16, or auto",
-        ),
-        "baud": _Option("baud", int, "a whole number of bits a second"),
-        "framing": _word("framing", line="line", binary="binary"),
-        "checksum": _word("checksum", yes=True, no=False),
-        "dtype": _word("dtype", **{name: name for name in _WIDTHS}),
-        "unit": _Option("unit", str, "a text"),
-    },
-    "replay": {
-        **_DESK,
-        "no-contact": _Option("no_contact", Path, "a picture"),
-        "name-pattern": _Option("name_pattern", str, "a regular expression"),
-        "colour": _word("colour", **_YES_NO),
-    },
-    "ros": {
-        **_SHAPE,
-        "domain": _Option("domain", int, "a whole number, 0 to 232"),
-        "qos": _word("qos", best_effort="best_effort", reliable="reliable"),
-        "wait": _Option("wait_s", float, "a number of seconds"),
-        "via": _word("via", dds="dds", zenoh="zenoh"),
-    },
-    "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
-}
-_PUBLISHED = {
-    "domain": _OPTIONS["ros"]["domain"],
-    "via": _OPTIONS["ros"]["via"],
+    "no-contact": _Option("no_contact", Path, "a picture"),
+    "name-pattern": _Option("name_pattern", str, "a regular expression"),
+    "domain": _Option("domain", int, "a whole number, 0 to 232"),
+    "qos": _word("qos", best_effort="best_effort", reliable="reliable"),
+    "wait": _Option("wait_s", float, "a number of seconds"),
+    "via": _word("via", dds="dds", zenoh="zenoh"),
+    "seed": _Option("random_state", int, "a whole number"),
     "services": _word("services", **_YES_NO),
 }
+_SHAPE_OR_AUTO = _Option(
+    "image_shape",
+    lambda text: text if text == "auto" else _shape(text),
+    "such as 16x16, or auto",
+)
+_KINDS = {
+    "camera": "shape rate exposure gain crop rotation scale fourcc colour",
+    "serial": "shape baud framing checksum dtype unit",
+    "replay": "shape rate hold gap place no-contact name-pattern colour",
+    "ros": "shape domain qos wait via",
+    "sim": "shape rate hold gap place seed",
+}
+_PUBLISHING = {"publishing": "domain via services"}
 _GROUP = "palpate.sensors"
 _READ: dict[str, tuple[Callable[[str], Any], str]] = {
     "int": (int, "a whole number"),
@@ -125,7 +112,7 @@ _READ: dict[str, tuple[Callable[[str], Any], str]] = {
     "tuple[int, int]": (_shape, "rows x columns such as 16x16"),
     "bool": (_YES_NO.__getitem__, "yes or no"),
 }
-_NAMES = {o.keyword: n for options in _OPTIONS.values() for n, o in options.items()}
+_NAMES = {option.keyword: name for name, option in _OPTIONS.items()}
 
 
 def open_sensor(address: str, **options: Any) -> LiveSensor:
@@ -159,8 +146,8 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     """
     base, _, written = address.partition("?")
     kind, _, place = base.partition(":")
-    driver = None if kind in _OPTIONS else _driver(kind)
-    if not place or (kind not in _OPTIONS and driver is None):
+    driver = None if kind in _KINDS else _driver(kind)
+    if not place or (kind not in _KINDS and driver is None):
         others = sorted({plugged.name for plugged in entry_points(group=_GROUP)})
         more = f" (or {', '.join(others)} of packages installed)" if others else ""
         raise AddressError(
@@ -225,7 +212,7 @@ def is_address(text: str) -> bool:
     """Return whether a text begins as an address: with a kind of sensor and a colon."""
     kind, colon, _ = text.partition(":")
     plugged = {driver.name for driver in entry_points(group=_GROUP)}
-    return bool(colon) and kind in plugged | _OPTIONS.keys()
+    return bool(colon) and kind in plugged | _KINDS.keys()
 
 
 def _written(address: str, kind: str, written: str) -> dict[str, Any]:
@@ -258,10 +245,9 @@ def _driver(kind: str) -> Callable[..., Any] | None:
 
 def _options(kind: str) -> dict[str, _Option]:
     """Return the options of a kind of sensor; a driver's are its own parameters."""
-    if kind == "publishing":
-        return _PUBLISHED
-    if kind in _OPTIONS:
-        return _OPTIONS[kind]
+    if names := (_KINDS | _PUBLISHING).get(kind):
+        options = {name: _OPTIONS[name] for name in names.split()}
+        return options | {"shape": _SHAPE_OR_AUTO} if kind == "serial" else options
     options = {}
     for name, parameter in inspect.signature(_driver(kind) or dict).parameters.items():
         annotation = parameter.annotation
@@ -276,7 +262,7 @@ def _options(kind: str) -> dict[str, _Option]:
 def _agreed(
     address: str, kind: str, arguments: dict[str, Any], keyword: str, value: Any
 ) -> Any:
-    name = _NAMES.get(keyword, None if kind in _OPTIONS else keyword)
+    name = _NAMES.get(keyword, None if kind in _KINDS else keyword)
     if name is None:  # not for addresses; the sensor itself knows or refuses it
         return value
     if name not in _options(kind):
@@ -421,7 +407,6 @@ class CalibratedSensor(LiveSensor):
     def _open(self) -> None:
         self.inner.connect()
         if misfit := self._misfit():
-            self.inner.disconnect()
             raise SensorError(misfit)
         self.fixed, self.unfixed = self.inner.fixed, self.inner.unfixed
         self._next_number, self._step = 0, None

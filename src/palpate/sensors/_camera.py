@@ -131,16 +131,9 @@ class CameraSensor(LiveSensor):
         return fits[0]
 
     def _open(self) -> None:
-        self._capture = self._open_capture(self.camera)
-        try:
-            self._set_up(self._capture)
-        except SensorError:
-            self._close()
-            raise
-
-    def _set_up(self, capture: Any) -> None:
         import cv2
 
+        self._capture = capture = self._open_capture(self.camera)
         if not capture.isOpened():
             raise SensorError(
                 f"The camera {self.camera!r} cannot be opened. Close the program that "

@@ -97,19 +97,17 @@ class RosSensor(LiveSensor):
         shape = (1, 1) if image_shape is None else image_shape
         super().__init__(f"topic {self.topic}", "as published", shape, np.uint8)
         if image_shape is None:
-            self._open()
-            self._close()
+            try:
+                self._open()
+            finally:
+                self._close()
 
     def _open(self) -> None:
         end_s = time.monotonic() + self._wait_s
         self._node = node = open_node(self.domain, self._via)
-        try:
-            kind = self._kind(node, end_s)
-            self._reader = node.subscribe(self.topic, kind, reliable=self._reliable)
-            self._learn(self._first_frames(self._reader, end_s))
-        except BaseException:
-            self._close()
-            raise
+        kind = self._kind(node, end_s)
+        self._reader = node.subscribe(self.topic, kind, reliable=self._reliable)
+        self._learn(self._first_frames(self._reader, end_s))
 
     def _kind(self, node: RosNode, end_s: float) -> str:
         """Wait for a publisher of the topic; return the kind of its messages."""

@@ -157,9 +157,28 @@ class SerialArraySensor(LiveSensor):
             return
         self._unread = (self._unread + data)[-_MOST_UNREAD:]
         if data and now_s - self._read_s > _SILENT_S:
-            self._read_s = now_s
-            how = self.framing, self.image_shape, self.dtype.name, self.checksum
-            self.lost = why_no_frame(self._unread, *how)
+            self._read_s, self.lost = now_s, self._why_no_frame(self._unread)
+
+    def _why_no_frame(self, data: bytes) -> str:
+        """Return why bytes are no frames as they are read, and the fix; or nothing."""
+        seen, shape, dtype = layout_of(data), self.image_shape, self.dtype.name
+        if seen is None:
+            return ""
+        if not seen.framing:
+            return _why_neither(data)
+        if seen.framing != self.framing:
+            looks = "binary" if seen.framing == "binary" else "lines"
+            return f"The bytes look like {looks}: `framing={seen.framing}`."
+        expected = shape[0] * shape[1]
+        if self.framing == "line" and seen.n_values == shape[1] < expected:
+            return f"A line holds {shape[1]} values, as one row: write all rows in one."
+        if seen.n_values != expected or seen.shape not in (None, shape):
+            return f"{seen.n_values} values, expected {expected}: {seen.shapes}."
+        if self.framing == "binary":
+            return f"Taxels are {seen.dtype}, expected {dtype}: `dtype={seen.dtype}`."
+        if not seen.checksum and self.checksum is not False:
+            return "The lines have no checksum: `checksum=no`."
+        return ""
 
     def _close(self) -> None:
         if self._serial is not None:
@@ -242,30 +261,6 @@ class BytesLayout:
 def layout_of(data: bytes) -> BytesLayout | None:
     """Return what bytes tell, None while there are too few."""
     return _binary(data) or _lines(data)
-
-
-def why_no_frame(
-    data: bytes, framing: str, shape: tuple[int, int], dtype: str, checksum: bool | None
-) -> str:
-    """Return why bytes are no frames as they are read, and the fix; or nothing."""
-    seen = layout_of(data)
-    if seen is None:
-        return ""
-    if not seen.framing:
-        return _why_neither(data)
-    if seen.framing != framing:
-        looks = "binary" if seen.framing == "binary" else "lines"
-        return f"The bytes look like {looks}: `framing={seen.framing}`."
-    expected = shape[0] * shape[1]
-    if framing == "line" and seen.n_values == shape[1] < expected:
-        return f"A line holds {shape[1]} values, as one row: write all rows in one."
-    if seen.n_values != expected or seen.shape not in (None, shape):
-        return f"{seen.n_values} values, expected {expected}: {seen.shapes}."
-    if framing == "binary":
-        return f"Taxels are {seen.dtype}, expected {dtype}: `dtype={seen.dtype}`."
-    if not seen.checksum and checksum is not False:
-        return "The lines have no checksum: `checksum=no`."
-    return ""
 
 
 def _why_neither(data: bytes) -> str:
@@ -388,8 +383,8 @@ class LineFraming:
     def _whole(self, line: bytes, begun: bool) -> NDArray[np.float32] | None:
         """Return what a line is, `begun` where it stood behind a `$`."""
         if begun:
-            line, star, check = line.partition(b"*")
-            if not star or not _is_check(check, line):
+            line, _, check = line.partition(b"*")
+            if check.upper() != b"%02X" % _exclusive_or(line):
                 return None
             if self.checksum is None:
                 self.checksum = True
@@ -512,13 +507,6 @@ def _step(line: bytes) -> float:
         return 0.0
     numbers = line.replace(b",", b" ").split()
     return 10.0 ** -max(len(number.partition(b".")[2]) for number in numbers)
-
-
-def _is_check(written: bytes, values: bytes) -> bool:
-    try:
-        return len(written) == 2 and int(written, 16) == _exclusive_or(values)
-    except ValueError:
-        return False
 
 
 def _exclusive_or(values: bytes) -> int:

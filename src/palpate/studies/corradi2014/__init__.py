@@ -56,7 +56,7 @@ def measure(
         seen = judging.recording(dome[:: plan.recorded_step])
         rows_at = np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int)
         duplicates[DATA] = near_duplicates(seen.images["image"][np.unique(rows_at)])
-        tasks = [(seen.only(v), v, e, plan) for e in plan.encodings for v in VARIANTS]
+        tasks = [(seen, v, e, plan) for e in plan.encodings for v in VARIANTS]
         for more in work.done(judging.judge_unseen, tasks, "judging unseen objects"):
             rows += more
         names = [(seen, name) for name in plan.candidates]
@@ -76,10 +76,10 @@ def _shapes_rows(
     sets: list[stated.Shapes], plan: Corradi2014Plan, work: Work
 ) -> tuple[list[Row], list[Row]]:
     """Return the rows, and where image and derivative differ on the same folds."""
-    keys = [(s, e, v) for s in sets for e in plan.encodings for v in VARIANTS]
-    tasks = [(s.only(v), v, e, plan) for s, e, v in keys]
+    tasks = [(s, v, e, plan) for s in sets for e in plan.encodings for v in VARIANTS]
     judged: list[Judged] = work.done(judging.judge, tasks, "judging encodings")
-    judged_by = {(s.data, e, v): j for (s, e, v), j in zip(keys, judged, strict=True)}
+    keys = [(shapes.data, e, v) for shapes, v, e, _ in tasks]
+    judged_by = dict(zip(keys, judged, strict=True))
     paired: list[Row] = []
     for data, encoding in dict.fromkeys(key[:2] for key in judged_by):
         image, derivative = (judged_by[data, encoding, v].folds for v in VARIANTS)

@@ -11,7 +11,7 @@ in it.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -250,9 +250,6 @@ class Recording:
     codes: Codes
     objects: Codes
     fold: Codes
-
-    def only(self, *variants: str) -> "Recording":
-        return replace(self, images={v: self.images[v] for v in variants})
 
 
 def recording(touches: Touches) -> Recording:

@@ -1,7 +1,7 @@
 """The plan of the Corradi 2014 study: sizes, touches, and the paper's figures."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -139,14 +139,6 @@ class Shapes:
     codes: Codes
     groups: Codes
     half: Codes
-
-    def only(self, variant: str) -> "Shapes":
-        """Return the same touches without the other variant's images."""
-        test = (
-            None if self.test_images is None else {variant: self.test_images[variant]}
-        )
-        images = {variant: self.images[variant]}
-        return replace(self, images=images, test_images=test)
 
 
 def simulated_shapes(plan: Corradi2014Plan) -> Iterator[Shapes]:

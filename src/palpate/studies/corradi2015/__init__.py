@@ -103,8 +103,9 @@ def measure(
         beside, skipped = beside_tasks(plan, recorded, data)
         done = work.done(call, [(task,) for task in beside], "sight beside touch")
         rows += [row for beside_rows in done for row in beside_rows]
-    timed, last = sets[-1].recorded or sets[0].learnt, sets[-1].data
-    rows += shared.on_one_thread(episodes.timing_rows, timed, last, plan.timed)
+    timed = sets[0].learnt if isinstance(recorded, str) else recorded
+    how = timed, sets[-1].data, plan.timed
+    rows += shared.on_one_thread(episodes.timing_rows, *how)
     confusion = {o.data: episodes.confusions(answered, o, plan) for o in sets}
     return {"rows": rows, "confusion": confusion, "unseen": unseen, "skipped": skipped}
 

@@ -22,7 +22,7 @@ from ...touches import Touches
 from .. import Codes, Row, coded, labels, mean_row, row, spread
 from . import plan as stated
 from . import recognisers as known_by
-from .plan import LATER_TRAIN, PAPER_MS, Corradi2015Plan, Encoded, Encoder, Objects
+from .plan import LATER_TRAIN, PAPER_MS, Corradi2015Plan, Encoded, Objects
 from .recognisers import BagOfTouches, ClusterBayes, Densities, Mixtures, Recogniser
 
 MAIN: PresetName = "corradi2015"
@@ -110,7 +110,7 @@ class Compared:
 
 def learnt_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
     """Recognise the ten objects in every partition."""
-    encoded = Encoder(objects.learnt)(objects.learnt)
+    encoded = stated.encode(objects.learnt)
     compared = partial(Compared, "ten objects", objects.data, objects.learnt, encoded)
     sizes = (plan.n_train, plan.n_test, plan.few_train)
     for number in range(plan.partitions):
@@ -123,7 +123,7 @@ def learnt_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
 
 def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
     """Recognise all objects, and the categories of objects that were not learnt."""
-    encoded = Encoder(touches, bags=False)(touches)
+    encoded = stated.encode(touches, bags=False)
     sizes = (LATER_TRAIN, LATER_TOUCHES, LATER_TRAIN)
     partitions = [
         draw_partition(encoded.codes, *sizes, (plan.seed, 1, number))
@@ -342,13 +342,12 @@ def unseen_rows(
 def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
     """Return CPU milliseconds, medians, one touch at a time."""
     timed = touches[: min(len(touches), max(sizes))]
-    encoder, images = Encoder(timed, bags=False), timed.images
-    discs = encoder.crop.transform(images)
-    moments = encoder.moments.fit(discs)
-    values = moments.transform(discs)
+    (crop, moments), images = stated.disc_and_moments(timed), timed.images
+    discs = crop.transform(images)
+    values = moments.fit(discs).transform(discs)
 
     def whole(i: int) -> object:
-        return moments.transform(encoder.crop.transform(images[i : i + 1]))
+        return moments.transform(crop.transform(images[i : i + 1]))
 
     def alone(i: int) -> object:
         return moments.transform(discs[i : i + 1])

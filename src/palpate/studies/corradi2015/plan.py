@@ -104,12 +104,11 @@ class Corradi2015Plan(Plan):
 
 @dataclass(frozen=True)
 class Objects:
-    """Touches to learn, others never learnt, and of all `recorded` objects if any."""
+    """Touches to learn, and others never learnt."""
 
     data: str
     learnt: Touches
     unseen: Touches
-    recorded: Touches | None = None
 
 
 def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
@@ -132,7 +131,7 @@ def recorded_objects(touches: Touches) -> Objects:
     first = [members[0] for members in names.values()]
     unseen = [names[kind][1] for kind in UNSEEN_CATEGORIES]
     chosen = [np.isin(objects, members) for members in (first, unseen)]
-    return Objects("bathtip", touches[chosen[0]], touches[chosen[1]], touches)
+    return Objects("bathtip", touches[chosen[0]], touches[chosen[1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,35 +144,32 @@ class Encoded:
     idle: Bools | None
 
 
-class Encoder:
-    """Features on the largest disc that all touches show; `bags` adds those of bags."""
+def disc_and_moments(touches: Touches) -> tuple[DomeCrop, Any]:
+    """Return what cuts the largest disc that all touches show, and encodes it."""
+    (encoder,) = PRESETS["corradi2015"].encoders(touches, "auto").values()
+    crop: DomeCrop = clone(encoder.clean_up)
+    crop.fit(touches.images, no_contact=touches.no_contact)
+    return crop, clone(encoder.encodings["Zernike-PCA"][0])
 
-    def __init__(self, touches: Touches, *, bags: bool = True) -> None:
-        self.bags = bags
-        (encoder,) = PRESETS["corradi2015"].encoders(touches, "auto").values()
-        self.crop: DomeCrop = clone(encoder.clean_up)
-        self.crop.fit(touches.images, no_contact=touches.no_contact)
-        self.moments: Any = clone(encoder.encodings["Zernike-PCA"][0])
+
+def encode(touches: Touches, *, bags: bool = True) -> Encoded:
+    """Return the features of touches; `bags` adds those of bags."""
+    crop, moments = disc_and_moments(touches)
+    rims = crop.rims(touches.images)
+    discs = crop.cut(touches.images, rims)
+    features = {"Zernike": moments.fit(discs).transform(discs)}
+    if bags:
         # Without a frame of no contact, the median disc.
         if touches.no_contact is None:
-            shown = self.crop.transform(touches.images)
-            discs = DomeCrop.standardise(np.median(shown, axis=0)[np.newaxis])
+            idle = DomeCrop.standardise(np.median(discs, axis=0)[np.newaxis])
         else:
-            discs = self.crop.transform(np.asarray(touches.no_contact)[np.newaxis])
-        self.idle_disc = discs[0]
-
-    def __call__(self, touches: Touches) -> Encoded:
-        rims = self.crop.rims(touches.images)
-        discs = self.crop.cut(touches.images, rims)
-        features = {"Zernike": self.moments.fit(discs).transform(discs)}
-        if self.bags:
-            features["polar Fourier"] = polar_fourier(discs)
-            patches = moment_normalised(np.abs(discs - self.idle_disc))
-            features["moment-normalised"] = patches
-        features["disc centre"] = np.stack([rims.row, rims.col], axis=1)
-        features["brightness"] = brightness(touches)
-        names, codes = np.unique(labels(touches), return_inverse=True)
-        return Encoded(names, codes, features, without_contact(touches))
+            idle = crop.transform(np.asarray(touches.no_contact)[np.newaxis])
+        features["polar Fourier"] = polar_fourier(discs)
+        features["moment-normalised"] = moment_normalised(np.abs(discs - idle))
+    features["disc centre"] = np.stack([rims.row, rims.col], axis=1)
+    features["brightness"] = brightness(touches)
+    names, codes = np.unique(labels(touches), return_inverse=True)
+    return Encoded(names, codes, features, without_contact(touches))
 
 
 def polar_fourier(discs: Singles) -> Floats:

@@ -26,7 +26,7 @@ from sklearn.neighbors import KNeighborsClassifier
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...classifiers import MKLSVC
 from ...encodings import CentroidMoments, KernelPCA
 from ...touches import Touches
@@ -145,55 +145,6 @@ class Half:
 Runs = Sequence[list[Half]]
 
 
-@dataclass(frozen=True)
-class Twofold:
-    """Twofold cross-validation, inner folds choosing; `scaled` ones are z-scored."""
-
-    scaled: bool
-    inner_folds: int
-
-    def run(
-        self, method: Method, features: Floats, codes: Codes, seed: Sequence[int]
-    ) -> list[Half]:
-        """Cut the touches in two halves, class by class, and test each on the other."""
-        split, inner = np.random.SeedSequence(seed).generate_state(2).tolist()
-        halves = StratifiedKFold(2, shuffle=True, random_state=split)
-        return [
-            self.half(method, features, codes, train, test, inner)
-            for train, test in halves.split(features, codes)
-        ]
-
-    def half(
-        self,
-        method: Method,
-        features: Floats,
-        codes: Codes,
-        train: Codes,
-        test: Codes,
-        seed: int,
-    ) -> Half:
-        """Choose a setting on the training touches; test labels are only compared."""
-        right = np.zeros(len(method.settings))
-        if len(right) > 1:
-            train_features, inner = features[train], codes[train]
-            folds = StratifiedKFold(self.inner_folds, shuffle=True, random_state=seed)
-            for learnt, held in folds.split(train_features, inner):
-                answers = self._answers(method, train_features, inner, learnt, held)
-                right += (answers == inner[held]).sum(axis=1)
-        answers = self._answers(method, features, codes, train, test)
-        shares = (answers == codes[test]).mean(axis=1)
-        return Half(int(right.argmax()), shares, len(test))
-
-    def _answers(
-        self, method: Method, features: Floats, codes: Codes, train: Codes, test: Codes
-    ) -> Codes:
-        old, new = features[train], features[test]
-        if self.scaled:
-            scale = StandardScaler().fit(old)
-            old, new = scale.transform(old), scale.transform(new)
-        return method.answers(old, codes[train], new)
-
-
 def nested_figure(settings: Sequence[Setting], runs: Runs) -> Row:
     """Return mean and deviation over runs, %, the setting most chosen and its share."""
     shares = np.array([_pooled(run, [half.chosen for half in run]) for run in runs])
@@ -245,8 +196,32 @@ class Job:
         return float(len(self.method.settings) * self.row["n_classes"] ** 2)
 
     def run(self, plan: Liu2014Plan, number: int) -> list[Half]:
-        twofold = Twofold(self.row["features"] == "z-scored", plan.inner_folds)
-        return twofold.run(self.method, self.features, self.codes, (plan.seed, number))
+        """Cut the touches in two halves, class by class, and test each on the other."""
+        seeds = np.random.SeedSequence((plan.seed, number)).generate_state(2).tolist()
+        halves = StratifiedKFold(2, shuffle=True, random_state=seeds[0])
+        return [
+            self.half(train, test, seeds[1], plan.inner_folds)
+            for train, test in halves.split(self.features, self.codes)
+        ]
+
+    def half(self, train: Codes, test: Codes, seed: int, inner_folds: int) -> Half:
+        """Choose a setting on the training touches; test labels are only compared."""
+        right = np.zeros(len(self.method.settings))
+        if len(right) > 1:
+            folds = StratifiedKFold(inner_folds, shuffle=True, random_state=seed)
+            for learnt, held in folds.split(train, self.codes[train]):
+                right += self._right(train[learnt], train[held]).sum(axis=1)
+        shares = self._right(train, test).mean(axis=1)
+        return Half(int(right.argmax()), shares, len(test))
+
+    def _right(self, train: Codes, test: Codes) -> Bools:
+        """Return which test touches are named right, (n_settings, n_test)."""
+        old, new = self.features[train], self.features[test]
+        if self.row["features"] == "z-scored":
+            scale = StandardScaler().fit(old)
+            old, new = scale.transform(old), scale.transform(new)
+        answers = self.method.answers(old, self.codes[train], new)
+        return np.asarray(answers == self.codes[test])
 
     def rows(self, runs: Runs, plan: Liu2014Plan) -> Iterator[Row]:
         """Yield a row per protocol; where nothing is chosen, one outside Table 2."""
