@@ -37,9 +37,6 @@ FEWEST = 4
 # weight times the spread of their log posteriors over objects), at most so many.
 LEAST_SHARE = 0.05
 MOST_KEPT = 5
-# A later recipe must have less log loss by so many standard errors and by this (nats):
-# on one day what is read tells a little more than its change only by chance.
-SURE, WORTH = 2, 0.05
 # Memory of learning, as measured (docs/explanation/speed.md). Where each touch has a
 # kernel function: bytes for each touch and label, and for each pair of touches, twice
 # as many where what was solved is kept for later touches. Where landmarks stand for
@@ -106,20 +103,19 @@ def learn_encoding(
         shown = shown.with_columns(no_contact=newest)
     labels_and_groups = labels[rows], group[rows]
     recipes = preset.encoders(shown, presentation)
-    if any(len(recipe.encodings) > 1 for recipe in recipes.values()):
-        rested, frame = shown, shown.no_contact
-        of_changes = any(recipe.as_changes for recipe in recipes.values())
-        if of_changes and frame is not None and not isinstance(touches, Touches):
-            moved = at_its_rest(touches, frame)
-            if moved is not touches:
-                rested = moved.touches(rows).with_columns(geometry=geometry)
-        pooled = choose_pool(recipes, shown, rested, *labels_and_groups)
-        encoder, cleaned, learnt_steps, chosen = pooled
-        if encoder.as_changes:
-            shown = rested
-    else:
-        encoder, chosen = choose_encoder(preset, recipes, shown, *labels_and_groups)
-        cleaned, learnt_steps = encoder.fit_clean(shown), {}
+    encoder, chosen = choose_encoder(preset, recipes, shown, *labels_and_groups)
+    frame = shown.no_contact
+    if encoder.as_changes and frame is not None and not isinstance(touches, Touches):
+        moved = at_its_rest(touches, frame)
+        if moved is not touches:
+            shown = moved.touches(rows).with_columns(geometry=geometry)
+    cleaned, learnt_steps = encoder.fit_clean(shown), dict[str, Any]()
+    if len(encoder.encodings) > 1:
+        encoder, pooled = choose_encodings(
+            encoder, cleaned, *labels_and_groups, learnt_steps
+        )
+        pooled["encoding"] = f"{chosen['encoding']}: {pooled['encoding']}"
+        chosen |= pooled
     blind = [encoder.blind_to(name) for name in encoder.encodings]
     unmet = " and ".join(sorted(PRESENTATIONS[presentation].difference(*blind)))
     if unmet:
@@ -224,39 +220,6 @@ def shown_rows(labels: Array, n_shown: int = SHOWN) -> Indices:
     return np.sort(np.concatenate(chosen))
 
 
-def choose_pool(
-    recipes: Mapping[str, TouchEncoder],
-    touches: Touches,
-    rested: Touches,
-    labels: Array,
-    group: Indices,
-) -> tuple[TouchEncoder, Array, dict[str, Any], dict[str, Any]]:
-    """Return the first recipe, or one whose pool of encodings has less log loss (nats).
-
-    By `SURE` standard errors and `WORTH`. With cleaned images, steps as `choose_encodings`
-    has learnt them, and the reasons. Changes are told from touches that are `rested`.
-    """
-    best, losses = None, {}
-    for name, recipe in recipes.items():
-        seen, learnt_steps = rested if recipe.as_changes else touches, dict[str, Any]()
-        cleaned = recipe.fit_clean(seen)
-        encoder, why = choose_encodings(recipe, cleaned, labels, group, learnt_steps)
-        why["encoding"], loss = f"{name}: {why['encoding']}", why.pop("log_loss")
-        losses[name] = float(loss.mean())
-        if best is not None:
-            better = best[0] - loss
-            error = better.std() / np.sqrt(len(better))
-            if better.mean() <= max(SURE * error, WORTH):
-                continue
-        best = loss, (encoder, cleaned, learnt_steps, why)
-    assert best is not None
-    encoder, cleaned, learnt_steps, why = best[1]
-    chosen = {"geometry": touches.geometry, **why}
-    if len(losses) > 1:
-        chosen["log_loss"] = losses
-    return encoder, cleaned, learnt_steps, chosen
-
-
 def choose_encoder(
     preset: Preset,
     recipes: Mapping[str, TouchEncoder],
@@ -297,9 +260,8 @@ def choose_encodings(
 
     Each is learnt from about `AT_MOST` of the touches, evenly spread over each label,
     and asked about them as they are, each left out with its group; those that weigh
-    little in the pool of least log loss (nats) are dropped. The reasons have this loss,
-    one number a touch asked, as `log_loss`. What the steps make
-    of all the touches is kept in `learnt_steps`, by the encoding's name.
+    little in the pool of least log loss (nats) are dropped. What the steps make of all
+    the touches is kept in `learnt_steps`, by the encoding's name.
     """
     few = shown_rows(labels, AT_MOST)
     of_all = learnt_steps if len(few) == len(cleaned) else None
@@ -327,9 +289,7 @@ def choose_encodings(
     least = LEAST_SHARE * sum(counts.values())
     most = sorted(counts, key=lambda name: -counts[name])[:MOST_KEPT]
     names = [n for n in counts if n in most and (counts[n] >= least or n == most[0])]
-    pooled = pool.left_out_log_likelihood()[np.arange(len(codes)), codes]
     return encoder.only(names), {
-        "log_loss": -pooled,
         "encoding": " + ".join(names),
         "why": "pooled by least log loss on touches left out, as they are",
         "candidates": figures,

@@ -68,7 +68,7 @@ class Preset:
     that look like the no-contact frame.
     """
 
-    encoders: Callable[[Touches, str], dict[str, TouchEncoder]]
+    encoders: Callable[..., dict[str, TouchEncoder]]
     classifier: Callable[[TouchEncoder], classifiers.TouchClassifier]
     floor: float
     calibrates_sequence: bool
@@ -111,10 +111,9 @@ def resolved_preset(
         return preset
 
     def encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
-        recipes = preset.encoders(touches, presentation).items()
         # A user's own take images as they are read.
-        as_read = {name: recipe for name, recipe in recipes if not recipe.as_changes}
-        return {name: _joined(recipe, from_user) for name, recipe in as_read.items()}
+        recipes = preset.encoders(touches, presentation, as_read=True)
+        return {name: _joined(recipes[name], from_user) for name in recipes}
 
     return replace(preset, encoders=encoders)
 
@@ -148,7 +147,9 @@ def _joined(
     return joined
 
 
-def _no_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
+def _no_encoders(
+    touches: Touches, presentation: str, *, as_read: bool
+) -> dict[str, TouchEncoder]:
     return {"images as they are": TouchEncoder(None, {})}
 
 
@@ -184,11 +185,13 @@ def _check_auto(preset: str, presentation: str) -> None:
         )
 
 
-def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
+def _default_encoders(
+    touches: Touches, presentation: str, *, as_read: bool = False
+) -> dict[str, TouchEncoder]:
     """One encoder of all encodings that the presentation allows.
 
-    Two where the sensor rests at levels of its own: of what changes, and of what it
-    reads, in which such levels lie on every touch.
+    Where it is known how the sensor rests, of what changes, unless they are to take
+    images `as_read`: levels of rest, a gel's texture and light are those of the day.
     """
     geometry = find_geometry(touches)
     if geometry == "dome":
@@ -212,14 +215,11 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
         "array": ("whole picture", _array_encodings),
         "plane": ("whole picture", _plane_encodings),
     }[geometry]
-    recipes = {}
-    # First, so that it is taken where both tell as much: it holds on another day too.
-    if rest is not None and np.ptp(rest):
-        of_changes = encodings(touches, np.zeros_like(rest))
-        changes = TouchEncoder(None, of_changes, as_changes=True)
-        recipes["change from rest"] = _allowed(changes, presentation)
-    pictures = TouchEncoder(None, encodings(touches, rest))
-    return {**recipes, name: _allowed(pictures, presentation)}
+    as_changes = rest is not None and not as_read
+    if as_changes:
+        name, rest = "change from rest", np.zeros_like(rest)
+    encoder = TouchEncoder(None, encodings(touches, rest), as_changes=as_changes)
+    return {name: _allowed(encoder, presentation)}
 
 
 def _allowed(encoder: TouchEncoder, presentation: str) -> TouchEncoder:
