@@ -187,7 +187,8 @@ def test_a_level_that_all_taxels_rest_at_changes_nothing(beside_rest):
     evidence = []
     for level in (0.0, 7.0):
         flat = np.full(rest.shape, level)
-        learnt = ObjectRecogniser().fit(resting(taught, flat, no_contact=flat))
+        at_level = resting(taught, flat, no_contact=flat)
+        learnt = ObjectRecogniser(rehearse=False).fit(at_level)
         evidence.append(learnt.log_likelihood(resting(new, flat)))
     assert_allclose(*evidence, atol=1e-6)
 
