@@ -467,7 +467,8 @@ def test_a_wrong_choice_is_refused_before_anything_is_read(
     palpate, monkeypatch, tmp_path, words, message
 ):
     monkeypatch.setattr(Touches, "load", lambda *_, **__: pytest.fail("read"))
-    for verb in (["learn", tmp_path, "-o", "m"], ["evaluate", "--train", tmp_path]):
+    learn = "learn", tmp_path, "-o", "m.palpate"
+    for verb in (learn, ("evaluate", "--train", tmp_path)):
         refused = palpate.refusal(*verb, *words, code=2)
         assert message in refused
         assert len(refused.splitlines()) == 1

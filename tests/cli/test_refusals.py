@@ -82,7 +82,7 @@ REFUSED = {
     ],
     "simulate array": [
         ("", 2, "Missing option"),
-        ("-o t.npy", 1, "must end in .npz"),
+        ("-o t.npy", 2, "must end in .npz"),
         ("-o gone/t.npz", 1, "no folder gone"),
         ("-o t.npz --load heavy", 1, "--load 1:5"),
         ("-o t.npz --sensing 3", 1, "at most pitch_mm"),
@@ -93,7 +93,7 @@ REFUSED = {
         ("-o t.npz --seed -1", 2, "--seed must be between 0 and 4294967295"),
     ],
     "simulate": [
-        ("dome -o t.txt", 1, "must end in .npz"),
+        ("dome -o t.txt", 2, "must end in .npz"),
         ("dome -o gone/t.npz", 1, "no folder gone"),
         ("dome -o t.npz spoon", 1, "got 'spoon'"),
         ("dome -o t.npz gone.stl", 1, "got no file 'gone.stl'. Check its name"),
@@ -133,7 +133,7 @@ REFUSED = {
         ("m.palpate ball --fault ²=slow", 1, "NUMBER=NAME"),
         ("m.palpate ball --fault 0=x", 1, "'stuck force'"),
         ("m.palpate ball --picture no/a.png", 1, "no folder no"),
-        ("m.palpate ball --picture a.txt", 1, "must end in .png"),
+        ("m.palpate ball --picture a.txt", 2, "must end in .png"),
         ("m.palpate ball --face 9", 1, "face must be below"),
         ("m.palpate ball --taught gone.npz", 1, "gone.npz"),
     ],

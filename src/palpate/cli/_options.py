@@ -104,12 +104,6 @@ def typed(context: typer.Context, *names: str) -> list[str]:
     return [n for n, source in sources.items() if source and source.name in _TYPED]
 
 
-def check_folder_of(path: Path | None) -> None:
-    """Refuse a file where none can be written, before the work for it."""
-    if path is not None:
-        _durable.check_folder_of(path)
-
-
 def say_limit(source: Path, detector: "TouchDetector") -> None:
     """Say where another limit would have found more touches in a stream."""
     if detector.note:
@@ -139,6 +133,31 @@ def option(*names_and_help: str, **more: Any) -> Any:
 def flag(*names_and_help: str, **more: Any) -> Any:
     """Return an option that takes no value, and so shows no type of one."""
     return option(*names_and_help, metavar="", **more)
+
+
+def written_file(*names: str, ending: str, text: str) -> Any:
+    """Return an option of a file to write, which is refused before the work for it."""
+
+    def checked(path: Path | None) -> Path | None:
+        if path is not None:
+            if path.suffix.lower() != ending:
+                raise WrongUse(f"{names[-1]} must end in {ending}, got {path.name!r}.")
+            _durable.check_folder_of(path)
+        return path
+
+    return option(*names, text, callback=checked)
+
+
+def _checked_model(path: Path) -> Path:
+    from ..recognition import ObjectRecogniser
+
+    return ObjectRecogniser.check_path(path)
+
+
+def _checked_report(path: Path | None) -> Path | None:
+    from .._page import check_report_path
+
+    return path and check_report_path(path)
 
 
 def argument(*name_and_help: str) -> Any:
@@ -176,7 +195,11 @@ MaxModelMb = Annotated[
     ),
 ]
 ModelOutput = Annotated[
-    Path, option("-o", "--output", "The model file to write (.palpate).")
+    Path,
+    option(
+        *("-o", "--output", "The model file to write (.palpate)."),
+        callback=_checked_model,
+    ),
 ]
 RecordedData = Annotated[
     Path | None,
@@ -209,7 +232,10 @@ Strangers = Annotated[
         "Share of episodes with something never learnt; 0: it is always one of those.",
     ),
 ]
-Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
+_REPORT = "Write one self-contained .html."
+Page = Annotated[Path | None, written_file("--report", ending=".html", text=_REPORT)]
+# With figures, which need the extra `plot`.
+Report = Annotated[Path | None, option("--report", _REPORT, callback=_checked_report)]
 ListNames = Annotated[bool, flag("--list", "List them.")]
 NamePattern = Annotated[
     str | None,

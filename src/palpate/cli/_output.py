@@ -50,13 +50,19 @@ def print_json(value: dict[str, Any]) -> None:
     print(json.dumps(_plain(value), allow_nan=False))
 
 
-def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
-    """Print values as one JSON object, or lines for people."""
+def answer(as_json: bool, values: dict[str, Any], *parts: object) -> None:
+    """Print values as one JSON object, or for people lines, and tables as tuples.
+
+    These are what `table` takes; a part that is None is left out.
+    """
     if as_json:
         print_json(values)
         return
-    for line in lines:
-        say(line)
+    for part in parts:
+        if isinstance(part, tuple):
+            table(*part)
+        elif part is not None:
+            say(part)
 
 
 def say(line: object = "", *, file: TextIO | None = None, flush: bool = False) -> None:
@@ -114,7 +120,6 @@ def table(
     columns: list[str],
     rows: list[list[str]],
     whole: Collection[str] = (),
-    *,
     text: bool = False,
 ) -> None:
     """Print a table on standard output; the columns `whole` are not wrapped.

@@ -7,15 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import (
-    AsJson,
-    Reading,
-    Report,
-    TouchesPath,
-    check_folder_of,
-    grouped,
-)
-from ._output import answer, as_typed, counted, say, stages, table
+from ._options import AsJson, Page, Reading, TouchesPath, grouped
+from ._output import answer, as_typed, counted, stages
 
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
@@ -25,8 +18,9 @@ _ROWS_SHOWN, _NAMED, _ALIKE = 40, 3, 5
 # A step from touch to touch is small below this share of what touches of one object
 # differ by; of recorded touches 8 % are at most, of frames of one grasp 74 %.
 _SMALL_STEP, _LOOKED_AT, _SIDE = 0.2, 200, 48
-_SHEET_STYLE = (
-    "<style>.sheet{display:flex;flex-wrap:wrap;gap:.5rem}.sheet div{width:6rem;"
+_STYLE = (
+    "<style>:is(td,th){text-align:left}.sheet{display:flex;flex-wrap:wrap;gap:.5rem}"
+    ".sheet div{width:6rem;"
     "font-size:.75rem;line-height:1.25;overflow-wrap:anywhere}"
     ".sheet img{display:block;max-width:100%;outline:1px solid #b8c2cc}</style>"
 )
@@ -46,7 +40,7 @@ def check(
     touches: TouchesPath,
     *,
     reading: Reading,
-    report: Report = None,
+    report: Page = None,
     as_json: AsJson = False,
 ) -> None:
     """Look at touches before learning: bad pictures, counts, what is no touch.
@@ -59,9 +53,6 @@ def check(
     from ..evaluation import named_alone
     from ..touches import TouchesError
 
-    if report is not None and report.suffix != ".html":
-        raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
-    check_folder_of(report)
     with stages() as stage:
         stage(f"looking at {touches}")
         pictures, others = _pictures(reading, touches)
@@ -91,12 +82,7 @@ def check(
     checked["advice"] = _advice(checked, read)
     if report is not None:
         write_text(report, _page(checked, read))
-    if as_json:
-        answer(True, checked)
-    else:
-        _print(checked)
-        if report is not None:
-            say(report)
+    answer(as_json, checked, *_parts(checked), report)
     if checked["bad"]:
         raise typer.Exit(1)
 
@@ -360,71 +346,47 @@ def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
     return rows
 
 
-def _print(checked: dict[str, Any]) -> None:
+def _parts(checked: dict[str, Any]) -> list[Any]:
+    """Return what people are to know: sentences, and tables as `table` takes them."""
+    name, bad, objects = checked["touches"], checked["bad"], checked["objects"]
+    many = f"{counted(checked['n_touches'])} of {checked['size']}"
+    many += " (rows x columns)" * bool(bad)  # pictures: width x height
+    parts: list[Any] = [f"{name}: {many} can be used."]
     if checked["problem"]:
-        say(f"{checked['touches']}: nothing can be learnt from it as it is.")
-        say(checked["problem"])
-    else:
-        many = f"{counted(checked['n_touches'])} of {checked['size']}"
-        many += " (rows x columns)" * bool(checked["bad"])  # pictures: width x height
-        say(f"{checked['touches']}: {many} can be used.")
+        none = f"{name}: nothing can be learnt from it as it is."
+        parts = [none, checked["problem"]]
     if checked["read_as"]:
-        say(f"{checked['read_as'].capitalize()}.")
-    if bad := checked["bad"]:
-        rows = _rows(bad)
-        table(
-            f"{counted(len(bad), 'picture')} cannot be used",
-            ["picture", "what is wrong", "to do"],
-            rows,
-            text=True,
-        )
-    for note in checked["notes"]:
-        say(f"Note: {note}.")
-    if objects := checked["objects"]:
-        columns = [name for name in objects[0] if objects[0][name] is not None]
-        rows = [[str(row[name]) for name in columns] for row in objects[:_ROWS_SHOWN]]
-        table(counted(len(objects), "object"), columns, rows)
+        parts.append(f"{checked['read_as'].capitalize()}.")
+    if bad:
+        title = f"{counted(len(bad), 'picture')} cannot be used"
+        columns = ["picture", "what is wrong", "to do"]
+        parts.append((title, columns, _rows(bad), (), True))
+    parts += [f"Note: {note}." for note in checked["notes"]]
+    if objects:
+        columns = [key for key in objects[0] if objects[0][key] is not None]
+        rows = [[str(row[key]) for key in columns] for row in objects[:_ROWS_SHOWN]]
+        parts.append((counted(len(objects), "object"), columns, rows))
         if len(objects) > _ROWS_SHOWN:
-            say(f"and {len(objects) - _ROWS_SHOWN} more")
-    for line in _alone_lines(checked["alone"]):
-        say(line)
-    for advice in checked["advice"]:
-        say(f"- {advice[0].upper()}{advice[1:]}.")
-
-
-def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:
-    return [
-        f"{name} alone would name {100 * control['right']:.1f} % of each object's last "
-        f"touches right (chance {100 * control['chance']:.1f} %)."
-        for name, control in alone.items()
-    ]
+            parts.append(f"and {len(objects) - _ROWS_SHOWN} more")
+    for name, control in checked["alone"].items():
+        parts.append(
+            f"{name} alone would name {100 * control['right']:.1f} % of each object's "
+            f"last touches right (chance {100 * control['chance']:.1f} %)."
+        )
+    return parts + [f"- {what[0].upper()}{what[1:]}." for what in checked["advice"]]
 
 
 def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
     from .._page import html_table, report_page, worded
 
-    title = f"{checked['touches']}: {counted(checked['n_touches'], 'touch', 'touches')}"
-    if checked["bad"]:
-        title += f", {counted(len(checked['bad']), 'picture')} cannot be used"
-    parts = [f"<h1>{escape(title)}</h1>"]
-    lines = [
-        checked["problem"],
-        checked["read_as"],
-        *checked["notes"],
-        *_alone_lines(checked["alone"]),
-    ]
-    parts += [f"<p>{worded(line)}</p>" for line in lines if line]
-    if checked["bad"]:
-        rows = _rows(checked["bad"])
-        columns = ["picture", "what is wrong", "to do"]
-        text = "<style>.text :is(td, th) {text-align: left}</style>"
-        bad = html_table("Cannot be used", columns, rows)
-        parts.append(f"{text}<div class=text>{bad}</div>")
-    advice = "".join(f"<li>{worded(line)}</li>" for line in checked["advice"])
-    parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
+    title, *parts = _parts(checked)
+    sections = [_STYLE, f"<h1>{escape(title)}</h1>"]
+    for part in parts:
+        is_text = isinstance(part, str)
+        sections.append(f"<p>{worded(part)}" if is_text else html_table(*part[:3]))
     if touches is not None and touches.object is not None:
-        parts.append(_sheet(touches, checked))
-    return report_page(title, parts)
+        sections.append(_sheet(touches, checked))
+    return report_page(title, sections)
 
 
 def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
@@ -439,10 +401,7 @@ def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
 
     objects, odd = checked["objects"], _odd_words(checked["odd"])
     names = touches.columns.get("source_path", np.full(len(touches), ""))
-    parts = [
-        _SHEET_STYLE,
-        "<h2>Touches of each object, evenly out of its recording</h2>",
-    ]
+    parts = ["<h2>Touches of each object, evenly out of its recording</h2>"]
     if checked["bad"]:
         parts.append("<p class=note>Pictures that cannot be used are not shown.</p>")
     for entry in objects[:SHEET_OBJECTS]:

@@ -63,7 +63,6 @@ def learn(
     from ..recognition import ObjectRecogniser
     from ..simulation import DomeCamera
 
-    ObjectRecogniser.check_path(output)
     things = find_objects(objects, unit)
     if len(things) < 2:
         raise ValueError("OBJECT must name at least 2 objects to learn. Add another.")
@@ -125,7 +124,11 @@ def recognise(
     ] = None,
     picture: Annotated[
         Path | None,
-        option("Draw what is believed, from above, and the next touch, as this PNG."),
+        _options.written_file(
+            "--picture",
+            ending=".png",
+            text="Draw what is believed, from above, and the next touch, as this PNG.",
+        ),
     ] = None,
     unit: Unit = "mm",
     seed: _options.Seed = 0,
@@ -140,7 +143,7 @@ def recognise(
     from ..recognition import ObjectRecogniser
 
     if picture is not None:
-        _check_picture(picture)
+        needed("matplotlib", "plot", "--picture")
     target = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
@@ -195,13 +198,6 @@ def recognise(
         f"  {end.reason}",
         *standing,
     )
-
-
-def _check_picture(picture: Path) -> None:
-    if picture.suffix.lower() != ".png":
-        raise ValueError(f"--picture must end in .png, got {picture.name!r}.")
-    _options.check_folder_of(picture)
-    needed("matplotlib", "plot", "--picture")
 
 
 @dataclass(frozen=True)

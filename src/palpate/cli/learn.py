@@ -52,7 +52,6 @@ def learn(
     from .. import recognition
     from ..library import TouchLibrary
 
-    recognition.ObjectRecogniser.check_path(output)
     if extend is not None and pitch_mm is not None:
         raise ValueError(
             f"--pitch-mm must be left out with --extend, got {pitch_mm:g}. Learn all "

@@ -36,7 +36,6 @@ def remount(
     from ..recognition import ObjectRecogniser
 
     _options.in_order(model, touches)
-    ObjectRecogniser.check_path(output)
     with stages() as stage:
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(_options.model_file(model))

@@ -21,10 +21,9 @@ from ._options import (
     ModelPath,
     NamePattern,
     NoContact,
+    Page,
     Reading,
-    Report,
     TouchesPath,
-    check_folder_of,
     flag,
     grouped,
     in_order,
@@ -237,7 +236,7 @@ def check(
     *,
     seconds: Annotated[float, option("How long; drift asks for minutes.")] = 60.0,
     model: Annotated[Path | None, option("A model that remembers its rest.")] = None,
-    report: Report = None,
+    report: Page = None,
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
@@ -252,9 +251,6 @@ def check(
     from ..sensors import SensorMemory, sensor_health
 
     check_positive("seconds", seconds)
-    if report is not None and report.suffix != ".html":
-        raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
-    check_folder_of(report)
     memory = None
     if model is not None:
         stored = ObjectRecogniser.load(model).memory_.sensor
@@ -306,7 +302,6 @@ def learn_nuisance(
     from ..recognition import ObjectRecogniser
 
     in_order(model, touches)
-    ObjectRecogniser.check_path(output)
     with stages() as stage:
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model_file(model))
