@@ -24,7 +24,7 @@ REFUSED = {
     "learn m.npz -o n.palpate": [
         ("--workers 0", 2, "--workers must be at least 1"),
         ("--workers 2 --cluster x", 1, "either --workers or --cluster"),
-        ("--where 'object = pen'", 1, "--where must be given with a library"),
+        ("--where 'object = pen'", 1, "make one with `palpate library add`"),
         ("--extend m.palpate --max-model-mb 1e-3", 1, TOO_LARGE),
     ],
     "learn lib -o n.palpate": [
@@ -207,9 +207,8 @@ REFUSED = {
         ("--skip-bad", 1, "--skip-bad must be left out with a running sensor"),
     ],
     "library add l . --topic /pad": [
-        ("--where x", 1, "--where must be left out with --topic, got 'x"),
-        ("--name-pattern x", 1, "--name-pattern must be left out with --topic, got 'x"),
-        ("--no-contact x", 1, "--no-contact must be left out with --topic, got "),
+        (f"--{name} x", 1, f"--{name} must be left out for a bag such as ., got 'x'")
+        for name in ("where", "name-pattern", "no-contact")
     ],
 }
 CASES = [

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import AsJson, Page, Reading, TouchesPath, grouped
+from ._options import AsJson, Page, Reading, TouchesPath, grouped, kind_of
 from ._output import answer, as_typed, counted, stages
 
 if TYPE_CHECKING:
@@ -91,11 +91,9 @@ def _pictures(
     reading: Reading, touches: Path
 ) -> tuple["PictureCheck | None", dict[str, list[str]]]:
     """Look at every picture, if `touches` is a folder of pictures."""
-    from ..library import TouchLibrary, is_recording
     from ..touches import check_folder
 
-    is_library = TouchLibrary.is_library(touches)
-    if not touches.is_dir() or is_library or is_recording(touches):
+    if kind_of(touches) != "folder":
         return None, {}
     return check_folder(
         touches,

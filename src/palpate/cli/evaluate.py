@@ -75,7 +75,7 @@ def evaluate(
             return None
         stage(f"reading {path}")
         try:
-            return replace(reading, read=None, where=where).touches(path)
+            return replace(reading, where=where).touches(path)
         except ValueError as error:
             as_it_is = reading == _options.Reading(where=reading.where)
             if path == train or as_it_is or not path.exists():

@@ -108,7 +108,7 @@ def add(
     begin = reading.begin
     detect = detect and touches.suffix.lower() not in FILMS
     if detect:  # where touches begin is told here, from all frames together
-        reading = replace(reading, read=None, begin=None)
+        reading = replace(reading, begin=None)
         parts = iter([reading.touches(touches, topic)])
     else:
         parts = reading.parts(touches, topic)  # before a library is made
