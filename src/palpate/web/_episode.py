@@ -85,6 +85,18 @@ class LiveTouch:
 PLACED = "position_mm", "direction", "force_n"
 
 
+def place_of(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Return of what was measured with a touch its place, if known, and its force."""
+    known = {
+        name: columns[name]
+        for name in PLACED
+        if name in columns and np.isfinite(columns[name]).all()
+    }
+    if not known.keys() >= {"position_mm", "direction"}:
+        known = {name: known[name] for name in known if name == "force_n"}
+    return known
+
+
 class LiveEpisode:
     """Touches of one object, from the first to the decision and beyond.
 
@@ -123,21 +135,16 @@ class LiveEpisode:
         self,
         image: Array | None,
         channels: Sequence[str] | None,
-        place: Mapping[str, Any] | None = None,
-        columns: Mapping[str, Any] | None = None,
+        columns: Mapping[str, Any],
         rest: Array | None = None,
     ) -> LiveTouch:
         """Take in a touch and return it; one that is refused changes nothing.
 
-        Without an `image` it is a miss. `place` holds its `position_mm`, `direction`
-        and `force_n`, where they are known; `columns` all that was measured with it, by
-        default these; `rest` is the frame of no contact of today.
+        Without an `image` it is a miss. `columns` holds all that was measured with it;
+        `rest` is the frame of no contact of today.
         """
-        of_place = place or {}
-        placed = {name: of_place[name] for name in PLACED if name in of_place}
-        touch = LiveTouch(
-            len(self.touches) + 1, time.time(), miss=image is None, **placed
-        )
+        number, placed = len(self.touches) + 1, place_of(columns)
+        touch = LiveTouch(number, time.time(), miss=image is None, **placed)
         evidence = None
         if self.recogniser is not None and image is not None:
             touches = Touches(image[np.newaxis], channels=channels, no_contact=rest)
@@ -147,7 +154,7 @@ class LiveEpisode:
             self.channels = channels
         self._take_in(touch, image, evidence)
         self._evidences.append(evidence)
-        self._columns.append(touch.columns if columns is None else columns)
+        self._columns.append(columns)
         self.images.append(image)  # first, for those who read meanwhile
         self.touches.append(touch)
         return touch
