@@ -445,7 +445,7 @@ def test_a_missing_model_and_wrong_arguments_are_refused(tmp_path, drawn):
         LiveSession(error=0.9)
     with pytest.raises(ValueError, match="summary must be one of"):
         LiveSession(ReplaySensor(Touches(drawn.images)), summary="loudest")
-    session = LiveSession(library=tmp_path / "library")
+    session = LiveSession(ReplaySensor(Touches(drawn.images)), library=tmp_path / "l")
     with pytest.raises(ValueError, match="wanted must be at most 1000"):
         session.teach("cup", 5000)
     session.stop()

@@ -22,7 +22,7 @@ from sklearn.base import clone
 
 from .._checks import size_text
 from .._types import Array
-from ..library import LibraryError, TouchLibrary
+from ..library import LibraryError, TouchLibrary, TouchRow
 from ..recognition import (
     EmptyTouchError,
     Memory,
@@ -126,6 +126,12 @@ def of_size(image_shape: Sequence[int]) -> str:
     n_rows, n_cols, *more = image_shape
     channels = f"= {more[0]}" if more else "is null"
     return f"n_rows = {n_rows} and n_cols = {n_cols} and n_channels {channels}"
+
+
+def newest_row(library: TouchLibrary) -> TouchRow | None:
+    """Return the touch that was added last, None without any."""
+    rows = library.list(limit=1, offset=max(0, len(library) - 1))
+    return rows[0] if rows else None
 
 
 def learn_job(
@@ -242,10 +248,10 @@ def _taught(
 ) -> Any:
     """Return what to learn: of objects not `kept` two touches each at least."""
     if image_shape is None:
-        newest = library.list(limit=1, offset=max(0, len(library) - 1))
-        if not newest:
+        newest = newest_row(library)
+        if newest is None:
             return None
-        image_shape = newest[0].image_shape
+        image_shape = newest.image_shape
     where = f"object is not null and {of_size(image_shape)}"
     if not library.list(where, limit=1):
         return None

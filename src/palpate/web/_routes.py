@@ -139,11 +139,7 @@ Session = Annotated[LiveSession, Depends(_session)]
 
 
 async def _teacher(session: Session) -> Teacher:
-    if session.teacher is None:
-        raise HTTPException(
-            409, "There is no library here; start with `library=FOLDER`."
-        )
-    return session.teacher
+    return session._teacher()
 
 
 async def _picture(
@@ -195,9 +191,7 @@ def health(session: Session) -> dict[str, Any]:
 @router.get("/frame", tags=["sensor"])
 def frame(session: Session) -> JSONResponse:
     """Return the newest frame, `{"image": [[0, null]]}`, of at most 4096 taxels."""
-    if session.watch is None:
-        raise HTTPException(409, "There is no sensor here.")
-    image = session.watch.sensor.read_latest().image
+    image = session._watched().sensor.read_latest().image
     if image.shape[0] * image.shape[1] > 4096:
         raise HTTPException(409, "Frames of more than 4096 taxels are pictures.")
     values = image.astype(object)
@@ -229,7 +223,7 @@ def undo_baseline(session: Session) -> Done:
 @router.get("/baseline/press", tags=["sensor"], response_class=Response)
 def press(session: Session) -> Response:
     """Return the last test press, as its difference from the baseline, as a PNG."""
-    channels = None if session.watch is None else session.watch.sensor.channels
+    channels = session._watched().sensor.channels
     return _shown_touch(session.press_difference(), channels)
 
 

@@ -278,12 +278,12 @@ class LiveSession:
         ones may be of a thing that lay there before. Those from before the baseline was
         taken do not: it is not theirs.
         """
-        teacher = self._teacher()
+        teacher, watch = self._teacher(), self._watched()
         start_learning()
         with self._changing():
             teacher.begin(name, wanted)
             self._expect_new_touch()
-            self._watched().end_press()
+            watch.end_press()
             self.message = self.trouble = ""
             touched = self.episode.since_baseline()[-wanted:]
             if keep_episode and not touched:
@@ -467,7 +467,9 @@ class LiveSession:
 
     def _watched(self) -> SensorWatch:
         if self.watch is None:
-            raise SensorError("This session has no sensor. Start it with one.")
+            raise SensorError(
+                "There is no sensor here. Post touches, or start again with a `sensor`."
+            )
         return self.watch
 
     def place(self, name: str | None) -> None:
@@ -535,7 +537,7 @@ class LiveSession:
 
     def _teacher(self) -> Teacher:
         if self.teacher is None:
-            raise ValueError(
+            raise LearningError(
                 "Nothing can be taught without a library. Start again with "
                 "`library=FOLDER`."
             )
