@@ -128,7 +128,7 @@ REFUSED = {
         ("m.palpate gone.stl", 1, "got no file 'gone.stl'"),
         ("m.palpate ball --folder m.npz", 1, "file 'm.npz'. Use another folder"),
         ("m.palpate ball --seed -1", 2, "got -1. Give another"),
-        ("m.palpate ball --strategy best", 1, "'informative'"),
+        ("m.palpate ball --strategy best", 2, "'informative'"),
         ("m.palpate ball --fault x", 1, "NUMBER=NAME"),
         ("m.palpate ball --fault ²=slow", 1, "NUMBER=NAME"),
         ("m.palpate ball --fault 0=x", 1, "'stuck force'"),

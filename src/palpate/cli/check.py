@@ -24,12 +24,16 @@ _STYLE = (
     "font-size:.75rem;line-height:1.25;overflow-wrap:anywhere}"
     ".sheet img{display:block;max-width:100%;outline:1px solid #b8c2cc}</style>"
 )
+# What is odd about pictures that can be used: on the sheet, and in a note.
 _ODD = {
-    "turned": "turned upright",
-    "coloured": "in colour",
-    "grey": "in grey",
-    "flat": "flat",
-    "copies": "a copy",
+    "turned": ("turned upright", "turned upright, as the camera noted (Exif)"),
+    "coloured": (
+        "in colour",
+        "in colour among grey ones, read in grey, to be taken out if of another sensor",
+    ),
+    "grey": ("in grey", "in grey among those in colour"),
+    "flat": ("flat", "flat, of one level all over, to be recorded again or left out"),
+    "copies": ("a copy", "there twice"),
 }
 # Pictures in files that are not read beside JPEG and PNG.
 STILLS = (".bmp", ".webp", ".tif", ".tiff", ".gif", ".heic", ".avif")
@@ -67,6 +71,7 @@ def check(
             read, problem = None, as_typed(str(error))
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
+    odd = _odd(pictures)
     checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,
@@ -74,8 +79,8 @@ def check(
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
         "read_as": "" if read is None else reading.read_as(touches, read),
         "bad": [] if pictures is None else _bad(pictures),
-        "odd": _odd(pictures),
-        "notes": _notes(pictures, others),
+        "odd": odd,
+        "notes": _notes(pictures, others, odd),
         "objects": [] if read is None else _objects(read),
         "alone": alone,
     }
@@ -109,23 +114,21 @@ def _odd(pictures: "PictureCheck | None") -> dict[str, list[Any]]:
     """Return the pictures that can be used and are odd, by what is odd about them."""
     if pictures is None:
         return {}
+    few = "coloured" if len(pictures.coloured) < len(pictures.grey) else "grey"
     odd: dict[str, list[Any]] = {
         "turned": pictures.turned,
-        **_other_than_most(pictures),
+        few: getattr(pictures, few),
         "flat": pictures.flat,
         "copies": [[*pair] for pair in pictures.same],
     }
     return {kind: names for kind, names in odd.items() if names}
 
 
-def _other_than_most(pictures: "PictureCheck") -> dict[str, list[str]]:
-    """Return the pictures in colour among more in grey, or the grey ones in colour."""
-    if len(pictures.coloured) < len(pictures.grey):
-        return {"coloured": pictures.coloured}
-    return {"grey": pictures.grey}
-
-
-def _notes(pictures: "PictureCheck | None", others: dict[str, list[str]]) -> list[str]:
+def _notes(
+    pictures: "PictureCheck | None",
+    others: dict[str, list[str]],
+    odd: dict[str, list[Any]],
+) -> list[str]:
     if pictures is None:
         return [
             f"{counted(len(names), 'file')} of {ending} read in grey, none looked at: "
@@ -133,34 +136,15 @@ def _notes(pictures: "PictureCheck | None", others: dict[str, list[str]]) -> lis
             for ending, names in others.items()
         ]
     notes = []
-    if turned := pictures.turned:
-        many = counted(len(turned), "picture")
+    for kind, pairs in odd.items():
+        names = [" and ".join(p) if kind == "copies" else p for p in pairs]
+        many = counted(len(names), "picture")
+        notes.append(f"{many} {_ODD[kind][1]}: {_first(names)}")
+    if pictures.coloured and "coloured" not in odd:
+        many = counted(len(pictures.coloured), "picture")
         notes.append(
-            f"{many} turned upright, as the camera noted (Exif): {_first(turned)}"
+            f"{many} in colour read in grey: --colour, if colour tells, as on a gel"
         )
-    if coloured := pictures.coloured:
-        grey, many = pictures.grey, counted(len(pictures.coloured), "picture")
-        if "coloured" in _other_than_most(pictures):
-            notes.append(
-                f"{many} in colour ({_first(coloured)}) and {len(grey)} in grey, all "
-                "read in grey: take those in colour out, if they are of another sensor"
-            )
-        else:
-            mixed = f" and {len(grey)} in grey ({_first(grey)})" if grey else ""
-            notes.append(
-                f"{many} in colour{mixed}{', all' * bool(grey)} read in grey: "
-                "--colour, if colour tells, as on a gel"
-            )
-    if flat := pictures.flat:
-        many = counted(len(flat), "picture")
-        notes.append(
-            f"{many} flat, of one grey level all over, in which nothing is seen: "
-            f"record again, or take out {_first(flat)}"
-        )
-    if pictures.same:
-        pairs = [f"{copy} and {first}" for copy, first in pictures.same]
-        many = counted(len(pairs), "picture")
-        notes.append(f"{many} there twice: {_first(pairs)}")
     for ending, names in others.items():
         mend = ": save as PNG" * (ending in STILLS)
         many = counted(len(names), "file")
@@ -195,17 +179,17 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
-    from .._types import FILMS
     from ..evaluation import few_touches
 
     objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
         path = Path(checked["touches"])
-        if path.suffix.lower() in FILMS:
+        kind = kind_of(path)
+        if kind == "film":
             film = f"`palpate library add LIBRARY {path} --object NAME`"
             return [f"nothing is labelled: {film}, film by film, and learn LIBRARY"]
-        if not path.is_dir():
+        if kind != "folder":
             has = ", ".join([*touches.columns][:_NAMED])
             has = f" (it has {has})" if has else ""
             fix = f"call the column of names object{has}, or, in Python, save "
@@ -436,5 +420,5 @@ def _odd_words(odd: dict[str, list[Any]]) -> dict[str, str]:
     for kind, names in odd.items():
         for name in names:
             picture = name[0] if kind == "copies" else name
-            words.setdefault(picture, []).append(_ODD[kind])
+            words.setdefault(picture, []).append(_ODD[kind][0])
     return {name: ", ".join(each) for name, each in words.items()}

@@ -101,7 +101,13 @@ def recognise(
         str, _options.argument("OBJECT", "A built-in object or a mesh file.")
     ],
     *,
-    strategy: Annotated[str, option("informative, random or raster.")] = "informative",
+    strategy: Annotated[
+        str,
+        option(
+            "informative, random or raster.",
+            callback=_options.one_of("--strategy", lambda: STRATEGIES),
+        ),
+    ] = "informative",
     taught: Annotated[
         Path | None,
         option(
@@ -232,8 +238,7 @@ def _way(
         return exploration.RandomHemisphere(hemisphere, seed)
     if strategy == "raster":
         return exploration.Raster(hemisphere)
-    if strategy != "informative" or touch_map is None:
-        raise KeyError(strategy)
+    assert touch_map is not None
     return exploration.InformativeTouch(touch_map, hemisphere)
 
 
@@ -267,11 +272,9 @@ def _touch_map(
     seed: int,
 ) -> "TouchMap | SurfaceMap | None":
     """Learn where touches were made; None where that is neither known nor needed."""
-    from .._checks import check_option
     from ..exploration import SurfaceMap, TouchMap
     from ..touches import Touches
 
-    check_option("strategy", strategy, STRATEGIES)
     archive = model.with_suffix(".npz") if taught is None else taught
     if taught is None and not archive.exists():
         if strategy != "informative":

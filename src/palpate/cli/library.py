@@ -15,6 +15,7 @@ from ._options import (
     argument,
     flag,
     grouped,
+    kind_of,
     option,
     say_limit,
     typed,
@@ -71,7 +72,6 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
-    from .._types import FILMS
     from ..library import SensorDescription
     from ..sensors import is_address
 
@@ -106,7 +106,7 @@ def add(
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
     n_given = n_new = 0
     begin = reading.begin
-    detect = detect and touches.suffix.lower() not in FILMS
+    detect = detect and kind_of(touches, topic) != "film"
     if detect:  # where touches begin is told here, from all frames together
         reading = replace(reading, begin=None)
         parts = iter([reading.touches(touches, topic)])

@@ -75,12 +75,6 @@ class LiveTouch:
     force_n: float | None = None
     miss: bool = False
 
-    @property
-    def columns(self) -> dict[str, Any]:
-        """What is known of it beside its picture, by name."""
-        values = {name: getattr(self, name) for name in PLACED}
-        return {name: value for name, value in values.items() if value is not None}
-
 
 PLACED = "position_mm", "direction", "force_n"
 
@@ -208,7 +202,10 @@ class LiveEpisode:
         if not self.by_place:
             episode.add(evidence)
         else:
-            columns = touch.columns if touch.number <= _MOST_PLACED else {}
+            known = {name: getattr(touch, name) for name in PLACED}
+            columns = {name: v for name, v in known.items() if v is not None}
+            if touch.number > _MOST_PLACED:
+                columns = {}
             try:
                 episode.add(self._placed(image, columns), evidence=evidence)
             except ValueError as error:
@@ -442,12 +439,6 @@ class TopView:
         if learnt is None or "position_mm" not in learnt.columns:
             raise ValueError(_NO_PLACES)
         return SurfaceMap().fit(self._recogniser, learnt)
-
-
-def archive_beside(model: Path) -> Touches | None:
-    """Return the touches in the archive of a model's name, None without one."""
-    archive = model.with_suffix(".npz")
-    return Touches.load(archive) if archive.is_file() else None
 
 
 def _dot(touch: LiveTouch) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from ..sensors import (
     channels_of,
 )
 from ..touches import Touches
-from ._episode import LiveEpisode, TopView, archive_beside, place_of
+from ._episode import LiveEpisode, TopView, place_of
 from ._images import ImageKind, Names, check_image
 from ._learning import (
     LearningError,
@@ -605,14 +605,13 @@ class LiveSession:
 
     def _view_of(self, recogniser: ObjectRecogniser) -> TopView:
         def read_learnt() -> Touches | None:
-            learnt = (
-                None if self.model_path is None else archive_beside(self.model_path)
-            )
-            if learnt is None and self.teacher is not None:
-                ids = recogniser.memory_.touch_ids.tolist()
-                shape = recogniser.encoder_.image_shape_
-                learnt = self.teacher.touches_of_ids(ids, shape)
-            return learnt
+            archive = self.model_path and self.model_path.with_suffix(".npz")
+            if archive is not None and archive.is_file():
+                return Touches.load(archive)
+            if self.teacher is None:
+                return None
+            ids = recogniser.memory_.touch_ids.tolist()
+            return self.teacher.touches_of_ids(ids, recogniser.encoder_.image_shape_)
 
         def learnt(surface_map: SurfaceMap | None) -> None:
             with self._changing():
