@@ -91,15 +91,6 @@ def allowed(name: str) -> Callable[[], Iterable[str]]:
     return values
 
 
-def in_order(model: Path, touches: Path) -> None:
-    """Refuse touches in place of the model, and a model in place of touches."""
-    if touches.suffix == ".palpate" and model.suffix != ".palpate":
-        raise WrongUse(
-            f"MODEL must come first, then TOUCHES, got {model} {touches}. Give them "
-            f"as {touches} {model}."
-        )
-
-
 def checked_workers(workers: int | None) -> int | None:
     if workers is not None and workers < 1 and workers != -1:
         raise WrongUse(
@@ -497,6 +488,25 @@ class Reading:
         if self.colour is None and in_colour and pictures:
             return replace(self, colour=True)
         return self
+
+    def with_model(
+        self, model: Path, path: Path, stage: Callable[[str], None]
+    ) -> "tuple[ObjectRecogniser, Touches]":
+        """Read a model, and touches as it has learnt them; `stage` takes what is read.
+
+        Refuses touches in place of the model, and a model in place of touches.
+        """
+        from ..recognition import ObjectRecogniser
+
+        if path.suffix == ".palpate" and model.suffix != ".palpate":
+            raise WrongUse(
+                f"MODEL must come first, then TOUCHES, got {model} {path}. Give them "
+                f"as {path} {model}."
+            )
+        stage(f"reading {model}")
+        recogniser = ObjectRecogniser.load(model_file(model))
+        stage(f"reading {path}")
+        return recogniser, self.like(recogniser, path).touches(path)
 
     def parts(self, path: Path, topic: str | None = None) -> "Iterator[Touches]":
         """Read touches to be kept, those of Parquet and libraries some at a time.

@@ -95,12 +95,16 @@ def printable(text: str) -> str:
     return "".join(kept)
 
 
-def belief_line(touch: int, posterior: dict[str, float], unknown: float) -> str:
+def belief_line(
+    touch: int, posterior: dict[str, float], unknown: float, note: str = ""
+) -> str:
     """Return one line that shows a belief: a bar for the best, figures for the next.
 
     `posterior` holds the probability of each learnt object, `unknown` that it is none
-    of them, which is ranked among them.
+    of them, which is ranked among them. Where there is a `note` on the touch, that.
     """
+    if note:
+        return f"  {note}"
     shares = {**posterior, "unknown": unknown}
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     name, share = ranked[0]

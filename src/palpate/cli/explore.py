@@ -256,10 +256,9 @@ def print_attempt(record: "TouchRecord", belief: Any) -> None:
     from ..recognition import touch_note
 
     if record.touched:
-        flag = belief.flags[-1]
-        note = touch_note(belief.touches_used, flag)
-        shown = belief_line(belief.touches_used, belief.posterior, belief.unknown)
-        say(f"  {note}" if note else shown)
+        number = belief.touches_used
+        note = touch_note(number, belief.flags[-1])
+        say(belief_line(number, belief.posterior, belief.unknown, note))
     else:
         say(f"  {record.outcome}. {record.message}".rstrip())
 

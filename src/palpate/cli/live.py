@@ -122,9 +122,8 @@ def _episode(
             continue
         touch = episode["touches"][-1]
         if not quiet:
-            shares = touch["posterior"], touch["unknown"]
-            line = belief_line(touch["number"], *shares)
-            say(f"  {touch['note']}" if touch["note"] else line, flush=True)
+            about = (touch[n] for n in ("number", "posterior", "unknown", "note"))
+            say(belief_line(*about), flush=True)
         if episode["decision"] is not None or touch["number"] >= most:
             if session.alarm:
                 say(session.alarm, file=sys.stderr)

@@ -26,8 +26,6 @@ from ._options import (
     TouchesPath,
     flag,
     grouped,
-    in_order,
-    model_file,
     option,
 )
 from ._output import answer, printable, say, stages
@@ -299,14 +297,8 @@ def learn_nuisance(
     MODEL need not know the objects of TOUCHES, only the sensor: what differs between
     their sessions is weighed down in the model that is written.
     """
-    from ..recognition import ObjectRecogniser
-
-    in_order(model, touches)
     with stages() as stage:
-        stage(f"reading {model}")
-        recogniser = ObjectRecogniser.load(model_file(model))
-        stage(f"reading {touches}")
-        met = reading.like(recogniser, touches).touches(touches)
+        recogniser, met = reading.with_model(model, touches, stage)
         stage(f"learning from {len(met)} touches")
         n_differences = recogniser.learn_nuisance(met)
         written = recogniser.save(output)
