@@ -45,18 +45,14 @@ BAR_WIDTH = 24
 OBJECTS_SHOWN = 3
 
 
-def print_json(value: dict[str, Any]) -> None:
-    """Print one JSON object; numbers that are not finite become null."""
-    print(json.dumps(_plain(value), allow_nan=False))
-
-
 def answer(as_json: bool, values: dict[str, Any], *parts: object) -> None:
     """Print values as one JSON object, or for people lines, and tables as tuples.
 
-    These are what `table` takes; a part that is None is left out.
+    These are what `table` takes; a part that is None is left out. In JSON numbers that
+    are not finite become null.
     """
     if as_json:
-        print_json(values)
+        print(json.dumps(_plain(values), allow_nan=False), flush=True)
         return
     for part in parts:
         if isinstance(part, tuple):

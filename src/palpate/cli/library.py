@@ -34,6 +34,7 @@ library = typer.Typer(
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
 Object = Annotated[str, argument("An object.")]
 Filter = Annotated[str | None, argument("FILTER", "A filter, as --where.")]
+_OF_SENSOR = {"folder", "touches", "session", "object_name", "n_touches", "as_json"}
 
 
 @library.command()
@@ -85,10 +86,12 @@ def add(
                 f"--object NAME must be given with a running sensor, got {touches} "
                 "without. Say what is touched."
             )
-        _refuse_beside_a_sensor(
-            {**vars(reading), "episode": episode, "sensor": sensor, "topic": topic},
-            detect=detect,
-        )
+        for name in typed(context, *sorted({*context.params} - _OF_SENSOR)):
+            raise ValueError(
+                f"--{name.replace('_', '-')} must be left out with a running sensor, "
+                f"got {str(context.params[name])!r}. What the sensor takes stands in "
+                "its address, as in 'camera:0?colour=1'."
+            )
         n_taken = record_touches(str(touches), folder, object_name, n_touches, session)
         answer(
             as_json,
@@ -134,17 +137,6 @@ def add(
         {"library": str(folder), "given": n_given, "added": n_new},
         f"{n_new} new of {counted(n_given)}; {n_touches} in {folder}.",
     )
-
-
-def _refuse_beside_a_sensor(values: dict[str, Any], *, detect: bool) -> None:
-    """Refuse options that say how files are read, which say nothing of a sensor."""
-    for name, value in {**values, "detect": detect}.items():
-        if value not in (None, False):
-            raise ValueError(
-                f"--{name.replace('_', '-')} must be left out with a running sensor, "
-                f"got {str(value)!r}. What the sensor takes stands in its address, as "
-                "in 'camera:0?colour=1'."
-            )
 
 
 @library.command("list")

@@ -18,7 +18,7 @@ from ._options import (
     model_file,
     option,
 )
-from ._output import belief_line, print_json, say
+from ._output import answer, belief_line, say
 from .sensor import (
     LogFile,
     Patience,
@@ -99,8 +99,7 @@ def live(
                     done.append(episode)
         except KeyboardInterrupt:
             say("Ended.", file=sys.stderr)
-    if as_json:
-        print_json({"episodes": done})
+    answer(as_json, {"episodes": done})
     if not n_done or session.trouble:
         raise typer.Exit(1)
 

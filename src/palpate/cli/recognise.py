@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 from . import _options
-from ._output import belief_line, counted, print_json, say, stages
+from ._output import answer, belief_line, counted, say, stages
 
 if TYPE_CHECKING:
     from ..recognition import Evidence, ObjectRecogniser
@@ -52,7 +52,7 @@ def recognise(
         episodes = recognise_episodes(recogniser, tested, how, evidence)
     if as_json:
         mounting = {"changed": check.changed, "reasons": check.reasons}
-        print_json({"episodes": episodes, "mounting": mounting})
+        answer(True, {"episodes": episodes, "mounting": mounting})
         return
     if check.changed:
         more = " more, with labels" if "remount" in recogniser.chosen_ else ""
