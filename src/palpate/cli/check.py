@@ -60,13 +60,12 @@ def check(
     with stages() as stage:
         stage(f"looking at {touches}")
         pictures, others = _pictures(reading, touches)
-        usable = reading
-        if pictures is not None and pictures.bad:
-            usable = replace(reading, skip_bad=True)
+        all_bad = [] if pictures is None else pictures.bad
+        usable = replace(reading, skip_bad=True) if all_bad else reading
         try:
             read, problem = usable.touches(touches, quiet=True), ""
         except TouchesError as error:
-            if pictures is None or not pictures.bad:
+            if not all_bad:
                 raise
             read, problem = None, as_typed(str(error))
         stage("what is no touch")
@@ -78,7 +77,7 @@ def check(
         "n_touches": 0 if read is None else len(read),
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
         "read_as": "" if read is None else reading.read_as(touches, read),
-        "bad": [] if pictures is None else _bad(pictures),
+        "bad": [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in all_bad],
         "odd": odd,
         "notes": _notes(pictures, others, odd),
         "objects": [] if read is None else _objects(read),
@@ -296,10 +295,6 @@ def _sets_of_same_names(touches: "Touches") -> str:
         "where the outer folders are the objects, session/object where they are days, "
         "-/object where they say nothing"
     )
-
-
-def _bad(pictures: "PictureCheck") -> list[dict[str, Any]]:
-    return [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad]
 
 
 def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
