@@ -60,6 +60,7 @@ REFUSED = {
         ("--begin=3", 1, "--begin must be left out for a library"),
     ],
     "check m.npz": [
+        ("--report gone/x.html", 1, "There is no folder gone to write to; make it."),
         ("--begin 3", 1, "--begin must be left out for"),
         ("--max-megapixels inf", 1, "--max-megapixels must be positive and finite"),
         ("--max-megapixels nan", 1, "--max-megapixels must be positive and finite"),
@@ -139,6 +140,7 @@ REFUSED = {
     ],
     "sensor check --sensor sim:bar10": [
         ("--report x.pdf", 2, "must end in .html"),
+        ("--seconds 300 --report gone/x.html", 1, "no folder gone to write to; make"),
         ("--seconds 0", 1, "seconds must be"),
     ],
     "record x --library l --sensor": [
@@ -153,6 +155,7 @@ REFUSED = {
         ("serial:x?checksum=yes --no-checksum", 2, "and --no-checksum contradict each"),
         ("serial:/dev/nowhere --shape 4x4", 1, "cannot be opened"),
         ("camera:/dev/nowhere", 1, "no camera at"),
+        ("sim:mug -o gone/a.npz", 1, "There is no folder gone to write to; make it."),
         ("sim:mug -n 0", 1, "--touches must be at least 1, got 0"),
         ("sim:mug -n 1001", 1, "--touches must be at most 1000, got 1001"),
         ("sim:mug -n 1 --sessions 2", 1, "--touches must be at least one for each of"),
@@ -189,6 +192,8 @@ REFUSED = {
         ("list lib --objects --where 'object = mug'", 1, "must stand without --where"),
         ("list lib --objects --offset 1", 1, "--objects must stand without --where"),
         ("list lib --objects --retracted", 1, "--objects must stand without --where"),
+        ("show lib abc -o gone/a.npy", 1, "no folder gone to write to; make it."),
+        ("show lib abc -o a.npz", 2, "--output must end in .npy, got 'a.npz'."),
         ("list gone", 1, "Make one with `palpate library add`."),
         ("add l m.npz -n 12", 1, "--touches must be left out without a running sensor"),
         (
