@@ -796,10 +796,10 @@ class LiveSession:
                 )
             self.message = message + more
             return
-        if kept := answer["kept"]:
+        if stays := answer["stays"]:
             raise LearningError(
-                f"{TOO_LITTLE} The model stays as it was, for {kept[0]} is known from "
-                "it alone. Teach another object, then learn."
+                f"{TOO_LITTLE} The model stays as it was, for {stays[0]}. Teach "
+                "another object, then learn."
             )
         self._use(None)
         path.unlink(missing_ok=True)
