@@ -242,10 +242,11 @@ class Selection(Labelled):
             images = np.empty(shape, dtype)
         columns, whole = picked.read_columns(images, of), picked.whole
         if self._rest is not None:
-            images, whole["no_contact"] = images.astype(np.float64), self._rest
+            images = images.astype(_moved_kind(images.dtype))
+            whole["no_contact"] = self._rest
             keys = np.array(picked.recordings())
             for key, move in self._moves.items():
-                images[keys == key] += move
+                images[keys == key] += move.astype(images.dtype)
         return Touches(images, **columns, **whole)
 
     def parts(self) -> Iterator[Touches]:
@@ -578,10 +579,15 @@ def _encoded(
     stored: list[StoredImage],
 ) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
-    dtype = stored[0].dtype if moves is None else np.dtype(np.float64)
+    dtype = stored[0].dtype if moves is None else _moved_kind(stored[0].dtype)
     images = np.empty((len(stored), *stored[0].shape), dtype)
     for place, image in enumerate(stored):
         images[place] = image.unpacked()
         if moves and image.row.recording in moves:
-            images[place] += moves[image.row.recording]
+            images[place] += moves[image.row.recording].astype(dtype)
     return np.asarray(encode(Touches(images, **layout)), dtype=np.float64)
+
+
+def _moved_kind(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Return what images are held in that were moved to another frame: floats."""
+    return np.result_type(dtype, np.float32)

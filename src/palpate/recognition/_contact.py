@@ -177,13 +177,20 @@ class ContactCheck(BaseEstimator):
 
     def _difference(self, touches: Touches) -> Floats:
         # Whole numbers would go round.
-        idle = self.idle_.astype(np.float64)
+        idle = self._rest(touches).astype(np.float64)
         return np.asarray(living(touches.images, self.pads_) - idle)
 
     def _unlikeness(self, touches: Touches) -> Floats:
         """Return 1 - correlation with the frame of no contact, shape (n_touches,)."""
         seen = self._counted(living(touches.images, self.pads_))
-        return 1 - correlation(seen, self._counted(self.idle_[np.newaxis]))
+        return 1 - correlation(seen, self._counted(self._rest(touches)[np.newaxis]))
+
+    def _rest(self, touches: Touches) -> Array:
+        """Return what touching nothing looks like: the touches' own frame, or ours."""
+        frame = touches.no_contact
+        if frame is None or frame.shape != self.idle_.shape:
+            return self.idle_
+        return np.asarray(living(np.asarray(frame)[np.newaxis], self.pads_)[0])
 
     def _counted(self, images: Array) -> Array:
         """Return the taxels on pads, (n_touches, n_levels); without pads the images."""

@@ -205,7 +205,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         self.check_size(images, touches.channels, touches.pads)
         if not self.as_changes or idle is None or self.baseline_ is None:
             return self.cleaned(self.living(images))
-        return self.living(images) - self.living(idle[np.newaxis]).astype(np.float64)
+        return _changes(self.living(images), self.living(idle[np.newaxis]))
 
     def check_size(
         self,
@@ -267,7 +267,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         """Return images that `living` has checked, after the clean-up."""
         if self.clean_up_ is None:
             if self.as_changes and self.baseline_ is not None:
-                images = images - self.baseline_.astype(np.float64)
+                images = _changes(images, self.baseline_)
             return images
         if self.channels and images.ndim == 4:
             batches = in_batches(images)
@@ -301,7 +301,7 @@ class TouchEncoder(Encoder, BaseEstimator):
             if touches.no_contact is not None:
                 level = self.living(touches.no_contact[np.newaxis], broken)[0]
             images = self.living(touches.images, broken)
-            return looks(grey(images - level.astype(np.float64)), None)
+            return looks(grey(_changes(images, level)), None)
         rest = self._idle(touches, broken)
         if not self.with_rest_ or (self.clean_up_ is None and self.baseline_ is None):
             rest = None  # as in what it learnt
@@ -418,6 +418,12 @@ def living(images: Array, pads: Array | None = None) -> Array:
             gaps[row : row + n_rows, col : col + n_cols] = False
         images = np.where(gaps, 0, images)
     return fill_dead_taxels(images)
+
+
+def _changes(images: Array, level: Array) -> Array:
+    """Return images less a level; whole numbers stay such, which takes less memory."""
+    kind = np.result_type(images.dtype, level.dtype, np.int16)
+    return np.subtract(images, level, dtype=kind)
 
 
 def in_batches(values: Any) -> Iterator[Any]:

@@ -187,8 +187,8 @@ def _check_auto(preset: str, presentation: str) -> None:
 def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
     """One encoder of all encodings that the presentation allows.
 
-    Two of an array whose taxels rest at levels of their own: of what it reads, in which
-    such levels lie on every touch, and of what changes.
+    Two where the sensor rests at levels of its own: of what it reads, in which such
+    levels lie on every touch, and of what changes.
     """
     geometry = find_geometry(touches)
     if geometry == "none":
@@ -206,13 +206,13 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
             on_disc["colours on rings"] = quantiles
         candidates = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": _allowed(candidates, presentation)}
-    rest, is_array = touches.no_contact, geometry == "array"
+    rest = touches.no_contact
     if rest is not None:  # as the touches are looked at: without dead taxels
         rest = living(rest[None], touches.pads)[0]
-    encodings = _array_encodings if is_array else _plane_encodings
+    encodings = _array_encodings if geometry == "array" else _plane_encodings
     pictures = TouchEncoder(None, encodings(touches, rest))
     recipes = {"whole picture": _allowed(pictures, presentation)}
-    if is_array and rest is not None and np.ptp(rest):
+    if rest is not None and np.ptp(rest):
         of_changes = encodings(touches, np.zeros_like(rest))
         changes = TouchEncoder(None, of_changes, as_changes=True)
         recipes["change from rest"] = _allowed(changes, presentation)
