@@ -75,10 +75,8 @@ def test_five_odd_jpegs_are_reported_and_the_others_are_used(palpate, jpegs, tmp
     assert [picture["picture"] for picture in answer["bad"]] == bad
     assert answer["notes"] == [
         "1 picture turned upright, as the camera noted (Exif): mug/2.jpg",
-        (
-            "12 pictures in colour and 1 in grey (pen/2.jpg), all read in grey: "
-            "--colour, if colour tells, as on a gel"
-        ),
+        "1 picture in grey among those in colour: pen/2.jpg",
+        "12 pictures in colour read in grey: --colour, if colour tells, as on a gel",
     ]
     assert answer["odd"] == {"turned": ["mug/2.jpg"], "grey": ["pen/2.jpg"]}
     in_colour = palpate.answer("check", jpegs, "--colour", code=1)
@@ -482,8 +480,9 @@ def test_notes_name_the_few_in_colour_and_what_is_flat_empty_or_no_png(
     answer = palpate.answer("check", tmp_path)
     assert answer["odd"] == {"coloured": ["pen/gel.jpg"], "flat": ["pen/black.jpg"]}
     colour, flat, other, empty = answer["notes"]
-    assert colour.startswith("1 picture in colour (pen/gel.jpg) and 13 in grey, all")
-    assert "nothing is seen: record again, or take out pen/black.jpg" in flat
+    assert colour.startswith("1 picture in colour among grey ones, read in grey, to")
+    assert colour.endswith(": pen/gel.jpg")
+    assert flat.endswith("all over, to be recorded again or left out: pen/black.jpg")
     assert other == "1 file of .bmp left alone (pen/old.bmp): save as PNG"
     assert empty == "1 folder empty: cup/"
 

@@ -132,7 +132,7 @@ def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
     model = tmp_path / "m.palpate"
     assert palpate.answer("learn", out, "-o", model)["n_train_touches"] == 60
     refused = palpate.refusal(*add, "--where", "order > 1")
-    assert "--where must be left out for Parquet" in refused
+    assert "--where must be left out for a Parquet file" in refused
     refused = palpate.refusal("library", "export", folder, "-o", out, "--by", "colour")
     assert "by must be one of" in refused
 

@@ -465,21 +465,6 @@ def test_a_touched_sensor_is_not_reported_as_healthy(palpate):
     assert "touch" in result.stdout.splitlines()[0]
 
 
-def test_a_folder_to_write_to_is_looked_for_first(palpate, recording, replay, tmp_path):
-    page, lab = tmp_path / "none" / "page.html", tmp_path / "lab"
-    archive = page.with_name("a.npz")
-    for words in (
-        ["sensor", "check", *replay, "--seconds", "300", "--report", page],
-        ["check", recording, "--report", page],
-        ["record", "bar", *replay, "--library", lab, "-o", archive],
-        ["library", "show", lab, "abc", "-o", page.with_name("a.npy")],
-    ):
-        done = palpate.refusal(*words)
-        message = f"palpate: There is no folder {page.parent} to write to; make it."
-        assert message in done
-    assert not lab.exists()
-
-
 def test_a_folder_that_may_not_be_written_to_is_told_before_the_work(
     palpate, tmp_path, monkeypatch
 ):

@@ -24,7 +24,7 @@ REFUSED = {
     "learn m.npz -o n.palpate": [
         ("--workers 0", 2, "--workers must be at least 1"),
         ("--workers 2 --cluster x", 1, "either --workers or --cluster"),
-        ("--where 'object = pen'", 1, "--where must be given with a library"),
+        ("--where 'object = pen'", 1, "make one with `palpate library add`"),
         ("--extend m.palpate --max-model-mb 1e-3", 1, TOO_LARGE),
     ],
     "learn lib -o n.palpate": [
@@ -60,6 +60,7 @@ REFUSED = {
         ("--begin=3", 1, "--begin must be left out for a library"),
     ],
     "check m.npz": [
+        ("--report gone/x.html", 1, "There is no folder gone to write to; make it."),
         ("--begin 3", 1, "--begin must be left out for"),
         ("--max-megapixels inf", 1, "--max-megapixels must be positive and finite"),
         ("--max-megapixels nan", 1, "--max-megapixels must be positive and finite"),
@@ -82,7 +83,7 @@ REFUSED = {
     ],
     "simulate array": [
         ("", 2, "Missing option"),
-        ("-o t.npy", 1, "must end in .npz"),
+        ("-o t.npy", 2, "must end in .npz"),
         ("-o gone/t.npz", 1, "no folder gone"),
         ("-o t.npz --load heavy", 1, "--load 1:5"),
         ("-o t.npz --sensing 3", 1, "at most pitch_mm"),
@@ -93,7 +94,7 @@ REFUSED = {
         ("-o t.npz --seed -1", 2, "--seed must be between 0 and 4294967295"),
     ],
     "simulate": [
-        ("dome -o t.txt", 1, "must end in .npz"),
+        ("dome -o t.txt", 2, "must end in .npz"),
         ("dome -o gone/t.npz", 1, "no folder gone"),
         ("dome -o t.npz spoon", 1, "got 'spoon'"),
         ("dome -o t.npz gone.stl", 1, "got no file 'gone.stl'. Check its name"),
@@ -128,17 +129,18 @@ REFUSED = {
         ("m.palpate gone.stl", 1, "got no file 'gone.stl'"),
         ("m.palpate ball --folder m.npz", 1, "file 'm.npz'. Use another folder"),
         ("m.palpate ball --seed -1", 2, "got -1. Give another"),
-        ("m.palpate ball --strategy best", 1, "'informative'"),
+        ("m.palpate ball --strategy best", 2, "'informative'"),
         ("m.palpate ball --fault x", 1, "NUMBER=NAME"),
         ("m.palpate ball --fault ²=slow", 1, "NUMBER=NAME"),
         ("m.palpate ball --fault 0=x", 1, "'stuck force'"),
         ("m.palpate ball --picture no/a.png", 1, "no folder no"),
-        ("m.palpate ball --picture a.txt", 1, "must end in .png"),
+        ("m.palpate ball --picture a.txt", 2, "must end in .png"),
         ("m.palpate ball --face 9", 1, "face must be below"),
         ("m.palpate ball --taught gone.npz", 1, "gone.npz"),
     ],
     "sensor check --sensor sim:bar10": [
         ("--report x.pdf", 2, "must end in .html"),
+        ("--seconds 300 --report gone/x.html", 1, "no folder gone to write to; make"),
         ("--seconds 0", 1, "seconds must be"),
     ],
     "record x --library l --sensor": [
@@ -153,6 +155,7 @@ REFUSED = {
         ("serial:x?checksum=yes --no-checksum", 2, "and --no-checksum contradict each"),
         ("serial:/dev/nowhere --shape 4x4", 1, "cannot be opened"),
         ("camera:/dev/nowhere", 1, "no camera at"),
+        ("sim:mug -o gone/a.npz", 1, "There is no folder gone to write to; make it."),
         ("sim:mug -n 0", 1, "--touches must be at least 1, got 0"),
         ("sim:mug -n 1001", 1, "--touches must be at most 1000, got 1001"),
         ("sim:mug -n 1 --sessions 2", 1, "--touches must be at least one for each of"),
@@ -189,6 +192,8 @@ REFUSED = {
         ("list lib --objects --where 'object = mug'", 1, "must stand without --where"),
         ("list lib --objects --offset 1", 1, "--objects must stand without --where"),
         ("list lib --objects --retracted", 1, "--objects must stand without --where"),
+        ("show lib abc -o gone/a.npy", 1, "no folder gone to write to; make it."),
+        ("show lib abc -o a.npz", 2, "--output must end in .npy, got 'a.npz'."),
         ("list gone", 1, "Make one with `palpate library add`."),
         ("add l m.npz -n 12", 1, "--touches must be left out without a running sensor"),
         (
@@ -207,9 +212,8 @@ REFUSED = {
         ("--skip-bad", 1, "--skip-bad must be left out with a running sensor"),
     ],
     "library add l . --topic /pad": [
-        ("--where x", 1, "--where must be left out with --topic, got 'x"),
-        ("--name-pattern x", 1, "--name-pattern must be left out with --topic, got 'x"),
-        ("--no-contact x", 1, "--no-contact must be left out with --topic, got "),
+        (f"--{name} x", 1, f"--{name} must be left out for a bag such as ., got 'x'")
+        for name in ("where", "name-pattern", "no-contact")
     ],
 }
 CASES = [

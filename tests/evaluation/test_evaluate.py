@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.cli.evaluate import print_figures
+from palpate.cli._output import answer
 from palpate.evaluation import (
     Plan,
     evaluate,
@@ -233,11 +233,11 @@ def test_of_unseen_objects_categories_are_recognised(tmp_path, capsys):
     assert figures["n_labels"] == 2
     page = write_report(tmp_path / "r.html", figures, trials).read_text()
     assert re.search(r"<b>(mug|pen)_[ab]</b> \(\1\) ", page)
-    print_figures(figures)
+    answer(False, figures, *summary(figures))
     for text in (page, capsys.readouterr().out):
         assert "none in two" not in text
     learnt = figures | {"split": "last"}
-    print_figures(learnt)
+    answer(False, learnt, *summary(learnt))
     assert "none in two" in capsys.readouterr().out
 
 

@@ -1,5 +1,6 @@
 """Sessions, servers and drawn things to touch, for all tests of the page."""
 
+import json
 import shutil
 import time
 from contextlib import contextmanager
@@ -117,8 +118,12 @@ def learning_starts(monkeypatch):
 @pytest.fixture(autouse=True)
 def learning_here(request):
     """Let all other tests learn in this process: starting another takes seconds."""
+
+    def as_sent(*job):
+        return learn_job(*json.loads(json.dumps(job, default=str)))
+
     if "learning_apart" not in request.fixturenames:
-        request.getfixturevalue("learn_by")(learn_job)
+        request.getfixturevalue("learn_by")(as_sent)
         request.getfixturevalue("learning_starts")
 
 

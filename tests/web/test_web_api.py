@@ -408,7 +408,7 @@ def test_with_nothing_to_compare_the_first_touch_decides(client):
 def test_without_a_library_nothing_is_taught(make_session, connected):
     with connected(make_session(sensor=False, library=None)) as client:
         answer = client.post("/api/teach", json={"object": "cup"})
-        assert answer.status_code == 422
+        assert answer.status_code == 409
         assert "`library=FOLDER`" in answer.json()["detail"]
         assert client.get("/api/objects/touches?object=cup").status_code == 409
 

@@ -131,8 +131,12 @@ def test_a_model_is_not_given_up_for_a_sensor_without_touches(folder, drawn):
     other = ReplaySensor(small_touches("ball", 2), rate_hz=500)
     with LiveSession(other, library=folder) as session:
         session.learn(wait=True)
-        assert "of 8 x 8 taxels. The model of another sensor" in session.learn_error
+        assert "for it is of another sensor (12 x 12 taxels)" in session.learn_error
         assert (folder / "model.palpate").is_file()
+    with LiveSession(ReplaySensor(drawn), library=folder) as session:
+        session.forget("bar")
+        assert waited(lambda: session.learn_error)
+        assert not (folder / "model.palpate").is_file()
 
 
 def test_objects_of_another_size_that_are_nowhere_else_are_kept(

@@ -297,7 +297,7 @@ def test_a_place_that_is_not_known_yet_is_none(connected, tmp_path, unknown):
         press_once(hand, client.session)
         assert waited(lambda: len(client.session.episode.touches) == 1)
         (touch,) = client.get("/api/state").json()["episode"]["touches"]
-        assert touch["force_n"] is None
+        assert touch["force_n"] == (None if unknown == "force_n" else 0.5)
         where = [1.0, 2.0, 3.0] if unknown == "force_n" else None
         assert touch["position_mm"] == where
 
@@ -445,7 +445,7 @@ def test_a_missing_model_and_wrong_arguments_are_refused(tmp_path, drawn):
         LiveSession(error=0.9)
     with pytest.raises(ValueError, match="summary must be one of"):
         LiveSession(ReplaySensor(Touches(drawn.images)), summary="loudest")
-    session = LiveSession(library=tmp_path / "library")
+    session = LiveSession(ReplaySensor(Touches(drawn.images)), library=tmp_path / "l")
     with pytest.raises(ValueError, match="wanted must be at most 1000"):
         session.teach("cup", 5000)
     session.stop()

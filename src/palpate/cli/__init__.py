@@ -121,19 +121,19 @@ def main() -> None:
 
 def _no_number(error: Any) -> str:
     """Return what an option that must be a number got, and one; "" of other uses."""
-    if not re.search("valid (number|float|integer)", error.message):  # float: of older
+    match = re.search("valid (number|float|integer)", error.message)
+    if match is None:
         return ""
-    option = max(error.param.opts, key=len)
-    words = [word.partition("=") for word in sys.argv[1:]]
-    for place, (word, equals, value) in enumerate(words):
-        if word in error.param.opts:
-            got = value if equals else "".join(*words[place + 1 : place + 2])
-            whole = "integer" in error.message
-            default = error.param.default
-            number = default if isinstance(default, int | float) else 1
-            kind = "a whole number" if whole else "a number"
-            return f"{option} must be {kind} such as {number}, got {got!r}."
-    return ""
+    # What was typed stands in the cause; of older packages it begins the message.
+    problems: list[Any] = getattr(error.__cause__, "errors", list)()
+    typed = error.message.partition(" is not")[0]
+    got = repr(problems[0]["input"]) if problems else typed
+    default = error.param.default
+    number = default if isinstance(default, int | float) else 1
+    kind = "a whole number" if match[1] == "integer" else "a number"
+    return (
+        f"{max(error.param.opts, key=len)} must be {kind} such as {number}, got {got}."
+    )
 
 
 def _end_stopped(message: str) -> NoReturn:

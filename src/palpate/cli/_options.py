@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from filecmp import cmp
 from functools import wraps
 from inspect import Parameter, Signature, signature
+from itertools import chain
 from pathlib import Path
 from shlex import quote
 from shutil import copyfileobj
@@ -29,7 +30,6 @@ from .._extras import install, needed
 from ._output import WrongUse, say
 
 if TYPE_CHECKING:
-    from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser
     from ..sensors import TouchDetector
     from ..touches import Touches, TouchSource
@@ -37,8 +37,18 @@ if TYPE_CHECKING:
     # Touches to learn from, held or read as they are needed.
     Labelled = Touches | TouchSource
 
-_OF_NUMBERS = ("shape", "dtype", "channels")
-_NOT_OF_STREAMS = ("where", "name_pattern", "levels", *_OF_NUMBERS)
+# Of options of reading: what they are for, as `kind_of` calls it, and in words.
+_FILES = ("folder", "file")
+_FOR: dict[str, tuple[tuple[str, ...], str]] = {
+    "where": (("library",), "a library; make one with `palpate library add`"),
+    **dict.fromkeys(("name_pattern", "levels"), (_FILES, "folders of pictures")),
+    **dict.fromkeys(
+        ("no_contact", "colour"),
+        ((*_FILES, "film"), "pictures and films; else what is read says it itself"),
+    ),
+    **dict.fromkeys(("shape", "dtype", "channels"), (_FILES, "files of numbers")),
+    "begin": (("film",), "films, and for --detect"),
+}
 _TYPED = ("COMMANDLINE", "ENVIRONMENT")
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
@@ -81,15 +91,6 @@ def allowed(name: str) -> Callable[[], Iterable[str]]:
     return values
 
 
-def in_order(model: Path, touches: Path) -> None:
-    """Refuse touches in place of the model, and a model in place of touches."""
-    if touches.suffix == ".palpate" and model.suffix != ".palpate":
-        raise WrongUse(
-            f"MODEL must come first, then TOUCHES, got {model} {touches}. Give them "
-            f"as {touches} {model}."
-        )
-
-
 def checked_workers(workers: int | None) -> int | None:
     if workers is not None and workers < 1 and workers != -1:
         raise WrongUse(
@@ -102,12 +103,6 @@ def typed(context: typer.Context, *names: str) -> list[str]:
     """Return those of a verb's options that were typed, though it be their default."""
     sources = {name: context.get_parameter_source(name) for name in names}
     return [n for n, source in sources.items() if source and source.name in _TYPED]
-
-
-def check_folder_of(path: Path | None) -> None:
-    """Refuse a file where none can be written, before the work for it."""
-    if path is not None:
-        _durable.check_folder_of(path)
 
 
 def say_limit(source: Path, detector: "TouchDetector") -> None:
@@ -139,6 +134,82 @@ def option(*names_and_help: str, **more: Any) -> Any:
 def flag(*names_and_help: str, **more: Any) -> Any:
     """Return an option that takes no value, and so shows no type of one."""
     return option(*names_and_help, metavar="", **more)
+
+
+def written_file(*names: str, ending: str, text: str) -> Any:
+    """Return an option of a file to write, which is refused before the work for it."""
+
+    def checked(path: Path | None) -> Path | None:
+        if path is not None:
+            if path.suffix.lower() != ending:
+                raise WrongUse(f"{names[-1]} must end in {ending}, got {path.name!r}.")
+            _durable.check_folder_of(path)
+        return path
+
+    return option(*names, text, callback=checked)
+
+
+def _checked_model(path: Path) -> Path:
+    from ..recognition import ObjectRecogniser
+
+    return ObjectRecogniser.check_path(path)
+
+
+def _checked_report(path: Path | None) -> Path | None:
+    from .._page import check_report_path
+
+    return path and check_report_path(path)
+
+
+def _take_profile(context: typer.Context, path: Path | None) -> Path | None:
+    """Take options of reading from a file, as if typed; paths in it start there."""
+    if path is None:
+        return None
+    try:
+        written = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"--read must be a TOML file, got {path}: {error}.") from error
+    names = [field.name for field in fields(Reading) if field.name != "read"]
+    defaults = {key.replace("-", "_"): value for key, value in written.items()}
+    for name, value in defaults.items():
+        if name not in names or not isinstance(value, str | float | int):
+            known = ", ".join(names).replace("_", "-")
+            raise ValueError(
+                f"{path} must hold options of reading, a text or number each, got "
+                f"{name} = {value!r}. Choose among {known}."
+            )
+        place = path.parent / str(value)
+        defaults[name] = str(place if name == "no_contact" else value)
+    context.default_map = defaults
+    return path
+
+
+def _checked_levels(levels: str | None) -> str | None:
+    from ..touches import TouchesError, levels_pattern
+
+    if levels is not None:
+        try:
+            levels_pattern(levels)
+        except TouchesError as error:
+            raise WrongUse(str(error)) from None
+    return levels
+
+
+def kind_of(path: Path, topic: str | None = None) -> str:
+    """Return what touches are read from: library, bag, Parquet file, film, folder..."""
+    from .._types import FILMS
+    from ..library import TouchLibrary, is_recording
+    from ..touches import ParquetTouches
+
+    if TouchLibrary.is_library(path):
+        return "library"
+    if topic is not None or is_recording(path):
+        return "bag"
+    if ParquetTouches.is_parquet(path):
+        return "Parquet file"
+    if path.suffix.lower() in FILMS:
+        return "film"
+    return "folder" if path.is_dir() else "file"
 
 
 def argument(*name_and_help: str) -> Any:
@@ -176,7 +247,11 @@ MaxModelMb = Annotated[
     ),
 ]
 ModelOutput = Annotated[
-    Path, option("-o", "--output", "The model file to write (.palpate).")
+    Path,
+    option(
+        *("-o", "--output", "The model file to write (.palpate)."),
+        callback=_checked_model,
+    ),
 ]
 RecordedData = Annotated[
     Path | None,
@@ -209,7 +284,10 @@ Strangers = Annotated[
         "Share of episodes with something never learnt; 0: it is always one of those.",
     ),
 ]
-Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
+_REPORT = "Write one self-contained .html."
+Page = Annotated[Path | None, written_file("--report", ending=".html", text=_REPORT)]
+# With figures, which need the extra `plot`.
+Report = Annotated[Path | None, option("--report", _REPORT, callback=_checked_report)]
 ListNames = Annotated[bool, flag("--list", "List them.")]
 NamePattern = Annotated[
     str | None,
@@ -329,7 +407,9 @@ class Reading:
         Path | None,
         option(
             "A file (.toml) that holds the options below, such as "
-            "levels = 'object/session'; what is given here goes before."
+            "levels = 'object/session'; what is given here goes before.",
+            callback=_take_profile,
+            is_eager=True,
         ),
     ] = None
     where: Where = None
@@ -338,7 +418,8 @@ class Reading:
         str | None,
         option(
             "What folder levels are, such as object/session; - skips one, =gel reads "
-            "its folder gel alone. Unnamed: category/object."
+            "its folder gel alone. Unnamed: category/object.",
+            callback=_checked_levels,
         ),
     ] = None
     skip_bad: Annotated[
@@ -373,20 +454,6 @@ class Reading:
         float | None, option("Larger pictures are refused unread. Default: 50.")
     ] = None
 
-    def __post_init__(self) -> None:
-        written = {} if self.read is None else _read_profile(self.read)
-        for field in fields(self):
-            if field.name in written and getattr(self, field.name) == field.default:
-                object.__setattr__(self, field.name, written[field.name])
-        if self.levels is None:
-            return
-        from ..touches import TouchesError, levels_pattern
-
-        try:
-            levels_pattern(self.levels)
-        except TouchesError as error:
-            raise WrongUse(str(error)) from None
-
     def touches(
         self, path: Path, topic: str | None = None, *, quiet: bool = False
     ) -> "Touches":
@@ -396,17 +463,15 @@ class Reading:
         """
         from ..recognition import find_geometry
 
-        opened = self._library(path)
-        if opened is None:
-            return self._recording(path, topic, quiet=quiet)
-        with opened as library:
-            library.refuse_unknown(self.where)
-            chosen = library.select(self.where)
-            touches = chosen.touches()
+        kind = self._kind(path, topic)
+        if kind != "library":
+            return self._recording(path, kind, topic, quiet=quiet)
+        with self.selection(path) as chosen:
+            touches: Touches = chosen.touches()
             # As learning sees them: each recording from its own frame.
             frame = chosen.no_contact if touches.no_contact is None else None
             if frame is not None and find_geometry(touches) != "dome":
-                return chosen.resting_at(frame).touches()
+                touches = chosen.resting_at(frame).touches()
             return touches
 
     def like(self, recogniser: "ObjectRecogniser", path: Path) -> Self:
@@ -414,56 +479,70 @@ class Reading:
 
         Archives, libraries, bags and Parquet say themselves what they hold.
         """
-        from .._types import FILMS, RGB
-        from ..library import TouchLibrary, is_recording
-        from ..touches import PICTURES, ParquetTouches
+        from .._types import RGB
+        from ..touches import PICTURES
 
-        kept = TouchLibrary.is_library(path) or is_recording(path)
-        kept = kept or ParquetTouches.is_parquet(path)
-        pictures = path.suffix.lower() in (*FILMS, *PICTURES) or path.is_dir()
+        pictures = kind_of(path) in ("film", "folder")
+        pictures = pictures or path.suffix.lower() in PICTURES
         in_colour = tuple(recogniser.encoder_.channels_ or ()) == RGB
-        if self.colour is None and in_colour and pictures and not kept:
+        if self.colour is None and in_colour and pictures:
             return replace(self, colour=True)
         return self
 
+    def with_model(
+        self, model: Path, path: Path, stage: Callable[[str], None]
+    ) -> "tuple[ObjectRecogniser, Touches]":
+        """Read a model, and touches as it has learnt them; `stage` takes what is read.
+
+        Refuses touches in place of the model, and a model in place of touches.
+        """
+        from ..recognition import ObjectRecogniser
+
+        if path.suffix == ".palpate" and model.suffix != ".palpate":
+            raise WrongUse(
+                f"MODEL must come first, then TOUCHES, got {model} {path}. Give them "
+                f"as {path} {model}."
+            )
+        stage(f"reading {model}")
+        recogniser = ObjectRecogniser.load(model_file(model))
+        stage(f"reading {path}")
+        return recogniser, self.like(recogniser, path).touches(path)
+
     def parts(self, path: Path, topic: str | None = None) -> "Iterator[Touches]":
-        """Read touches to be kept, those of Parquet and libraries some at a time."""
-        from itertools import chain
+        """Read touches to be kept, those of Parquet and libraries some at a time.
 
-        from ..touches import ParquetTouches, read_parquet
-
-        opened = self._library(path)
-        if opened is not None:
-            parts = self._parts_of(opened)
-        elif topic is not None or not ParquetTouches.is_parquet(path):
-            return iter([self._recording(path, topic)])
-        else:
-            self._refuse_for_parquet()
-            parts = read_parquet(path, max_pixels=self.max_pixels)
+        The first are read at once, so that what is refused leaves nothing behind.
+        """
+        parts = self._parts(path, topic)
         return chain([next(parts)], parts)
 
-    def _parts_of(self, opened: "TouchLibrary") -> "Iterator[Touches]":
-        """Read what is chosen of a library, each recording with what describes it."""
-        with opened as library:
-            library.refuse_unknown(self.where)
-            yield from library.select(self.where).parts()
+    def _parts(self, path: Path, topic: str | None) -> "Iterator[Touches]":
+        from ..touches import read_parquet
+
+        kind = self._kind(path, topic)
+        if kind == "library":  # each recording with what describes it
+            with self.selection(path) as chosen:
+                yield from chosen.parts()
+        elif kind == "Parquet file":
+            yield from read_parquet(path, max_pixels=self.max_pixels)
+        else:
+            yield self._recording(path, kind, topic)
 
     @contextmanager
-    def selection(self, path: Path) -> "Iterator[Labelled]":
+    def selection(self, path: Path) -> Iterator[Any]:
         """Read touches to learn from; of a library or Parquet as they are needed."""
+        from ..library import TouchLibrary
         from ..touches import ParquetTouches
 
-        opened = self._library(path)
-        if opened is None and ParquetTouches.is_parquet(path):
-            self._refuse_for_parquet()
+        kind = self._kind(path)
+        if kind == "library":
+            with TouchLibrary.open(path) as library:
+                library.refuse_unknown(self.where)
+                yield library.select(self.where)
+        elif kind == "Parquet file":
             yield ParquetTouches(path, max_pixels=self.max_pixels)
-            return
-        if opened is None:
-            yield self._recording(path)
-            return
-        with opened as library:
-            library.refuse_unknown(self.where)
-            yield library.select(self.where)
+        else:
+            yield self._recording(path, kind)
 
     @property
     def max_pixels(self) -> int:
@@ -473,62 +552,34 @@ class Reading:
         most = MEGAPIXELS if self.max_megapixels is None else self.max_megapixels
         return int(check_positive("max_megapixels", most) * 1e6)
 
-    def _refuse_for_parquet(self) -> None:
-        names = ("name_pattern", "levels", "no_contact", "colour", "where", "begin")
-        fix = "It says itself what it holds."
-        self.refuse("for Parquet", fix, *names, *_OF_NUMBERS)
-
-    def _library(self, path: Path) -> "TouchLibrary | None":
-        """Return the library at `path`, if one is there; refuse what is for others."""
-        from ..library import TouchLibrary
-
-        if not TouchLibrary.is_library(path):
-            return None
-        fix = "Give it to `palpate library add`, which keeps what it finds."
-        where = f"for a library such as {path}"
-        names = ("name_pattern", "levels", "no_contact", "colour", "begin")
-        self.refuse(where, fix, *names, *_OF_NUMBERS)
-        return TouchLibrary.open(path)
-
-    def refuse(self, where: str, fix: str, *names: str) -> None:
-        """Refuse options of these names, which say nothing here."""
-        for name in names:
-            if (value := getattr(self, name)) is not None:
-                option = f"--{name.replace('_', '-')}"
+    def _kind(self, path: Path, topic: str | None = None) -> str:
+        """Return what is read; refuse options that say nothing of such a one."""
+        kind = kind_of(path, topic)
+        for name, (kinds, words) in _FOR.items():
+            if (value := getattr(self, name)) is not None and kind not in kinds:
                 raise ValueError(
-                    f"{option} must be left out {where}, got {str(value)!r}. {fix}"
+                    f"--{name.replace('_', '-')} must be left out for a {kind} such as "
+                    f"{path}, got {str(value)!r}. It is for {words}."
                 )
+        return kind
 
     def _recording(
-        self, path: Path, topic: str | None = None, *, quiet: bool = False
+        self, path: Path, kind: str, topic: str | None = None, *, quiet: bool = False
     ) -> "Touches":
-        from .._types import FILMS
-        from ..library import is_recording, read_bag
+        from ..library import read_bag
         from ..touches import Touches, TouchesError
 
-        fix = "All of it is read; choose in a library with --where."
-        if topic is not None or is_recording(path):
-            where = "for a bag" if topic is None else "with --topic"
-            self.refuse(where, fix, *_NOT_OF_STREAMS, "no_contact", "colour", "begin")
+        if kind == "bag":
             return read_bag(path, topic)
-        if path.suffix.lower() in FILMS:
+        if kind == "film":
             from ..sensors import TouchDetector
 
-            self.refuse("for a film", fix, *_NOT_OF_STREAMS)
             rest, in_colour = self.no_contact, bool(self.colour)
             still = Touches.load(rest, colour=in_colour).images[0] if rest else None
             detector = TouchDetector(still, begin=self.begin)
             touches = detector.touches_in(path, colour=in_colour)
             say_limit(path, detector)
             return touches
-        if self.where is not None:
-            raise ValueError(
-                f"--where must be given with a library of touches, got {self.where!r} "
-                f"with {path}. Make a library with `palpate library add`."
-            )
-        if self.levels is not None:
-            self.refuse("with --levels", "Give either.", "name_pattern")
-        self.refuse(f"for {path}", "It is for films.", "begin")
         with catch_warnings(record=True) as left_out:
             simplefilter("always")
             try:
@@ -562,13 +613,10 @@ class Reading:
 
         Of a library that it is one.
         """
-        from ..library import TouchLibrary
-
-        if TouchLibrary.is_library(path):
-            return "a library"
+        kind = kind_of(path)
         named = self.levels is not None or self.name_pattern is not None
-        if named or not path.is_dir() or (path / "labels.csv").is_file():
-            return ""
+        if kind != "folder" or named or (path / "labels.csv").is_file():
+            return "a library" if kind == "library" else ""
         names = ("category", "object", "session")
         levels = [name for name in names if getattr(touches, name) is not None]
         if len(levels) < 2:
@@ -577,54 +625,15 @@ class Reading:
 
     def colour_left(self, path: Path, touches: "Labelled") -> str:
         """Return that pictures in colour were read in grey, if nobody said it."""
-        from ..touches import ParquetTouches, Touches
+        from ..touches import Touches
 
-        is_folder = path.is_dir() and not ParquetTouches.is_parquet(path)
-        if self.colour is not None or not is_folder or not isinstance(touches, Touches):
-            return ""
-        if not touches.hides_colour():
-            return ""
-        return (
-            "pictures in colour were read in grey: --colour, if colour tells, as "
-            "behind a gel"
-        )
-
-
-def _read_profile(path: Path) -> dict[str, Any]:
-    """Return the options of reading in a file, checked; paths in it start there."""
-    try:
-        written = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"--read must be a TOML file, got {path}: {error}.") from error
-    options_by_name = {
-        field.name: field for field in fields(Reading) if field.name != "read"
-    }
-    options = {}
-    for key, value in written.items():
-        name = key.replace("-", "_")
-        if name not in options_by_name:
-            names = ", ".join(options_by_name).replace("_", "-")
-            raise ValueError(
-                f"{path} must hold options of reading, got {key!r}. "
-                f"Choose among {names}."
+        in_grey = self.colour is None and kind_of(path) == "folder"
+        if in_grey and isinstance(touches, Touches) and touches.hides_colour():
+            return (
+                "pictures in colour were read in grey: --colour, if colour tells, as "
+                "behind a gel"
             )
-        options[name] = _of_profile(path, key, value)
-    return options
-
-
-def _of_profile(path: Path, key: str, value: Any) -> Any:
-    kinds: dict[str, tuple[type, ...]] = {
-        "skip_bad": (bool,),
-        "colour": (bool,),
-        "begin": (int, float),
-        "max_megapixels": (int, float),
-    }
-    name = key.replace("-", "_")
-    kind = kinds.get(name, (str,))
-    if not isinstance(value, kind) or (isinstance(value, bool) and bool not in kind):
-        named = {bool: "true or false", int: "a number", str: "text in quotes"}[kind[0]]
-        raise ValueError(f"{key} in {path} must be {named}, got {value!r}.")
-    return path.parent / str(value) if name == "no_contact" else value
+        return ""
 
 
 def _sides(text: str) -> tuple[int, int]:

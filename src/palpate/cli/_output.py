@@ -45,18 +45,20 @@ BAR_WIDTH = 24
 OBJECTS_SHOWN = 3
 
 
-def print_json(value: dict[str, Any]) -> None:
-    """Print one JSON object; numbers that are not finite become null."""
-    print(json.dumps(_plain(value), allow_nan=False))
+def answer(as_json: bool, values: dict[str, Any], *parts: object) -> None:
+    """Print values as one JSON object, or for people lines, and tables as tuples.
 
-
-def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
-    """Print values as one JSON object, or lines for people."""
+    These are what `table` takes; a part that is None is left out. In JSON numbers that
+    are not finite become null.
+    """
     if as_json:
-        print_json(values)
+        print(json.dumps(_plain(values), allow_nan=False), flush=True)
         return
-    for line in lines:
-        say(line)
+    for part in parts:
+        if isinstance(part, tuple):
+            table(*part)
+        elif part is not None:
+            say(part)
 
 
 def say(line: object = "", *, file: TextIO | None = None, flush: bool = False) -> None:
@@ -89,12 +91,16 @@ def printable(text: str) -> str:
     return "".join(kept)
 
 
-def belief_line(touch: int, posterior: dict[str, float], unknown: float) -> str:
+def belief_line(
+    touch: int, posterior: dict[str, float], unknown: float, note: str = ""
+) -> str:
     """Return one line that shows a belief: a bar for the best, figures for the next.
 
     `posterior` holds the probability of each learnt object, `unknown` that it is none
-    of them, which is ranked among them.
+    of them, which is ranked among them. Where there is a `note` on the touch, that.
     """
+    if note:
+        return f"  {note}"
     shares = {**posterior, "unknown": unknown}
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     name, share = ranked[0]
@@ -114,7 +120,6 @@ def table(
     columns: list[str],
     rows: list[list[str]],
     whole: Collection[str] = (),
-    *,
     text: bool = False,
 ) -> None:
     """Print a table on standard output; the columns `whole` are not wrapped.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ._options import AsJson, ListNames, argument
-from ._output import answer, print_json, stages, table
+from ._output import answer, stages
 
 
 def bench(
@@ -24,11 +24,10 @@ def bench(
     with stages() as stage:
         stage(f"measuring {name}")
         rows = speed.run_bench(name)
-    if as_json:
-        print_json({"bench": name, "rows": rows})
-        return
     title = f"{name}: CPU ms, one thread; ratio = how much faster ours is"
-    table(title, ["what", "ours", "peer", "peer's", "ratio"], [*map(_cells, rows)])
+    columns = ["what", "ours", "peer", "peer's", "ratio"]
+    measured = title, columns, [*map(_cells, rows)]
+    answer(as_json, {"bench": name, "rows": rows}, measured)
 
 
 def _speed() -> Any:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, cast
 
 from . import _options
 from ._options import option
-from ._output import print_json, say, stages, table
+from ._output import answer, stages
 
 
 @_options.grouped
@@ -41,10 +41,7 @@ def benchmark(
 ) -> None:
     """Compare presets with simple recognisers and controls on sets of touches."""
     from .. import datasets, evaluation
-    from .._page import check_report_path
 
-    if report is not None:
-        check_report_path(report)
     with stages() as stage, working.started():
         result = evaluation.benchmark(
             archives or [datasets.where()],
@@ -57,13 +54,11 @@ def benchmark(
         )
     if report is not None:
         evaluation.write_benchmark(report, result)
-    if as_json:
-        print_json(result)
-        return
-    for part in evaluation.benchmark_summary(result):
-        say(part) if isinstance(part, str) else table(*part, whole=["recogniser"])
-    if report is not None:
-        say(report)
+    parts = (
+        part if isinstance(part, str) else (*part, ["recogniser"])
+        for part in evaluation.benchmark_summary(result)
+    )
+    answer(as_json, result, *parts, report)
 
 
 def _names(**texts: str | None) -> dict[str, Any]:

@@ -7,15 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import (
-    AsJson,
-    Reading,
-    Report,
-    TouchesPath,
-    check_folder_of,
-    grouped,
-)
-from ._output import answer, as_typed, counted, say, stages, table
+from ._options import AsJson, Page, Reading, TouchesPath, grouped, kind_of
+from ._output import answer, as_typed, counted, stages
 
 if TYPE_CHECKING:
     from ..touches import PictureCheck, Touches
@@ -25,17 +18,22 @@ _ROWS_SHOWN, _NAMED, _ALIKE = 40, 3, 5
 # A step from touch to touch is small below this share of what touches of one object
 # differ by; of recorded touches 8 % are at most, of frames of one grasp 74 %.
 _SMALL_STEP, _LOOKED_AT, _SIDE = 0.2, 200, 48
-_SHEET_STYLE = (
-    "<style>.sheet{display:flex;flex-wrap:wrap;gap:.5rem}.sheet div{width:6rem;"
+_STYLE = (
+    "<style>:is(td,th){text-align:left}.sheet{display:flex;flex-wrap:wrap;gap:.5rem}"
+    ".sheet div{width:6rem;"
     "font-size:.75rem;line-height:1.25;overflow-wrap:anywhere}"
     ".sheet img{display:block;max-width:100%;outline:1px solid #b8c2cc}</style>"
 )
+# What is odd about pictures that can be used: on the sheet, and in a note.
 _ODD = {
-    "turned": "turned upright",
-    "coloured": "in colour",
-    "grey": "in grey",
-    "flat": "flat",
-    "copies": "a copy",
+    "turned": ("turned upright", "turned upright, as the camera noted (Exif)"),
+    "coloured": (
+        "in colour",
+        "in colour among grey ones, read in grey, to be taken out if of another sensor",
+    ),
+    "grey": ("in grey", "in grey among those in colour"),
+    "flat": ("flat", "flat, of one level all over, to be recorded again or left out"),
+    "copies": ("a copy", "there twice"),
 }
 # Pictures in files that are not read beside JPEG and PNG.
 STILLS = (".bmp", ".webp", ".tif", ".tiff", ".gif", ".heic", ".avif")
@@ -46,7 +44,7 @@ def check(
     touches: TouchesPath,
     *,
     reading: Reading,
-    report: Report = None,
+    report: Page = None,
     as_json: AsJson = False,
 ) -> None:
     """Look at touches before learning: bad pictures, counts, what is no touch.
@@ -59,44 +57,36 @@ def check(
     from ..evaluation import named_alone
     from ..touches import TouchesError
 
-    if report is not None and report.suffix != ".html":
-        raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
-    check_folder_of(report)
     with stages() as stage:
         stage(f"looking at {touches}")
         pictures, others = _pictures(reading, touches)
-        usable = reading
-        if pictures is not None and pictures.bad:
-            usable = replace(reading, skip_bad=True)
+        all_bad = [] if pictures is None else pictures.bad
+        usable = replace(reading, skip_bad=True) if all_bad else reading
         try:
             read, problem = usable.touches(touches, quiet=True), ""
         except TouchesError as error:
-            if pictures is None or not pictures.bad:
+            if not all_bad:
                 raise
             read, problem = None, as_typed(str(error))
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
+    odd = _odd(pictures)
     checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,
         "n_touches": 0 if read is None else len(read),
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
         "read_as": "" if read is None else reading.read_as(touches, read),
-        "bad": [] if pictures is None else _bad(pictures),
-        "odd": _odd(pictures),
-        "notes": _notes(pictures, others),
+        "bad": [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in all_bad],
+        "odd": odd,
+        "notes": _notes(pictures, others, odd),
         "objects": [] if read is None else _objects(read),
         "alone": alone,
     }
     checked["advice"] = _advice(checked, read)
     if report is not None:
         write_text(report, _page(checked, read))
-    if as_json:
-        answer(True, checked)
-    else:
-        _print(checked)
-        if report is not None:
-            say(report)
+    answer(as_json, checked, *_parts(checked), report)
     if checked["bad"]:
         raise typer.Exit(1)
 
@@ -105,11 +95,9 @@ def _pictures(
     reading: Reading, touches: Path
 ) -> tuple["PictureCheck | None", dict[str, list[str]]]:
     """Look at every picture, if `touches` is a folder of pictures."""
-    from ..library import TouchLibrary, is_recording
     from ..touches import check_folder
 
-    is_library = TouchLibrary.is_library(touches)
-    if not touches.is_dir() or is_library or is_recording(touches):
+    if kind_of(touches) != "folder":
         return None, {}
     return check_folder(
         touches,
@@ -125,23 +113,21 @@ def _odd(pictures: "PictureCheck | None") -> dict[str, list[Any]]:
     """Return the pictures that can be used and are odd, by what is odd about them."""
     if pictures is None:
         return {}
+    few = "coloured" if len(pictures.coloured) < len(pictures.grey) else "grey"
     odd: dict[str, list[Any]] = {
         "turned": pictures.turned,
-        **_other_than_most(pictures),
+        few: getattr(pictures, few),
         "flat": pictures.flat,
         "copies": [[*pair] for pair in pictures.same],
     }
     return {kind: names for kind, names in odd.items() if names}
 
 
-def _other_than_most(pictures: "PictureCheck") -> dict[str, list[str]]:
-    """Return the pictures in colour among more in grey, or the grey ones in colour."""
-    if len(pictures.coloured) < len(pictures.grey):
-        return {"coloured": pictures.coloured}
-    return {"grey": pictures.grey}
-
-
-def _notes(pictures: "PictureCheck | None", others: dict[str, list[str]]) -> list[str]:
+def _notes(
+    pictures: "PictureCheck | None",
+    others: dict[str, list[str]],
+    odd: dict[str, list[Any]],
+) -> list[str]:
     if pictures is None:
         return [
             f"{counted(len(names), 'file')} of {ending} read in grey, none looked at: "
@@ -149,34 +135,15 @@ def _notes(pictures: "PictureCheck | None", others: dict[str, list[str]]) -> lis
             for ending, names in others.items()
         ]
     notes = []
-    if turned := pictures.turned:
-        many = counted(len(turned), "picture")
+    for kind, pairs in odd.items():
+        names = [" and ".join(p) if kind == "copies" else p for p in pairs]
+        many = counted(len(names), "picture")
+        notes.append(f"{many} {_ODD[kind][1]}: {_first(names)}")
+    if pictures.coloured and "coloured" not in odd:
+        many = counted(len(pictures.coloured), "picture")
         notes.append(
-            f"{many} turned upright, as the camera noted (Exif): {_first(turned)}"
+            f"{many} in colour read in grey: --colour, if colour tells, as on a gel"
         )
-    if coloured := pictures.coloured:
-        grey, many = pictures.grey, counted(len(pictures.coloured), "picture")
-        if "coloured" in _other_than_most(pictures):
-            notes.append(
-                f"{many} in colour ({_first(coloured)}) and {len(grey)} in grey, all "
-                "read in grey: take those in colour out, if they are of another sensor"
-            )
-        else:
-            mixed = f" and {len(grey)} in grey ({_first(grey)})" if grey else ""
-            notes.append(
-                f"{many} in colour{mixed}{', all' * bool(grey)} read in grey: "
-                "--colour, if colour tells, as on a gel"
-            )
-    if flat := pictures.flat:
-        many = counted(len(flat), "picture")
-        notes.append(
-            f"{many} flat, of one grey level all over, in which nothing is seen: "
-            f"record again, or take out {_first(flat)}"
-        )
-    if pictures.same:
-        pairs = [f"{copy} and {first}" for copy, first in pictures.same]
-        many = counted(len(pairs), "picture")
-        notes.append(f"{many} there twice: {_first(pairs)}")
     for ending, names in others.items():
         mend = ": save as PNG" * (ending in STILLS)
         many = counted(len(names), "file")
@@ -211,17 +178,17 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
-    from .._types import FILMS
     from ..evaluation import few_touches
 
     objects, advice = checked["objects"], []
     if not objects:
         fix = "put the pictures of each object into a folder of its name"
         path = Path(checked["touches"])
-        if path.suffix.lower() in FILMS:
+        kind = kind_of(path)
+        if kind == "film":
             film = f"`palpate library add LIBRARY {path} --object NAME`"
             return [f"nothing is labelled: {film}, film by film, and learn LIBRARY"]
-        if not path.is_dir():
+        if kind != "folder":
             has = ", ".join([*touches.columns][:_NAMED])
             has = f" (it has {has})" if has else ""
             fix = f"call the column of names object{has}, or, in Python, save "
@@ -330,10 +297,6 @@ def _sets_of_same_names(touches: "Touches") -> str:
     )
 
 
-def _bad(pictures: "PictureCheck") -> list[dict[str, Any]]:
-    return [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad]
-
-
 def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
     """Return a row for each bad picture, one for many that are wrong in one way."""
     from .._checks import listed
@@ -360,71 +323,47 @@ def _rows(bad: list[dict[str, Any]]) -> list[list[str]]:
     return rows
 
 
-def _print(checked: dict[str, Any]) -> None:
+def _parts(checked: dict[str, Any]) -> list[Any]:
+    """Return what people are to know: sentences, and tables as `table` takes them."""
+    name, bad, objects = checked["touches"], checked["bad"], checked["objects"]
+    many = f"{counted(checked['n_touches'])} of {checked['size']}"
+    many += " (rows x columns)" * bool(bad)  # pictures: width x height
+    parts: list[Any] = [f"{name}: {many} can be used."]
     if checked["problem"]:
-        say(f"{checked['touches']}: nothing can be learnt from it as it is.")
-        say(checked["problem"])
-    else:
-        many = f"{counted(checked['n_touches'])} of {checked['size']}"
-        many += " (rows x columns)" * bool(checked["bad"])  # pictures: width x height
-        say(f"{checked['touches']}: {many} can be used.")
+        none = f"{name}: nothing can be learnt from it as it is."
+        parts = [none, checked["problem"]]
     if checked["read_as"]:
-        say(f"{checked['read_as'].capitalize()}.")
-    if bad := checked["bad"]:
-        rows = _rows(bad)
-        table(
-            f"{counted(len(bad), 'picture')} cannot be used",
-            ["picture", "what is wrong", "to do"],
-            rows,
-            text=True,
-        )
-    for note in checked["notes"]:
-        say(f"Note: {note}.")
-    if objects := checked["objects"]:
-        columns = [name for name in objects[0] if objects[0][name] is not None]
-        rows = [[str(row[name]) for name in columns] for row in objects[:_ROWS_SHOWN]]
-        table(counted(len(objects), "object"), columns, rows)
+        parts.append(f"{checked['read_as'].capitalize()}.")
+    if bad:
+        title = f"{counted(len(bad), 'picture')} cannot be used"
+        columns = ["picture", "what is wrong", "to do"]
+        parts.append((title, columns, _rows(bad), (), True))
+    parts += [f"Note: {note}." for note in checked["notes"]]
+    if objects:
+        columns = [key for key in objects[0] if objects[0][key] is not None]
+        rows = [[str(row[key]) for key in columns] for row in objects[:_ROWS_SHOWN]]
+        parts.append((counted(len(objects), "object"), columns, rows))
         if len(objects) > _ROWS_SHOWN:
-            say(f"and {len(objects) - _ROWS_SHOWN} more")
-    for line in _alone_lines(checked["alone"]):
-        say(line)
-    for advice in checked["advice"]:
-        say(f"- {advice[0].upper()}{advice[1:]}.")
-
-
-def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:
-    return [
-        f"{name} alone would name {100 * control['right']:.1f} % of each object's last "
-        f"touches right (chance {100 * control['chance']:.1f} %)."
-        for name, control in alone.items()
-    ]
+            parts.append(f"and {len(objects) - _ROWS_SHOWN} more")
+    for name, control in checked["alone"].items():
+        parts.append(
+            f"{name} alone would name {100 * control['right']:.1f} % of each object's "
+            f"last touches right (chance {100 * control['chance']:.1f} %)."
+        )
+    return parts + [f"- {what[0].upper()}{what[1:]}." for what in checked["advice"]]
 
 
 def _page(checked: dict[str, Any], touches: "Touches | None") -> str:
     from .._page import html_table, report_page, worded
 
-    title = f"{checked['touches']}: {counted(checked['n_touches'], 'touch', 'touches')}"
-    if checked["bad"]:
-        title += f", {counted(len(checked['bad']), 'picture')} cannot be used"
-    parts = [f"<h1>{escape(title)}</h1>"]
-    lines = [
-        checked["problem"],
-        checked["read_as"],
-        *checked["notes"],
-        *_alone_lines(checked["alone"]),
-    ]
-    parts += [f"<p>{worded(line)}</p>" for line in lines if line]
-    if checked["bad"]:
-        rows = _rows(checked["bad"])
-        columns = ["picture", "what is wrong", "to do"]
-        text = "<style>.text :is(td, th) {text-align: left}</style>"
-        bad = html_table("Cannot be used", columns, rows)
-        parts.append(f"{text}<div class=text>{bad}</div>")
-    advice = "".join(f"<li>{worded(line)}</li>" for line in checked["advice"])
-    parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
+    title, *parts = _parts(checked)
+    sections = [_STYLE, f"<h1>{escape(title)}</h1>"]
+    for part in parts:
+        is_text = isinstance(part, str)
+        sections.append(f"<p>{worded(part)}" if is_text else html_table(*part[:3]))
     if touches is not None and touches.object is not None:
-        parts.append(_sheet(touches, checked))
-    return report_page(title, parts)
+        sections.append(_sheet(touches, checked))
+    return report_page(title, sections)
 
 
 def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
@@ -439,10 +378,7 @@ def _sheet(touches: "Touches", checked: dict[str, Any]) -> str:
 
     objects, odd = checked["objects"], _odd_words(checked["odd"])
     names = touches.columns.get("source_path", np.full(len(touches), ""))
-    parts = [
-        _SHEET_STYLE,
-        "<h2>Touches of each object, evenly out of its recording</h2>",
-    ]
+    parts = ["<h2>Touches of each object, evenly out of its recording</h2>"]
     if checked["bad"]:
         parts.append("<p class=note>Pictures that cannot be used are not shown.</p>")
     for entry in objects[:SHEET_OBJECTS]:
@@ -479,5 +415,5 @@ def _odd_words(odd: dict[str, list[Any]]) -> dict[str, str]:
     for kind, names in odd.items():
         for name in names:
             picture = name[0] if kind == "copies" else name
-            words.setdefault(picture, []).append(_ODD[kind])
+            words.setdefault(picture, []).append(_ODD[kind][0])
     return {name: ", ".join(each) for name, each in words.items()}

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ._options import AsJson, RecordedData, Seed, Strangers, flag, option
-from ._output import print_json, say, stages
-from .evaluate import in_options, print_figures
+from ._output import answer, say, stages
+from .evaluate import in_options
 from .explore import print_attempt
 from .recognise import print_episode, recognise_episodes
 
@@ -58,7 +58,7 @@ def demo(
         raise ValueError(f"--output must be a folder, got the file {str(folder)!r}.")
     pictures = _pictures(data) if real else None
     from .._page import check_report_path
-    from ..evaluation import Plan, evaluate, write_report
+    from ..evaluation import Plan, evaluate, summary, write_report
 
     plan = Plan(touches=(1, 3, 5, 10), seed=seed, error=ERROR, strangers=strangers)
     if not (pictures or as_json):
@@ -90,13 +90,14 @@ def demo(
     name = "recorded-objects" if pictures else "six-objects"
     model = recogniser.save(folder / f"{name}.palpate")
     write_report(report, figures, trials)
-    if as_json:
-        written = {"model": str(model.resolve()), "report": str(report.resolve())}
-        print_json({**figures, "episodes": episodes, **written})
-        return
-    print_figures(figures)
-    say(f"model: {model.resolve()}")
-    say(report.resolve())
+    written = {"model": str(model.resolve()), "report": str(report.resolve())}
+    answer(
+        as_json,
+        {**figures, "episodes": episodes, **written},
+        *summary(figures),
+        f"model: {written['model']}",
+        written["report"],
+    )
 
 
 def _explored(seed: int) -> Sets:

@@ -13,7 +13,7 @@ import typer
 
 from .._extras import install
 from ._options import AsJson
-from ._output import print_json, say, table
+from ._output import answer
 
 # Extras of those who change palpate, not of those who use it.
 _WIDE = 80
@@ -26,15 +26,16 @@ def doctor(as_json: AsJson = False) -> None:
     python = _check("Python", platform.python_version(), old, needed=True)
     checks = [python, *(_package(*package) for package in _packages()), _data()]
     healthy = all(check["ok"] or not check["needed"] for check in checks)
-    if as_json:
-        print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
-    else:
-        rows = [[c["name"], c["found"], c["fix"]] for c in checks]
-        # Names stay whole, and so does what is to be typed, unless there is no room.
-        narrow = shutil.get_terminal_size().columns < _WIDE
-        whole = ["what", "found"] if narrow else ["what", "to do"]
-        table("palpate doctor", ["what", "found", "to do"], rows, whole, text=True)
-        say(_verdict(checks, healthy=healthy))
+    rows = [[c["name"], c["found"], c["fix"]] for c in checks]
+    # Names stay whole, and so does what is to be typed, unless there is no room.
+    narrow = shutil.get_terminal_size().columns < _WIDE
+    whole = ["what", "found"] if narrow else ["what", "to do"]
+    answer(
+        as_json,
+        {"healthy": healthy, "cores": os.cpu_count(), "checks": checks},
+        ("palpate doctor", ["what", "found", "to do"], rows, whole, True),
+        _verdict(checks, healthy=healthy),
+    )
     if not healthy:
         raise typer.Exit(1)
 

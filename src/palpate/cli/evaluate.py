@@ -6,15 +6,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import (
-    as_typed,
-    message_if_stopped,
-    print_json,
-    say,
-    stages,
-    table,
-    unless_made,
-)
+from ._output import answer, as_typed, message_if_stopped, stages, unless_made
 
 
 @_options.grouped
@@ -57,8 +49,7 @@ def evaluate(
     For example: palpate evaluate --train touches/ --split last. With `session` in place
     of `last` it says what to expect on another day.
     """
-    from .._page import check_report_path
-    from ..evaluation import Plan, write_report
+    from ..evaluation import Plan, summary, write_report
     from ..evaluation import evaluate as run
 
     plan = Plan(
@@ -69,8 +60,6 @@ def evaluate(
         train_touches=train_touches,
         remount=remount,
     )
-    if report is not None:
-        check_report_path(report)
     for name, path, where in (
         ("test", test, test_where),
         ("unknown", unknown, unknown_where),
@@ -86,7 +75,7 @@ def evaluate(
             return None
         stage(f"reading {path}")
         try:
-            return replace(reading, read=None, where=where).touches(path)
+            return replace(reading, where=where).touches(path)
         except ValueError as error:
             as_it_is = reading == _options.Reading(where=reading.where)
             if path == train or as_it_is or not path.exists():
@@ -110,12 +99,7 @@ def evaluate(
         if report is not None:
             stage(f"writing {report}")
             write_report(report, figures, trials)
-    if as_json:
-        print_json(figures)
-        return
-    print_figures(figures)
-    if report is not None:
-        say(report)
+    answer(as_json, figures, *summary(figures), report)
 
 
 def in_options(figures: dict[str, Any]) -> dict[str, Any]:
@@ -123,11 +107,3 @@ def in_options(figures: dict[str, Any]) -> dict[str, Any]:
     todo = [as_typed(sentence, "evaluate") for sentence in figures["recommendations"]]
     verdict = as_typed(figures["verdict"], "evaluate")
     return {**figures, "verdict": verdict, "recommendations": todo}
-
-
-def print_figures(figures: dict[str, Any]) -> None:
-    """Print the figures of an evaluation, and what they are worth, for people."""
-    from ..evaluation import summary
-
-    for part in summary(figures):
-        say(part) if isinstance(part, str) else table(*part)

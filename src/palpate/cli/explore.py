@@ -63,7 +63,6 @@ def learn(
     from ..recognition import ObjectRecogniser
     from ..simulation import DomeCamera
 
-    ObjectRecogniser.check_path(output)
     things = find_objects(objects, unit)
     if len(things) < 2:
         raise ValueError("OBJECT must name at least 2 objects to learn. Add another.")
@@ -102,7 +101,13 @@ def recognise(
         str, _options.argument("OBJECT", "A built-in object or a mesh file.")
     ],
     *,
-    strategy: Annotated[str, option("informative, random or raster.")] = "informative",
+    strategy: Annotated[
+        str,
+        option(
+            "informative, random or raster.",
+            callback=_options.one_of("--strategy", lambda: STRATEGIES),
+        ),
+    ] = "informative",
     taught: Annotated[
         Path | None,
         option(
@@ -125,7 +130,11 @@ def recognise(
     ] = None,
     picture: Annotated[
         Path | None,
-        option("Draw what is believed, from above, and the next touch, as this PNG."),
+        _options.written_file(
+            "--picture",
+            ending=".png",
+            text="Draw what is believed, from above, and the next touch, as this PNG.",
+        ),
     ] = None,
     unit: Unit = "mm",
     seed: _options.Seed = 0,
@@ -140,7 +149,7 @@ def recognise(
     from ..recognition import ObjectRecogniser
 
     if picture is not None:
-        _check_picture(picture)
+        needed("matplotlib", "plot", "--picture")
     target = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(_options.model_file(model))
     drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
@@ -197,13 +206,6 @@ def recognise(
     )
 
 
-def _check_picture(picture: Path) -> None:
-    if picture.suffix.lower() != ".png":
-        raise ValueError(f"--picture must end in .png, got {picture.name!r}.")
-    _options.check_folder_of(picture)
-    needed("matplotlib", "plot", "--picture")
-
-
 @dataclass(frozen=True)
 class _Standing:
     """A strategy before an object that stands so: an episode goes on only if it is."""
@@ -236,8 +238,7 @@ def _way(
         return exploration.RandomHemisphere(hemisphere, seed)
     if strategy == "raster":
         return exploration.Raster(hemisphere)
-    if strategy != "informative" or touch_map is None:
-        raise KeyError(strategy)
+    assert touch_map is not None
     return exploration.InformativeTouch(touch_map, hemisphere)
 
 
@@ -255,10 +256,9 @@ def print_attempt(record: "TouchRecord", belief: Any) -> None:
     from ..recognition import touch_note
 
     if record.touched:
-        flag = belief.flags[-1]
-        note = touch_note(belief.touches_used, flag)
-        shown = belief_line(belief.touches_used, belief.posterior, belief.unknown)
-        say(f"  {note}" if note else shown)
+        number = belief.touches_used
+        note = touch_note(number, belief.flags[-1])
+        say(belief_line(number, belief.posterior, belief.unknown, note))
     else:
         say(f"  {record.outcome}. {record.message}".rstrip())
 
@@ -271,11 +271,9 @@ def _touch_map(
     seed: int,
 ) -> "TouchMap | SurfaceMap | None":
     """Learn where touches were made; None where that is neither known nor needed."""
-    from .._checks import check_option
     from ..exploration import SurfaceMap, TouchMap
     from ..touches import Touches
 
-    check_option("strategy", strategy, STRATEGIES)
     archive = model.with_suffix(".npz") if taught is None else taught
     if taught is None and not archive.exists():
         if strategy != "informative":

@@ -50,9 +50,7 @@ def learn(
     finds bad pictures; after it, `palpate recognise` says what touches are of.
     """
     from .. import recognition
-    from ..library import TouchLibrary
 
-    recognition.ObjectRecogniser.check_path(output)
     if extend is not None and pitch_mm is not None:
         raise ValueError(
             f"--pitch-mm must be left out with --extend, got {pitch_mm:g}. Learn all "
@@ -62,7 +60,7 @@ def learn(
     replaces = ", in place of the model there" if output.exists() else ""
     with message_if_stopped(kept), stages() as stage, working.started():
         stage(f"reading {touches}")
-        before = None
+        before, kind = None, _options.kind_of(touches)
         if extend is not None:
             before = recognition.ObjectRecogniser.load(_options.model_file(extend))
             _refuse_others(before, how, _options.typed(context, *vars(how)))
@@ -82,7 +80,7 @@ def learn(
             if before is None and (pitch_mm is not None or placed):
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
-        if TouchLibrary.is_library(touches) and calibration is None and extend is None:
+        if kind == "library" and calibration is None and extend is None:
             from ..web import remember_library
 
             remember_library(recogniser, touches, reading.where)
@@ -91,7 +89,7 @@ def learn(
     few = [] if extend is not None else _few(training, learnt["label"])
     across = recogniser.across_sessions()
     sentences = learnt["chosen"].get("found", ())
-    if not TouchLibrary.is_library(touches):
+    if kind != "library":
         how_read = (
             reading.read_as(touches, training),
             reading.colour_left(touches, training),

@@ -13,14 +13,15 @@ from ._options import (
     TouchesPath,
     Where,
     argument,
-    check_folder_of,
     flag,
     grouped,
+    kind_of,
     option,
     say_limit,
     typed,
+    written_file,
 )
-from ._output import answer, as_typed, counted, print_json, say, table
+from ._output import answer, as_typed, counted
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow
@@ -33,6 +34,7 @@ library = typer.Typer(
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
 Object = Annotated[str, argument("An object.")]
 Filter = Annotated[str | None, argument("FILTER", "A filter, as --where.")]
+_OF_SENSOR = {"folder", "touches", "session", "object_name", "n_touches", "as_json"}
 
 
 @library.command()
@@ -71,7 +73,6 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
-    from .._types import FILMS
     from ..library import SensorDescription
     from ..sensors import is_address
 
@@ -85,10 +86,12 @@ def add(
                 f"--object NAME must be given with a running sensor, got {touches} "
                 "without. Say what is touched."
             )
-        _refuse_beside_a_sensor(
-            {**vars(reading), "episode": episode, "sensor": sensor, "topic": topic},
-            detect=detect,
-        )
+        for name in typed(context, *sorted({*context.params} - _OF_SENSOR)):
+            raise ValueError(
+                f"--{name.replace('_', '-')} must be left out with a running sensor, "
+                f"got {str(context.params[name])!r}. What the sensor takes stands in "
+                "its address, as in 'camera:0?colour=1'."
+            )
         n_taken = record_touches(str(touches), folder, object_name, n_touches, session)
         answer(
             as_json,
@@ -106,9 +109,9 @@ def add(
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
     n_given = n_new = 0
     begin = reading.begin
-    detect = detect and touches.suffix.lower() not in FILMS
+    detect = detect and kind_of(touches, topic) != "film"
     if detect:  # where touches begin is told here, from all frames together
-        reading = replace(reading, read=None, begin=None)
+        reading = replace(reading, begin=None)
         parts = iter([reading.touches(touches, topic)])
     else:
         parts = reading.parts(touches, topic)  # before a library is made
@@ -136,17 +139,6 @@ def add(
     )
 
 
-def _refuse_beside_a_sensor(values: dict[str, Any], *, detect: bool) -> None:
-    """Refuse options that say how files are read, which say nothing of a sensor."""
-    for name, value in {**values, "detect": detect}.items():
-        if value not in (None, False):
-            raise ValueError(
-                f"--{name.replace('_', '-')} must be left out with a running sensor, "
-                f"got {str(value)!r}. What the sensor takes stands in its address, as "
-                "in 'camera:0?colour=1'."
-            )
-
-
 @library.command("list")
 def list_touches(
     folder: LibraryPath,
@@ -170,21 +162,22 @@ def list_touches(
         if objects:
             rows = opened.objects()
     plain = [row._asdict() for row in rows]
-    if as_json:
-        print_json({"library": str(folder), "rows": plain})
-        return
     names = list(plain[0]) if objects and plain else _COLUMNS_SHOWN
     cells = [[_shown(row[name]) for name in names] for row in plain]
     if not objects:
         cells = [[key[:_ID_SHOWN], *rest] for key, *rest in cells]
-    table(str(folder), list(names), cells)
+    shown = str(folder), list(names), cells
+    answer(as_json, {"library": str(folder), "rows": plain}, shown)
 
 
 @library.command()
 def show(
     folder: LibraryPath,
     touch: Annotated[str, argument("Id of a touch, or how it begins, as listed.")],
-    output: Annotated[Path | None, option("-o", "--output", "Its image, .npy.")] = None,
+    output: Annotated[
+        Path | None,
+        written_file("-o", "--output", ending=".npy", text="Its image, .npy."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what is known of one touch; write its image with -o."""
@@ -192,9 +185,6 @@ def show(
 
     from .._durable import replacing
 
-    if output is not None and output.suffix != ".npy":
-        raise ValueError(f"--output must end in .npy, got {output.name!r}.")
-    check_folder_of(output)
     if not touch.isalnum():
         raise ValueError(f"The id of a touch must be hexadecimal, got {touch!r}.")
     with _opened(folder) as opened:
@@ -256,25 +246,25 @@ def check(
 
     repaired = repair_library(folder) if repair else None
     report = check_library(folder)
-    if as_json:
-        values = report._asdict()
-        values["problems"] = [p._asdict() for p in report.problems]
-        done = None if repaired is None else repaired._asdict()
-        print_json({**values, "repair": done})
-    else:
-        if repaired is not None and repaired.rebuilt:
-            say(
-                f"{counted(repaired.n_touches)} and "
-                f"{counted(repaired.n_changes, 'change')} kept in a new database; the "
-                f"damaged one is {repaired.set_aside}."
+    lines = [as_typed(str(report))]
+    if repaired is not None and repaired.rebuilt:
+        if repaired.lost or repaired.n_changes_lost:
+            lines.insert(
+                0,
+                f"Lost: {counted(len(repaired.lost))}, "
+                f"{counted(repaired.n_changes_lost, 'change')}. Touches can be added "
+                "again.",
             )
-            if repaired.lost or repaired.n_changes_lost:
-                say(
-                    f"Lost: {counted(len(repaired.lost))}, "
-                    f"{counted(repaired.n_changes_lost, 'change')}. Touches can be "
-                    "added again."
-                )
-        say(as_typed(str(report)))
+        lines.insert(
+            0,
+            f"{counted(repaired.n_touches)} and "
+            f"{counted(repaired.n_changes, 'change')} kept in a new database; the "
+            f"damaged one is {repaired.set_aside}.",
+        )
+    values = report._asdict()
+    values["problems"] = [problem._asdict() for problem in report.problems]
+    values["repair"] = None if repaired is None else repaired._asdict()
+    answer(as_json, values, *lines)
     if not report.ok:
         raise typer.Exit(1)
 
@@ -332,9 +322,6 @@ def show_history(folder: LibraryPath, as_json: AsJson = False) -> None:
     """Show every rename, merge, retraction and restoration."""
     with _opened(folder) as opened:
         changes = [change._asdict() for change in opened.history()]
-    if as_json:
-        print_json({"library": str(folder), "changes": changes})
-        return
     rows = [
         [
             datetime.fromtimestamp(change["time_s"]).isoformat(" ", "seconds"),
@@ -343,7 +330,8 @@ def show_history(folder: LibraryPath, as_json: AsJson = False) -> None:
         ]
         for change in changes
     ]
-    table(str(folder), ["time", "change", "what"], rows)
+    listed = str(folder), ["time", "change", "what"], rows
+    answer(as_json, {"library": str(folder), "changes": changes}, listed)
 
 
 def _what(content: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from ._options import (
     model_file,
     option,
 )
-from ._output import belief_line, print_json, say
+from ._output import answer, belief_line, say
 from .sensor import (
     LogFile,
     Patience,
@@ -99,8 +99,7 @@ def live(
                     done.append(episode)
         except KeyboardInterrupt:
             say("Ended.", file=sys.stderr)
-    if as_json:
-        print_json({"episodes": done})
+    answer(as_json, {"episodes": done})
     if not n_done or session.trouble:
         raise typer.Exit(1)
 
@@ -122,9 +121,8 @@ def _episode(
             continue
         touch = episode["touches"][-1]
         if not quiet:
-            shares = touch["posterior"], touch["unknown"]
-            line = belief_line(touch["number"], *shares)
-            say(f"  {touch['note']}" if touch["note"] else line, flush=True)
+            about = (touch[n] for n in ("number", "posterior", "unknown", "note"))
+            say(belief_line(*about), flush=True)
         if episode["decision"] is not None or touch["number"] >= most:
             if session.alarm:
                 say(session.alarm, file=sys.stderr)

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 from . import _options
-from ._output import belief_line, counted, print_json, say, stages
+from ._output import answer, belief_line, counted, say, stages
 
 if TYPE_CHECKING:
     from ..recognition import Evidence, ObjectRecogniser
@@ -42,16 +42,9 @@ def recognise(
     For example: palpate recognise desk.palpate more/. How often it is right,
     `palpate evaluate` says.
     """
-    from ..recognition import ObjectRecogniser
-
-    _options.in_order(model, touches)
     with stages() as stage, working.started():
-        stage(f"reading {model}")
-        recogniser = ObjectRecogniser.load(_options.model_file(model))
-        stage(f"reading {touches}")
-        tested = _options.calibrated(
-            reading.like(recogniser, touches).touches(touches), calibration
-        )
+        recogniser, tested = reading.with_model(model, touches, stage)
+        tested = _options.calibrated(tested, calibration)
         stage(f"recognising {len(tested)} touches")
         evidence = recogniser.evidence(tested)
         check = recogniser.check_mounting(evidence)
@@ -59,7 +52,7 @@ def recognise(
         episodes = recognise_episodes(recogniser, tested, how, evidence)
     if as_json:
         mounting = {"changed": check.changed, "reasons": check.reasons}
-        print_json({"episodes": episodes, "mounting": mounting})
+        answer(True, {"episodes": episodes, "mounting": mounting})
         return
     if check.changed:
         more = " more, with labels" if "remount" in recogniser.chosen_ else ""
@@ -162,11 +155,9 @@ def print_episode(episode: dict[str, Any], *, explain: bool = False) -> None:
         if number > last + 1:
             say("         ...")
         last = number
-        if note := touch_note(number, belief["flag"]):
-            say(f"  {note}")
-            continue
-        say(belief_line(number, belief["posterior"], belief["unknown"]))
-        if belief.get("pose"):
+        note = touch_note(number, belief["flag"])
+        say(belief_line(number, belief["posterior"], belief["unknown"], note))
+        if belief.get("pose") and not note:
             say(f"             {_pose_line(belief['pose'])}")
     say(f"  {episode['reasons'][-1]}")
     for sentence in (*episode["withdrawn"], *(episode["why"] if explain else ())):

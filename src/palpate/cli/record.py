@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, argument, check_folder_of, grouped, option
+from ._options import AsJson, argument, grouped, option, written_file
 from ._output import answer, counted, say
 from .sensor import (
     Patience,
@@ -30,7 +30,10 @@ def record(
     library: Annotated[Path, option("Folder that keeps the touches; made if missing.")],
     *,
     touches: Annotated[int, option("-n", "--touches", "How many.")] = 12,
-    output: Annotated[Path | None, option("-o", "--output", "An .npz too.")] = None,
+    output: Annotated[
+        Path | None,
+        written_file("-o", "--output", ending=".npz", text="An .npz too."),
+    ] = None,
     sessions: Annotated[
         int,
         option(
@@ -65,9 +68,6 @@ def record(
         raise typer.BadParameter(
             "--session names one session: leave --sessions and --changed out."
         )
-    if output is not None and output.suffix != ".npz":
-        raise typer.BadParameter(f"--output must end in .npz, got {output.name!r}.")
-    check_folder_of(output)
     chosen = options.open(sensor)
     with LiveSession(chosen, library=library, summary=summary) as session:
         need_baseline(session)

@@ -33,15 +33,8 @@ def remount(
     TOUCHES are the first of the session. Labelled ones are confirmed: they join what
     was learnt. Without labels some ten touches of several objects are enough.
     """
-    from ..recognition import ObjectRecogniser
-
-    _options.in_order(model, touches)
-    ObjectRecogniser.check_path(output)
     with stages() as stage:
-        stage(f"reading {model}")
-        recogniser = ObjectRecogniser.load(_options.model_file(model))
-        stage(f"reading {touches}")
-        session = reading.like(recogniser, touches).touches(touches)
+        recogniser, session = reading.with_model(model, touches, stage)
         if unlabelled:
             named = {"object", "category"} & set(session.columns)
             session = session.without(*named)

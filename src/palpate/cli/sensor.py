@@ -21,14 +21,11 @@ from ._options import (
     ModelPath,
     NamePattern,
     NoContact,
+    Page,
     Reading,
-    Report,
     TouchesPath,
-    check_folder_of,
     flag,
     grouped,
-    in_order,
-    model_file,
     option,
 )
 from ._output import answer, printable, say, stages
@@ -237,7 +234,7 @@ def check(
     *,
     seconds: Annotated[float, option("How long; drift asks for minutes.")] = 60.0,
     model: Annotated[Path | None, option("A model that remembers its rest.")] = None,
-    report: Report = None,
+    report: Page = None,
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
@@ -252,9 +249,6 @@ def check(
     from ..sensors import SensorMemory, sensor_health
 
     check_positive("seconds", seconds)
-    if report is not None and report.suffix != ".html":
-        raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
-    check_folder_of(report)
     memory = None
     if model is not None:
         stored = ObjectRecogniser.load(model).memory_.sensor
@@ -303,15 +297,8 @@ def learn_nuisance(
     MODEL need not know the objects of TOUCHES, only the sensor: what differs between
     their sessions is weighed down in the model that is written.
     """
-    from ..recognition import ObjectRecogniser
-
-    in_order(model, touches)
-    ObjectRecogniser.check_path(output)
     with stages() as stage:
-        stage(f"reading {model}")
-        recogniser = ObjectRecogniser.load(model_file(model))
-        stage(f"reading {touches}")
-        met = reading.like(recogniser, touches).touches(touches)
+        recogniser, met = reading.with_model(model, touches, stage)
         stage(f"learning from {len(met)} touches")
         n_differences = recogniser.learn_nuisance(met)
         written = recogniser.save(output)

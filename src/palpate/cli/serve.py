@@ -14,7 +14,7 @@ from ._options import (
     model_file,
     option,
 )
-from ._output import message_if_stopped, print_json, say
+from ._output import answer, message_if_stopped, say
 from .sensor import (
     ADDRESS,
     LogFile,
@@ -168,8 +168,7 @@ def _say_where(host: str, address: str, token: str, *, as_json: bool) -> None:
             file=sys.stderr,
         )
     if as_json:
-        print_json({"address": address, "token": token})
-        sys.stdout.flush()
+        answer(True, {"address": address, "token": token})
     else:
         say(f"Open {address}?token={token}", flush=True)
         if far and "utf" in (sys.stdout.encoding or "").lower():

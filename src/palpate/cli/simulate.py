@@ -10,11 +10,11 @@ from ._options import (
     AsJson,
     Seed,
     argument,
-    check_folder_of,
     checked_workers,
     flag,
     grouped,
     option,
+    written_file,
 )
 from ._output import answer
 
@@ -28,7 +28,12 @@ SENSING_SHARE = 0.65
 
 simulate = typer.Typer(no_args_is_help=True, help="Make touches by simulation.")
 
-Output = Annotated[Path, option("-o", "--output", "The touch archive to write (.npz).")]
+Output = Annotated[
+    Path,
+    written_file(
+        *("-o", "--output"), ending=".npz", text="The touch archive to write (.npz)."
+    ),
+]
 Workers = Annotated[
     int, option("--workers", "Processes; -1 for all cores.", callback=checked_workers)
 ]
@@ -72,7 +77,6 @@ class DomeTouches:
         from ..simulation import OBJECT_SETS, Scene, simulate_touches
 
         things = find_objects(self.objects, self.unit)
-        check_output(self.output)
         shapes = [thing in OBJECT_SETS["shapes"] for thing in things]
         if any(shapes) and not all(shapes):
             raise ValueError(
@@ -129,7 +133,6 @@ def array(
     """Press flat parts on a pressure array, each time laid down anew."""
     from ..simulation import PressureArray, simulate_presses
 
-    check_output(output)
     touches = simulate_presses(
         [int(n) if n.isdecimal() else n for n in parts] if parts else None,
         presses,
@@ -226,13 +229,6 @@ def _load(text: str) -> float | tuple[float, float]:
             "write --load 4 or --load 1:5."
         )
     return loads[0] if len(loads) == 1 else (loads[0], loads[1])
-
-
-def check_output(path: Path) -> None:
-    """Refuse before pressing, not after."""
-    if path.suffix.lower() != ".npz":
-        raise ValueError(f"--output must end in .npz, got {path.name!r}.")
-    check_folder_of(path)
 
 
 def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import flag, option
-from ._output import answer, as_typed, print_json, say, table
+from ._output import answer, as_typed, say
 
 
 @_options.grouped
@@ -40,10 +40,6 @@ def study(
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
-    if report is not None:
-        from .._page import check_report_path
-
-        check_report_path(report)
     with working.started(usual=-1) as n:
         result = study.run(**{**options, "workers": n})
     result["skipped"] = [as_typed(sentence) for sentence in result["skipped"]]
@@ -51,10 +47,4 @@ def study(
         say(sentence, file=sys.stderr)
     if report is not None:
         study.write_report(report, result)
-    if as_json:
-        print_json(result)
-        return
-    for title, columns, rows in study.tables(result):
-        table(title, columns, rows)
-    if report is not None:
-        say(report)
+    answer(as_json, result, *study.tables(result), report)

@@ -75,14 +75,20 @@ class LiveTouch:
     force_n: float | None = None
     miss: bool = False
 
-    @property
-    def columns(self) -> dict[str, Any]:
-        """What is known of it beside its picture, by name."""
-        values = {name: getattr(self, name) for name in PLACED}
-        return {name: value for name, value in values.items() if value is not None}
-
 
 PLACED = "position_mm", "direction", "force_n"
+
+
+def place_of(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Return of what was measured with a touch its place, if known, and its force."""
+    known = {
+        name: columns[name]
+        for name in PLACED
+        if name in columns and np.isfinite(columns[name]).all()
+    }
+    if not known.keys() >= {"position_mm", "direction"}:
+        known = {name: known[name] for name in known if name == "force_n"}
+    return known
 
 
 class LiveEpisode:
@@ -123,21 +129,16 @@ class LiveEpisode:
         self,
         image: Array | None,
         channels: Sequence[str] | None,
-        place: Mapping[str, Any] | None = None,
-        columns: Mapping[str, Any] | None = None,
+        columns: Mapping[str, Any],
         rest: Array | None = None,
     ) -> LiveTouch:
         """Take in a touch and return it; one that is refused changes nothing.
 
-        Without an `image` it is a miss. `place` holds its `position_mm`, `direction`
-        and `force_n`, where they are known; `columns` all that was measured with it, by
-        default these; `rest` is the frame of no contact of today.
+        Without an `image` it is a miss. `columns` holds all that was measured with it;
+        `rest` is the frame of no contact of today.
         """
-        of_place = place or {}
-        placed = {name: of_place[name] for name in PLACED if name in of_place}
-        touch = LiveTouch(
-            len(self.touches) + 1, time.time(), miss=image is None, **placed
-        )
+        number, placed = len(self.touches) + 1, place_of(columns)
+        touch = LiveTouch(number, time.time(), miss=image is None, **placed)
         evidence = None
         if self.recogniser is not None and image is not None:
             touches = Touches(image[np.newaxis], channels=channels, no_contact=rest)
@@ -147,7 +148,7 @@ class LiveEpisode:
             self.channels = channels
         self._take_in(touch, image, evidence)
         self._evidences.append(evidence)
-        self._columns.append(touch.columns if columns is None else columns)
+        self._columns.append(columns)
         self.images.append(image)  # first, for those who read meanwhile
         self.touches.append(touch)
         return touch
@@ -201,7 +202,10 @@ class LiveEpisode:
         if not self.by_place:
             episode.add(evidence)
         else:
-            columns = touch.columns if touch.number <= _MOST_PLACED else {}
+            known = {name: getattr(touch, name) for name in PLACED}
+            columns = {name: v for name, v in known.items() if v is not None}
+            if touch.number > _MOST_PLACED:
+                columns = {}
             try:
                 episode.add(self._placed(image, columns), evidence=evidence)
             except ValueError as error:
@@ -435,12 +439,6 @@ class TopView:
         if learnt is None or "position_mm" not in learnt.columns:
             raise ValueError(_NO_PLACES)
         return SurfaceMap().fit(self._recogniser, learnt)
-
-
-def archive_beside(model: Path) -> Touches | None:
-    """Return the touches in the archive of a model's name, None without one."""
-    archive = model.with_suffix(".npz")
-    return Touches.load(archive) if archive.is_file() else None
 
 
 def _dot(touch: LiveTouch) -> dict[str, Any]:

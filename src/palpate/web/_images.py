@@ -38,6 +38,7 @@ _LONGEST_ROW, _LONGEST_REST = 2**18, 2**16
 # After each row of a body over so many bytes others may go on.
 _LONG_BODY, _PAUSE_S = 2**18, 2e-4
 _BODY = 'The body must be {"image": [[0, 1], [2, null]]} with rows of numbers'
+NO_IMAGE = f"{_BODY}, got none."
 
 
 class FramePainter:
@@ -149,15 +150,19 @@ def _read_npy(data: bytes) -> Array:
     return _finite(np.ascontiguousarray(image.astype(kind.newbyteorder("="))))
 
 
-def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
+def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32] | None]:
     """Return a JSON object without its `image`, and that; null is a dead taxel.
 
     Rows are read one by one: a call that reads megabytes at once would hold up every
-    other thread.
+    other thread. A few words without rows are an object without an image.
     """
     begun = _BEGIN.search(body, 0, _LONGEST_REST)
     if begun is None:
-        raise ValueError(f"{_BODY}, got none.")
+        with suppress(ValueError, RecursionError):
+            rest = json.loads(body[:_LONGEST_REST])
+            if isinstance(rest, dict) and "image" not in rest:
+                return rest, None
+        raise ValueError(NO_IMAGE)
     more: re.Match[bytes] | None = begun
     rows: list[NDArray[np.float32]] = []
     try:
@@ -181,16 +186,6 @@ def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
         wrong = f"{_BODY} of one length, got something else at row {len(rows) + 1}."
         raise ValueError(wrong) from None
     return rest, _finite(np.stack(rows))
-
-
-def is_miss(body: bytes) -> bool:
-    """Return whether a body is a JSON object with `miss` and without an `image`."""
-    if _BEGIN.search(body, 0, _LONGEST_REST) is not None or len(body) > _LONGEST_REST:
-        return False
-    with suppress(ValueError, RecursionError):
-        order = json.loads(body)
-        return isinstance(order, dict) and order.get("miss") is True
-    return False
 
 
 def _row(values: list[object]) -> NDArray[np.float32]:

@@ -22,7 +22,7 @@ from sklearn.base import clone
 
 from .._checks import size_text
 from .._types import Array
-from ..library import LibraryError, TouchLibrary
+from ..library import LibraryError, TouchLibrary, TouchRow
 from ..recognition import (
     EmptyTouchError,
     Memory,
@@ -34,10 +34,6 @@ from ..touches import TouchSource
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
 # So many touches, spread over all, show what a sensor answers, read so many at once.
 _ENOUGH, _AT_ONCE = 200, 16
-_TOO_LITTLE = (
-    "Too little to learn: at least two objects with two touches each of {new}. "
-    "The model of another sensor ({old}) stays."
-)
 _NOT_FURTHER = (
     "The model must be of the sensor's {new} to be learnt further, but it knows "
     "{names} from images of {old}, and their touches are not in the library. Forget "
@@ -128,6 +124,12 @@ def of_size(image_shape: Sequence[int]) -> str:
     return f"n_rows = {n_rows} and n_cols = {n_cols} and n_channels {channels}"
 
 
+def newest_row(library: TouchLibrary) -> TouchRow | None:
+    """Return the touch that was added last, None without any."""
+    rows = library.list(limit=1, offset=max(0, len(library) - 1))
+    return rows[0] if rows else None
+
+
 def learn_job(
     library: str | Path,
     output: str | Path,
@@ -142,8 +144,8 @@ def learn_job(
     are forgotten where the new name is "", in order. Learnt are touches of
     `image_shape`, by default of the newest one's. Returns `n_touches`, `n_elsewhere` of
     them, `objects`, and `kept`, those with touches that were kept; no `objects` where
-    too little is left to be a model. Touches that hold no number at all are left out;
-    `left_out` are their ids.
+    too little is left to be a model, and why the base `stays`. Touches that hold no
+    number at all are left out; `left_out` are their ids.
     """
     left_out: list[str] = []
     while True:
@@ -173,9 +175,11 @@ def _learnt_once(
         touches = _taught(opened, image_shape, left_out, kept)
         names = [] if touches is None else touches.object.tolist()
         if len({*kept, *names}) < LEAST_OBJECTS:
-            if model is not None and image_shape is not None:
-                _refuse_other_size(model, image_shape, _TOO_LITTLE)
-            return {"objects": [], "n_touches": 0, "n_elsewhere": 0, "kept": kept}
+            stays = [f"{name} is known from it alone" for name in kept[:1]]
+            old = None if model is None else _shape_of(model)
+            if old is not None and old != tuple(image_shape or old):
+                stays.append(f"it is of another sensor ({size_text(old)})")
+            return {"objects": [], "n_touches": 0, "n_elsewhere": 0, "stays": stays}
         model = _learnt(model, elsewhere, touches)
         if touches is not None:
             remember_sensor(model, opened, touches)
@@ -242,10 +246,10 @@ def _taught(
 ) -> Any:
     """Return what to learn: of objects not `kept` two touches each at least."""
     if image_shape is None:
-        newest = library.list(limit=1, offset=max(0, len(library) - 1))
-        if not newest:
+        newest = newest_row(library)
+        if newest is None:
             return None
-        image_shape = newest[0].image_shape
+        image_shape = newest.image_shape
     where = f"object is not null and {of_size(image_shape)}"
     if not library.list(where, limit=1):
         return None
@@ -271,22 +275,18 @@ def _learnt(
     shape = () if touches is None else touches.touches([0]).images.shape[1:]
     if base is None or elsewhere is None:
         model = ObjectRecogniser()
-        if base is not None and tuple(base.encoder_.image_shape_) == shape:
+        if base is not None and _shape_of(base) == shape:
             model = clone(base).set_params(label="object")
         return model.fit(touches)
-    if touches is not None:
+    if touches is not None and _shape_of(base) != shape:
+        old, new = size_text(_shape_of(base)), size_text(shape)
         names = ", ".join(map(repr, elsewhere.classes.astype(str).tolist()))
-        _refuse_other_size(base, shape, _NOT_FURTHER, names)
+        raise LearningError(_NOT_FURTHER.format(old=old, new=new, names=names))
     return base.learn_beside(elsewhere, touches)
 
 
-def _refuse_other_size(
-    base: ObjectRecogniser, image_shape: Sequence[int], sentence: str, names: str = ""
-) -> None:
-    """Refuse to learn further a model of images of another size than these."""
-    old, new = map(size_text, (base.encoder_.image_shape_, image_shape))
-    if old != new:
-        raise LearningError(sentence.format(old=old, new=new, names=names))
+def _shape_of(model: ObjectRecogniser) -> tuple[int, ...]:
+    return tuple(model.encoder_.image_shape_)
 
 
 def _latest_baseline(library: TouchLibrary, touches: TouchSource) -> Array | None:

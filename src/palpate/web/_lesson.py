@@ -205,10 +205,6 @@ class Action:
     to: str = ""
     others: list[str] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        _check_texts(self.kind, self.object, self.to)
-        _check_texts(*_listed(self.ids), *_listed(self.copies), *_listed(self.others))
-
 
 class Journal:
     """Actions that can be undone, the newest last, and the lesson under way.
@@ -235,7 +231,8 @@ class Journal:
         for line in self._lines():
             wrong = ValueError, TypeError, KeyError, AttributeError, RecursionError
             with suppress(*wrong):
-                self._take(json.loads(line))
+                _check(content := json.loads(line))
+                self._take(content)
         self.interrupted: Lesson | None = self._lesson
 
     @property
@@ -292,8 +289,7 @@ class Journal:
 
     def _take(self, line: dict[str, Any]) -> None:
         if "moving" in line:
-            ids, to = _listed(line["moving"]["ids"]), line["moving"]["to"]
-            _check_texts(to, *ids)
+            ids, to = line["moving"]["ids"], line["moving"]["to"]
             self.moving = (ids, to) if ids else None
         elif "action" in line:
             action = Action(**line["action"])
@@ -323,8 +319,12 @@ class Journal:
             session, sensor = line["session"]
             self.session = str(session), str(sensor)
         elif "lesson" in line:
-            self._lesson = _lesson_of(line["lesson"])
-            self.n_lessons += self._lesson is not None
+            lesson = line["lesson"]
+            if lesson is not None:
+                wanted = check_count("wanted", lesson["wanted"])
+                lesson = Lesson(lesson["name"], wanted, lesson["ids"])
+            self._lesson = lesson
+            self.n_lessons += lesson is not None
 
     def _change(self, action: Action) -> None:
         self.changed |= {action.object, action.to, *action.others} - {""}
@@ -350,22 +350,12 @@ class Journal:
             file.write(json.dumps(line) + "\n")
 
 
-def _lesson_of(part: dict[str, Any] | None) -> Lesson | None:
-    """Return the lesson that a line of the journal tells of."""
-    if part is None:
-        return None
-    name, wanted, ids = part["name"], part["wanted"], _listed(part["ids"])
-    _check_texts(name, *ids)
-    return Lesson(name, check_count("wanted", wanted), ids)
-
-
-def _listed(value: object) -> list[Any]:
-    if not isinstance(value, list):
-        raise TypeError(f"A journal must hold a list here, got {value!r}.")
-    return [*value]
-
-
-def _check_texts(*values: object) -> None:
-    for value in values:
-        if not isinstance(value, str):
-            raise TypeError(f"A journal must hold a text here, got {value!r}.")
+def _check(content: dict[str, Any]) -> None:
+    """Refuse a line of a journal whose names are no texts, or ids no list of them."""
+    for name, value in content.items():
+        if isinstance(value, dict):
+            _check(value)
+        elif name in ("kind", "object", "to", "name", "ids", "copies", "others"):
+            texts = value if name in ("ids", "copies", "others") else [value]
+            if type(texts) is not list or {*map(type, texts)} - {str}:
+                raise TypeError(f"A journal must hold texts as {name}, got {value!r}.")

@@ -6,7 +6,6 @@ up others of its kind alone, and no teaching, no websocket and no picture of the
 """
 
 import asyncio
-import json
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +23,7 @@ from .._types import Array
 from ..library import LibraryError
 from ..touches import Touches
 from ._episode import episode_report
-from ._images import KINDS, is_miss, read_json, read_picture, thumbnail
+from ._images import KINDS, NO_IMAGE, read_json, read_picture, thumbnail
 from ._schemas import (
     LONGEST_TEXT,
     REFUSALS,
@@ -140,11 +139,7 @@ Session = Annotated[LiveSession, Depends(_session)]
 
 
 async def _teacher(session: Session) -> Teacher:
-    if session.teacher is None:
-        raise HTTPException(
-            409, "There is no library here; start with `library=FOLDER`."
-        )
-    return session.teacher
+    return session._teacher()
 
 
 async def _picture(
@@ -170,19 +165,11 @@ async def _place(
     )
 
 
-async def _posted(request: Request) -> tuple[dict[str, Any], Array]:
+async def _posted(request: Request) -> tuple[dict[str, Any], Array | None]:
     return await NUMBERS.read(read_json, await request.body())
 
 
-async def _attempted(request: Request) -> tuple[dict[str, Any], Array | None]:
-    body = await request.body()
-    if is_miss(body):
-        return json.loads(body), None
-    return await NUMBERS.read(read_json, body)
-
-
-Posted = Annotated[tuple[dict[str, Any], Array], Depends(_posted)]
-Attempted = Annotated[tuple[dict[str, Any], Array | None], Depends(_attempted)]
+Posted = Annotated[tuple[dict[str, Any], Array | None], Depends(_posted)]
 PlaceQuery = Annotated[Place, Depends(_place)]
 StoredTouches = Annotated[Teacher, Depends(_teacher)]
 Picture = Annotated[Array, Depends(_picture)]
@@ -204,9 +191,7 @@ def health(session: Session) -> dict[str, Any]:
 @router.get("/frame", tags=["sensor"])
 def frame(session: Session) -> JSONResponse:
     """Return the newest frame, `{"image": [[0, null]]}`, of at most 4096 taxels."""
-    if session.watch is None:
-        raise HTTPException(409, "There is no sensor here.")
-    image = session.watch.sensor.read_latest().image
+    image = session._watched().sensor.read_latest().image
     if image.shape[0] * image.shape[1] > 4096:
         raise HTTPException(409, "Frames of more than 4096 taxels are pictures.")
     values = image.astype(object)
@@ -238,7 +223,7 @@ def undo_baseline(session: Session) -> Done:
 @router.get("/baseline/press", tags=["sensor"], response_class=Response)
 def press(session: Session) -> Response:
     """Return the last test press, as its difference from the baseline, as a PNG."""
-    channels = None if session.watch is None else session.watch.sensor.channels
+    channels = session._watched().sensor.channels
     return _shown_touch(session.press_difference(), channels)
 
 
@@ -275,19 +260,18 @@ def end(session: Session) -> Any:
 
 
 @router.post("/touch", **_EPISODE, openapi_extra=_IMAGE)
-def touch(attempted: Attempted, session: Session) -> Any:
+def touch(posted: Posted, session: Session) -> Any:
     """Take one touch, as numbers, or a miss into the episode; return the belief.
 
     Of more than some thousand taxels, send `touch/picture`: that is read at once.
     """
-    rest, image = attempted
+    rest, image = posted
     attempt = Attempt.model_validate(rest)
     if attempt.miss and image is not None:
         raise ValueError(_MISS_WITH_IMAGE)
     if not attempt.miss and image is None:
-        raise ValueError("A touch must have an image, unless it is a miss; got none.")
-    place = attempt.columns()
-    return JSONResponse(session.post_touch(image, place))
+        raise ValueError(f"{NO_IMAGE} Or, of a miss, `miss`: true.")
+    return JSONResponse(session.post_touch(image, attempt.columns()))
 
 
 @router.post("/touch/picture", **_EPISODE, openapi_extra=_PICTURE)
@@ -371,6 +355,8 @@ def teach_touch(posted: Posted, session: Session) -> Stored:
     """Store one touch, as numbers, of an object; answered once on the disk."""
     rest, image = posted
     order = NamedPlace.model_validate(rest)
+    if image is None:
+        raise ValueError(NO_IMAGE)
     return Stored(id=session.post_lesson(order.object, image, order.columns()))
 
 

@@ -26,7 +26,7 @@ from ..sensors import (
     channels_of,
 )
 from ..touches import Touches
-from ._episode import PLACED, LiveEpisode, TopView, archive_beside
+from ._episode import LiveEpisode, TopView, place_of
 from ._images import ImageKind, Names, check_image
 from ._learning import (
     LearningError,
@@ -241,7 +241,7 @@ class LiveSession:
         channels: Names = None
         if image is not None:
             image, channels = self._checked(image)
-        self._recognise(image, channels, time.monotonic(), place=place)
+        self._recognise(image, channels, time.monotonic(), place or {})
         return self.episode.to_dict()
 
     def post_lesson(
@@ -278,12 +278,12 @@ class LiveSession:
         ones may be of a thing that lay there before. Those from before the baseline was
         taken do not: it is not theirs.
         """
-        teacher = self._teacher()
+        teacher, watch = self._teacher(), self._watched()
         start_learning()
         with self._changing():
             teacher.begin(name, wanted)
             self._expect_new_touch()
-            self._watched().end_press()
+            watch.end_press()
             self.message = self.trouble = ""
             touched = self.episode.since_baseline()[-wanted:]
             if keep_episode and not touched:
@@ -467,7 +467,9 @@ class LiveSession:
 
     def _watched(self) -> SensorWatch:
         if self.watch is None:
-            raise SensorError("This session has no sensor. Start it with one.")
+            raise SensorError(
+                "There is no sensor here. Post touches, or start again with a `sensor`."
+            )
         return self.watch
 
     def place(self, name: str | None) -> None:
@@ -535,7 +537,7 @@ class LiveSession:
 
     def _teacher(self) -> Teacher:
         if self.teacher is None:
-            raise ValueError(
+            raise LearningError(
                 "Nothing can be taught without a library. Start again with "
                 "`library=FOLDER`."
             )
@@ -603,14 +605,13 @@ class LiveSession:
 
     def _view_of(self, recogniser: ObjectRecogniser) -> TopView:
         def read_learnt() -> Touches | None:
-            learnt = (
-                None if self.model_path is None else archive_beside(self.model_path)
-            )
-            if learnt is None and self.teacher is not None:
-                ids = recogniser.memory_.touch_ids.tolist()
-                shape = recogniser.encoder_.image_shape_
-                learnt = self.teacher.touches_of_ids(ids, shape)
-            return learnt
+            archive = self.model_path and self.model_path.with_suffix(".npz")
+            if archive is not None and archive.is_file():
+                return Touches.load(archive)
+            if self.teacher is None:
+                return None
+            ids = recogniser.memory_.touch_ids.tolist()
+            return self.teacher.touches_of_ids(ids, recogniser.encoder_.image_shape_)
 
         def learnt(surface_map: SurfaceMap | None) -> None:
             with self._changing():
@@ -653,20 +654,13 @@ class LiveSession:
                 if detected.began_s < self._requested_s:
                     raise ValueError(self.began_before)
                 teaching = self.teacher is not None and self.teacher.lesson is not None
-                columns = detected.touch_columns
-                finite = {
-                    name: columns[name]
-                    for name in PLACED
-                    if name in columns and np.isfinite(columns[name]).all()
-                }
+                image, columns = detected.image, detected.touch_columns
                 if teaching:
-                    self.message = self._take(detected.image, columns)
+                    self.message = self._take(image, columns)
             if not teaching:
                 channels = self._watched().sensor.channels
-                when = ended_s, detected.device_time_s
-                is_placed = finite.keys() >= {"position_mm", "direction"}
-                place = finite if is_placed else None
-                self._recognise(detected.image, channels, *when, place, columns)
+                device_time_s = detected.device_time_s
+                self._recognise(image, channels, ended_s, columns, device_time_s)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
@@ -680,17 +674,16 @@ class LiveSession:
         image: Array | None,
         channels: Names,
         ended_s: float,
+        columns: Mapping[str, Any],
         device_time_s: float | None = None,
-        place: Mapping[str, Any] | None = None,
-        columns: Mapping[str, Any] | None = None,
     ) -> None:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
-            self._use_places(place)
-            touch = self.episode.add(image, channels, place, columns, self._rest)
+            self._use_places(columns)
+            touch = self.episode.add(image, channels, columns, self._rest)
             touch.device_time_s = device_time_s
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
@@ -706,10 +699,10 @@ class LiveSession:
         encoder = None if self.recogniser is None else self.recogniser.encoder_
         return self.baseline if getattr(encoder, "as_changes", False) else None
 
-    def _use_places(self, place: Mapping[str, Any] | None) -> None:
+    def _use_places(self, columns: Mapping[str, Any]) -> None:
         """Let the belief be by places from the first touch on that has one."""
         view, episode = self._top_view, self.episode
-        if view is None or episode.by_place or "position_mm" not in (place or {}):
+        if view is None or episode.by_place or "position_mm" not in place_of(columns):
             return
         if view.map is None:
             view.learn()
@@ -803,10 +796,10 @@ class LiveSession:
                 )
             self.message = message + more
             return
-        if kept := answer["kept"]:
+        if stays := answer["stays"]:
             raise LearningError(
-                f"{TOO_LITTLE} The model stays as it was, for {kept[0]} is known from "
-                "it alone. Teach another object, then learn."
+                f"{TOO_LITTLE} The model stays as it was, for {stays[0]}. Teach "
+                "another object, then learn."
             )
         self._use(None)
         path.unlink(missing_ok=True)

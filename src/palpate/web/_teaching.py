@@ -23,10 +23,10 @@ from ..library import (
     checked_name,
     quoted,
 )
-from ..sensors import LiveSensor, SensorError
+from ..sensors import LiveSensor
 from ..touches import Touches
 from ._images import ImageKind, Names
-from ._learning import LEAST_TOUCHES, of_size
+from ._learning import LEAST_TOUCHES, newest_row, of_size
 from ._lesson import Action, Journal, Lesson
 
 LONGEST_NAME = 80
@@ -133,11 +133,6 @@ class Teacher:
 
     def begin(self, name: str, wanted: int) -> None:
         check_count("wanted", wanted, at_most=MOST_PER_LESSON)
-        if self._sensor is None:
-            raise SensorError(
-                "There is no sensor here whose touches could be stored. Post them "
-                "(teach/touch), or start again with a `sensor`."
-            )
         lesson = Lesson(teachable_name(name), wanted)
         self.end()
         self.journal.begin_lesson(lesson.name, wanted)  # where refused, there is none
@@ -522,8 +517,8 @@ class Teacher:
         """Return the size of the images to learn: the sensor's, or the newest's."""
         if self._sensor is not None:
             return self._sensor.image_shape
-        newest = self.newest_kind()
-        return None if newest is None else newest.shape
+        newest = newest_row(self.library)
+        return None if newest is None else newest.image_shape
 
     def channels(self, key: str) -> list[str]:
         """Return what the channels of a stored touch are called."""
@@ -533,21 +528,21 @@ class Teacher:
 
     def _layout(self) -> dict[str, Any]:
         """Return how the taxels of the newest touch lie, as far as that is told."""
-        rows = self.library.list(limit=1, offset=max(0, len(self.library) - 1))
-        if not rows:
+        newest = newest_row(self.library)
+        if newest is None:
             return {}
-        whole = self.library.select(f"id = {quoted(rows[0].id)}").whole
+        whole = self.library.select(f"id = {quoted(newest.id)}").whole
         names = "geometry", "pads", "pad_names"
         layout = {name: whole[name] for name in names if name in whole}
         return {n: str(v) if n == "geometry" else v for n, v in layout.items()}
 
     def newest_kind(self) -> ImageKind | None:
         """Return what the newest touch's image is like, or None."""
-        rows = self.library.list(limit=1, offset=max(0, len(self.library) - 1))
-        if not rows:
+        newest = newest_row(self.library)
+        if newest is None:
             return None
-        shape, dtype = rows[0].image_shape, np.dtype(rows[0].dtype)
-        names = self.channels(rows[0].id) if len(shape) == 3 else None
+        shape, dtype = newest.image_shape, np.dtype(newest.dtype)
+        names = self.channels(newest.id) if len(shape) == 3 else None
         return ImageKind(shape, dtype, names)
 
     def ids_of(self, name: str) -> set[str]:
