@@ -457,7 +457,7 @@ TENSOR = {"image": np.zeros((2, 3, 4)).tolist()}
         ({"image": [1.0, 2.0]}, {}, "images of rows and columns of numbers"),
         ({"image": ["a", "b"]}, {}, "images of rows and columns of numbers"),
         ({"image": [[[1.0]], [[1.0, 2.0]]]}, {}, "lists of unequal length"),
-        ({"image": [b"no picture", b""]}, {}, "must be a JPEG or PNG"),
+        ({"image": [b"no picture", b""]}, {}, "must be a whole JPEG or PNG"),
         ({"image": [b"no picture", None]}, {}, "hold every picture itself"),
         (
             {**TENSOR, "odd": [{"a": 1}, {"a": 2}]},

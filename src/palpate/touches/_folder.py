@@ -30,7 +30,6 @@ from ._layout import (
     odd_folders,
 )
 from ._pictures import (
-    GREY_WHERE_COLOUR,
     Header,
     PictureError,
     checked_picture,
@@ -266,6 +265,7 @@ def _lost(
 
 class _Seen(NamedTuple):
     problem: str
+    fix: str
     header: Header | None = None
     coloured: bool = False
     orientation: int = 1
@@ -279,12 +279,14 @@ def _look(path: Path, max_pixels: int, colour: bool) -> _Seen:
         header, orientation, levels, data = checked_picture(
             path, max_pixels=max_pixels, colour=colour
         )
-    except (OSError, PictureError) as error:
-        return _Seen(getattr(error, "strerror", None) or str(error))
+    except PictureError as error:
+        return _Seen(str(error), error.fix)
+    except OSError as error:
+        return _Seen(error.strerror or str(error), "check it, or take it out")
     digest = hashlib.blake2b(data, digest_size=16).digest()
     flat = bool(np.ptp(levels) == 0)
     counted = header.checked(colour)
-    return _Seen("", counted, header.colour, orientation, flat, digest)
+    return _Seen("", "", counted, header.colour, orientation, flat, digest)
 
 
 def _check_pictures(
@@ -300,7 +302,7 @@ def _check_pictures(
     first: dict[bytes, str] = {}
     for name, picture in seen.items():
         if picture.header is None:
-            check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
+            check.bad.append(BadPicture(name, picture.problem, picture.fix))
         elif usual is not None and not picture.header.is_like(usual):
             check.bad.append(_another(name, picture.header, usual))
         else:
@@ -334,14 +336,6 @@ def shows_colour(file: Path | BytesIO) -> bool:
     with Image.open(file) as picture:
         levels = np.asarray(picture.convert("RGB"), np.int16)
     return bool(np.ptp(levels, axis=2).mean() > _GREY_DIFFERS)
-
-
-def _fix(problem: str) -> str:
-    if GREY_WHERE_COLOUR in problem:
-        return "take it out, or learn and recognise without `colour`"
-    if "pixels" in problem and "more than" in problem:
-        return "make it smaller"
-    return "save it again as JPEG or PNG, as deep as the others, or take it out"
 
 
 def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[str]:
