@@ -38,8 +38,6 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
     """Return images, columns and what describes the whole set of a touch archive."""
-    if not path.is_file():
-        raise TouchesError(f"{path} must be a file, got none there. Check the path.")
     with _explained(path):
         with zipfile.ZipFile(path) as archive:
             # The count at the end of the file, with which zipfile does not compare.

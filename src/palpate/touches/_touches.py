@@ -31,6 +31,25 @@ from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 MAX_PIXELS = 50_000_000  # of one picture: any camera's
 MAX_BYTES = 4 * 2**30  # of all images, 4 GiB: what a laptop holds
 _LINE = 88  # columns of a terminal
+# What is read, by the endings of files, and which of it each option is for.
+_FOLDER, _PICTURE, _PARQUET = "a folder", "a picture", "Parquet"
+_ARCHIVE, _ARRAY, _TABLE = "an archive", "an array", "a table"
+_BARE, _OTHER = "bare frames", "a file of another program"
+_KINDS = {
+    **dict.fromkeys(PICTURES, _PICTURE),
+    **dict.fromkeys((*TABLES, *TEXTS), _TABLE),
+    **dict.fromkeys(CONTAINERS, _OTHER),
+    **dict.fromkeys(RAW, _BARE),
+    ".npy": _ARRAY,
+    ".npz": _ARCHIVE,
+}
+_TAKEN_BY = {
+    **dict.fromkeys(("name_pattern", "skip_bad", "colour"), (_FOLDER, _PICTURE)),
+    "levels": (_FOLDER,),
+    "shape": (_TABLE, _BARE),
+    "dtype": (_BARE,),
+    "channels": (_TABLE, _ARRAY, _BARE, _OTHER),
+}
 
 
 class Episode(NamedTuple):
@@ -219,60 +238,32 @@ class Touches(Labelled):
         TouchesError
             The file or folder cannot be read as touches; it names the file and fix.
         """
-        if is_parquet(path):
-            why = "A Parquet file of palpate says itself what it holds."
-            of_folders = {"name_pattern": name_pattern, "levels": levels}
-            of_tables = {"shape": shape, "dtype": dtype, "channels": channels or None}
-            _left_out(path, "for Parquet", why, **of_folders, **of_tables)
-            _left_out(path, "for Parquet", why, colour=colour, skip_bad=skip_bad)
-            parts = parquet_parts(path, max_bytes, max_pixels)
-            held = (cls(**arrays)._with_files(files) for arrays, files in parts)
-            return cls._joined(held, max_bytes).with_no_contact(no_contact, max_pixels)
-        place = Path(path)
-        if place.exists() and not (place.is_file() or place.is_dir()):
-            raise _no_touches(place)  # a pipe would be waited for
-        ending = place.suffix.lower()
-        for_pictures = name_pattern is not None or colour
-        why = "Other files say themselves what they hold."
-        has_shape = ending in RAW or (ending in (*TABLES, *TEXTS) and ending != ".npy")
-        if place.exists() and not (has_shape and place.is_file()):
-            _left_out(place, "but for tables and bare frames", why, shape=shape)
-        if ending in (*CONTAINERS, *RAW) and place.exists():
-            _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
-        if ending in CONTAINERS and place.exists() and not for_pictures:
-            _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
-            arrays = container_arrays(place, max_bytes, max_pixels)
-            if channels:
-                arrays["channels"] = np.array(channels)
-            return cls(**arrays).with_no_contact(no_contact, max_pixels)
-        if ending in RAW and place.exists() and not for_pictures:
-            read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
-            return read.with_no_contact(no_contact, max_pixels)
-        _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
-        if place.is_dir() or (ending in PICTURES and place.is_file()):
-            named = list(channels) if channels else None
-            _left_out(place, "for pictures and folders", why, channels=named)
-            if place.is_file():
-                _left_out(place, "but for a folder", "", levels=levels)
+        kind, place = _kind_of(path), Path(path)
+        channels = list(channels) if channels else None
+        of_folders = {"name_pattern": name_pattern, "levels": levels, "colour": colour}
+        of_tables = {"shape": shape, "dtype": dtype, "channels": channels}
+        _refuse_options(path, kind, **of_folders, skip_bad=skip_bad, **of_tables)
+        if kind in (_FOLDER, _PICTURE):
             how = (name_pattern, levels, no_contact, colour, skip_bad)
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
-        _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
-        if ending in (*TABLES, *TEXTS) and place.is_file() and not for_pictures:
-            if ending != ".npy":
-                read = cls(**csv_arrays(place, shape, max_bytes, channels))
-            else:
-                array = load_levels(place, max_bytes)
-                array = array[None] if array.ndim == 2 else array
-                read = cls(array, channels=channels)
-            return read.with_no_contact(no_contact, max_pixels)
-        if ending != ".npz":
-            raise _no_touches(place)
-        why = "Archives carry their labels and the names of their channels."
-        named = list(channels) if channels else None
-        others = {"name_pattern": name_pattern, "colour": colour, "channels": named}
-        _left_out(place, "for an archive", why, **others)
-        touches = cls._of(*read_archive(place, max_bytes))
+        if kind == _PARQUET:
+            parts = parquet_parts(path, max_bytes, max_pixels)
+            held = (cls(**arrays)._with_files(files) for arrays, files in parts)
+            touches = cls._joined(held, max_bytes)
+        elif kind == _ARCHIVE:
+            touches = cls._of(*read_archive(place, max_bytes))
+        elif kind == _BARE:
+            touches = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
+        elif kind == _TABLE:
+            touches = cls(**csv_arrays(place, shape, max_bytes, channels))
+        elif kind == _ARRAY:
+            array = load_levels(place, max_bytes)
+            touches = cls(array[None] if array.ndim == 2 else array, channels=channels)
+        else:
+            arrays = container_arrays(place, max_bytes, max_pixels)
+            named = {"channels": np.array(channels)} if channels else {}
+            touches = cls(**{**arrays, **named})
         return touches.with_no_contact(no_contact, max_pixels)
 
     @classmethod
@@ -602,29 +593,37 @@ class Touches(Labelled):
         ]
 
 
-def _left_out(place: str | PathLike[str], where: str, why: str, **options: Any) -> None:
-    """Refuse options that say nothing to a kind of file."""
-    for name, value in options.items():
-        if value is not None and value is not False:
-            raise TouchesError(
-                f"{name} must be left out {where}, got {value!r} with {place}. "
-                f"{why or nearest_path(Path(place))}".rstrip()
-            )
-
-
-def _no_touches(place: Path) -> TouchesError:
+def _kind_of(path: str | PathLike[str]) -> str:
+    """Return what is to be read; refuse what is no touches, or not there."""
+    place = Path(path)
+    ending = place.suffix.lower()
+    if is_parquet(path):
+        return _PARQUET
+    if place.is_dir() and ending != ".zarr":
+        return _FOLDER
+    if ending in _KINDS and (place.is_file() or place.is_dir()):
+        return _KINDS[ending]
     if not place.exists():
-        return TouchesError(
+        raise TouchesError(
             f"{place} must be a file or folder of touches, got nothing there. "
             f"{nearest_path(place) or 'Check the path.'}"
         )
-    if place.suffix.lower() in FILMS:
-        return TouchesError(
+    if ending in FILMS:
+        raise TouchesError(
             f"{place} must be cut into touches, got a film. Read it by "
             "sensors.TouchDetector().touches_in."
         )
-    kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
-    return TouchesError(
-        f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
-        "without options for others, got another kind of file. Convert it."
+    raise TouchesError(
+        f"{place} must be a touch archive (.npz), a folder, or one of "
+        f"{', '.join(_KINDS)}, got another kind of file. Convert it."
     )
+
+
+def _refuse_options(path: str | PathLike[str], kind: str, **options: Any) -> None:
+    """Refuse options that say nothing to a kind of file."""
+    for name, value in options.items():
+        if value is not None and value is not False and kind not in _TAKEN_BY[name]:
+            raise TouchesError(
+                f"{name} must be left out for {kind}, got {value!r} with {path}. "
+                f"It is for {' and '.join(_TAKEN_BY[name])}."
+            )
