@@ -21,13 +21,12 @@ from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
 from ._layout import (
     LABELS,
+    BadPicture,
     compiled,
     kept_names,
     labels_of,
     levels_pattern,
-    matched,
-    odd_depths,
-    odd_folders,
+    odd_names,
 )
 from ._pictures import (
     Header,
@@ -50,18 +49,6 @@ _ONE_TOUCH_A_FILE = tuple(
 _GREY = {".bmp", ".webp"}  # pictures too, read where there is no JPEG or PNG
 _LISTED = 5  # pictures left out
 _MOST_TABLE = 2**30  # bytes; only to say which objects are lost
-
-
-class BadPicture(NamedTuple):
-    """A picture that cannot be used: its path in the folder, why, and the fix.
-
-    `folder` is one whose pictures all lie wrongly in one way, else empty.
-    """
-
-    picture: str
-    problem: str
-    fix: str
-    folder: str = ""
 
 
 @dataclass
@@ -207,30 +194,10 @@ def _checked(
     """Look at every picture, and at whether it gets a label like the others."""
     check = _check_pictures(root, names, max_pixels=max_pixels, colour=colour)
     are_bad = {bad.picture for bad in check.bad}
-    placed: dict[str, tuple[str, str, str]] = {}
-    fix = "move it to the folder of its object, or give it as `no_contact`"
-    if pattern is not None:
-        pairs = zip(names, matched(pattern, names), strict=True)
-        odd = {n: "not named like the others" for n, match in pairs if match is None}
-        if len(odd) == len(names):
-            odd = dict.fromkeys(odd, "not named as levels or name_pattern say")
-            fix = "give `levels` or a `name_pattern` as these paths are"
-        elif "/" in pattern.pattern:
-            placed = odd_folders(names, odd)
-            placed = {
-                n: (why, f"{by} instead", f) for n, (why, by, f) in placed.items()
-            }
-    elif (root / LABELS).is_file():
-        odd = {}
-    else:
-        depths = odd_depths(names)[0].items()
-        odd = {n: f"{where}, unlike the others" for n, where in depths}
-        placed = odd_folders(names, odd)
-    check.bad += [
-        BadPicture(name, *placed.get(name, (why, fix, "")))
-        for name, why in odd.items()
-        if name not in are_bad
-    ]
+    odd: dict[str, BadPicture] = {}
+    if pattern is not None or not (root / LABELS).is_file():
+        odd = odd_names(names, pattern)
+    check.bad += [bad for name, bad in odd.items() if name not in are_bad]
     check.bad.sort(key=lambda bad: _natural_order(bad.picture))
     if check.bad:
         check.lost = _lost(root, names, pattern, check.bad, odd)
