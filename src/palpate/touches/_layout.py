@@ -220,7 +220,7 @@ def _odd_folders(names: Sequence[str], odd: Collection[str]) -> dict[str, BadPic
     below: dict[tuple[str, int], list[str]] = {}
     for name in odd:
         below.setdefault((name.partition("/")[0], _depth(name)), []).append(name)
-    bad = {}
+    bad: dict[str, BadPicture] = {}
     for (folder, depth), inside in below.items():
         if (depth, usual) == (2, {1}):
             among = list(dict.fromkeys(name.split("/")[1] for name in inside))
