@@ -34,6 +34,16 @@ class TouchesError(ValueError):
     """
 
 
+def refuse_large(what: str, n_bytes: int, max_bytes: int) -> None:
+    """Refuse what would take too much memory, before it is read."""
+    if n_bytes > max_bytes:
+        raise TouchesError(
+            f"{what} must take at most {max_bytes} bytes, got {n_bytes}. Split it, keep "
+            "it in a library, which is read as it is needed, or raise max_bytes if you "
+            "trust it."
+        )
+
+
 def belongs_to_whole(name: str) -> bool:
     """Tell whether `name` alone says that an array describes the whole set."""
     return name in WHOLE or name.startswith("set_")
@@ -68,12 +78,13 @@ def checked_images(images: ArrayLike) -> Array:
 
 
 def sorted_out(
-    values: Mapping[str, Any], images: Array, whole_names: Collection[str] = ()
+    values: Mapping[str, Any], images: Array, whole_names: Collection[str] | None = ()
 ) -> tuple[Arrays, Arrays]:
     """Split `values` into checked columns and checked entries of the whole set.
 
     None counts as absent. `whole_names` are arrays of no settled name that belong
-    to the whole set even where their length happens to be the number of touches.
+    to the whole set even where their length happens to be the number of touches; None
+    that all of no settled name are columns.
     """
     columns: Arrays = {}
     whole: Arrays = {}
@@ -87,10 +98,11 @@ def sorted_out(
                 "former name. Leave that out."
             )
         array = plain_array(name, value)
-        long = array.ndim > 0 and len(array) == len(images) and name not in whole_names
+        long = array.ndim > 0 and len(array) == len(images)
+        is_column = whole_names is None or (long and name not in whole_names)
         if belongs_to_whole(name):
             whole[name] = frozen(_checked_whole(name, array, images))
-        elif name in COLUMNS or long:
+        elif name in COLUMNS or is_column:
             columns[name] = frozen(checked_column(name, array, len(images)))
         else:
             whole[name] = frozen(array)

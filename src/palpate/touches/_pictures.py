@@ -30,7 +30,7 @@ import numpy as np
 
 from .._parallel import Progress
 from .._types import RGB, Array
-from ._columns import TouchesError
+from ._columns import TouchesError, refuse_large
 
 _MOST_SCANS = 100  # progressive files of cameras have about ten
 # A scan has ten bytes at least and takes at most some 0.4 ns a pixel: where bytes times
@@ -247,11 +247,7 @@ def decode_pictures(
     """Return the levels of pictures, (n_pictures, n_rows, n_cols[, 3]), and files."""
     shape = (len(paths), *header.shape)
     n_bytes = prod(shape) * header.dtype.itemsize
-    if n_bytes > max_bytes:
-        raise TouchesError(
-            f"{len(paths)} pictures of {header} must take at most {max_bytes} bytes, "
-            f"got {n_bytes}. Read fewer or smaller ones, or raise max_bytes."
-        )
+    refuse_large(f"{len(paths)} pictures of {header}", n_bytes, max_bytes)
     images = np.empty(shape, dtype=header.dtype)
     files = [b""] * len(paths)
 

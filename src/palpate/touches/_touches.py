@@ -274,11 +274,7 @@ class Touches(Labelled):
         for part in parts:
             held.append(part)
             n_bytes += part.images.nbytes
-            if n_bytes > max_bytes:
-                raise TouchesError(
-                    f"Touches must take at most {max_bytes} bytes, got more. Keep them "
-                    "in a library, which is read as it is needed."
-                )
+            _columns.refuse_large("Touches held at once", n_bytes, max_bytes)
         same = _columns.common_whole([part._whole for part in held])
         plain = [part.without(*(part._whole.keys() - same.keys())) for part in held]
         joined = Touches.concatenate(plain)
@@ -500,16 +496,12 @@ class Touches(Labelled):
         Names of the whole set (`no_contact`, `geometry`, `pads`, `set_...`) are
         welcome.
         """
-        for name, value in columns.items():
-            if name == "images":
-                raise TouchesError(
-                    "images must not be given as a column. "
-                    "Build Touches(images, **touches.columns, **touches.whole)."
-                )
-            if not _columns.belongs_to_whole(name):
-                array = _columns.plain_array(name, value)
-                _columns.checked_column(name, array, len(self))
-        added, changed = _columns.sorted_out(columns, self._images)
+        if "images" in columns:
+            raise TouchesError(
+                "images must not be given as a column. "
+                "Build Touches(images, **touches.columns, **touches.whole)."
+            )
+        added, changed = _columns.sorted_out(columns, self._images, None)
         kept = {name: a for name, a in self._whole.items() if name not in added}
         parts = {**self._columns, **added}, {**kept, **changed}
         check_layout(self._images, *parts)
