@@ -145,9 +145,7 @@ def test_a_bomb_is_refused_before_it_inflates(tmp_path):
     np.savez_compressed(path, images=np.zeros((64, 1024, 1024), np.uint8))
     assert path.stat().st_size < 2**17
     tracemalloc.start()
-    with pytest.raises(
-        TouchesError, match=r"at most 16777216 bytes, got 671.*max_bytes"
-    ):
+    with pytest.raises(TouchesError, match=r"at most 16777216 bytes, got 67"):
         Touches.load(path, max_bytes=2**24)
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()

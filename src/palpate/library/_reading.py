@@ -126,7 +126,7 @@ class Selection(Labelled):
 
     def __getitem__(self, rows: ArrayLike) -> Selection:
         """Pick touches by their places, which must rise; no image is read."""
-        chosen = self.numbers[_rising(rows, len(self))]
+        chosen = self.numbers[self._rising(rows, len(self))]
         return Selection(self.tables, chosen, self._called, self._rest)
 
     @cached_property
@@ -510,20 +510,6 @@ def _labelled(columns: dict[str, Array]) -> dict[str, Array]:
         if lacking:
             del columns[name]
     return columns
-
-
-def _rising(rows: ArrayLike, n_touches: int) -> Indices:
-    """Return places in a selection, also from a mask; they must rise."""
-    places = np.asarray(rows)
-    if places.dtype == bool and places.shape == (n_touches,):
-        return np.flatnonzero(places)
-    places = np.asarray(np.arange(n_touches)[places])
-    if places.ndim != 1 or (len(places) > 1 and (np.diff(places) <= 0).any()):
-        raise LibraryError(
-            "rows must be increasing indices of the selection, got others. "
-            "Sort them and drop those that come twice."
-        )
-    return places
 
 
 def _cached(cache: Path) -> tuple[Array, Floats]:

@@ -38,9 +38,9 @@ def refuse_large(what: str, n_bytes: int, max_bytes: int) -> None:
     """Refuse what would take too much memory, before it is read."""
     if n_bytes > max_bytes:
         raise TouchesError(
-            f"{what} must take at most {max_bytes} bytes, got {n_bytes}. Split it, keep "
-            "it in a library, which is read as it is needed, or raise max_bytes if you "
-            "trust it."
+            f"{what} must take at most {max_bytes} bytes, got {n_bytes}. Split it, "
+            "keep it in a library, which is read as it is needed, or raise max_bytes "
+            "if you trust it."
         )
 
 
@@ -234,14 +234,7 @@ def joined_columns(parts: Sequence[Arrays]) -> Arrays:
     """Join columns by name, in the order in which names first appear."""
     joined: Arrays = {}
     for name in dict.fromkeys(name for part in parts for name in part):
-        for number, part in enumerate(parts):
-            if name not in part:
-                raise TouchesError(
-                    f"column {name!r} must be in every set, got none in set {number}. "
-                    f"Add it with touches.with_columns({name}=...), or drop it "
-                    f"elsewhere with touches.without({name!r})."
-                )
-        columns = [part[name] for part in parts]
+        columns = _in_every_set(f"column {name!r}", name, parts)
         kinds = [(_kind(column), column.shape[1:]) for column in columns]
         odd = next((i for i, kind in enumerate(kinds) if kind != kinds[0]), None)
         if odd is not None:
@@ -257,22 +250,14 @@ def joined_columns(parts: Sequence[Arrays]) -> Arrays:
 def joined_whole(parts: Sequence[Arrays]) -> Arrays:
     """Keep the entries of the whole set, which must be the same in every set."""
     for name in dict.fromkeys(name for part in parts for name in part):
-        for number, part in enumerate(parts):
-            if name not in part or name not in parts[0]:
-                lacking = number if name not in part else 0
-                raise TouchesError(
-                    f"{name} must be the same in every set, got none in set {lacking}. "
-                    f"Add it there, or drop it with touches.without({name!r})."
-                )
-            entry, first = part[name], parts[0][name]
+        first, *others = _in_every_set(name, name, parts)
+        for number, entry in enumerate(others, 1):
             numbers = entry.dtype.kind in "fc" and first.dtype.kind in "fc"
             # Kinds first: numpy before 2.1 cannot compare texts with numbers.
             alike = _kind(entry) == _kind(first)
             if not alike or not np.array_equal(entry, first, equal_nan=numbers):
-                fix = f"Drop it with touches.without({name!r}), or keep the sets apart."
-                if name == "channels":
-                    fix = "Keep the sets apart."
-                elif name == "no_contact":  # an array without it is told worse
+                fix = f"Keep the sets apart, or drop it with touches.without({name!r})."
+                if name == "no_contact":  # an array without it is told worse
                     fix += (
                         " Of an array join the changes from each one's own: "
                         "Touches(touches.differences(), **touches.columns)."
@@ -282,6 +267,17 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
                     f"{number}. {fix}"
                 )
     return dict(parts[0])
+
+
+def _in_every_set(what: str, name: str, parts: Sequence[Arrays]) -> list[Array]:
+    for number, part in enumerate(parts):
+        if name not in part:
+            raise TouchesError(
+                f"{what} must be in every set, got none in set {number}. "
+                f"Add it with touches.with_columns({name}=...), or drop it "
+                f"elsewhere with touches.without({name!r})."
+            )
+    return [part[name] for part in parts]
 
 
 def common_whole(parts: Sequence[Arrays]) -> Arrays:
@@ -311,13 +307,7 @@ def _checked_labels(name: str, array: Array) -> Array:
             f"{name} must be text or integers, got an array of {array.dtype}. "
             "Convert it first, for example with .astype(str)."
         )
-    try:
-        labels = np.char.decode(array, "utf-8") if kind == "S" else array
-    except UnicodeDecodeError as error:
-        raise TouchesError(
-            f"{name} must be UTF-8 text, got bytes that are not. "
-            "Decode them first, for example with np.char.decode(labels, 'latin-1')."
-        ) from error
+    labels = _decoded(name, array)
     text = labels if labels.dtype.kind == "U" else labels.astype(np.str_)
     empty = np.char.str_len(np.char.strip(text)) == 0
     if empty.any():
@@ -333,6 +323,16 @@ def _checked_labels(name: str, array: Array) -> Array:
     if all(label == spelling for label, spelling in spelt.items()):
         return text
     return np.array([spelt[label] for label in texts], dtype=np.str_)
+
+
+def _decoded(name: str, array: Array) -> Array:
+    try:
+        return np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
+    except UnicodeDecodeError as error:
+        raise TouchesError(
+            f"{name} must be UTF-8 text, got bytes that are not. "
+            "Decode them first, for example with np.char.decode(labels, 'latin-1')."
+        ) from error
 
 
 def _unprintable(name: str, text: str) -> TouchesError:
@@ -388,16 +388,12 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
 
 
 def _checked_names(name: str, array: Array) -> Array:
-    listed = array.tolist()
-    try:
-        text = np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
-    except UnicodeDecodeError:
-        text = np.empty(0)
+    text = _decoded(name, array)
     names = [str(name).strip() for name in text.tolist()] if text.ndim == 1 else []
     if text.dtype.kind != "U" or not all(names) or not 0 < len(set(names)) == len(text):
         raise TouchesError(
             f"{name} must be different texts in a list, none of them empty, got "
-            f"{listed!r}. Name each once."
+            f"{array.tolist()!r}. Name each once."
         )
     return text
 

@@ -25,7 +25,6 @@ from ._columns import (
     TouchesError,
     checked_column,
     common_whole,
-    picked_rows,
 )
 from ._folder import folder_arrays
 from ._parquet import (
@@ -280,9 +279,7 @@ class ParquetTouches(Labelled):
 
     def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
         """Pick touches by their rows, which must rise; no image is read."""
-        places = np.arange(len(self))[picked_rows(rows, len(self))]
-        if (np.diff(places) <= 0).any():
-            raise TouchesError("rows must be increasing indices. Sort them.")
+        places = self._rising(rows, len(self))
         other = copy(self)
         other._rows = self._rows[places]
         other._columns = {name: c[places] for name, c in self._columns.items()}

@@ -70,6 +70,17 @@ class Labelled:
     __slots__ = ()
     _columns: Arrays
 
+    @staticmethod
+    def _rising(rows: ArrayLike, n_touches: int) -> NDArray[np.intp]:
+        """Return the places of touches that are picked, also by a mask."""
+        places = np.arange(n_touches)[_columns.picked_rows(rows, n_touches)]
+        if (np.diff(places) <= 0).any():
+            raise TouchesError(
+                "rows must be increasing indices of the touches, got others. "
+                "Sort them and drop those that come twice."
+            )
+        return places
+
     @property
     def columns(self) -> Mapping[str, Array]:
         """Arrays with one row per touch, by name."""
