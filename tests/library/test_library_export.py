@@ -344,7 +344,7 @@ def test_a_store_that_fsspec_knows_serves(library, by, travelled):
     assert len(Touches.load(url)) == 6
     with pytest.raises(TouchesError, match="fsspec can open"):
         list(read_parquet("nosuchscheme://bucket/some.parquet"))
-    with pytest.raises(LibraryError, match=r"path must end in \.parquet"):
+    with pytest.raises(LibraryError, match=r"address of a store in \.parquet"):
         library.export("memory://bucket/some.npz")
 
 

@@ -393,7 +393,7 @@ def test_a_whole_set_entry_stays_one_where_it_is_as_long_as_the_set():
             r"no_contact must be the same.*without\('no_contact'\).* join .*differ",
         ),
         ({"no_contact": np.zeros((3, 3))}, {}, "no_contact .* got none in set 1"),
-        ({}, {"geometry": "dome"}, "geometry must be the same .* got none in set 0"),
+        ({}, {"geometry": "dome"}, "geometry must be in every set, got none in set 0"),
         ({"geometry": "dome"}, {"geometry": "array"}, "got another one in set 1"),
         ({"set_x": 1}, {"set_x": "1"}, "set_x must be the same"),
     ],

@@ -238,18 +238,11 @@ def add_touches(
 
 def _recording(touches: Touches, sensor: SensorDescription | None) -> Recording:
     """Return what is the same for all of `touches`, but for arrays."""
-    described = sensor or SensorDescription("")
-    return Recording(
-        b"",
-        described.name or None,
-        described.kind,
-        described.unit,
-        None if described.pitch_mm is None else float(described.pitch_mm),
-        touches.geometry,
-        touches.images.shape[1:],
-        touches.images.dtype,
-        {},
-    )
+    name, kind, unit, pitch_mm, _ = sensor or SensorDescription("")
+    pitch_mm = None if pitch_mm is None else float(pitch_mm)
+    described = name or None, kind, unit, pitch_mm, touches.geometry
+    images = touches.images
+    return Recording(b"", *described, images.shape[1:], images.dtype, {})
 
 
 def _batch(touches: Touches, recording: Recording) -> Batch:

@@ -8,13 +8,12 @@ from typing import NamedTuple
 from .._parallel import Progress
 from ._changes import Names, change_rows
 from ._content import id_bytes, identity, wide_identities
-from ._reading import is_whole, stored_array
+from ._reading import stored_array, whole_image
 from ._rows import (
     LOST,
     StoredTouch,
     Tables,
     plain_values,
-    stored_images,
     stored_touches,
 )
 from ._store import (
@@ -160,12 +159,11 @@ def touch_fault(tables: Tables, row: StoredTouch, names: Names | None) -> str | 
     """Return what is wrong with a touch, or None; `names` are as for `is_sound`."""
     if not isinstance(row.key, bytes) or not tables.is_sound(row, names):
         return f"Row {row.number} must be as it was written, got other values."
-    if not is_whole(tables, row):
+    image = whole_image(tables, row)
+    if image is None:
         return f"The image of touch {row.key.hex()} must be as it was added."
-    [stored] = stored_images(tables, [row])
-    assert stored.image is not None  # it is whole
     [values] = plain_values([row])
-    [wide] = wide_identities(tables.layout(row.layout), [stored.image.more])
+    [wide] = wide_identities(tables.layout(row.layout), [image.more])
     if row.key != identity(row.image, {**values, "object": row.label}, wide):
         return f"The id of touch {row.key.hex()} must follow from what it holds."
     return None

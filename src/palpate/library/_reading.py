@@ -31,7 +31,7 @@ from .._parallel import results_of
 from .._types import FORMER, LAYOUT, Array, Floats, Indices
 from ..touches import Labelled, Touches
 from ._changes import Names
-from ._content import PICTURE, Column, column_array, image_digest, unpacked_array
+from ._content import PICTURE, Column, Image, column_array, image_digest, unpacked_array
 from ._rows import (
     LOST,
     Numbers,
@@ -406,7 +406,7 @@ def _take_room(handle: int, n_bytes: int) -> None:
 def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
     """Return the touches whose rows and images are whole; tell of those left out."""
     rows = [row for part in rows_at(tables, numbers, "skip") for row in part]
-    whole = [row.number for row in rows if is_whole(tables, row)]
+    whole = [row.number for row in rows if whole_image(tables, row)]
     if len(whole) < len(rows):
         warnings.warn(
             f"{len(rows) - len(whole)} touches are left out: their images in "
@@ -416,15 +416,15 @@ def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
     return np.array(whole, dtype=np.int64)
 
 
-def is_whole(tables: Tables, row: StoredTouch) -> bool:
-    """Tell whether the image and the wide columns of a touch can be read."""
+def whole_image(tables: Tables, row: StoredTouch) -> Image | None:
+    """Return the image of a touch, None where it or a wide column cannot be read."""
+    [stored] = stored_images(tables, [row])
     try:
-        for stored in stored_images(tables, [row]):
-            stored.unpacked()
-            wide_values(tables, stored)
+        stored.unpacked()
+        wide_values(tables, stored)
     except LibraryError:
-        return False
-    return True
+        return None
+    return stored.image
 
 
 def _entries(whole: dict[str, str]) -> dict[str, str]:
