@@ -212,7 +212,7 @@ def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(
     put(tmp_path / "set" / "mug" / "1.png").write_text("hello")
     answer = palpate.answer("check", tmp_path / "set", code=1)
     assert answer["n_touches"] == 0
-    assert "none" in answer["problem"]
+    assert "No picture can be used" in answer["problem"]
 
 
 def test_the_page_shows_touches_of_each_object_what_is_odd_and_what_is_bad(

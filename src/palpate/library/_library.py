@@ -22,6 +22,7 @@ from ._changes import (
     object_row,
 )
 from ._checking import CheckReport, check_library, check_store
+from ._content import id_bytes
 from ._exchange import export_touches
 from ._reading import (
     IN_MEMORY,
@@ -38,11 +39,11 @@ from ._rows import (
     Tables,
     rows_at,
     stored_images,
-    touch_row,
 )
 from ._store import (
     COUNT_NAME,
     FILE_NAME,
+    LibraryError,
     Store,
     Tally,
     is_unicode,
@@ -280,8 +281,15 @@ class TouchLibrary:
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
-        row = touch_row(self._tables, id)
-        [stored] = stored_images(self._tables, [row])
+        sql = "SELECT number FROM touches WHERE id = ?"
+        number = self._store.first_row(sql, [id_bytes(id)])
+        if number is None:
+            raise LibraryError(
+                f"id must be that of a touch in the library, got {id!r}. "
+                "See `TouchLibrary.list`."
+            )
+        [rows] = rows_at(self._tables, number)
+        [stored] = stored_images(self._tables, rows)
         return stored.unpacked()
 
     def no_contact(self, session: str | int | None = None) -> Array | None:

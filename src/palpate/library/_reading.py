@@ -38,7 +38,6 @@ from ._rows import (
     StoredImage,
     StoredTouch,
     Tables,
-    distinct,
     n_at_once,
     plain_values,
     rows_at,
@@ -113,7 +112,8 @@ class Selection(Labelled):
     ) -> None:
         self.tables, self.numbers = tables, numbers
         self._called, self._rest = called or tables.names(), rest
-        rows = distinct(tables.store, "t.recording, t.layout", numbers)
+        sql = "SELECT DISTINCT recording, layout FROM touches WHERE number IN (?)"
+        rows = tables.store.among(sql, numbers.tolist())
         self._recordings = list(dict.fromkeys(row[0] for row in rows))
         self._layouts = {key: tables.layout(key) for key in {row[1] for row in rows}}
         self.kind = common_kind(tables, self._recordings)

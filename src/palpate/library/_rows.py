@@ -25,7 +25,6 @@ from ._content import (
     Image,
     canonical,
     digest_of,
-    id_bytes,
     identity,
     image_digest,
     packed_array,
@@ -261,20 +260,6 @@ def _key_of(rows: Sequence[StoredTouch], number: int) -> str:
     return keys[0].hex() if keys and isinstance(keys[0], bytes) else f"number {number}"
 
 
-def touch_row(tables: Tables, key: str) -> StoredTouch:
-    """Return the row of the touch with this id."""
-    number = tables.store.first_row(
-        "SELECT number FROM touches WHERE id = ?", [id_bytes(key)]
-    )
-    if number is None:
-        raise LibraryError(
-            f"id must be that of a touch in the library, got {key!r}. "
-            "See `TouchLibrary.list`."
-        )
-    [[row]] = rows_at(tables, number)
-    return row
-
-
 class StoredImage(NamedTuple):
     """The image of a touch, None where there is none, as the database keeps it.
 
@@ -345,12 +330,6 @@ def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
         dict(zip(CELLS, row.cells, strict=True)) | extra
         for row, extra in zip(rows, extras, strict=True)
     ]
-
-
-def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]:
-    """Return the different values of `what` over touches, in the order met."""
-    sql = f"SELECT DISTINCT {what} {FROM} WHERE t.number IN (?)"
-    return list(dict.fromkeys(store.among(sql, numbers.tolist())))
 
 
 def new_rows(

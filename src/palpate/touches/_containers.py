@@ -296,19 +296,13 @@ def _tiff(path: Path, max_bytes: int) -> Array:
         levels: Array = series.asarray(maxworkers=1)
         axes, samples = series.axes, file.pages[0].samplesperpixel
     if samples > 1:
-        levels = _luma(path, levels, axes, samples)
-    images: Array = levels.reshape(-1, *levels.shape[-2:])
-    return images
-
-
-def _luma(path: Path, levels: Array, axes: str, samples: int) -> Array:
-    if samples != 3 or not axes.endswith("S") or levels.dtype.kind != "u":
-        raise TouchesError(
-            f"{path} must be in grey or in red, green and blue, got {samples} values "
-            "a pixel. Convert it."
-        )
-    luma: Array = np.rint(levels @ _LUMA).astype(levels.dtype)
-    return luma
+        if samples != 3 or not axes.endswith("S") or levels.dtype.kind != "u":
+            raise TouchesError(
+                f"{path} must be in grey or in red, green and blue, got {samples} "
+                "values a pixel. Convert it."
+            )
+        levels = np.rint(levels @ _LUMA).astype(levels.dtype)
+    return levels.reshape(-1, *levels.shape[-2:])
 
 
 def _picture(path: Path, max_bytes: int, max_pixels: int) -> Array:

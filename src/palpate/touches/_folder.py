@@ -310,17 +310,13 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
     bad = check.bad
     gone = {odd.picture for odd in bad}
     kept = [name for name in names if name not in gone]
-    if not kept:
+    if check.lost or not kept:
+        lost = [*check.lost]
+        odd = check.lost[lost[0]] if lost else bad[0]
+        of = f" of {listed(lost, 5)}" * bool(lost)
         raise TouchesError(
-            f"Pictures must be usable, got {len(names)} of which none is: "
-            f"{bad[0].picture} is {bad[0].problem}. Fix: {bad[0].fix}."
-        )
-    if lost := [*check.lost]:
-        odd = check.lost[lost[0]]
-        them = lost[0] if len(lost) == 1 else "these"
-        raise TouchesError(
-            f"No picture of {listed(lost, 5)} can be used: {odd.picture} is "
-            f"{odd.problem}. Fix: {odd.fix}, or take {them} out of {root}."
+            f"No picture{of} can be used: {odd.picture} is {odd.problem}. "
+            f"Fix: {odd.fix}. Or leave such pictures out of {root}."
         )
     if bad:
         first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:_LISTED])
