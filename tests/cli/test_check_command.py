@@ -212,7 +212,7 @@ def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(
     put(tmp_path / "set" / "mug" / "1.png").write_text("hello")
     answer = palpate.answer("check", tmp_path / "set", code=1)
     assert answer["n_touches"] == 0
-    assert "No picture can be used" in answer["problem"]
+    assert "No picture of these objects can be used" in answer["problem"]
 
 
 def test_the_page_shows_touches_of_each_object_what_is_odd_and_what_is_bad(
@@ -455,7 +455,7 @@ def test_an_object_of_which_nothing_is_left_is_refused_by_name(
     ):
         refused = palpate.refusal(*words, "--skip-bad")
         assert no_mug in refused
-        assert f"or take mug out of {mixed}" in refused
+        assert f"Or take mug out of {mixed}" in refused
     assert not out.exists()
     answer = palpate.answer("check", mixed, code=1)
     assert no_mug in answer["problem"]

@@ -311,12 +311,11 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
     gone = {odd.picture for odd in bad}
     kept = [name for name in names if name not in gone]
     if check.lost or not kept:
-        lost = [*check.lost]
-        odd = check.lost[lost[0]] if lost else bad[0]
-        of = f" of {listed(lost, 5)}" * bool(lost)
+        odd = next(iter(check.lost.values()), bad[0])
+        lost = listed([*check.lost], 5) or "these objects"
         raise TouchesError(
-            f"No picture{of} can be used: {odd.picture} is {odd.problem}. "
-            f"Fix: {odd.fix}. Or leave such pictures out of {root}."
+            f"No picture of {lost} can be used: {odd.picture} is {odd.problem}. "
+            f"Fix: {odd.fix}. Or take {lost} out of {root}."
         )
     if bad:
         first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:_LISTED])
