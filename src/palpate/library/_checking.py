@@ -18,7 +18,6 @@ from ._rows import (
 )
 from ._store import (
     AT_ONCE,
-    FILE_NAME,
     DatabaseDamaged,
     DatabaseUnavailable,
     LibraryError,
@@ -226,12 +225,5 @@ def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]
 
 
 def _lost(tables: Tables, progress: bool | None) -> Iterator[Problem]:
-    n_touches, n_changes = tables.store.n_lost()
-    if n_touches or n_changes:
-        yield Problem(
-            "lost",
-            f"There were {n_touches} more touches and {n_changes} more changes once: "
-            "the log was damaged, a disk lost what it had acknowledged, or an older "
-            f"{FILE_NAME} took its place.",
-            [],
-        )
+    if lost := tables.store.lost():
+        yield Problem("lost", lost, [])

@@ -90,13 +90,10 @@ class TouchLibrary:
         self._tables = Tables(self._store)
         self._counted: tuple[Tally, list[ObjectRow]] | None = None
         warn_of_network(self.folder)
-        n_touches, n_changes = self._store.n_lost()
-        if n_touches or n_changes:
+        if lost := self._store.lost():
             warnings.warn(
-                f"{self.folder} once held {n_touches} more touches and {n_changes} "
-                "more changes: its log was damaged, a disk lost what it had "
-                "acknowledged, or an older file took its place. Add them again, or put "
-                "a backup back; `repair_library` accepts it as it is.",
+                f"{lost} Add them again, or put a backup back; `repair_library` "
+                "accepts it as it is.",
                 stacklevel=3,
             )
 
@@ -228,7 +225,7 @@ class TouchLibrary:
         damaged : {"raise", "skip"}
             As for `touches`.
         """
-        sql, values = condition(self._store, where, retracted=retracted)
+        sql, values = condition(self._tables, where, retracted=retracted)
         named = {"limit": -1 if limit is None else limit, "offset": offset}
         bounds: dict[str, int] = {"at_least": -NO_LIMIT, "at_most": NO_LIMIT}
         page = [check_count(name, n, **bounds) for name, n in named.items()]
@@ -276,7 +273,7 @@ class TouchLibrary:
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
-        sql, values = condition(self._store, where)
+        sql, values = condition(self._tables, where)
         return self._store.count(f"SELECT count(*) {FROM} WHERE {sql}", values)
 
     def image(self, id: str) -> Array:
@@ -369,7 +366,7 @@ class TouchLibrary:
 
     def _numbers(self, where: str | None, damaged: str = "raise") -> Numbers:
         """Return the numbers of the touches that meet a filter, in the order added."""
-        sql, values = condition(self._store, where)
+        sql, values = condition(self._tables, where)
         query = f"SELECT t.number {FROM} WHERE {sql} ORDER BY t.number"
         rows = self._store.rows(query, values)
         numbers = np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))

@@ -349,6 +349,17 @@ class Store:
         now = self.tally()
         return max(0, n_touches - now.n_touches), max(0, n_changes - now.n_changes)
 
+    def lost(self) -> str:
+        """Return how many touches and changes are gone and why; empty if none is."""
+        n_touches, n_changes = self.n_lost()
+        if not (n_touches or n_changes):
+            return ""
+        return (
+            f"{self.folder} once held {n_touches} more touches and {n_changes} more "
+            "changes: its log was damaged, a disk lost what it had acknowledged, or an "
+            f"older {FILE_NAME} took its place."
+        )
+
     def _counts(self) -> tuple[int, int] | None:
         """Return the counts that were noted last, None where there were no touches."""
         try:
