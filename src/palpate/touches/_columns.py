@@ -133,11 +133,8 @@ def plain_array(name: str, value: ArrayLike) -> Array:
                 raise _unprintable(name, text)
             if isinstance(text, float) and np.isnan(text):  # and write this as "nan"
                 raise TouchesError(
-                    f"{name} must name every touch, got NaN at touch {place}. Label "
-                    "that touch or leave it out."
-                    if name in LABELS
-                    else f"{name} must be text or numbers, got NaN among texts. Write "
-                    'an empty text, "", for what is not known.'
+                    f"{name} must be text or numbers, got NaN among texts at {place}. "
+                    'Label that touch or leave it out; write "" where a label may lack.'
                 )
     if array.dtype.kind not in PLAIN_KINDS:
         fix = "Convert it first, for example with .astype(str) or .astype(float)."
@@ -296,16 +293,10 @@ def common_whole(parts: Sequence[Arrays]) -> Arrays:
 def _checked_labels(name: str, array: Array) -> Array:
     """Return labels as text; integers become text, nothing else does."""
     kind = array.dtype.kind
-    if kind == "f" and np.isnan(array).any():
-        touch = np.isnan(array).argmax()
-        raise TouchesError(
-            f"{name} must name every touch, got NaN at touch {touch}. "
-            "Label that touch or leave it out."
-        )
     if kind not in "iuSU":
         raise TouchesError(
             f"{name} must be text or integers, got an array of {array.dtype}. "
-            "Convert it first, for example with .astype(str)."
+            "Fill in what is missing, and convert it, for example by .astype(str)."
         )
     labels = _decoded(name, array)
     text = labels if labels.dtype.kind == "U" else labels.astype(np.str_)
@@ -350,24 +341,20 @@ def _unprintable(name: str, text: str) -> TouchesError:
 def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     """Refuse channels, pads and frames of presses that do not suit the images."""
     names, pads = whole.get("channels"), whole.get("pads")
-    if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
+    n_channels = images.shape[3] if images.ndim == 4 else 0
+    if n_channels != (0 if names is None else len(names)):
         fix = (
             "List them in their order by `channels`, in an archive by its array "
-            "channels: r,g,b of colours, x,y,z of forces."
+            "channels: r,g,b of colours, x,y,z of forces. Images without a fourth axis "
+            "have none: leave them out."
         )
-        if images.shape[1] <= 4 < images.shape[3]:  # as PyTorch has them
+        if images.shape[1] <= 4 < n_channels:  # as PyTorch has them
             fix = (
                 "Channels come last: images.transpose(0, 2, 3, 1), each with its name."
             )
         raise TouchesError(
-            f"channels must name each of the {images.shape[3]} channels of images of "
-            f"shape {images.shape}, got {_listed(names)}. {fix}"
-        )
-    if images.ndim == 3 and names is not None:
-        raise TouchesError(
-            f"channels must be left out for images without an axis of channels, got "
-            f"{_listed(names)} for images of shape {images.shape}. Leave them out, or "
-            "give images (n_touches, n_rows, n_cols, n_channels)."
+            f"channels must name each of the {n_channels} channels of images of shape "
+            f"{images.shape}, got {_listed(names)}. {fix}"
         )
     if "pad_names" in whole and (pads is None or len(pads) != len(whole["pad_names"])):
         n_pads = "no pads" if pads is None else f"{len(pads)} pads"
