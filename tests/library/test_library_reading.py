@@ -175,7 +175,7 @@ def test_columns_of_several_kinds_are_joined_as_texts_or_refused(library):
     assert read.columns["turn"].tolist() == [1, 2, 0.5, 1.5]
     library.add(Touches(images(2, 2), object=["a", "b"], note=[[1, 2]] * 2))
     with pytest.raises(
-        LibraryError, match=r"'note' must have one shape, got \(\) and \(2,"
+        LibraryError, match=r"'note' must have one shape .* got \(\) of .* \(2,"
     ):
         library.touches()
 
@@ -203,7 +203,7 @@ def test_times_are_not_read_with_other_values(library, other):
     when = np.array(["2024-01-01", "2024-01-02"], "M8[s]")
     library.add(Touches(images(2), object=["a", "b"], when=when))
     library.add(Touches(images(2, 1), object=["a", "b"], when=other))
-    with pytest.raises(LibraryError, match="'when' must be of times or of other"):
+    with pytest.raises(LibraryError, match=r"'when' must have .* be of times or of"):
         library.touches()
 
 

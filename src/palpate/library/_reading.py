@@ -466,20 +466,15 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
     columns: dict[str, list[Column]] = {}
     forms = dict.fromkeys(column for layout in layouts.values() for column in layout)
     for column in forms:
-        alike = columns.setdefault(column.name, [])
-        if alike and alike[0].shape != column.shape:
-            raise LibraryError(
-                f"Column {column.name!r} must have one shape, got {alike[0].shape} and "
-                f"{column.shape} a row. Choose touches with a filter."
-            )
-        alike.append(column)
+        columns.setdefault(column.name, []).append(column)
     for name, alike in columns.items():
         kinds = {np.dtype(column.dtype).kind for column in alike}
-        if len(kinds) > 1 and kinds & {*"Mm"} and "U" not in kinds:
-            listed = " and ".join(sorted({column.dtype for column in alike}))
+        mixed = len(kinds) > 1 and kinds & {*"Mm"} and "U" not in kinds
+        if mixed or len({column.shape for column in alike}) > 1:
+            listed = " and ".join(f"{c.shape} of {c.dtype}" for c in alike)
             raise LibraryError(
-                f"Column {name!r} must be of times or of other values, got {listed}. "
-                "Choose touches with a filter."
+                f"Column {name!r} must have one shape a row, and be of times or of "
+                f"other values, got {listed}. Choose touches with a filter."
             )
     return columns
 
