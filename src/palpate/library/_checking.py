@@ -133,7 +133,7 @@ def _touch_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
             for row in rows:
                 n_read += 1
                 if what := touch_fault(tables, row, names):
-                    yield Problem("touch", what, [_shown(row.key)])
+                    yield Problem("touch", what, [row.shown])
                 if isinstance(row.digest, bytes):
                     chain = chained(chain, [row.digest])
             bar.advance(len(rows))
@@ -168,10 +168,6 @@ def touch_fault(tables: Tables, row: StoredTouch, names: Names | None) -> str | 
     return None
 
 
-def _shown(key: object) -> str:
-    return key.hex() if isinstance(key, bytes) else str(key)
-
-
 def _array_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
     users: dict[str, list[tuple[int, str]]] = {}
     store = tables.store
@@ -183,13 +179,16 @@ def _array_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
             stored_array(tables, digest)
         except LibraryError as error:
             left_out = store.first_row(_LEFT_OUT, [bytes.fromhex(digest), LOST])
-            sql = "SELECT id FROM touches WHERE recording IN (?) ORDER BY number"
+            sql = (
+                "SELECT lower(hex(id)) FROM touches WHERE recording IN (?) "
+                "ORDER BY number"
+            )
             rows = store.among(sql, [key for key, _ in entries])
             what = (
                 f"{error} {len(rows)} touches are read without their {entries[0][1]}."
             )
             kind = LEFT_OUT if left_out else "array"
-            yield Problem(kind, what, [_shown(row[0]) for row in rows])
+            yield Problem(kind, what, [row[0] for row in rows])
 
 
 def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:

@@ -108,6 +108,12 @@ class StoredTouch(NamedTuple):
     extra: str | None
     cells: tuple[Any, ...]
 
+    @property
+    def shown(self) -> str:
+        """Its id in messages, or its number where that is altered."""
+        is_id = isinstance(self.key, bytes)
+        return self.key.hex() if is_id else f"number {self.number}"
+
     def as_called(self, names: Names) -> "StoredTouch":
         """Return itself with the name that its object had when `names` were read."""
         name = names.now(self.label, self.number)
@@ -256,8 +262,7 @@ def stored_touches(
 
 
 def _key_of(rows: Sequence[StoredTouch], number: int) -> str:
-    keys = [row.key for row in rows if row.number == number]
-    return keys[0].hex() if keys and isinstance(keys[0], bytes) else f"number {number}"
+    return next((r.shown for r in rows if r.number == number), f"number {number}")
 
 
 class StoredImage(NamedTuple):

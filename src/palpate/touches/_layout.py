@@ -131,18 +131,13 @@ def levels_pattern(levels: str) -> str:
             f"object, got {levels!r}. Write category/object, object/session, or "
             "object/-/=gel: - skips a level, =gel reads its folder gel alone."
         )
-    parts = [_of_level(name) for name in names]
+    groups = {name: f"?P<{name}>" for name in words}  # others were chosen by name
+    parts = [f"({groups.get(name, '?:')}[^/]+)" for name in names]
     last = names.index("object")
     if "category" in names[:last]:
         first = names.index("category")
         parts[first], parts[last] = f"(?P<object>{parts[first]}", "[^/]+)"
     return f"^{'/'.join(parts)}/[^/]+$"
-
-
-def _of_level(name: str) -> str:
-    if name == SKIPPED:
-        return "[^/]+"
-    return re.escape(name[1:]) if name[:1] == KEPT else f"(?P<{name}>[^/]+)"
 
 
 def kept_names(names: Sequence[str], levels: str) -> list[str]:

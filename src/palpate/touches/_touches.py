@@ -579,20 +579,16 @@ class Touches(Labelled):
 
         Touches without labels are one episode per session, their object None.
         """
-        groups = np.zeros(len(self), dtype=np.intp)
-        for labels in (self.object, self.session):
-            if labels is not None:
-                codes = np.unique(labels, return_inverse=True)[1]
-                groups = groups * (codes.max() + 1) + codes
-        by_group = np.argsort(groups, kind="stable")
-        cuts = np.flatnonzero(np.diff(groups[by_group])) + 1
+        lacks = [None] * len(self)
+        objects = lacks if self.object is None else self.object.tolist()
+        sessions = lacks if self.session is None else self.session.tolist()
+        rows: dict[tuple[Any, Any], list[int]] = {}
+        for row, (name, session) in enumerate(zip(objects, sessions, strict=True)):
+            key = session if session == session else "NaN"  # which equals nothing
+            rows.setdefault((name, key), []).append(row)
         return [
-            Episode(
-                None if self.object is None else str(self.object[rows[0]]),
-                None if self.session is None else self.session[rows[0]].item(),
-                rows,
-            )
-            for rows in sorted(np.split(by_group, cuts), key=lambda rows: rows[0])
+            Episode(name, sessions[places[0]], np.array(places))
+            for (name, _), places in rows.items()
         ]
 
 
