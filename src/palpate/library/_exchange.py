@@ -210,6 +210,7 @@ def _described(tables: Tables, key: int) -> dict[str, Any]:
 def _write_lerobot(path: Path, picked: Selection) -> None:
     """Write a new folder; episodes are read one by one."""
     pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
+    pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
     data = path / "data" / _FILE.format(0, 0)
     data.parent.mkdir(parents=True)
     picked.read_columns()  # refuses objects that some lack, before any is written
@@ -222,17 +223,12 @@ def _write_lerobot(path: Path, picked: Selection) -> None:
         groups.setdefault(tuple(key), []).append(number)
     rows = (np.searchsorted(numbers, members) for members in groups.values())
     episodes = (picked[places].touches(of=picked) for places in rows)
-    _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
-    _write_meta(pa, path / "meta", dataset)
-
-
-def _write_tables(path: Path, tables: Iterator[Any]) -> None:
-    """Write tables of one schema into one Parquet file, one row group each."""
-    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    tables = (_frame_table(pa, dataset.add(episode)) for episode in episodes)
     first = next(tables)
-    with pq.ParquetWriter(path, first.schema) as writer:
+    with pq.ParquetWriter(data, first.schema) as writer:
         for table in chain([first], tables):
             writer.write_table(table.cast(first.schema))
+    _write_meta(pa, pq, path / "meta", dataset)
 
 
 class _Dataset:
@@ -371,8 +367,7 @@ def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
     return pa.table(arrays)
 
 
-def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
-    pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
+def _write_meta(pa: Any, pq: Any, meta: Path, dataset: _Dataset) -> None:
     whole = {name: _json_values(array) for name, array in dataset.whole.items()}
     info = {
         "codebase_version": _LEROBOT_VERSION,
