@@ -4,7 +4,7 @@ import hashlib
 import os
 import re
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -156,7 +156,8 @@ def check_folder(
             "files. What is wrong with one of these is said when they are read."
         )
     check = _checked(root, names, pattern, max_pixels, colour)
-    check.empty = _empty_folders(root)
+    empty = [here for here, folders, inside in _walk(root) if not folders + inside]
+    check.empty = sorted((f"{here.as_posix()}/" for here in empty), key=_natural_order)
     others = sorted({ending for ending in files if files[ending]} - {*PICTURES})
     return check, {ending: files[ending] for ending in others}
 
@@ -401,9 +402,11 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
     return sorted(pictures, key=_natural_order)
 
 
-def _files(root: Path) -> list[str]:
-    """Return all files below `root` but hidden ones, following symbolic links."""
-    below: list[str] = []
+def _walk(root: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """Yield folders below `root` but hidden ones, the folders and the files in each.
+
+    Symbolic links are followed.
+    """
     seen: dict[tuple[int, int], str] = {}
     for folder, folders, files in os.walk(root, onerror=_raised, followlinks=True):
         status = Path(folder).stat()
@@ -414,19 +417,13 @@ def _files(root: Path) -> list[str]:
                 "does: its pictures would count twice. Remove the link."
             )
         folders[:] = [name for name in folders if not name.startswith(".")]
-        here = Path(folder).relative_to(root)
-        below += [(here / n).as_posix() for n in files if not n.startswith(".")]
-    return below
+        yield Path(folder).relative_to(root), folders, files
 
 
-def _empty_folders(root: Path) -> list[str]:
-    """Return the folders below `root` but hidden ones that hold nothing at all."""
-    empty = []
-    for folder, folders, files in os.walk(root, followlinks=True):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        if not folders and not files:
-            empty.append(f"{Path(folder).relative_to(root).as_posix()}/")
-    return sorted(empty, key=_natural_order)
+def _files(root: Path) -> list[str]:
+    """Return all files below `root` but hidden ones."""
+    paths = [here / name for here, _, files in _walk(root) for name in files]
+    return [path.as_posix() for path in paths if not path.name.startswith(".")]
 
 
 def _raised(error: OSError) -> None:

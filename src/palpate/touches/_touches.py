@@ -318,14 +318,15 @@ class Touches(Labelled):
                 "frame must have columns of names that differ, got several called "
                 f"{listed(twice, 3)}. Name them apart, such as with add_prefix."
             )
-        table = {str(name): np.asarray(frame[name]) for name in frame.columns}
-        lacks = {str(name): np.asarray(frame[name].isna()) for name in frame.columns}
-        for name, column in table.items():
+        table = {}
+        for name in frame.columns:
+            column, lacks = np.asarray(frame[name]), np.asarray(frame[name].isna())
             if column.dtype.kind == "O":  # texts; what else there is is refused by name
-                texts = column[~lacks[name]].tolist()
+                texts = column[~lacks].tolist()
                 if texts and all(isinstance(text, str) for text in texts):
-                    column = np.where(lacks[name], "", column)
-                table[name] = np.asarray(column.tolist())
+                    column = np.where(lacks, "", column)
+                column = np.asarray(column.tolist())
+            table[str(name)] = column
         return cls(**table_arrays(table, shape))
 
     def to_frame(self) -> Any:
