@@ -200,10 +200,6 @@ def test_skip_bad_leaves_bad_pictures_out_and_names_them(palpate, odd, tmp_path)
 def test_in_python_bad_pictures_left_out_are_a_warning(odd):
     with pytest.warns(UserWarning, match="5 pictures of 17"):
         assert len(Touches.load(odd, skip_bad=True)) == 12
-    archive = odd.parent / "t.npz"
-    archive.touch()
-    with pytest.raises(TouchesError, match="skip_bad must be left out"):
-        Touches.load(archive, skip_bad=True)
 
 
 def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(

@@ -223,16 +223,6 @@ def test_the_picture_of_no_contact_is_in_colour_too(painted, tmp_path):
     touches.with_columns(channels=["x", "y", "z"]).save(tmp_path / "t.npz")
     with pytest.raises(TouchesError, match=r"a picture for images of uint8 and .*x, y"):
         Touches.load(tmp_path / "t.npz", no_contact=empty)
-    for name, value in (
-        ("colour", True),
-        ("name_pattern", "(?P<object>x)"),
-        ("channels", ("x", "y", "z")),
-        ("shape", (4, 6)),
-    ):
-        with pytest.raises(TouchesError, match=f"{name} must be left out for an arch"):
-            Touches.load(tmp_path / "t.npz", **{name: value})
-    with pytest.raises(TouchesError, match="channels must be left out for a folder"):
-        Touches.load(root, channels=("x", "y", "z"))
 
 
 @pytest.mark.realdata
