@@ -331,7 +331,7 @@ def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
     again = Touches.load(tmp_path / "some.parquet", **options)  # PNG loses nothing
     assert_array_equal(again.images, images)
     assert_array_equal(again.no_contact, images[0])
-    with pytest.raises(TouchesError, match="at most 4799 pixels, got 80 x 60"):
+    with pytest.raises(TouchesError, match=r"80 x 60 .* at most 4799 pixels"):
         Touches.load(tmp_path / "some.parquet", max_pixels=60 * 80 - 1)
 
 

@@ -127,7 +127,7 @@ def test_a_large_picture_is_refused_without_its_pixels(grey, kind):
     if kind == "JPEG":
         scan = data.index(b"\xff\xda") + 2
         start = scan + int.from_bytes(data[scan : scan + 2], "big")
-    with pytest.raises(TouchesError, match=r"most 767 pixels, got 32 x 24 .*raise max"):
+    with pytest.raises(TouchesError, match=r"32 x 24 .* most 767 pixels.*raise max"):
         decode_bytes(data[:start], max_pixels=767)
 
 
@@ -154,8 +154,8 @@ def refused_kinds():
             jpeg[:frame] + jpeg[jpeg.index(b"\xff\xda") :],
             "its pixels come before its size",
         ),
-        (patched(jpeg, frame + 6, 0), "16 x 0 8-bit JPEG, of 0 pixels"),
-        (patched(jpeg, frame + 8, 0), "0 x 8 8-bit JPEG, of 0 pixels"),
+        (patched(jpeg, frame + 6, 0), "16 x 0 8-bit JPEG, not of 1 to"),
+        (patched(jpeg, frame + 8, 0), "0 x 8 8-bit JPEG, not of 1 to"),
         (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", r"a damaged or .*two SOF"),
         (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "a damaged or unusual"),
         (
@@ -171,7 +171,7 @@ def refused_kinds():
         (coded(image.convert("P"), transparency=3), "a transparent colour"),
         (png[:8] + png[33:], "it must begin with its size"),
         (png.replace(b"\0\0\0\x10", bytes(4), 1), "a damaged PNG .*checksum"),
-        (png[:8] + ihdr(0, 5) + png[33:], "0 x 5 8-bit PNG, of 0 pixels"),
+        (png[:8] + ihdr(0, 5) + png[33:], "0 x 5 8-bit PNG, not of 1 to"),
         (png[:8] + ihdr(17, 9) + png[33:], "cannot be decoded"),
     ]
 

@@ -221,8 +221,7 @@ def rows_at(
     for start in range(0, len(numbers), AT_ONCE):
         piece = [int(number) for number in numbers[start : start + AT_ONCE]]
         where = f"WHERE t.number IN {placeholders(len(piece))} ORDER BY t.number"
-        names = None
-        while names is not tables.names():  # rows and names of one moment
+        with tables.store.moment():
             names = tables.names()
             rows = stored_touches(tables.store, where, piece)
         sound = [row for row in rows if tables.is_sound(row, names)]

@@ -47,7 +47,6 @@ _HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _ALPHA = (4, 6)
 _GREY = (0, 4)
-_WANTED = "a whole JPEG or PNG in grey or colour"
 _SAVE_AGAIN = "save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out"
 _CUT_SHORT = "a file that is cut short"
 _EXIF = b"Exif\0\0"
@@ -71,16 +70,11 @@ _AT_ONCE = 8
 
 
 class PictureError(Exception):
-    """A file is no picture that is read; the text is for the middle of a message.
+    """A file is no picture that is read; the text is for the middle of a message."""
 
-    `fix` is what to do, `wanted` what the picture must be.
-    """
-
-    def __init__(
-        self, problem: str, fix: str = _SAVE_AGAIN, wanted: str = _WANTED
-    ) -> None:
+    def __init__(self, problem: str, fix: str = _SAVE_AGAIN) -> None:
         super().__init__(problem)
-        self.fix, self.wanted = fix, wanted
+        self.fix = fix
 
 
 class Header(NamedTuple):
@@ -118,12 +112,11 @@ class Header(NamedTuple):
         if colour and not self.colour:
             fix = "take it out, or learn and recognise without `colour`"
             problem = f"{self} in grey where colour is asked for"
-            raise PictureError(problem, fix, "a picture in colour")
-        n_pixels = self.n_rows * self.n_cols
-        if not 0 < n_pixels <= max_pixels:
+            raise PictureError(problem, fix)
+        if not 0 < self.n_rows * self.n_cols <= max_pixels:
             fix = "make it smaller, or raise max_pixels if you trust it"
-            wanted = f"of at least one and at most {max_pixels} pixels"
-            raise PictureError(f"{self}, of {n_pixels} pixels", fix, wanted)
+            problem = f"{self}, not of 1 to at most {max_pixels} pixels"
+            raise PictureError(problem, fix)
         return self if colour else self._replace(colour=False)
 
 
@@ -280,7 +273,9 @@ def refusal(what: object, error: OSError | PictureError) -> TouchesError:
             "Check the file and its permissions, or take it out of the folder."
         )
     fix = f"{error.fix[0].upper()}{error.fix[1:]}."
-    return TouchesError(f"{what} must be {error.wanted}, got {error}. {fix}")
+    return TouchesError(
+        f"{what} must be a whole JPEG or PNG in grey or colour, got {error}. {fix}"
+    )
 
 
 def _content(path: Path, n_pixels: int, most: int = -1) -> bytes:
