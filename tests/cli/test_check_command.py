@@ -198,8 +198,6 @@ def test_skip_bad_leaves_bad_pictures_out_and_names_them(palpate, odd, tmp_path)
 def test_in_python_bad_pictures_left_out_are_a_warning(odd):
     with pytest.warns(UserWarning, match="5 pictures of 17"):
         assert len(Touches.load(odd, skip_bad=True)) == 12
-    with pytest.raises(TouchesError, match="skip_bad must be left out"):
-        Touches.load(odd.parent / "t.npz", skip_bad=True)
 
 
 def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(
@@ -208,7 +206,7 @@ def test_a_folder_without_one_good_picture_has_a_problem_and_no_touches(
     put(tmp_path / "set" / "mug" / "1.png").write_text("hello")
     answer = palpate.answer("check", tmp_path / "set", code=1)
     assert answer["n_touches"] == 0
-    assert "none" in answer["problem"]
+    assert "No picture of these objects can be used" in answer["problem"]
 
 
 def test_the_page_shows_touches_of_each_object_what_is_odd_and_what_is_bad(
@@ -434,7 +432,7 @@ def test_objects_without_the_folders_that_levels_name_are_one_row(
     (row,) = (line for line in printed.splitlines() if line.startswith("│"))
     assert "ball/, pen/ (12 pictures)" in row
     assert "in one folder, where the others lie in two" in row
-    assert f"say {BY_FIRST} instead" in row
+    assert f"say {BY_FIRST}" in row
     refused = palpate.refusal("learn", mixed, *words, "-o", tmp_path / "m.palpate")
     assert f"say {BY_FIRST}." in refused
 
@@ -451,7 +449,7 @@ def test_an_object_of_which_nothing_is_left_is_refused_by_name(
     ):
         refused = palpate.refusal(*words, "--skip-bad")
         assert no_mug in refused
-        assert f"or take mug out of {mixed}" in refused
+        assert f"Or take mug out of {mixed}" in refused
     assert not out.exists()
     answer = palpate.answer("check", mixed, code=1)
     assert no_mug in answer["problem"]

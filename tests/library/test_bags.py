@@ -182,7 +182,7 @@ def test_compressed_pictures_are_touches(bag, rng):
     data = cv2.imencode(".png", image)[1].ravel()
     assert_array_equal(read_bag(bag(kind(header, "png", data))).images, image[None])
     with pytest.raises(
-        LibraryError, match="message 0 of /pad: A picture must be a JPEG"
+        LibraryError, match="message 0 of /pad: A picture must be a whole JPEG"
     ):
         read_bag(bag(kind(header, "png", data[:-20])))
 

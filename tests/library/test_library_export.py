@@ -331,7 +331,7 @@ def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
     again = Touches.load(tmp_path / "some.parquet", **options)  # PNG loses nothing
     assert_array_equal(again.images, images)
     assert_array_equal(again.no_contact, images[0])
-    with pytest.raises(TouchesError, match="at most 4799 pixels, got 80 x 60"):
+    with pytest.raises(TouchesError, match=r"80 x 60 .* at most 4799 pixels"):
         Touches.load(tmp_path / "some.parquet", max_pixels=60 * 80 - 1)
 
 
@@ -344,7 +344,7 @@ def test_a_store_that_fsspec_knows_serves(library, by, travelled):
     assert len(Touches.load(url)) == 6
     with pytest.raises(TouchesError, match="fsspec can open"):
         list(read_parquet("nosuchscheme://bucket/some.parquet"))
-    with pytest.raises(LibraryError, match=r"path must end in \.parquet"):
+    with pytest.raises(LibraryError, match=r"address of a store in \.parquet"):
         library.export("memory://bucket/some.npz")
 
 
@@ -354,7 +354,7 @@ def test_many_touches_are_read_some_at_a_time(library, tmp_path):
     parts = list(read_parquet(tmp_path / "some.parquet"))
     assert max(map(len, parts)) <= 512
     assert sum(map(len, parts)) == 2000
-    with pytest.raises(TouchesError, match="Keep them in a library"):
+    with pytest.raises(TouchesError, match="keep it in a library"):
         Touches.load(tmp_path / "some.parquet", max_bytes=50_000)
 
 
@@ -370,7 +370,7 @@ def test_what_takes_little_in_a_file_is_not_much_in_memory_at_once(tmp_path):
         list(read_parquet(path, max_bytes=1_000_000))
     blank = png_bytes(np.zeros((1000, 1000), np.uint8))
     _written(path, pa.table({"image": [blank, blank]}))
-    with pytest.raises(TouchesError, match="pictures that take at most 1500000 bytes"):
+    with pytest.raises(TouchesError, match="must take at most 1500000 bytes"):
         list(read_parquet(path, max_bytes=1_500_000))
 
 
@@ -457,7 +457,7 @@ TENSOR = {"image": np.zeros((2, 3, 4)).tolist()}
         ({"image": [1.0, 2.0]}, {}, "images of rows and columns of numbers"),
         ({"image": ["a", "b"]}, {}, "images of rows and columns of numbers"),
         ({"image": [[[1.0]], [[1.0, 2.0]]]}, {}, "lists of unequal length"),
-        ({"image": [b"no picture", b""]}, {}, "must be a JPEG or PNG"),
+        ({"image": [b"no picture", b""]}, {}, "must be a whole JPEG or PNG"),
         ({"image": [b"no picture", None]}, {}, "hold every picture itself"),
         (
             {**TENSOR, "odd": [{"a": 1}, {"a": 2}]},

@@ -16,6 +16,7 @@ from palpate.library import (
     check_library,
     repair_library,
 )
+from palpate.touches import TouchesError
 
 from .conftest import assert_alike
 
@@ -99,12 +100,14 @@ def test_touches_of_several_batches_come_in_the_order_added(library, pick, rows)
     )
 
 
-@pytest.mark.parametrize("rows", [[1, 0], [1, 1], [[0, 1]], 0])
-def test_rows_of_a_selection_must_increase(library, rows):
+def test_rows_of_a_selection_must_increase(library):
     library.add(Touches(images(), object=["a"] * 6))
     selection = library.select()
-    with pytest.raises(LibraryError, match="rows must be increasing indices"):
-        selection.touches(rows)
+    for rows in ([1, 0], [1, 1]):
+        with pytest.raises(TouchesError, match="rows must be increasing indices"):
+            selection.touches(rows)
+    with pytest.raises(TypeError, match="Touches are picked by number"):
+        selection.touches([[0, 1]])
     assert len(selection[[5]]) == 1
     assert len(selection[[0, 5]]) == 2
 
@@ -172,7 +175,7 @@ def test_columns_of_several_kinds_are_joined_as_texts_or_refused(library):
     assert read.columns["turn"].tolist() == [1, 2, 0.5, 1.5]
     library.add(Touches(images(2, 2), object=["a", "b"], note=[[1, 2]] * 2))
     with pytest.raises(
-        LibraryError, match=r"'note' must have one shape, got \(\) and \(2,"
+        LibraryError, match=r"'note' must have one shape .* got \(\) of .* \(2,"
     ):
         library.touches()
 
@@ -200,7 +203,7 @@ def test_times_are_not_read_with_other_values(library, other):
     when = np.array(["2024-01-01", "2024-01-02"], "M8[s]")
     library.add(Touches(images(2), object=["a", "b"], when=when))
     library.add(Touches(images(2, 1), object=["a", "b"], when=other))
-    with pytest.raises(LibraryError, match="'when' must be of times or of other"):
+    with pytest.raises(LibraryError, match=r"'when' must have .* be of times or of"):
         library.touches()
 
 

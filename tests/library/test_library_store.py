@@ -53,15 +53,12 @@ def _another_writing(library):
         holding.result()
 
 
-def _at_once(library, *jobs, n_reading=0):
-    """Run jobs in threads that all wait while another thread is writing.
-
-    Jobs that read before they write, `n_reading`, wait elsewhere.
-    """
+def _at_once(library, *jobs):
+    """Run jobs in threads that all wait while another thread is writing."""
     with ThreadPoolExecutor(len(jobs)) as pool, _another_writing(library):
         futures = [pool.submit(job) for job in jobs]
         for _ in range(20_000):
-            if len(library._store._waiting) == len(jobs) - n_reading:
+            if len(library._store._waiting) == len(jobs):
                 break
             time.sleep(0.001)
     return futures
@@ -175,7 +172,7 @@ def test_an_interrupt_concerns_one_thread_alone(library, monkeypatch, when):
                 interrupt()
 
         monkeypatch.setattr(store, "note_count", noted)
-    errors = [f.exception() for f in _at_once(library, *jobs, n_reading=1)]
+    errors = [f.exception() for f in _at_once(library, *jobs)]
     assert [type(error) for error in errors if error] == [KeyboardInterrupt]
     n_interrupted = sum(error is not None for error in errors[:8])
     assert len(library) >= 1 + 8 - n_interrupted

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,17 +45,13 @@ def test_what_is_added_comes_back(library, cups):
     assert library.no_contact("elsewhere") is None
 
 
-def test_the_same_touch_twice_is_one_touch(library, cups):
-    first = library.add(cups)
-    assert library.add(cups) == first
-    assert library.add(cups[[4, 1]]) == [first[4], first[1]]
-    assert len(library) == 6
-    assert len(set(first)) == 6
-
-
-def test_a_better_category_or_a_new_column_is_no_new_touch(library, cups):
+def test_the_same_touch_is_one_even_with_a_better_category_or_a_new_column(
+    library, cups
+):
     first = library.add(cups.without("category", "clicks"))
     assert library.add(cups) == first
+    assert library.add(cups[[4, 1]]) == [first[4], first[1]]
+    assert len(library) == len(set(first)) == 6
 
 
 def test_the_same_image_of_another_object_or_session_is_another_touch(library, cups):
@@ -127,11 +124,26 @@ def test_what_a_repair_lost_is_added_again(library, cups, alter):
     assert library.check().ok
 
 
-def test_a_folder_without_library_is_refused(tmp_path):
-    with pytest.raises(LibraryError, match=r"got no library\.sqlite"):
-        TouchLibrary.open(tmp_path)
-    assert not TouchLibrary.is_library(tmp_path)
-    assert not list(tmp_path.iterdir())
+@pytest.mark.parametrize(
+    ("make", "create", "match"),
+    [
+        (Path.mkdir, False, r"got no library\.sqlite"),
+        (
+            lambda path: (path / "mug").mkdir(parents=True),
+            True,
+            r"got mug in it\. Give",
+        ),
+        (Path.touch, True, "desk must be a folder, got a file"),
+    ],
+    ids=["none", "pictures", "file"],
+)
+def test_what_is_no_library_is_refused_and_left_alone(tmp_path, make, create, match):
+    make(tmp_path / "desk")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(LibraryError, match=match):
+        TouchLibrary.open(tmp_path / "desk", create=create)
+    assert not TouchLibrary.is_library(tmp_path / "desk")
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_a_newer_library_is_refused_by_name(library, alter):
@@ -157,19 +169,6 @@ def test_a_forked_process_opens_the_library_anew(library, cups):
     library.add(cups)
     assert "Open the library again" in outcome_elsewhere(lambda: len(library))
     assert outcome_elsewhere(lambda: len(TouchLibrary.open(library.folder))) == "6"
-
-
-def test_a_library_does_not_mix_with_pictures(tmp_path):
-    (tmp_path / "mug").mkdir()
-    with pytest.raises(LibraryError, match=r"got mug in it\. Give .* of its own"):
-        TouchLibrary.open(tmp_path, create=True)
-    assert [path.name for path in tmp_path.iterdir()] == ["mug"]
-
-
-def test_a_file_in_the_place_of_a_library_is_named(tmp_path):
-    (tmp_path / "desk").write_text("notes")
-    with pytest.raises(LibraryError, match="desk must be a folder, got a file"):
-        TouchLibrary.open(tmp_path / "desk", create=True)
 
 
 @pytest.mark.parametrize(

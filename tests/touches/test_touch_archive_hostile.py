@@ -84,7 +84,7 @@ GOOD = ("images.npy", npy(np.zeros((2, 2, 2), np.uint8)))
             [("counts.npy", npy(np.zeros((5, 3)))), ("photo.npy", npy(7))],
             r"not a touch archive.*counts \(5 x 3 float64\), photo \(one int64\)",
         ),
-        ([(f"a{i}.npy", b"") for i in range(1001)], "at most 1000 arrays, got 1001"),
+        ([(f"a{i}.npy", b"") for i in range(1001)], r"at most 1000 arrays .* got 1001"),
     ],
 )
 def test_odd_archives_are_refused(tmp_path, members, message):
@@ -119,14 +119,14 @@ def test_pickles_are_refused_and_never_run(tmp_path):
 def test_duplicate_members_are_refused(tmp_path):
     with pytest.warns(UserWarning, match="Duplicate name"):
         path = zipped(tmp_path / "d.npz", [GOOD, GOOD])
-    with pytest.raises(TouchesError, match=r"each array once, got 'images.npy' twice"):
+    with pytest.raises(TouchesError, match=r"different names, .* 'images.npy' twice"):
         Touches.load(path)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_methods_that_inflate_without_limit_are_refused(tmp_path, method):
     path = zipped(tmp_path / "m.npz", [GOOD], method)
-    with pytest.raises(TouchesError, match="must be stored or deflated"):
+    with pytest.raises(TouchesError, match="stored or deflated, got zip method"):
         Touches.load(path)
 
 
@@ -145,7 +145,7 @@ def test_a_bomb_is_refused_before_it_inflates(tmp_path):
     np.savez_compressed(path, images=np.zeros((64, 1024, 1024), np.uint8))
     assert path.stat().st_size < 2**17
     tracemalloc.start()
-    with pytest.raises(TouchesError, match=r"at most 16 MiB, got 65 MiB.*max_bytes"):
+    with pytest.raises(TouchesError, match=r"at most 16777216 bytes, got 67"):
         Touches.load(path, max_bytes=2**24)
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()
@@ -184,10 +184,9 @@ def test_files_that_are_no_archive_are_refused(tmp_path):
     (tmp_path / "press.mp4").write_bytes(b"hello")
     with pytest.raises(TouchesError, match="cut into touches, got a film"):
         Touches.load(tmp_path / "press.mp4")
-    with pytest.raises(TouchesError, match="got nothing there"):
-        Touches.load(tmp_path / "missing")
-    with pytest.raises(TouchesError, match="must be a file, got none there"):
-        Touches.load(tmp_path / "missing.npz")
+    for name in ("missing", "missing.npz"):
+        with pytest.raises(TouchesError, match="got nothing there"):
+            Touches.load(tmp_path / name)
     for name in ("pipe.npz", "pipe.h5"):  # is not waited for
         os.mkfifo(tmp_path / name)
         with pytest.raises(TouchesError, match="got another kind of file"):

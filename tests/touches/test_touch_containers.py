@@ -191,9 +191,6 @@ def test_frames_without_a_header_need_shape_and_type(tmp_path, images):
     ]:
         with pytest.raises(TouchesError, match=message):
             Touches.load(path, shape=shape, dtype=dtype)
-    np.save(tmp_path / "a.npy", images)
-    with pytest.raises(TouchesError, match="dtype must be left out"):
-        Touches.load(tmp_path / "a.npy", dtype="uint16")
 
 
 @pytest.mark.filterwarnings("ignore")  # of zarr, that not all others read texts
@@ -228,24 +225,28 @@ def test_labels_beside_objects_are_a_column_of_their_own(tmp_path, images):
 
 
 @pytest.mark.parametrize(
-    ("ending", "option"),
+    ("name", "taken"),
     [
-        ("h5", {"dtype": "u2"}),
-        ("h5", {"levels": "a"}),
-        ("h5", {"skip_bad": True}),
-        ("raw", {"skip_bad": True}),
-        ("raw", {"levels": "object"}),
+        ("in/", {"name_pattern", "skip_bad", "colour", "levels"}),
+        ("t.png", {"name_pattern", "skip_bad", "colour"}),
+        ("t.npz", set()),
+        ("t.parquet", set()),
+        ("t.npy", {"channels"}),
+        ("t.h5", {"channels"}),
+        ("t.csv", {"channels", "shape"}),
+        ("t.raw", {"channels", "shape", "dtype"}),
     ],
 )
-def test_options_of_other_files_are_refused(tmp_path, images, ending, option):
-    path = tmp_path / f"f.{ending}"
-    if ending == "h5":
-        _h5(path, images)
-    else:
-        images.tofile(path)
-        option = {"shape": (5, 6), "dtype": "uint16", **option}
-    with pytest.raises(TouchesError, match="must be left out but for"):
-        Touches.load(path, **option)
+def test_options_of_other_files_are_refused_before_one_is_read(tmp_path, name, taken):
+    path = tmp_path / name
+    path.mkdir() if name.endswith("/") else path.touch()
+    options = {"name_pattern": "(?P<object>x)", "skip_bad": True, "colour": True}
+    options |= {"levels": "object", "channels": ("x", "y", "z"), "shape": (4, 6)}
+    for option, value in {**options, "dtype": "u2"}.items():
+        with pytest.raises(TouchesError) as refusal:
+            Touches.load(path, **{option: value})
+        told = f"{option} must be left out for" in str(refusal.value)
+        assert told is (option not in taken)
 
 
 @pytest.mark.parametrize("shape", [(-2, -2), (4,), (2.0, 2.0), (0, 4), 4])
@@ -553,8 +554,6 @@ def test_arrays_of_numpy_are_touches(tmp_path, rng):
     np.save(tmp_path / "forces.npy", np.stack([images] * 3, axis=-1))
     forces = Touches.load(tmp_path / "forces.npy", channels=("x", "y", "z"))
     assert (forces.images.shape, forces.channels) == ((4, 3, 2, 3), ("x", "y", "z"))
-    with pytest.raises(TouchesError, match="shape must be left out but for tables"):
-        Touches.load(tmp_path / "many.npy", shape=(3, 2))
     np.savez(tmp_path / "plain.npz", X=images, y=[1, 1, 2, 2])
     touches = Touches.load(tmp_path / "plain.npz")
     assert_array_equal(touches.images, images)
@@ -577,8 +576,6 @@ def test_a_picture_is_one_touch(tmp_path, rng):
     deep = rng.integers(0, 2**16, (5, 4), dtype=np.uint16)
     Image.fromarray(deep).save(tmp_path / "deep.png")
     assert_array_equal(Touches.load(tmp_path / "deep.png").images, deep[None])
-    with pytest.raises(TouchesError, match="levels must be left out but for a folder"):
-        Touches.load(tmp_path / "deep.png", levels="object")
     rgb = rng.integers(0, 256, (5, 4, 3), dtype=np.uint8)
     Image.fromarray(rgb).save(tmp_path / "rgb.png")
     touches = Touches.load(tmp_path / "rgb.png", colour=True)

@@ -127,7 +127,7 @@ def test_a_large_picture_is_refused_without_its_pixels(grey, kind):
     if kind == "JPEG":
         scan = data.index(b"\xff\xda") + 2
         start = scan + int.from_bytes(data[scan : scan + 2], "big")
-    with pytest.raises(TouchesError, match=r"most 767 pixels, got 32 x 24 .*raise max"):
+    with pytest.raises(TouchesError, match=r"32 x 24 .* most 767 pixels.*raise max"):
         decode_bytes(data[:start], max_pixels=767)
 
 
@@ -154,17 +154,16 @@ def refused_kinds():
             jpeg[:frame] + jpeg[jpeg.index(b"\xff\xda") :],
             "its pixels come before its size",
         ),
-        (patched(jpeg, frame + 6, 0), "a JPEG of 16 x 0 pixels"),
-        (patched(jpeg, frame + 8, 0), "a JPEG of 0 x 8 pixels"),
+        (patched(jpeg, frame + 6, 0), "16 x 0 8-bit JPEG, not of 1 to"),
+        (patched(jpeg, frame + 8, 0), "0 x 8 8-bit JPEG, not of 1 to"),
         (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", r"a damaged or .*two SOF"),
-        (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "cut short"),
+        (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "a damaged or unusual"),
         (
             jpeg[:frame] + jpeg[frame : frame + 13] + jpeg[frame:],
-            "its size comes twice",
+            "damaged or unusual JPEG",
         ),
-        (jpeg[:frame] + b"\0" + jpeg[frame:], "no marker where a segment ends"),
-        (jpeg[:2] + b"\xff\xfe\0\0" + jpeg[2:], "cut short"),
-        (jpeg[:2] + b"\xff" * (2**25 + 9) + jpeg[2:], "32 MiB before its pixels"),
+        (jpeg[:frame] + b"\0" + jpeg[frame:], "a damaged or unusual JPEG .*extran"),
+        (jpeg[:2] + b"\xff\xfe\0\0" + jpeg[2:], "a segment without a length"),
         (coded(image, save_all=True, append_images=[other]), "an animated PNG"),
         (coded(clear), "transparent parts"),
         (coded(clear.convert("LA")), "transparent parts"),
@@ -172,7 +171,7 @@ def refused_kinds():
         (coded(image.convert("P"), transparency=3), "a transparent colour"),
         (png[:8] + png[33:], "it must begin with its size"),
         (png.replace(b"\0\0\0\x10", bytes(4), 1), "a damaged PNG .*checksum"),
-        (png[:8] + ihdr(0, 5) + png[33:], "PNG of 0 x 5 pixels"),
+        (png[:8] + ihdr(0, 5) + png[33:], "0 x 5 8-bit PNG, not of 1 to"),
         (png[:8] + ihdr(17, 9) + png[33:], "cannot be decoded"),
     ]
 
@@ -377,6 +376,14 @@ def test_what_lies_in_a_preview_or_behind_the_end_is_no_scan(large_grey):
     assert (
         np.abs(decode_bytes(picture).astype(int) - large_grey).max() <= 4
     )  # JPEG's rounding
+
+
+def test_a_long_run_of_fill_bytes_behind_the_scans_takes_no_long_time(large_grey):
+    """A search that begins anew at each of them would take minutes."""
+    run, scans = b"\xff" * 2**22 + b"\0", b"\xff\xda" * 99
+    data = with_scans(large_grey, 60)[:-2] + run + scans
+    with pytest.raises(TouchesError, match="damaged or unusual JPEG"):
+        decode_bytes(data)
 
 
 def test_scans_that_follow_an_end_within_a_comment_are_counted(large_grey):

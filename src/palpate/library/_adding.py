@@ -36,6 +36,7 @@ from ._rows import (
     FROM,
     Batch,
     Recording,
+    Tables,
     enter_array,
     new_rows,
     plain_values,
@@ -44,8 +45,6 @@ from ._rows import (
 from ._store import (
     FEATURES,
     FILE_NAME,
-    REPAIR,
-    DatabaseDamaged,
     LibraryError,
     Store,
 )
@@ -53,6 +52,7 @@ from ._where import Condition, parse_where
 
 _TOUCHES_AT_ONCE = 256  # in one transaction
 _BYTES_AT_ONCE = 32 * 2**20  # of images in it
+_LAYOUTS = "SELECT id FROM layouts ORDER BY id"
 
 
 class SensorDescription(NamedTuple):
@@ -146,7 +146,9 @@ class Stats(NamedTuple):
     feature_bytes: int
 
 
-def condition(store: Store, where: str | None, *, retracted: bool = False) -> Condition:
+def condition(
+    tables: Tables, where: str | None, *, retracted: bool = False
+) -> Condition:
     """Return a filter as SQL; retracted touches are left out unless asked for."""
     kept = "1" if retracted else "t.retraction IS NULL"
     if where is not None and not isinstance(where, str):
@@ -156,14 +158,8 @@ def condition(store: Store, where: str | None, *, retracted: bool = False) -> Co
         )
     if where is None or not where.strip():
         return Condition(kept, [])
-    layouts = store.rows("SELECT columns FROM layouts")
-    try:
-        columns = [c for (text,) in layouts for c in Column.all_of(text)]
-    except (ValueError, TypeError) as error:
-        raise DatabaseDamaged(
-            f"{store.path} must hold layouts of columns, got: {error}. {REPAIR}"
-        ) from error
-    extra = {column.name for column in columns if not column.wide}
+    layouts = [tables.layout(key) for (key,) in tables.store.rows(_LAYOUTS)]
+    extra = {column.name for layout in layouts for column in layout if not column.wide}
     parsed = parse_where(where, extra)
     return Condition(f"{kept} AND {parsed.sql}", parsed.values)
 
@@ -238,18 +234,11 @@ def add_touches(
 
 def _recording(touches: Touches, sensor: SensorDescription | None) -> Recording:
     """Return what is the same for all of `touches`, but for arrays."""
-    described = sensor or SensorDescription("")
-    return Recording(
-        b"",
-        described.name or None,
-        described.kind,
-        described.unit,
-        None if described.pitch_mm is None else float(described.pitch_mm),
-        touches.geometry,
-        touches.images.shape[1:],
-        touches.images.dtype,
-        {},
-    )
+    name, kind, unit, pitch_mm, _ = sensor or SensorDescription("")
+    pitch_mm = None if pitch_mm is None else float(pitch_mm)
+    described = name or None, kind, unit, pitch_mm, touches.geometry
+    images = touches.images
+    return Recording(b"", *described, images.shape[1:], images.dtype, {})
 
 
 def _batch(touches: Touches, recording: Recording) -> Batch:

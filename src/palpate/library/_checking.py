@@ -8,18 +8,16 @@ from typing import NamedTuple
 from .._parallel import Progress
 from ._changes import Names, change_rows
 from ._content import id_bytes, identity, wide_identities
-from ._reading import is_whole, stored_array
+from ._reading import stored_array, whole_image
 from ._rows import (
     LOST,
     StoredTouch,
     Tables,
     plain_values,
-    stored_images,
     stored_touches,
 )
 from ._store import (
     AT_ONCE,
-    FILE_NAME,
     DatabaseDamaged,
     DatabaseUnavailable,
     LibraryError,
@@ -135,7 +133,7 @@ def _touch_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
             for row in rows:
                 n_read += 1
                 if what := touch_fault(tables, row, names):
-                    yield Problem("touch", what, [_shown(row.key)])
+                    yield Problem("touch", what, [row.shown])
                 if isinstance(row.digest, bytes):
                     chain = chained(chain, [row.digest])
             bar.advance(len(rows))
@@ -160,19 +158,14 @@ def touch_fault(tables: Tables, row: StoredTouch, names: Names | None) -> str | 
     """Return what is wrong with a touch, or None; `names` are as for `is_sound`."""
     if not isinstance(row.key, bytes) or not tables.is_sound(row, names):
         return f"Row {row.number} must be as it was written, got other values."
-    if not is_whole(tables, row):
+    image = whole_image(tables, row)
+    if image is None:
         return f"The image of touch {row.key.hex()} must be as it was added."
-    [stored] = stored_images(tables, [row])
-    assert stored.image is not None  # it is whole
     [values] = plain_values([row])
-    [wide] = wide_identities(tables.layout(row.layout), [stored.image.more])
+    [wide] = wide_identities(tables.layout(row.layout), [image.more])
     if row.key != identity(row.image, {**values, "object": row.label}, wide):
         return f"The id of touch {row.key.hex()} must follow from what it holds."
     return None
-
-
-def _shown(key: object) -> str:
-    return key.hex() if isinstance(key, bytes) else str(key)
 
 
 def _array_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
@@ -186,13 +179,16 @@ def _array_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
             stored_array(tables, digest)
         except LibraryError as error:
             left_out = store.first_row(_LEFT_OUT, [bytes.fromhex(digest), LOST])
-            sql = "SELECT id FROM touches WHERE recording IN (?) ORDER BY number"
+            sql = (
+                "SELECT lower(hex(id)) FROM touches WHERE recording IN (?) "
+                "ORDER BY number"
+            )
             rows = store.among(sql, [key for key, _ in entries])
             what = (
                 f"{error} {len(rows)} touches are read without their {entries[0][1]}."
             )
             kind = LEFT_OUT if left_out else "array"
-            yield Problem(kind, what, [_shown(row[0]) for row in rows])
+            yield Problem(kind, what, [row[0] for row in rows])
 
 
 def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
@@ -228,12 +224,5 @@ def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]
 
 
 def _lost(tables: Tables, progress: bool | None) -> Iterator[Problem]:
-    n_touches, n_changes = tables.store.n_lost()
-    if n_touches or n_changes:
-        yield Problem(
-            "lost",
-            f"There were {n_touches} more touches and {n_changes} more changes once: "
-            "the log was damaged, a disk lost what it had acknowledged, or an older "
-            f"{FILE_NAME} took its place.",
-            [],
-        )
+    if lost := tables.store.lost():
+        yield Problem("lost", lost, [])

@@ -61,17 +61,23 @@ def export_touches(
 ) -> int:
     """Write touches to `path`, whose ending says how; return how many."""
     picked = Selection(tables, numbers)
-    if (url := url_of(path)) is not None:
-        return _to_store(picked, url, by)
+    url = url_of(path)
     path = Path(path)
     path = path if path.name else path.absolute()  # "." and ".." have no name
     kind = path.suffix.lower()
-    if kind not in _WRITERS:
+    if kind != ".parquet" and (url is not None or kind not in _WRITERS):
         raise LibraryError(
-            "path must end in .npz or .parquet, or name a folder for a LeRobotDataset, "
-            f"got {path.name!r}."
+            "path must end in .npz or .parquet (the address of a store in .parquet), "
+            f"or name a folder for a LeRobotDataset, got {url or path.name!r}."
         )
-    _refuse_by(by, kind)
+    if by is not None and (by not in _KEYS or kind != ".parquet"):
+        raise LibraryError(
+            f"by must be one of {', '.join(_KEYS)}, and for Parquet alone, got {by!r} "
+            f"with {kind or 'a folder'!r}. Give a folder that ends in .parquet."
+        )
+    if url is not None:
+        _to_store(picked, url, by)
+        return len(numbers)
     if not path.parent.is_dir():
         raise LibraryError(
             f"path must be in a folder that exists, got {str(path)!r}. "
@@ -83,10 +89,10 @@ def export_touches(
     fix = "Nothing is left there; free space, or give another one."
     try:
         with room_for(f"{len(numbers)} touches", path, fix):
-            if by is None:
-                _WRITERS[kind](partial, picked)
+            if kind == ".parquet":
+                _write_files(picked, by, partial, _opened)
             else:
-                _write_parts(picked, by, partial, _opened)
+                _WRITERS[kind](partial, picked)
             flush_all(partial)
             partial.replace(path)
             flush_folder(path.absolute().parent)
@@ -98,54 +104,36 @@ def export_touches(
     return len(numbers)
 
 
-def _refuse_by(by: str | None, kind: str) -> None:
-    if by is not None and (by not in _KEYS or kind != ".parquet"):
-        raise LibraryError(
-            f"by must be one of {', '.join(_KEYS)}, and for Parquet alone, got {by!r} "
-            f"with {kind or 'a folder'!r}. Give a folder that ends in .parquet."
-        )
-
-
-def _to_store(picked: Selection, url: str, by: str | None) -> int:
+def _to_store(picked: Selection, url: str, by: str | None) -> None:
     """Write Parquet to a store that fsspec knows."""
     fsspec = needed("fsspec.core", "parquet", "Writing to a store")
-    kind = Path(url).suffix.lower()
-    if kind != ".parquet":
-        raise LibraryError(
-            "path must end in .parquet where it is the address of a store, got "
-            f"{url!r}."
-        )
-    _refuse_by(by, kind)
     try:
         system, place = fsspec.url_to_fs(url)
         with system.transaction:  # what fails leaves nothing, and what was there stays
-            if by is None:
-                with system.open(place, "wb") as file:
-                    _write_parquet(file, picked)
-            else:
-                _write_parts(picked, by, place, lambda name: system.open(name, "wb"))
+            _write_files(picked, by, place, lambda name: system.open(name, "wb"))
     except (LibraryError, TouchesError):
         raise
-    except (OSError, ImportError) as error:
+    except (OSError, ImportError, ValueError) as error:
         raise LibraryError(
             f"{url} must be an address that fsspec can write to, got: {error}."
         ) from error
-    except ValueError as error:
-        raise LibraryError(f"{url} must be an address of a store: {error}.") from error
-    return len(picked)
 
 
-def _opened(name: str) -> Any:
+def _opened(name: str | Path) -> Any:
     """Open a file to write, in folders that are made."""
     path = Path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     return path.open("wb")
 
 
-def _write_parts(
-    picked: Selection, by: str, folder: str | Path, opened: Callable[[str], Any]
+def _write_files(
+    picked: Selection, by: str | None, path: str | Path, opened: Callable[[Any], Any]
 ) -> None:
-    """Write one file for each value of a column, in folders named `by=value`."""
+    """Write one file, or one for each value of a column in folders `by=value`."""
+    if by is None:
+        with opened(path) as file:
+            _write_parquet(file, picked)
+        return
     values = picked.columns.get(by)
     if values is None:
         raise LibraryError(
@@ -154,7 +142,7 @@ def _write_parts(
     # A number that some lack is NaN there: as of texts, their folder has an empty name.
     names = np.array(["" if value != value else str(value) for value in values])
     for name in np.unique(names):
-        place = f"{folder}/{by}={quote(str(name), safe='')}"
+        place = f"{path}/{by}={quote(str(name), safe='')}"
         with opened(f"{place}/part-0.parquet") as file:
             part = picked[np.flatnonzero(names == name)]
             _write_parquet(file, part, picked, {by: values.dtype.str})
@@ -222,6 +210,7 @@ def _described(tables: Tables, key: int) -> dict[str, Any]:
 def _write_lerobot(path: Path, picked: Selection) -> None:
     """Write a new folder; episodes are read one by one."""
     pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
+    pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
     data = path / "data" / _FILE.format(0, 0)
     data.parent.mkdir(parents=True)
     picked.read_columns()  # refuses objects that some lack, before any is written
@@ -234,17 +223,12 @@ def _write_lerobot(path: Path, picked: Selection) -> None:
         groups.setdefault(tuple(key), []).append(number)
     rows = (np.searchsorted(numbers, members) for members in groups.values())
     episodes = (picked[places].touches(of=picked) for places in rows)
-    _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
-    _write_meta(pa, path / "meta", dataset)
-
-
-def _write_tables(path: Path, tables: Iterator[Any]) -> None:
-    """Write tables of one schema into one Parquet file, one row group each."""
-    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    tables = (_frame_table(pa, dataset.add(episode)) for episode in episodes)
     first = next(tables)
-    with pq.ParquetWriter(path, first.schema) as writer:
+    with pq.ParquetWriter(data, first.schema) as writer:
         for table in chain([first], tables):
             writer.write_table(table.cast(first.schema))
+    _write_meta(pa, pq, path / "meta", dataset)
 
 
 class _Dataset:
@@ -383,8 +367,7 @@ def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
     return pa.table(arrays)
 
 
-def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
-    pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
+def _write_meta(pa: Any, pq: Any, meta: Path, dataset: _Dataset) -> None:
     whole = {name: _json_values(array) for name, array in dataset.whole.items()}
     info = {
         "codebase_version": _LEROBOT_VERSION,
@@ -462,6 +445,5 @@ def _write_archive(path: Path, picked: Selection) -> None:
 
 _WRITERS: dict[str, Callable[[Path, Selection], None]] = {
     ".npz": _write_archive,
-    ".parquet": _write_parquet,
     "": _write_lerobot,
 }

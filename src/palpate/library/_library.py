@@ -22,6 +22,7 @@ from ._changes import (
     object_row,
 )
 from ._checking import CheckReport, check_library, check_store
+from ._content import id_bytes
 from ._exchange import export_touches
 from ._reading import (
     IN_MEMORY,
@@ -38,11 +39,11 @@ from ._rows import (
     Tables,
     rows_at,
     stored_images,
-    touch_row,
 )
 from ._store import (
     COUNT_NAME,
     FILE_NAME,
+    LibraryError,
     Store,
     Tally,
     is_unicode,
@@ -89,13 +90,10 @@ class TouchLibrary:
         self._tables = Tables(self._store)
         self._counted: tuple[Tally, list[ObjectRow]] | None = None
         warn_of_network(self.folder)
-        n_touches, n_changes = self._store.n_lost()
-        if n_touches or n_changes:
+        if lost := self._store.lost():
             warnings.warn(
-                f"{self.folder} once held {n_touches} more touches and {n_changes} "
-                "more changes: its log was damaged, a disk lost what it had "
-                "acknowledged, or an older file took its place. Add them again, or put "
-                "a backup back; `repair_library` accepts it as it is.",
+                f"{lost} Add them again, or put a backup back; `repair_library` "
+                "accepts it as it is.",
                 stacklevel=3,
             )
 
@@ -227,7 +225,7 @@ class TouchLibrary:
         damaged : {"raise", "skip"}
             As for `touches`.
         """
-        sql, values = condition(self._store, where, retracted=retracted)
+        sql, values = condition(self._tables, where, retracted=retracted)
         named = {"limit": -1 if limit is None else limit, "offset": offset}
         bounds: dict[str, int] = {"at_least": -NO_LIMIT, "at_most": NO_LIMIT}
         page = [check_count(name, n, **bounds) for name, n in named.items()]
@@ -275,13 +273,20 @@ class TouchLibrary:
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
-        sql, values = condition(self._store, where)
+        sql, values = condition(self._tables, where)
         return self._store.count(f"SELECT count(*) {FROM} WHERE {sql}", values)
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
-        row = touch_row(self._tables, id)
-        [stored] = stored_images(self._tables, [row])
+        sql = "SELECT number FROM touches WHERE id = ?"
+        number = self._store.first_row(sql, [id_bytes(id)])
+        if number is None:
+            raise LibraryError(
+                f"id must be that of a touch in the library, got {id!r}. "
+                "See `TouchLibrary.list`."
+            )
+        [rows] = rows_at(self._tables, number)
+        [stored] = stored_images(self._tables, rows)
         return stored.unpacked()
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
@@ -361,7 +366,7 @@ class TouchLibrary:
 
     def _numbers(self, where: str | None, damaged: str = "raise") -> Numbers:
         """Return the numbers of the touches that meet a filter, in the order added."""
-        sql, values = condition(self._store, where)
+        sql, values = condition(self._tables, where)
         query = f"SELECT t.number {FROM} WHERE {sql} ORDER BY t.number"
         rows = self._store.rows(query, values)
         numbers = np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))

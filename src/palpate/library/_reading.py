@@ -31,14 +31,13 @@ from .._parallel import results_of
 from .._types import FORMER, LAYOUT, Array, Floats, Indices
 from ..touches import Labelled, Touches
 from ._changes import Names
-from ._content import PICTURE, Column, column_array, image_digest, unpacked_array
+from ._content import PICTURE, Column, Image, column_array, image_digest, unpacked_array
 from ._rows import (
     LOST,
     Numbers,
     StoredImage,
     StoredTouch,
     Tables,
-    distinct,
     n_at_once,
     plain_values,
     rows_at,
@@ -113,7 +112,8 @@ class Selection(Labelled):
     ) -> None:
         self.tables, self.numbers = tables, numbers
         self._called, self._rest = called or tables.names(), rest
-        rows = distinct(tables.store, "t.recording, t.layout", numbers)
+        sql = "SELECT DISTINCT recording, layout FROM touches WHERE number IN (?)"
+        rows = tables.store.among(sql, numbers.tolist())
         self._recordings = list(dict.fromkeys(row[0] for row in rows))
         self._layouts = {key: tables.layout(key) for key in {row[1] for row in rows}}
         self.kind = common_kind(tables, self._recordings)
@@ -126,7 +126,7 @@ class Selection(Labelled):
 
     def __getitem__(self, rows: ArrayLike) -> Selection:
         """Pick touches by their places, which must rise; no image is read."""
-        chosen = self.numbers[_rising(rows, len(self))]
+        chosen = self.numbers[self._rising(rows, len(self))]
         return Selection(self.tables, chosen, self._called, self._rest)
 
     @cached_property
@@ -407,7 +407,7 @@ def _take_room(handle: int, n_bytes: int) -> None:
 def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
     """Return the touches whose rows and images are whole; tell of those left out."""
     rows = [row for part in rows_at(tables, numbers, "skip") for row in part]
-    whole = [row.number for row in rows if is_whole(tables, row)]
+    whole = [row.number for row in rows if whole_image(tables, row)]
     if len(whole) < len(rows):
         warnings.warn(
             f"{len(rows) - len(whole)} touches are left out: their images in "
@@ -417,15 +417,15 @@ def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
     return np.array(whole, dtype=np.int64)
 
 
-def is_whole(tables: Tables, row: StoredTouch) -> bool:
-    """Tell whether the image and the wide columns of a touch can be read."""
+def whole_image(tables: Tables, row: StoredTouch) -> Image | None:
+    """Return the image of a touch, None where it or a wide column cannot be read."""
+    [stored] = stored_images(tables, [row])
     try:
-        for stored in stored_images(tables, [row]):
-            stored.unpacked()
-            wide_values(tables, stored)
+        stored.unpacked()
+        wide_values(tables, stored)
     except LibraryError:
-        return False
-    return True
+        return None
+    return stored.image
 
 
 def _entries(whole: dict[str, str]) -> dict[str, str]:
@@ -467,20 +467,15 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
     columns: dict[str, list[Column]] = {}
     forms = dict.fromkeys(column for layout in layouts.values() for column in layout)
     for column in forms:
-        alike = columns.setdefault(column.name, [])
-        if alike and alike[0].shape != column.shape:
-            raise LibraryError(
-                f"Column {column.name!r} must have one shape, got {alike[0].shape} and "
-                f"{column.shape} a row. Choose touches with a filter."
-            )
-        alike.append(column)
+        columns.setdefault(column.name, []).append(column)
     for name, alike in columns.items():
         kinds = {np.dtype(column.dtype).kind for column in alike}
-        if len(kinds) > 1 and kinds & {*"Mm"} and "U" not in kinds:
-            listed = " and ".join(sorted({column.dtype for column in alike}))
+        mixed = len(kinds) > 1 and kinds & {*"Mm"} and "U" not in kinds
+        if mixed or len({column.shape for column in alike}) > 1:
+            listed = " and ".join(f"{c.shape} of {c.dtype}" for c in alike)
             raise LibraryError(
-                f"Column {name!r} must be of times or of other values, got {listed}. "
-                "Choose touches with a filter."
+                f"Column {name!r} must have one shape a row, and be of times or of "
+                f"other values, got {listed}. Choose touches with a filter."
             )
     return columns
 
@@ -511,20 +506,6 @@ def _labelled(columns: dict[str, Array]) -> dict[str, Array]:
         if lacking:
             del columns[name]
     return columns
-
-
-def _rising(rows: ArrayLike, n_touches: int) -> Indices:
-    """Return places in a selection, also from a mask; they must rise."""
-    places = np.asarray(rows)
-    if places.dtype == bool and places.shape == (n_touches,):
-        return np.flatnonzero(places)
-    places = np.asarray(np.arange(n_touches)[places])
-    if places.ndim != 1 or (len(places) > 1 and (np.diff(places) <= 0).any()):
-        raise LibraryError(
-            "rows must be increasing indices of the selection, got others. "
-            "Sort them and drop those that come twice."
-        )
-    return places
 
 
 def _cached(cache: Path) -> tuple[Array, Floats]:

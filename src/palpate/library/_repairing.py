@@ -268,15 +268,11 @@ def _readable_touches(
     for rows in _readable_rows(old, lost):
         whole = []
         for row in rows:
-            try:
-                fault = touch_fault(tables, row, None)
-            except LibraryError as error:
-                fault = str(error)
-            if fault is None:
-                whole.append(row)
-            else:
-                key = row.key
-                lost.append(key.hex() if isinstance(key, bytes) else f"{row.number}")
+            with suppress(LibraryError):
+                if touch_fault(tables, row, None) is None:
+                    whole.append(row)
+                    continue
+            lost.append(row.shown)
         for _, alike in groupby(whole, lambda r: (r.layout, r.recording, r.added_s)):
             together = list(alike)
             yield [row.number for row in together], _batch_again(tables, together)

@@ -25,7 +25,6 @@ from ._content import (
     Image,
     canonical,
     digest_of,
-    id_bytes,
     identity,
     image_digest,
     packed_array,
@@ -108,6 +107,12 @@ class StoredTouch(NamedTuple):
     retraction: int | None
     extra: str | None
     cells: tuple[Any, ...]
+
+    @property
+    def shown(self) -> str:
+        """Its id in messages, or its number where that is altered."""
+        is_id = isinstance(self.key, bytes)
+        return self.key.hex() if is_id else f"number {self.number}"
 
     def as_called(self, names: Names) -> "StoredTouch":
         """Return itself with the name that its object had when `names` were read."""
@@ -216,8 +221,7 @@ def rows_at(
     for start in range(0, len(numbers), AT_ONCE):
         piece = [int(number) for number in numbers[start : start + AT_ONCE]]
         where = f"WHERE t.number IN {placeholders(len(piece))} ORDER BY t.number"
-        names = None
-        while names is not tables.names():  # rows and names of one moment
+        with tables.store.moment():
             names = tables.names()
             rows = stored_touches(tables.store, where, piece)
         sound = [row for row in rows if tables.is_sound(row, names)]
@@ -257,22 +261,7 @@ def stored_touches(
 
 
 def _key_of(rows: Sequence[StoredTouch], number: int) -> str:
-    keys = [row.key for row in rows if row.number == number]
-    return keys[0].hex() if keys and isinstance(keys[0], bytes) else f"number {number}"
-
-
-def touch_row(tables: Tables, key: str) -> StoredTouch:
-    """Return the row of the touch with this id."""
-    number = tables.store.first_row(
-        "SELECT number FROM touches WHERE id = ?", [id_bytes(key)]
-    )
-    if number is None:
-        raise LibraryError(
-            f"id must be that of a touch in the library, got {key!r}. "
-            "See `TouchLibrary.list`."
-        )
-    [[row]] = rows_at(tables, number)
-    return row
+    return next((r.shown for r in rows if r.number == number), f"number {number}")
 
 
 class StoredImage(NamedTuple):
@@ -345,12 +334,6 @@ def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
         dict(zip(CELLS, row.cells, strict=True)) | extra
         for row, extra in zip(rows, extras, strict=True)
     ]
-
-
-def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]:
-    """Return the different values of `what` over touches, in the order met."""
-    sql = f"SELECT DISTINCT {what} {FROM} WHERE t.number IN (?)"
-    return list(dict.fromkeys(store.among(sql, numbers.tolist())))
 
 
 def new_rows(

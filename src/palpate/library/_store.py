@@ -39,6 +39,7 @@ AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
 _TOGETHER = 32  # so many callers share a transaction
 _APPLICATION = 0x70616C70  # "palp"
 _AS_IT_STANDS = "ro&immutable=1"  # without files beside it
+_STAMP = ("st_mtime_ns", "st_size")
 PAGE_BYTES = 8192  # of SQLite; twice its default, since images are long
 _MOUNTS = Path("/proc/self/mounts")
 _NETWORK = ("nfs", "cifs", "smb", "afs", "ncpfs", "ceph", "lustre", "fuse.sshfs")
@@ -157,8 +158,10 @@ class Store:
         self._turn, self._busy = threading.Condition(), False
         self._explained = _Explained(self.path)
         self._count: int | None = None
-        self._inode: int | None = None  # of the database, once it is open
-        self._stands: tuple[int, int] | None = None  # of one opened as it stands
+        # Of the database once it is open: its inode; of one opened as it stands, when
+        # it was written to and its size.
+        self._inode: tuple[int, ...] = ()
+        self._stands: tuple[int, ...] = ()
         self.is_alone = alone  # locks out even a second connection of this program
         is_there = self.path.is_file() and self.path.stat().st_size > 0
         if create and name == FILE_NAME and not is_there and self._counts():
@@ -211,7 +214,7 @@ class Store:
 
     def _check_stands(self) -> None:
         """Refuse what was read as it stands, unlocked, of a file that changed since."""
-        if self._stands is not None and self._stands != _written(self.path):
+        if self._stands and self._stands != _status(self.path, *_STAMP):
             raise DatabaseUnavailable(
                 f"{self.path} must stay as it is while somebody reads it who may not "
                 "write to it, but it was written to. Open the library again."
@@ -346,6 +349,17 @@ class Store:
         now = self.tally()
         return max(0, n_touches - now.n_touches), max(0, n_changes - now.n_changes)
 
+    def lost(self) -> str:
+        """Return how many touches and changes are gone and why; empty if none is."""
+        n_touches, n_changes = self.n_lost()
+        if not (n_touches or n_changes):
+            return ""
+        return (
+            f"{self.folder} once held {n_touches} more touches and {n_changes} more "
+            "changes: its log was damaged, a disk lost what it had acknowledged, or an "
+            f"older {FILE_NAME} took its place."
+        )
+
     def _counts(self) -> tuple[int, int] | None:
         """Return the counts that were noted last, None where there were no touches."""
         try:
@@ -433,7 +447,7 @@ class Store:
 
     def _refuse_moved(self) -> None:
         """Refuse to write what nobody would find: SQLite looks only without a WAL."""
-        if self._inode is None or _inode_of(self.path) == self._inode:
+        if not self._inode or _status(self.path, "st_ino") == self._inode:
             return
         raise LibraryError(
             f"{self.path} must be the file that was opened, but it was removed or "
@@ -444,7 +458,7 @@ class Store:
         self, create: bool, *, mode: str = "rwc", locking: str = "NORMAL"
     ) -> None:
         place = f"{self.path.absolute().as_uri()}?mode={mode}"
-        self._stands = _written(self.path) if mode == _AS_IT_STANDS else None
+        self._stands = _status(self.path, *_STAMP) if mode == _AS_IT_STANDS else ()
         with self._explained:
             self._connection = sqlite3.connect(
                 place,
@@ -455,7 +469,7 @@ class Store:
             )
         try:
             self._prepare(create, locking)
-            self._inode = _inode_of(self.path)
+            self._inode = _status(self.path, "st_ino")
         except BaseException:
             self._connection.close()
             raise
@@ -540,20 +554,12 @@ class Store:
                 time.sleep(0.01)
 
 
-def _inode_of(path: Path) -> int | None:
-    try:
-        return path.stat().st_ino
-    except OSError:
-        return None
-
-
-def _written(path: Path) -> tuple[int, int] | None:
-    """Return what tells that a file was written to: when it was, and its size."""
-    try:
+def _status(path: Path, *names: str) -> tuple[int, ...]:
+    """Return what the disk says of a file, such as `st_ino`; nothing of none."""
+    with suppress(OSError):
         status = path.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size
+        return tuple(getattr(status, name) for name in names)
+    return ()
 
 
 def chained(chain: bytes, digests: Sequence[bytes]) -> bytes:
@@ -646,16 +652,15 @@ def room_for(what: str, place: Path, fix: str) -> Iterator[None]:
         ) from error
 
 
-_FIXES = {
-    "SQLITE_FULL": "Free space on the disk and go on; what was acknowledged is kept.",
-    "SQLITE_IOERR": "Free space on the disk, see that the disk is well, and try again; "
-    "what was acknowledged is kept.",
-    "SQLITE_CANTOPEN": "Free space on the disk, and check that the folder may be "
-    "written to.",
-    "SQLITE_READONLY": "Check that the folder, the file, and its -wal and -shm may be "
-    "written to.",
-    "SQLITE_NOMEM": "Free memory and try again.",
+# What keeps a sound database from being used.
+_UNUSABLE = {
+    *("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN", "SQLITE_READONLY"),
+    "SQLITE_NOMEM",
 }
+_FREE = (
+    "Free space on the disk, check that the folder, the file, and its -wal and -shm "
+    "may be written to, and try again; what was acknowledged is kept."
+)
 REPAIR = (
     "It is damaged; `repair_library` keeps what can be read, and the damaged file as "
     "well."
@@ -701,8 +706,8 @@ def _explanation(path: Path, error: sqlite3.Error) -> LibraryError:
         return DatabaseDamaged(start + REPAIR)
     if name in ("SQLITE_BUSY", "SQLITE_LOCKED", "SQLITE_PROTOCOL"):
         return DatabaseBusy(unusable + _WAIT)
-    if name in _FIXES:
-        return DatabaseUnavailable(unusable + _FIXES[name])
+    if name in _UNUSABLE:
+        return DatabaseUnavailable(unusable + _FREE)
     if "closed" in str(error):
         return LibraryError(f"{start}The library was closed; open it again.")
     return LibraryError(start + _CHECK)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from unicodedata import normalize
 
 from ._content import CELLS
-from ._store import LibraryError, is_unicode, placeholders
+from ._store import LibraryError, placeholders
 
 _SIZES = ("n_rows", "n_cols", "n_channels")
 _RECORDED = ("kind", "unit", "pitch_mm", "geometry", *_SIZES)
@@ -65,11 +65,6 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
     if len(text) > _LONGEST:
         raise LibraryError(
             f"where must have at most {_LONGEST} characters, got {len(text)}."
-        )
-    if not is_unicode(text):
-        raise LibraryError(
-            f"where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
-            "the encoding of the terminal."
         )
     parser = _Parser(normalize("NFC", text), extra)  # as names of objects are spelt
     condition = parser.either(0)

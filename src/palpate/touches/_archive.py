@@ -11,6 +11,7 @@ must agree. Nothing is ever unpickled. Reading inflates at most what was checked
 
 import io
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import prod
@@ -23,7 +24,7 @@ from numpy.lib import format as npy
 from .._durable import replacing
 from .._types import PLAIN_KINDS, Array
 from . import _columns
-from ._columns import Arrays, TouchesError, belongs_to_whole
+from ._columns import Arrays, TouchesError, belongs_to_whole, refuse_large
 
 _WHOLE_NAMES = "set_whole_names"
 _MAX_MEMBERS = 1000  # of an archive; ours have some twenty
@@ -38,8 +39,6 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
     """Return images, columns and what describes the whole set of a touch archive."""
-    if not path.is_file():
-        raise TouchesError(f"{path} must be a file, got none there. Check the path.")
     with _explained(path):
         with zipfile.ZipFile(path) as archive:
             # The count at the end of the file, with which zipfile does not compare.
@@ -106,12 +105,7 @@ class _Member(NamedTuple):
 def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
     infos = archive.infolist()
     _refuse_odd_members(infos)
-    n_bytes = sum(info.file_size for info in infos)
-    if n_bytes > max_bytes:
-        raise TouchesError(
-            f"the arrays must inflate to at most {_mib(max_bytes)} MiB, got "
-            f"{_mib(n_bytes)} MiB. Raise max_bytes if you trust the file."
-        )
+    refuse_large("its arrays", sum(info.file_size for info in infos), max_bytes)
     members = [_described(archive, info) for info in infos]
     arrays = {member.info.filename.removesuffix(".npy"): member for member in members}
     wide = [name for name, member in arrays.items() if len(member.shape) in (3, 4)]
@@ -165,10 +159,7 @@ def _array(archive: zipfile.ZipFile, member: _Member) -> Array:
             if stream.read(1):  # the end of a member checks its CRC
                 raise EOFError("an array goes on after its end")
     except MemoryError as error:
-        raise TouchesError(
-            f"{member} needs {_mib(member.info.file_size)} MiB, more than there is. "
-            "Split the archive into smaller ones."
-        ) from error
+        raise TouchesError(f"{member} needs more memory than there is.") from error
     if array.dtype.kind == "U" and array.size:
         code = np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
         # No Python string can hold other characters.
@@ -198,31 +189,21 @@ def _explained(path: Path) -> Iterator[None]:
 
 
 def _refuse_odd_members(infos: list[zipfile.ZipInfo]) -> None:
-    if len(infos) > _MAX_MEMBERS:
-        raise TouchesError(
-            f"it must hold at most {_MAX_MEMBERS} arrays, got {len(infos)}. "
-            "One archive is one set of touches: split it."
-        )
     names = [info.filename for info in infos]
-    for number, info in enumerate(infos):
+    odd = [f"{len(names)} of them"] * (len(names) > _MAX_MEMBERS)
+    odd += [f"{name!r} twice" for name, n in Counter(names).items() if n > 1]
+    for info in infos:
         name = info.filename
-        if name in names[:number]:
-            raise TouchesError(
-                f"it must hold each array once, got {name!r} twice. "
-                "Write the archive again with names of their own."
-            )
-        if not name.endswith(".npy") or info.flag_bits & 1:
-            what = "an encrypted member" if info.flag_bits & 1 else "another file"
-            raise TouchesError(
-                f"it must hold plain .npy arrays alone, got {what}, {name!r}. "
-                "Write it with numpy.savez or Touches.save."
-            )
-        if info.compress_type not in _METHODS:
-            raise TouchesError(
-                f"it must be stored or deflated, got zip method {info.compress_type} "
-                f"for {name!r}. Write it with numpy.savez, numpy.savez_compressed or "
-                "Touches.save."
-            )
+        odd += [f"an encrypted member, {name!r}"] * (info.flag_bits & 1)
+        odd += [f"another file, {name!r}"] * (not name.endswith(".npy"))
+        is_plain = info.compress_type in _METHODS
+        odd += [f"zip method {info.compress_type} for {name!r}"] * (not is_plain)
+    if odd:
+        raise TouchesError(
+            f"it must hold at most {_MAX_MEMBERS} arrays (.npy) of different names, "
+            f"stored or deflated, got {odd[0]}. Write it with numpy.savez, "
+            "numpy.savez_compressed or Touches.save."
+        )
 
 
 def _bad_array(name: str, got: str) -> TouchesError:
@@ -243,7 +224,3 @@ def _refuse_odd_name(path: Path, name: str) -> None:
             f"{path}: names of columns must be plain short text, got {name!r}. "
             "Rename that column."
         )
-
-
-def _mib(n_bytes: int) -> int:
-    return -(-n_bytes // 2**20)

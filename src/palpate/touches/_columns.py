@@ -34,6 +34,16 @@ class TouchesError(ValueError):
     """
 
 
+def refuse_large(what: str, n_bytes: int, max_bytes: int) -> None:
+    """Refuse what would take too much memory, before it is read."""
+    if n_bytes > max_bytes:
+        raise TouchesError(
+            f"{what} must take at most {max_bytes} bytes, got {n_bytes}. Split it, "
+            "keep it in a library, which is read as it is needed, or raise max_bytes "
+            "if you trust it."
+        )
+
+
 def belongs_to_whole(name: str) -> bool:
     """Tell whether `name` alone says that an array describes the whole set."""
     return name in WHOLE or name.startswith("set_")
@@ -68,12 +78,13 @@ def checked_images(images: ArrayLike) -> Array:
 
 
 def sorted_out(
-    values: Mapping[str, Any], images: Array, whole_names: Collection[str] = ()
+    values: Mapping[str, Any], images: Array, whole_names: Collection[str] | None = ()
 ) -> tuple[Arrays, Arrays]:
     """Split `values` into checked columns and checked entries of the whole set.
 
     None counts as absent. `whole_names` are arrays of no settled name that belong
-    to the whole set even where their length happens to be the number of touches.
+    to the whole set even where their length happens to be the number of touches; None
+    that all of no settled name are columns.
     """
     columns: Arrays = {}
     whole: Arrays = {}
@@ -87,10 +98,11 @@ def sorted_out(
                 "former name. Leave that out."
             )
         array = plain_array(name, value)
-        long = array.ndim > 0 and len(array) == len(images) and name not in whole_names
+        long = array.ndim > 0 and len(array) == len(images)
+        is_column = whole_names is None or (long and name not in whole_names)
         if belongs_to_whole(name):
             whole[name] = frozen(_checked_whole(name, array, images))
-        elif name in COLUMNS or long:
+        elif name in COLUMNS or is_column:
             columns[name] = frozen(checked_column(name, array, len(images)))
         else:
             whole[name] = frozen(array)
@@ -121,11 +133,8 @@ def plain_array(name: str, value: ArrayLike) -> Array:
                 raise _unprintable(name, text)
             if isinstance(text, float) and np.isnan(text):  # and write this as "nan"
                 raise TouchesError(
-                    f"{name} must name every touch, got NaN at touch {place}. Label "
-                    "that touch or leave it out."
-                    if name in LABELS
-                    else f"{name} must be text or numbers, got NaN among texts. Write "
-                    'an empty text, "", for what is not known.'
+                    f"{name} must be text or numbers, got NaN among texts at {place}. "
+                    'Label that touch or leave it out; write "" where a label may lack.'
                 )
     if array.dtype.kind not in PLAIN_KINDS:
         fix = "Convert it first, for example with .astype(str) or .astype(float)."
@@ -222,14 +231,7 @@ def joined_columns(parts: Sequence[Arrays]) -> Arrays:
     """Join columns by name, in the order in which names first appear."""
     joined: Arrays = {}
     for name in dict.fromkeys(name for part in parts for name in part):
-        for number, part in enumerate(parts):
-            if name not in part:
-                raise TouchesError(
-                    f"column {name!r} must be in every set, got none in set {number}. "
-                    f"Add it with touches.with_columns({name}=...), or drop it "
-                    f"elsewhere with touches.without({name!r})."
-                )
-        columns = [part[name] for part in parts]
+        columns = _in_every_set(f"column {name!r}", name, parts)
         kinds = [(_kind(column), column.shape[1:]) for column in columns]
         odd = next((i for i, kind in enumerate(kinds) if kind != kinds[0]), None)
         if odd is not None:
@@ -245,22 +247,14 @@ def joined_columns(parts: Sequence[Arrays]) -> Arrays:
 def joined_whole(parts: Sequence[Arrays]) -> Arrays:
     """Keep the entries of the whole set, which must be the same in every set."""
     for name in dict.fromkeys(name for part in parts for name in part):
-        for number, part in enumerate(parts):
-            if name not in part or name not in parts[0]:
-                lacking = number if name not in part else 0
-                raise TouchesError(
-                    f"{name} must be the same in every set, got none in set {lacking}. "
-                    f"Add it there, or drop it with touches.without({name!r})."
-                )
-            entry, first = part[name], parts[0][name]
+        first, *others = _in_every_set(name, name, parts)
+        for number, entry in enumerate(others, 1):
             numbers = entry.dtype.kind in "fc" and first.dtype.kind in "fc"
             # Kinds first: numpy before 2.1 cannot compare texts with numbers.
             alike = _kind(entry) == _kind(first)
             if not alike or not np.array_equal(entry, first, equal_nan=numbers):
-                fix = f"Drop it with touches.without({name!r}), or keep the sets apart."
-                if name == "channels":
-                    fix = "Keep the sets apart."
-                elif name == "no_contact":  # an array without it is told worse
+                fix = f"Keep the sets apart, or drop it with touches.without({name!r})."
+                if name == "no_contact":  # an array without it is told worse
                     fix += (
                         " Of an array join the changes from each one's own: "
                         "Touches(touches.differences(), **touches.columns)."
@@ -270,6 +264,17 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
                     f"{number}. {fix}"
                 )
     return dict(parts[0])
+
+
+def _in_every_set(what: str, name: str, parts: Sequence[Arrays]) -> list[Array]:
+    for number, part in enumerate(parts):
+        if name not in part:
+            raise TouchesError(
+                f"{what} must be in every set, got none in set {number}. "
+                f"Add it with touches.with_columns({name}=...), or drop it "
+                f"elsewhere with touches.without({name!r})."
+            )
+    return [part[name] for part in parts]
 
 
 def common_whole(parts: Sequence[Arrays]) -> Arrays:
@@ -288,24 +293,12 @@ def common_whole(parts: Sequence[Arrays]) -> Arrays:
 def _checked_labels(name: str, array: Array) -> Array:
     """Return labels as text; integers become text, nothing else does."""
     kind = array.dtype.kind
-    if kind == "f" and np.isnan(array).any():
-        touch = np.isnan(array).argmax()
-        raise TouchesError(
-            f"{name} must name every touch, got NaN at touch {touch}. "
-            "Label that touch or leave it out."
-        )
     if kind not in "iuSU":
         raise TouchesError(
             f"{name} must be text or integers, got an array of {array.dtype}. "
-            "Convert it first, for example with .astype(str)."
+            "Fill in what is missing, and convert it, for example by .astype(str)."
         )
-    try:
-        labels = np.char.decode(array, "utf-8") if kind == "S" else array
-    except UnicodeDecodeError as error:
-        raise TouchesError(
-            f"{name} must be UTF-8 text, got bytes that are not. "
-            "Decode them first, for example with np.char.decode(labels, 'latin-1')."
-        ) from error
+    labels = _decoded(name, array)
     text = labels if labels.dtype.kind == "U" else labels.astype(np.str_)
     empty = np.char.str_len(np.char.strip(text)) == 0
     if empty.any():
@@ -323,6 +316,16 @@ def _checked_labels(name: str, array: Array) -> Array:
     return np.array([spelt[label] for label in texts], dtype=np.str_)
 
 
+def _decoded(name: str, array: Array) -> Array:
+    try:
+        return np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
+    except UnicodeDecodeError as error:
+        raise TouchesError(
+            f"{name} must be UTF-8 text, got bytes that are not. "
+            "Decode them first, for example with np.char.decode(labels, 'latin-1')."
+        ) from error
+
+
 def _unprintable(name: str, text: str) -> TouchesError:
     fix = "Leave out line breaks and control characters."
     if any("\udc80" <= letter <= "\udcff" for letter in text):  # a byte of a file name
@@ -338,24 +341,20 @@ def _unprintable(name: str, text: str) -> TouchesError:
 def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     """Refuse channels, pads and frames of presses that do not suit the images."""
     names, pads = whole.get("channels"), whole.get("pads")
-    if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
+    n_channels = images.shape[3] if images.ndim == 4 else 0
+    if n_channels != (0 if names is None else len(names)):
         fix = (
             "List them in their order by `channels`, in an archive by its array "
-            "channels: r,g,b of colours, x,y,z of forces."
+            "channels: r,g,b of colours, x,y,z of forces. Images without a fourth axis "
+            "have none: leave them out."
         )
-        if images.shape[1] <= 4 < images.shape[3]:  # as PyTorch has them
+        if images.shape[1] <= 4 < n_channels:  # as PyTorch has them
             fix = (
                 "Channels come last: images.transpose(0, 2, 3, 1), each with its name."
             )
         raise TouchesError(
-            f"channels must name each of the {images.shape[3]} channels of images of "
-            f"shape {images.shape}, got {_listed(names)}. {fix}"
-        )
-    if images.ndim == 3 and names is not None:
-        raise TouchesError(
-            f"channels must be left out for images without an axis of channels, got "
-            f"{_listed(names)} for images of shape {images.shape}. Leave them out, or "
-            "give images (n_touches, n_rows, n_cols, n_channels)."
+            f"channels must name each of the {n_channels} channels of images of shape "
+            f"{images.shape}, got {_listed(names)}. {fix}"
         )
     if "pad_names" in whole and (pads is None or len(pads) != len(whole["pad_names"])):
         n_pads = "no pads" if pads is None else f"{len(pads)} pads"
@@ -376,16 +375,12 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
 
 
 def _checked_names(name: str, array: Array) -> Array:
-    listed = array.tolist()
-    try:
-        text = np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
-    except UnicodeDecodeError:
-        text = np.empty(0)
+    text = _decoded(name, array)
     names = [str(name).strip() for name in text.tolist()] if text.ndim == 1 else []
     if text.dtype.kind != "U" or not all(names) or not 0 < len(set(names)) == len(text):
         raise TouchesError(
             f"{name} must be different texts in a list, none of them empty, got "
-            f"{listed!r}. Name each once."
+            f"{array.tolist()!r}. Name each once."
         )
     return text
 

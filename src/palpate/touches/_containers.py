@@ -23,7 +23,13 @@ import numpy as np
 
 from .._extras import needed
 from .._types import Array
-from ._columns import Arrays, TouchesError, belongs_to_whole, checked_shape
+from ._columns import (
+    Arrays,
+    TouchesError,
+    belongs_to_whole,
+    checked_shape,
+    refuse_large,
+)
 from ._pictures import decode_bytes
 
 CONTAINERS = (".h5", ".hdf5", ".zarr", ".tif", ".tiff", ".mat", ".bmp", ".webp")
@@ -103,7 +109,7 @@ def raw_arrays(
         )
     sides = (*checked_shape(shape), *([len(channels)] if channels else []))
     n_bytes, frame = path.stat().st_size, prod(sides) * kind.itemsize
-    _refuse_large(str(path), n_bytes, max_bytes)
+    refuse_large(str(path), n_bytes, max_bytes)
     if not frame or not n_bytes or n_bytes % frame:
         raise TouchesError(
             f"{path} must be frames of {' x '.join(map(str, sides))} {kind}, "
@@ -112,14 +118,6 @@ def raw_arrays(
     levels = np.fromfile(path, kind).reshape(-1, *sides)
     named = {"channels": np.array(channels)} if channels else {}
     return {"images": levels.astype(kind.newbyteorder("=")), **named}
-
-
-def _refuse_large(what: str, n_bytes: int, max_bytes: int) -> None:
-    if n_bytes > max_bytes:
-        raise TouchesError(
-            f"{what} must take at most {max_bytes} bytes, got {n_bytes}. Split it, or "
-            "raise max_bytes if you trust it."
-        )
 
 
 def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays:
@@ -157,7 +155,7 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
         if name != images and rows and column not in chosen.values():
             chosen[name] = column
     n_bytes = sum(plain[name].n_bytes for name in chosen)
-    _refuse_large(f"The arrays of {path}", n_bytes, max_bytes)
+    refuse_large(f"The arrays of {path}", n_bytes, max_bytes)
     arrays = {column: _text(plain[name].read()) for name, column in chosen.items()}
     objects = arrays.get("object")
     if objects is not None and objects.dtype.kind == "f":  # MATLAB's numbers are all so
@@ -249,7 +247,7 @@ def _hdf5_entry(h5py: Any, item: Any, max_bytes: int) -> _Entry:
         return _Entry(item.shape, item.dtype, lambda: np.asarray(item[()]))
 
     def texts() -> Array:
-        _refuse_large(item.name, item.id.get_storage_size(), max_bytes)
+        refuse_large(item.name, item.id.get_storage_size(), max_bytes)
         return np.array(item.asstr("utf-8")[()], dtype=np.str_)
 
     return _Entry(item.shape, np.dtype("U16"), texts)
@@ -271,7 +269,7 @@ def _zarr(path: Path, max_bytes: int) -> Arrays:
         }
         for name, item in members.items():
             chunk = prod(getattr(item, "chunks", ())) * 8
-            _refuse_large(f"A chunk of {name} in {path}", chunk, max_bytes)
+            refuse_large(f"A chunk of {name} in {path}", chunk, max_bytes)
         return _chosen(path, entries, max_bytes)
 
 
@@ -292,25 +290,19 @@ def _tiff(path: Path, max_bytes: int) -> Array:
                 f"{len(file.series)} kinds. Split it."
             )
         series = file.series[0]
-        _refuse_large(str(path), _n_bytes(series.shape, series.dtype), max_bytes)
+        refuse_large(str(path), _n_bytes(series.shape, series.dtype), max_bytes)
         tile = _n_bytes(series.keyframe.chunks, series.dtype)
-        _refuse_large(f"A tile of {path}", tile, max_bytes)
+        refuse_large(f"A tile of {path}", tile, max_bytes)
         levels: Array = series.asarray(maxworkers=1)
         axes, samples = series.axes, file.pages[0].samplesperpixel
     if samples > 1:
-        levels = _luma(path, levels, axes, samples)
-    images: Array = levels.reshape(-1, *levels.shape[-2:])
-    return images
-
-
-def _luma(path: Path, levels: Array, axes: str, samples: int) -> Array:
-    if samples != 3 or not axes.endswith("S") or levels.dtype.kind != "u":
-        raise TouchesError(
-            f"{path} must be in grey or in red, green and blue, got {samples} values "
-            "a pixel. Convert it."
-        )
-    luma: Array = np.rint(levels @ _LUMA).astype(levels.dtype)
-    return luma
+        if samples != 3 or not axes.endswith("S") or levels.dtype.kind != "u":
+            raise TouchesError(
+                f"{path} must be in grey or in red, green and blue, got {samples} "
+                "values a pixel. Convert it."
+            )
+        levels = np.rint(levels @ _LUMA).astype(levels.dtype)
+    return levels.reshape(-1, *levels.shape[-2:])
 
 
 def _picture(path: Path, max_bytes: int, max_pixels: int) -> Array:
@@ -324,7 +316,7 @@ def _picture(path: Path, max_bytes: int, max_pixels: int) -> Array:
                 f"{path} must have at most {max_pixels} pixels, got {n_cols} x "
                 f"{n_rows}. Make it smaller, or raise max_pixels if you trust it."
             )
-        _refuse_large(str(path), n_cols * n_rows, max_bytes)
+        refuse_large(str(path), n_cols * n_rows, max_bytes)
         if getattr(picture, "n_frames", 1) > 1:
             raise TouchesError(f"{path} must be one picture, got an animated one.")
         if picture.mode in ("RGBA", "LA", "PA"):
@@ -346,10 +338,10 @@ def _mat(path: Path, max_bytes: int) -> Arrays:
     if major == 2:
         return _hdf5(path, max_bytes, columns_first=True)
     listed = {name: (shape, kind) for name, shape, kind in matlab.whosmat(path)}
-    _refuse_large(str(path), path.stat().st_size, max_bytes)
+    refuse_large(str(path), path.stat().st_size, max_bytes)
     # Elements may be packed a thousandfold; what they unpack to is in their headers.
     sizes = [prod(shape) * 8 for shape, _ in listed.values()]
-    _refuse_large(f"The arrays of {path}", sum(sizes), max_bytes)
+    refuse_large(f"The arrays of {path}", sum(sizes), max_bytes)
     numbers = [n for n, (_, kind) in listed.items() if kind in _MATLAB_KINDS]
     left = [name for name in listed if name not in numbers]
     if wanted := [n for n in left if not numbers or n in ("object", *_LABELS)]:

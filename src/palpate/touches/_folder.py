@@ -4,7 +4,7 @@ import hashlib
 import os
 import re
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -21,16 +21,14 @@ from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
 from ._layout import (
     LABELS,
+    BadPicture,
     compiled,
     kept_names,
     labels_of,
     levels_pattern,
-    matched,
-    odd_depths,
-    odd_folders,
+    odd_names,
 )
 from ._pictures import (
-    GREY_WHERE_COLOUR,
     Header,
     PictureError,
     checked_picture,
@@ -51,18 +49,6 @@ _ONE_TOUCH_A_FILE = tuple(
 _GREY = {".bmp", ".webp"}  # pictures too, read where there is no JPEG or PNG
 _LISTED = 5  # pictures left out
 _MOST_TABLE = 2**30  # bytes; only to say which objects are lost
-
-
-class BadPicture(NamedTuple):
-    """A picture that cannot be used: its path in the folder, why, and the fix.
-
-    `folder` is one whose pictures all lie wrongly in one way, else empty.
-    """
-
-    picture: str
-    problem: str
-    fix: str
-    folder: str = ""
 
 
 @dataclass
@@ -170,7 +156,8 @@ def check_folder(
             "files. What is wrong with one of these is said when they are read."
         )
     check = _checked(root, names, pattern, max_pixels, colour)
-    check.empty = _empty_folders(root)
+    empty = [here for here, folders, inside in _walk(root) if not folders + inside]
+    check.empty = sorted((f"{here.as_posix()}/" for here in empty), key=_natural_order)
     others = sorted({ending for ending in files if files[ending]} - {*PICTURES})
     return check, {ending: files[ending] for ending in others}
 
@@ -208,30 +195,10 @@ def _checked(
     """Look at every picture, and at whether it gets a label like the others."""
     check = _check_pictures(root, names, max_pixels=max_pixels, colour=colour)
     are_bad = {bad.picture for bad in check.bad}
-    placed: dict[str, tuple[str, str, str]] = {}
-    fix = "move it to the folder of its object, or give it as `no_contact`"
-    if pattern is not None:
-        pairs = zip(names, matched(pattern, names), strict=True)
-        odd = {n: "not named like the others" for n, match in pairs if match is None}
-        if len(odd) == len(names):
-            odd = dict.fromkeys(odd, "not named as levels or name_pattern say")
-            fix = "give `levels` or a `name_pattern` as these paths are"
-        elif "/" in pattern.pattern:
-            placed = odd_folders(names, odd)
-            placed = {
-                n: (why, f"{by} instead", f) for n, (why, by, f) in placed.items()
-            }
-    elif (root / LABELS).is_file():
-        odd = {}
-    else:
-        depths = odd_depths(names)[0].items()
-        odd = {n: f"{where}, unlike the others" for n, where in depths}
-        placed = odd_folders(names, odd)
-    check.bad += [
-        BadPicture(name, *placed.get(name, (why, fix, "")))
-        for name, why in odd.items()
-        if name not in are_bad
-    ]
+    odd: dict[str, BadPicture] = {}
+    if pattern is not None or not (root / LABELS).is_file():
+        odd = odd_names(names, pattern)
+    check.bad += [bad for name, bad in odd.items() if name not in are_bad]
     check.bad.sort(key=lambda bad: _natural_order(bad.picture))
     if check.bad:
         check.lost = _lost(root, names, pattern, check.bad, odd)
@@ -266,6 +233,7 @@ def _lost(
 
 class _Seen(NamedTuple):
     problem: str
+    fix: str
     header: Header | None = None
     coloured: bool = False
     orientation: int = 1
@@ -279,12 +247,14 @@ def _look(path: Path, max_pixels: int, colour: bool) -> _Seen:
         header, orientation, levels, data = checked_picture(
             path, max_pixels=max_pixels, colour=colour
         )
-    except (OSError, PictureError) as error:
-        return _Seen(getattr(error, "strerror", None) or str(error))
+    except PictureError as error:
+        return _Seen(str(error), error.fix)
+    except OSError as error:
+        return _Seen(error.strerror or str(error), "check it, or take it out")
     digest = hashlib.blake2b(data, digest_size=16).digest()
     flat = bool(np.ptp(levels) == 0)
     counted = header.checked(colour)
-    return _Seen("", counted, header.colour, orientation, flat, digest)
+    return _Seen("", "", counted, header.colour, orientation, flat, digest)
 
 
 def _check_pictures(
@@ -300,7 +270,7 @@ def _check_pictures(
     first: dict[bytes, str] = {}
     for name, picture in seen.items():
         if picture.header is None:
-            check.bad.append(BadPicture(name, picture.problem, _fix(picture.problem)))
+            check.bad.append(BadPicture(name, picture.problem, picture.fix))
         elif usual is not None and not picture.header.is_like(usual):
             check.bad.append(_another(name, picture.header, usual))
         else:
@@ -336,30 +306,17 @@ def shows_colour(file: Path | BytesIO) -> bool:
     return bool(np.ptp(levels, axis=2).mean() > _GREY_DIFFERS)
 
 
-def _fix(problem: str) -> str:
-    if GREY_WHERE_COLOUR in problem:
-        return "take it out, or learn and recognise without `colour`"
-    if "pixels" in problem and "more than" in problem:
-        return "make it smaller"
-    return "save it again as JPEG or PNG, as deep as the others, or take it out"
-
-
 def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[str]:
     """Return the pictures that can be used, and warn of the others."""
     bad = check.bad
     gone = {odd.picture for odd in bad}
     kept = [name for name in names if name not in gone]
-    if not kept:
+    if check.lost or not kept:
+        odd = next(iter(check.lost.values()), bad[0])
+        lost = listed([*check.lost], 5) or "these objects"
         raise TouchesError(
-            f"Pictures must be usable, got {len(names)} of which none is: "
-            f"{bad[0].picture} is {bad[0].problem}. Fix: {bad[0].fix}."
-        )
-    if lost := [*check.lost]:
-        odd = check.lost[lost[0]]
-        them = lost[0] if len(lost) == 1 else "these"
-        raise TouchesError(
-            f"No picture of {listed(lost, 5)} can be used: {odd.picture} is "
-            f"{odd.problem}. Fix: {odd.fix}, or take {them} out of {root}."
+            f"No picture of {lost} can be used: {odd.picture} is {odd.problem}. "
+            f"Fix: {odd.fix}. Or take {lost} out of {root}."
         )
     if bad:
         first = "; ".join(f"{odd.picture} is {odd.problem}" for odd in bad[:_LISTED])
@@ -445,9 +402,11 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
     return sorted(pictures, key=_natural_order)
 
 
-def _files(root: Path) -> list[str]:
-    """Return all files below `root` but hidden ones, following symbolic links."""
-    below: list[str] = []
+def _walk(root: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """Yield folders below `root` but hidden ones, the folders and the files in each.
+
+    Symbolic links are followed.
+    """
     seen: dict[tuple[int, int], str] = {}
     for folder, folders, files in os.walk(root, onerror=_raised, followlinks=True):
         status = Path(folder).stat()
@@ -458,19 +417,13 @@ def _files(root: Path) -> list[str]:
                 "does: its pictures would count twice. Remove the link."
             )
         folders[:] = [name for name in folders if not name.startswith(".")]
-        here = Path(folder).relative_to(root)
-        below += [(here / n).as_posix() for n in files if not n.startswith(".")]
-    return below
+        yield Path(folder).relative_to(root), folders, files
 
 
-def _empty_folders(root: Path) -> list[str]:
-    """Return the folders below `root` but hidden ones that hold nothing at all."""
-    empty = []
-    for folder, folders, files in os.walk(root, followlinks=True):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        if not folders and not files:
-            empty.append(f"{Path(folder).relative_to(root).as_posix()}/")
-    return sorted(empty, key=_natural_order)
+def _files(root: Path) -> list[str]:
+    """Return all files below `root` but hidden ones."""
+    paths = [here / name for here, _, files in _walk(root) for name in files]
+    return [path.as_posix() for path in paths if not path.name.startswith(".")]
 
 
 def _raised(error: OSError) -> None:

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,7 @@ _TEXT_GROUPS = ("object", "category", "session")
 _NEEDED = ("object", "category", "session", "order", "n", *sum(POSITIONS.values(), ()))
 _WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_WHERE = ("in no folder", "in one folder", "in folders of folders")
 SKIPPED = "-"
 LABELS = "labels.csv"
 KEPT = "="
@@ -130,18 +131,13 @@ def levels_pattern(levels: str) -> str:
             f"object, got {levels!r}. Write category/object, object/session, or "
             "object/-/=gel: - skips a level, =gel reads its folder gel alone."
         )
-    parts = [_of_level(name) for name in names]
+    groups = {name: f"?P<{name}>" for name in words}  # others were chosen by name
+    parts = [f"({groups.get(name, '?:')}[^/]+)" for name in names]
     last = names.index("object")
     if "category" in names[:last]:
         first = names.index("category")
         parts[first], parts[last] = f"(?P<object>{parts[first]}", "[^/]+)"
     return f"^{'/'.join(parts)}/[^/]+$"
-
-
-def _of_level(name: str) -> str:
-    if name == SKIPPED:
-        return "[^/]+"
-    return re.escape(name[1:]) if name[:1] == KEPT else f"(?P<{name}>[^/]+)"
 
 
 def kept_names(names: Sequence[str], levels: str) -> list[str]:
@@ -165,28 +161,61 @@ def kept_names(names: Sequence[str], levels: str) -> list[str]:
     return kept
 
 
-def odd_depths(names: Sequence[str]) -> tuple[dict[str, str], str]:
-    """Return where paths lie that are not as deep as most, and where most lie."""
-    where = ("in no folder", "in one folder", "in folders of folders")
-    depths = [min(name.count("/"), 2) for name in names]
-    usual = max(set(depths), key=depths.count)
-    pairs = zip(names, depths, strict=True)
-    return {n: where[depth] for n, depth in pairs if depth != usual}, where[usual]
+class BadPicture(NamedTuple):
+    """A picture that cannot be used: its path in the folder, why, and the fix.
 
-
-def odd_folders(
-    names: Sequence[str], odd: Collection[str]
-) -> dict[str, tuple[str, str, str]]:
-    """Return what is wrong with odd paths that lie one level off in a folder, the fix.
-
-    And that folder: nothing of those that lie elsewhere, or where others lie mixed.
+    `folder` is one whose pictures all lie wrongly in one way, else empty.
     """
-    usual = {min(name.count("/"), 2) for name in names if name not in odd}
+
+    picture: str
+    problem: str
+    fix: str
+    folder: str = ""
+
+
+def odd_names(
+    names: Sequence[str], pattern: re.Pattern[str] | None
+) -> dict[str, BadPicture]:
+    """Return the paths that are not labelled as most are, by a pattern or folders."""
+    fix = (
+        "move it to the folder of its object, correct the `name_pattern` or give one, "
+        "or give it as `no_contact` if that is what it shows"
+    )
+    if pattern is None:
+        depths = [*map(_depth, names)]
+        usual = max(set(depths), key=depths.count)
+        pairs = zip(names, depths, strict=True)
+        odd = {
+            n: f"{_WHERE[depth]}, unlike the others"
+            for n, depth in pairs
+            if depth != usual
+        }
+    else:
+        matches = zip(names, matched(pattern, names), strict=True)
+        odd = {n: "not named like the others" for n, match in matches if match is None}
+        if len(odd) == len(names):
+            odd = dict.fromkeys(odd, "not named as levels or name_pattern say")
+            fix = "give `levels` or a `name_pattern` as these paths are"
+    bad = {name: BadPicture(name, problem, fix) for name, problem in odd.items()}
+    if pattern is None or "/" in pattern.pattern:
+        bad |= _odd_folders(names, odd)
+    return bad
+
+
+def _depth(name: str) -> int:
+    return min(name.count("/"), 2)
+
+
+def _odd_folders(names: Sequence[str], odd: Collection[str]) -> dict[str, BadPicture]:
+    """Return the odd paths that lie one level off in a folder, and that folder.
+
+    None of those that lie elsewhere, or where others lie mixed.
+    """
+    usual = {_depth(name) for name in names if name not in odd}
     below: dict[tuple[str, int], list[str]] = {}
     for name in odd:
-        place = name.partition("/")[0], min(name.count("/"), 2)
-        below.setdefault(place, []).append(name)
-    problems: dict[str, tuple[str, str, str]] = {}
+        below.setdefault((name.partition("/")[0], _depth(name)), []).append(name)
+    bad: dict[str, BadPicture] = {}
     for (folder, depth), inside in below.items():
         if (depth, usual) == (2, {1}):
             among = list(dict.fromkeys(name.split("/")[1] for name in inside))
@@ -201,25 +230,22 @@ def odd_folders(
             )
         else:
             continue
-        problems |= dict.fromkeys(inside, (problem, fix, folder))
-    return problems
+        bad |= {name: BadPicture(name, problem, fix, folder) for name in inside}
+    return bad
+
+
+def _refuse_odd(names: Sequence[str], pattern: re.Pattern[str] | None) -> None:
+    for name, bad in odd_names(names, pattern).items():
+        by = "folders" if pattern is None else f"name_pattern {pattern.pattern!r}"
+        raise TouchesError(
+            f"Pictures must all be labelled by {by} in one way, got {name}, "
+            f"{bad.problem}. {bad.fix[0].upper()}{bad.fix[1:]}."
+        )
 
 
 def labels_of_folders(names: Sequence[str]) -> Arrays:
     """Return labels from the levels of folders above pictures; see `read_folder`."""
-    odd, usual = odd_depths(names)
-    if odd:
-        first = next(iter(odd))
-        other = next(name for name in names if name not in odd)
-        fix = (
-            "move it to the folder of its object, give a `name_pattern`, or give it as "
-            "`no_contact` if that is what it shows"
-        )
-        _, fix, _ = odd_folders(names, odd).get(first, ("", fix, ""))
-        raise TouchesError(
-            f"Pictures must all be labelled by folders in one way, but {first} lies "
-            f"{odd[first]} and {other} lies {usual}. {fix[0].upper()}{fix[1:]}."
-        )
+    _refuse_odd(names, None)
     folders = [name.split("/")[:-1] for name in names]
     if not folders[0]:
         return {}
@@ -321,22 +347,10 @@ def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
 
 def _all_matched(names: Sequence[str], pattern: re.Pattern[str]) -> list[Groups]:
     """Return the groups of each name; one that does not match is refused."""
-    matches = matched(pattern, names)
-    odd = [n for n, match in zip(names, matches, strict=True) if match is None]
-    if odd:
-        fix = (
-            "correct the pattern, move the file out of the folder, or give it as "
-            "`no_contact` if that is what it shows"
-        )
-        if len(odd) == len(names):
-            fix = "give `levels` or a `name_pattern` as these paths are"
-        elif "/" in pattern.pattern:
-            _, fix, _ = odd_folders(names, odd).get(odd[0], ("", fix, ""))
-        raise TouchesError(
-            f"{odd[0]} must match name_pattern {pattern.pattern!r}, and does not. "
-            f"{fix[0].upper()}{fix[1:]}."
-        )
-    return [match for match in matches if match is not None]
+    matches = [match for match in matched(pattern, names) if match is not None]
+    if len(matches) < len(names):
+        _refuse_odd(names, pattern)
+    return matches
 
 
 def _from_table(root: Path, names: Sequence[str], max_bytes: int) -> Arrays:

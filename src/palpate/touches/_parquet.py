@@ -28,7 +28,7 @@ import numpy as np
 from .._checks import ARRAY_SIDE, listed, nearest_path, size_text
 from .._extras import needed
 from .._types import RGB, Array
-from ._columns import Arrays, TouchesError
+from ._columns import Arrays, TouchesError, refuse_large
 from ._pictures import decode_bytes, png_bytes
 
 ENDINGS = (".parquet", ".pq")
@@ -335,11 +335,7 @@ def _batch_size(name: str, reader: Any, max_bytes: int) -> int:
         in_memory = max(8 * n_values, group.total_byte_size)
         n_bytes = max(n_bytes, in_memory // max(1, group.num_rows))
         largest = max(largest, group.total_byte_size, n_bytes)
-    if largest > max_bytes:
-        raise TouchesError(
-            f"{name} must have row groups of at most {max_bytes} bytes, got {largest}. "
-            "Write it in smaller ones, or raise max_bytes."
-        )
+    refuse_large(f"A row group of {name}", largest, max_bytes)
     return max(1, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // n_bytes))
 
 
@@ -478,11 +474,8 @@ def _decoded_files(
     images: list[Array] = []
     for file in whole:
         images.append(decode_bytes(file, max_pixels=max_pixels, colour=colour))
-        if len(images) * images[0].nbytes > max_bytes:
-            raise TouchesError(
-                f"{name} must have pictures that take at most {max_bytes} bytes at "
-                "once, got more. Write them smaller, or raise max_bytes."
-            )
+        n_bytes = len(images) * images[0].nbytes
+        refuse_large(f"Pictures of {name} at once", n_bytes, max_bytes)
     shapes = {image.shape for image in images}
     if len(shapes) > 1:
         raise TouchesError(

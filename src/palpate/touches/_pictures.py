@@ -1,7 +1,7 @@
 """JPEG and PNG pictures: their headers, whether they are whole, and their levels.
 
-Headers are read first, so that the size is known before anything is decoded. Pillow
-tests a PNG's checksums; OpenCV decodes it. A JPEG has no checksum, but libjpeg
+Headers are read first, so that the size is known before anything is decoded. A PNG's
+checksums are tested; OpenCV decodes it. A JPEG has no checksum, but libjpeg
 complains of much damage and of a missing end: simplejpeg tells, where OpenCV and Pillow
 fill in grey. Most single flipped bits among its coefficients still give a wrong picture
 that nothing can tell; docs/contributing/testing.md has figures.
@@ -16,36 +16,38 @@ import os
 import re
 import stat
 import struct
+import zlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from io import SEEK_CUR, BytesIO
-from math import prod
+from io import BytesIO
+from itertools import takewhile
+from math import inf, prod
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._parallel import Progress
 from .._types import RGB, Array
-from ._columns import TouchesError
+from ._columns import TouchesError, refuse_large
 
 _MOST_SCANS = 100  # progressive files of cameras have about ten
 # A scan has ten bytes at least and takes at most some 0.4 ns a pixel: where bytes times
 # pixels are fewer, as of a camera's 640 x 480, no picture takes longer than a second.
 _FEW = 5 * 2**32
 _HEAD, _SCAN_MARKER = 2, np.frombuffer(b"\xff\xda", np.uint16)[0]
-_MARKER = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])")
+# A run of 0xFF, and the code of a marker if it is one that begins a segment.
+_MARKER = re.compile(rb"\xff+(?:([^\x00\xd0-\xd7\xff])|[^\xff]|\Z)")
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
 # Codes of a JPEG's markers.
 _SCAN, _END, _APP1 = 0xDA, 0xD9, 0xE1
 _HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _ALPHA = (4, 6)
 _GREY = (0, 4)
-GREY_WHERE_COLOUR = "in grey where colour is asked for"
+_SAVE_AGAIN = "save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out"
 _CUT_SHORT = "a file that is cut short"
 _EXIF = b"Exif\0\0"
 _ORIENTATION = 0x0112
@@ -60,6 +62,7 @@ _TURNS: dict[int, Callable[[Array], Array]] = {
     7: lambda levels: levels[::-1, ::-1].swapaxes(0, 1),
     8: np.rot90,
 }
+_MOST_HEADERS = 2**20  # bytes before the pixels, but for few pictures
 # Room for comments, colour profiles and previews beside the pixels themselves.
 _MORE_BYTES = 32 * 2**20
 _BYTES_PER_PIXEL = 8
@@ -67,7 +70,11 @@ _AT_ONCE = 8
 
 
 class PictureError(Exception):
-    """A file is no picture; the text is for the middle of a message."""
+    """A file is no picture that is read; the text is for the middle of a message."""
+
+    def __init__(self, problem: str, fix: str = _SAVE_AGAIN) -> None:
+        super().__init__(problem)
+        self.fix = fix
 
 
 class Header(NamedTuple):
@@ -100,10 +107,16 @@ class Header(NamedTuple):
         """(n_rows, n_cols), and three channels of a colour picture."""
         return (self.n_rows, self.n_cols, *([len(RGB)] if self.colour else []))
 
-    def checked(self, colour: bool) -> "Header":
-        """Return it as it counts; refuse a grey picture where colours are asked for."""
+    def checked(self, colour: bool, max_pixels: float = inf) -> "Header":
+        """Return it as it counts; refuse what is grey where colours are asked for."""
         if colour and not self.colour:
-            raise PictureError(f"{self} {GREY_WHERE_COLOUR}")
+            fix = "take it out, or learn and recognise without `colour`"
+            problem = f"{self} in grey where colour is asked for"
+            raise PictureError(problem, fix)
+        if not 0 < self.n_rows * self.n_cols <= max_pixels:
+            fix = "make it smaller, or raise max_pixels if you trust it"
+            problem = f"{self}, not of 1 to at most {max_pixels} pixels"
+            raise PictureError(problem, fix)
         return self if colour else self._replace(colour=False)
 
 
@@ -133,12 +146,10 @@ def decode_bytes(
         It is no such picture, too large, cut short or altered.
     """
     try:
-        header, orientation = _read_header(BytesIO(data))
-        header = header.checked(colour)
-        _refuse_large("A picture", header, max_pixels)
-        return _levels(data, header, orientation)
+        header, orientation = _read_header(data)
+        return _levels(data, header.checked(colour, max_pixels), orientation)
     except PictureError as error:
-        raise TouchesError(f"A picture must be a JPEG or PNG, got {error}.") from error
+        raise refusal("A picture", error) from error
 
 
 def png_bytes(levels: Array) -> bytes:
@@ -187,12 +198,14 @@ def most_common_header(headers: Sequence[Header]) -> Header:
 def picture_header(path: Path, *, max_pixels: int, colour: bool) -> Header:
     """Return the header of one picture without decoding it."""
     try:
-        with _opened(path, max_pixels) as file:
-            header = _read_header(file)[0].checked(colour)
+        start = _content(path, max_pixels, _MOST_HEADERS)
+        try:
+            header, _ = _read_header(start)
+        except PictureError:
+            header, _ = _read_header(_content(path, max_pixels))
+        return header.checked(colour, max_pixels)
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
-    _refuse_large(str(path), header, max_pixels)
-    return header
 
 
 def checked_picture(
@@ -203,21 +216,17 @@ def checked_picture(
     The header is the file's, also of a picture in colour that is read in grey.
     Raises PictureError or OSError.
     """
-    with _opened(path, max_pixels) as file:
-        data = file.read()
-    header, orientation = _read_header(BytesIO(data))
-    counted = header.checked(colour)
-    if header.n_rows * header.n_cols > max_pixels:
-        raise PictureError(f"{header}, more than {max_pixels} pixels")
-    return header, orientation, _levels(data, counted, orientation), data
+    data = _content(path, max_pixels)
+    header, orientation = _read_header(data)
+    levels = _levels(data, header.checked(colour, max_pixels), orientation)
+    return header, orientation, levels, data
 
 
 def decode_picture(path: Path, header: Header) -> tuple[Array, bytes]:
     """Return the levels of a picture that has this header, and its bytes."""
     try:
-        with _opened(path, header.n_rows * header.n_cols) as file:
-            data = file.read()
-        now, orientation = _read_header(BytesIO(data))
+        data = _content(path, header.n_rows * header.n_cols)
+        now, orientation = _read_header(data)
         if not (now := now.checked(header.colour)).is_like(header):
             raise PictureError(f"{now} after {header}: the file changed meanwhile")
         return _levels(data, now, orientation), data
@@ -231,11 +240,7 @@ def decode_pictures(
     """Return the levels of pictures, (n_pictures, n_rows, n_cols[, 3]), and files."""
     shape = (len(paths), *header.shape)
     n_bytes = prod(shape) * header.dtype.itemsize
-    if n_bytes > max_bytes:
-        raise TouchesError(
-            f"{len(paths)} pictures of {header} must take at most {max_bytes} bytes, "
-            f"got {n_bytes}. Read fewer or smaller ones, or raise max_bytes."
-        )
+    refuse_large(f"{len(paths)} pictures of {header}", n_bytes, max_bytes)
     images = np.empty(shape, dtype=header.dtype)
     files = [b""] * len(paths)
 
@@ -261,56 +266,37 @@ def n_cores() -> int:
     return os.cpu_count() or 1
 
 
-def refusal(path: Path, error: OSError | PictureError) -> TouchesError:
+def refusal(what: object, error: OSError | PictureError) -> TouchesError:
     if isinstance(error, OSError):
         return TouchesError(
-            f"{path} must be readable, got: {error.strerror or error}. "
+            f"{what} must be readable, got: {error.strerror or error}. "
             "Check the file and its permissions, or take it out of the folder."
         )
-    fix = "Save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out."
-    if GREY_WHERE_COLOUR in str(error):
-        return TouchesError(
-            f"{path} must be a picture in colour, got {error}. Take it out, or "
-            "learn and recognise without `colour`."
-        )
+    fix = f"{error.fix[0].upper()}{error.fix[1:]}."
     return TouchesError(
-        f"{path} must be a whole JPEG or PNG in grey or colour, got {error}. {fix}"
+        f"{what} must be a whole JPEG or PNG in grey or colour, got {error}. {fix}"
     )
 
 
-def _opened(path: Path, n_pixels: int) -> IO[bytes]:
-    """Open a file that is one (a pipe would block) and not absurdly large."""
+def _content(path: Path, n_pixels: int, most: int = -1) -> bytes:
+    """Read a file that is one (a pipe would block) and not absurdly large."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise PictureError("something that is not a file")
     if status.st_size > _MORE_BYTES + _BYTES_PER_PIXEL * n_pixels:
         raise PictureError(f"a file of {status.st_size} bytes")
-    return path.open("rb")
+    with path.open("rb") as file:
+        return file.read(most)
 
 
-def _refuse_large(what: str, header: Header, max_pixels: int) -> None:
-    if header.n_rows * header.n_cols > max_pixels:
-        raise TouchesError(
-            f"{what} must have at most {max_pixels} pixels, got {header}. "
-            "Make it smaller, or raise max_pixels if you trust it."
-        )
-
-
-def _read_header(stream: IO[bytes]) -> tuple[Header, int]:
-    """Return header (upright) and orientation, reading only as far as the pixels."""
-    start = stream.read(8)
-    if not start:
+def _read_header(data: bytes) -> tuple[Header, int]:
+    """Return header (upright) and orientation; pixels are not looked at."""
+    if not data:
         raise PictureError("an empty file")
-    if not start.startswith((_PNG, _JPEG)):
+    if not data.startswith((_PNG, _JPEG)):
         raise PictureError("a file that is neither JPEG nor PNG")
-    kind = "PNG" if start == _PNG else "JPEG"
-    try:
-        header, exif = (_png_header if start == _PNG else _jpeg_header)(stream)
-    except PictureError:
-        raise
-    except Exception as error:
-        # Pillow raises half a dozen kinds on damaged files.
-        raise _damage(kind, stream, error) from error
+    is_png = data.startswith(_PNG)
+    header, exif = _png_header(data) if is_png else _jpeg_header(data)
     orientation = _orientation(exif)
     return _turned(header, orientation), orientation
 
@@ -337,16 +323,6 @@ def _turned(header: Header, orientation: int) -> Header:
     return header._replace(n_rows=header.n_cols, n_cols=header.n_rows)
 
 
-def _refuse_empty(kind: str, n_cols: int, n_rows: int) -> None:
-    if not n_cols or not n_rows:
-        raise PictureError(f"a {kind} of {n_cols} x {n_rows} pixels")
-
-
-def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
-    """Word what Pillow stumbled over; at the end of a file, something is missing."""
-    return PictureError(f"a damaged {kind} ({error})" if stream.read(1) else _CUT_SHORT)
-
-
 def _levels(data: bytes, header: Header, orientation: int) -> Array:
     """Return the levels of a whole picture, upright as `header` says."""
     if orientation == _UPRIGHT:
@@ -359,17 +335,8 @@ def _stored_levels(data: bytes, header: Header) -> Array:
     """Return the levels of a whole picture, as its `header` says."""
     if header.format == "JPEG":
         return _jpeg_levels(data, header)
-    from PIL.PngImagePlugin import ChunkStream
-
-    # Every checksum, and that of the end itself, which Pillow leaves out.
-    chunks = BytesIO(data)
-    chunks.seek(len(_PNG))
-    try:
-        ChunkStream(chunks).verify(b"IEND")
-    except Exception as error:
-        raise _damage("PNG", chunks, error) from error
-    if not data.startswith(_PNG_END, chunks.tell() - 8):
-        raise PictureError(_CUT_SHORT)
+    for _ in _chunks(data):  # every checksum
+        pass
     if data[25] == 3:  # a palette
         _refuse_missing_colours(data)
     levels = _png_levels(data, header)
@@ -416,88 +383,76 @@ def _png_levels(data: bytes, header: Header) -> Array | None:
         return None
 
 
-def _jpeg_header(stream: IO[bytes]) -> tuple[Header, bytes]:
-    """Read a JPEG's segments up to its first scan: its header and its Exif block.
+def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield code and content of a JPEG's segments; previews lie within one."""
+    place = _HEAD
+    while marker := _MARKER.search(data, place):
+        place = marker.end()
+        if marker[1]:
+            size = int.from_bytes(data[place : place + 2])
+            yield marker[1][0], data[place + 2 : place + size]
+            if size < 2:
+                raise PictureError("a damaged JPEG (a segment without a length)")
+            place += size
 
-    Previews lie within segments, so that the frame found is that of the picture.
-    """
-    stream.seek(len(_JPEG) - 1)
+
+def _jpeg_header(data: bytes) -> tuple[Header, bytes]:
+    """Return the header of a JPEG and its Exif block, which stand before a scan."""
     header, exif = None, b""
-    while (code := _next_marker(stream)) != _SCAN:
-        if code == _END:
-            raise PictureError(_CUT_SHORT)
-        body = _segment(stream)
-        if code == _APP1 and body.startswith(_EXIF):
-            exif = exif or body
-        if code not in _FRAMES:
-            continue
-        if code not in _HUFFMAN_FRAMES:
-            raise PictureError("a lossless or arithmetic-coded JPEG")
-        if len(body) < 6 or header:
-            raise PictureError("a damaged JPEG (its size comes twice, or cut)")
-        n_bits, n_rows, n_cols, n_channels = struct.unpack(">BHHB", body[:6])
-        if n_bits != 8:
-            raise PictureError(f"a {n_bits}-bit JPEG")
-        _refuse_empty("JPEG", n_cols, n_rows)
-        if n_channels not in (1, 3):
-            raise PictureError(f"a JPEG of {n_channels} channels (CMYK)")
-        header = Header("JPEG", n_rows, n_cols, n_bits, n_channels > 1)
+    for code, content in _segments(data):
+        if code in (_SCAN, _END):
+            break
+        if code == _APP1 and content.startswith(_EXIF):
+            exif = exif or content
+        if code in _FRAMES and header is None:
+            if code not in _HUFFMAN_FRAMES:
+                raise PictureError("a lossless or arithmetic-coded JPEG")
+            if len(content) < 6:
+                raise PictureError(_CUT_SHORT)
+            n_bits, n_rows, n_cols, n_channels = struct.unpack(">BHHB", content[:6])
+            if n_bits != 8:
+                raise PictureError(f"a {n_bits}-bit JPEG")
+            if n_channels not in (1, 3):
+                raise PictureError(f"a JPEG of {n_channels} channels (CMYK)")
+            header = Header("JPEG", n_rows, n_cols, n_bits, n_channels > 1)
+    else:
+        raise PictureError(_CUT_SHORT)
     if header is None:
         raise PictureError("a damaged JPEG (its pixels come before its size)")
     return header, exif
 
 
-def _next_marker(stream: IO[bytes]) -> int:
-    """Return the next marker's code; several 0xFF may stand before it."""
-    first = code = stream.read(1)
-    while code == b"\xff":
-        chunk = stream.read(64)
-        rest = chunk.lstrip(b"\xff")
-        code = rest[:1] or chunk[-1:]
-        if stream.seek(min(0, 1 - len(rest)), SEEK_CUR) > _MORE_BYTES:
-            raise PictureError("a JPEG with more than 32 MiB before its pixels")
-    if not code:
-        raise PictureError(_CUT_SHORT)
-    if first != b"\xff" or code == b"\0":
-        raise PictureError("a damaged JPEG (no marker where a segment ends)")
-    return code[0]
+def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Yield kind and content of a PNG's chunks, then compare its checksum."""
+    place, kind = len(_PNG), b""
+    while kind != b"IEND":
+        size, kind = (
+            int.from_bytes(data[place : place + 4]),
+            data[place + 4 : place + 8],
+        )
+        content = data[place + 8 : place + 8 + size]
+        yield kind, content
+        place += size + 12
+        checksum = data[place - 4 : place]
+        if len(checksum) < 4:
+            raise PictureError(_CUT_SHORT)
+        if zlib.crc32(content, zlib.crc32(kind)) != int.from_bytes(checksum):
+            raise PictureError("a damaged PNG (another checksum)")
 
 
-def _segment(stream: IO[bytes]) -> bytes:
-    size = int.from_bytes(stream.read(2), "big")
-    body = stream.read(max(size - 2, 0))
-    if len(body) != size - 2:
-        raise PictureError(_CUT_SHORT)
-    return body
-
-
-def _png_header(stream: IO[bytes]) -> tuple[Header, bytes]:
-    """Test a PNG's checksums up to its pixels; refuse more than one plain picture."""
-    from PIL.PngImagePlugin import ChunkStream
-
-    kinds = ChunkStream(stream).verify(b"IDAT")
-    if kinds[:1] != [b"IHDR"]:
+def _png_header(data: bytes) -> tuple[Header, bytes]:
+    """Return the header of a PNG and its Exif block; only one plain picture is read."""
+    chunks = dict(takewhile(lambda chunk: chunk[0] != b"IDAT", _chunks(data)))
+    if next(iter(chunks), None) != b"IHDR":
         raise PictureError("a damaged PNG (it must begin with its size)")
-    if b"acTL" in kinds:
+    if b"acTL" in chunks:
         raise PictureError("an animated PNG")
-    if b"tRNS" in kinds:
+    if b"tRNS" in chunks:
         raise PictureError("a PNG with a transparent colour")
-    exif = _png_exif(stream) if b"eXIf" in kinds else b""
-    stream.seek(16)
-    n_cols, n_rows, depth, kind = struct.unpack(">IIBB", stream.read(10))
-    _refuse_empty("PNG", n_cols, n_rows)
+    n_cols, n_rows, depth, kind = struct.unpack(">IIBB", data[16:26])
     n_bits = 16 if depth == 16 else 8
-    return Header("PNG", n_rows, n_cols, n_bits, kind not in _GREY), exif
-
-
-def _png_exif(stream: IO[bytes]) -> bytes:
-    """Return the Exif block of a PNG whose chunks before the pixels are sound."""
-    stream.seek(len(_PNG))
-    while True:
-        size, kind = struct.unpack(">I4s", stream.read(8))
-        if kind in (b"eXIf", b"IDAT"):
-            return stream.read(size) if kind == b"eXIf" else b""
-        stream.seek(size + 4, SEEK_CUR)
+    header = Header("PNG", n_rows, n_cols, n_bits, kind not in _GREY)
+    return header, chunks.get(b"eXIf", b"")
 
 
 def _refuse_missing_colours(data: bytes) -> None:
@@ -524,12 +479,9 @@ def _has_many_scans(data: bytes, n_pixels: int) -> bool:
     if sum(np.count_nonzero(pair == _SCAN_MARKER) for pair in pairs) <= _MOST_SCANS:
         return False
     # Some may lie in a preview, or behind the end: follow the segments.
-    n_scans, place = 0, _HEAD
-    while n_scans <= _MOST_SCANS and (marker := _MARKER.search(data, place)):
-        code = marker[1][0]
-        if code == _END:
-            return False
+    n_scans = 0
+    for code, _ in _segments(data):
         n_scans += code == _SCAN
-        size = int.from_bytes(data[marker.end() : marker.end() + 2], "big")
-        place = marker.end() + max(size, 1)
+        if code == _END or n_scans > _MOST_SCANS:
+            break
     return n_scans > _MOST_SCANS

@@ -25,7 +25,6 @@ from ._columns import (
     TouchesError,
     checked_column,
     common_whole,
-    picked_rows,
 )
 from ._folder import folder_arrays
 from ._parquet import (
@@ -280,9 +279,7 @@ class ParquetTouches(Labelled):
 
     def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
         """Pick touches by their rows, which must rise; no image is read."""
-        places = np.arange(len(self))[picked_rows(rows, len(self))]
-        if (np.diff(places) <= 0).any():
-            raise TouchesError("rows must be increasing indices. Sort them.")
+        places = self._rising(rows, len(self))
         other = copy(self)
         other._rows = self._rows[places]
         other._columns = {name: c[places] for name, c in self._columns.items()}
@@ -291,18 +288,18 @@ class ParquetTouches(Labelled):
     def touches(self, rows: ArrayLike) -> Touches:
         """Read the touches in these rows, which rise; workers pick them."""
         chosen = self[rows]
-        parts = chosen._results(_touches_of)
-        return Touches._joined((part for batch in parts for part in batch), MAX_BYTES)
+        return Touches._joined(chosen._results(None), MAX_BYTES)
 
     def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
         """Return what `encode` makes of all touches, (n_touches, n_features).
 
         Nothing is kept under `key`.
         """
-        return np.concatenate([*self._results(partial(_encoded, encode))])
+        parts = [np.asarray(part, np.float64) for part in self._results(encode)]
+        return np.concatenate(parts)
 
-    def _results(self, function: Callable[..., Any]) -> Iterator[Any]:
-        """Yield what workers make of the touches, some blocks at a time."""
+    def _results(self, encode: Callable[[Touches], Floats] | None) -> Iterator[Any]:
+        """Yield what workers encode, or the touches, some blocks at a time."""
         firsts = [blocks.first for blocks in self._blocks]
         cuts = np.searchsorted(self._rows, [*firsts, self._blocks[-1].first + 2**62])
         tasks: list[tuple[_Blocks, Indices | None]] = []
@@ -310,8 +307,9 @@ class ParquetTouches(Labelled):
             rows = self._rows[start:stop] - blocks.first
             if len(rows):
                 tasks.append((blocks, None if len(rows) == blocks.n_rows else rows))
-        reading = partial(function, self._limits)
-        return results_of(reading, len(tasks), tasks.__getitem__)
+        reading = partial(_read, encode, self._limits)
+        batches = results_of(reading, len(tasks), tasks.__getitem__)
+        return (part for batch in batches for part in batch)
 
 
 def _in_blocks(
@@ -331,31 +329,19 @@ def _in_blocks(
                 groups, n_rows = [], 0
 
 
-def _touches_of(
-    limits: tuple[int, int], blocks: _Blocks, rows: Array | None
-) -> list[Touches]:
-    """Read touches of some blocks, wherever this runs."""
-    return list(_read(limits, blocks, rows))
-
-
-def _encoded(
-    encode: Callable[[Touches], Floats],
+def _read(
+    encode: Callable[[Touches], Floats] | None,
     limits: tuple[int, int],
     blocks: _Blocks,
     rows: Array | None,
-) -> Floats:
-    """Encode touches of some blocks, wherever this runs."""
-    parts = [encode(touches) for touches in _read(limits, blocks, rows)]
-    return np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
-
-
-def _read(
-    limits: tuple[int, int], blocks: _Blocks, rows: Array | None
-) -> Iterator[Touches]:
+) -> list[Any]:
+    """Encode touches of some blocks, or read them, wherever this runs."""
     _refuse_changed(blocks)
-    for arrays, _ in parquet_rows(blocks.name, *limits, blocks.groups, rows):
-        yield Touches(**arrays)
+    read = parquet_rows(blocks.name, *limits, blocks.groups, rows)
+    touches = (Touches(**arrays) for arrays, _ in read)
+    parts = [part if encode is None else encode(part) for part in touches]
     _refuse_changed(blocks)
+    return parts
 
 
 def _refuse_changed(blocks: _Blocks) -> None:

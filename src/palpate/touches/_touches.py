@@ -31,6 +31,25 @@ from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 MAX_PIXELS = 50_000_000  # of one picture: any camera's
 MAX_BYTES = 4 * 2**30  # of all images, 4 GiB: what a laptop holds
 _LINE = 88  # columns of a terminal
+# What is read, by the endings of files, and which of it each option is for.
+_FOLDER, _PICTURE, _PARQUET = "a folder", "a picture", "Parquet"
+_ARCHIVE, _ARRAY, _TABLE = "an archive", "an array", "a table"
+_BARE, _OTHER = "bare frames", "a file of another program"
+_KINDS = {
+    **dict.fromkeys(PICTURES, _PICTURE),
+    **dict.fromkeys((*TABLES, *TEXTS), _TABLE),
+    **dict.fromkeys(CONTAINERS, _OTHER),
+    **dict.fromkeys(RAW, _BARE),
+    ".npy": _ARRAY,
+    ".npz": _ARCHIVE,
+}
+_TAKEN_BY = {
+    **dict.fromkeys(("name_pattern", "skip_bad", "colour"), (_FOLDER, _PICTURE)),
+    "levels": (_FOLDER,),
+    "shape": (_TABLE, _BARE),
+    "dtype": (_BARE,),
+    "channels": (_TABLE, _ARRAY, _BARE, _OTHER),
+}
 
 
 class Episode(NamedTuple):
@@ -50,6 +69,17 @@ class Labelled:
 
     __slots__ = ()
     _columns: Arrays
+
+    @staticmethod
+    def _rising(rows: ArrayLike, n_touches: int) -> NDArray[np.intp]:
+        """Return the places of touches that are picked, also by a mask."""
+        places = np.arange(n_touches)[_columns.picked_rows(rows, n_touches)]
+        if (np.diff(places) <= 0).any():
+            raise TouchesError(
+                "rows must be increasing indices of the touches, got others. "
+                "Sort them and drop those that come twice."
+            )
+        return places
 
     @property
     def columns(self) -> Mapping[str, Array]:
@@ -219,60 +249,32 @@ class Touches(Labelled):
         TouchesError
             The file or folder cannot be read as touches; it names the file and fix.
         """
-        if is_parquet(path):
-            why = "A Parquet file of palpate says itself what it holds."
-            of_folders = {"name_pattern": name_pattern, "levels": levels}
-            of_tables = {"shape": shape, "dtype": dtype, "channels": channels or None}
-            _left_out(path, "for Parquet", why, **of_folders, **of_tables)
-            _left_out(path, "for Parquet", why, colour=colour, skip_bad=skip_bad)
-            parts = parquet_parts(path, max_bytes, max_pixels)
-            held = (cls(**arrays)._with_files(files) for arrays, files in parts)
-            return cls._joined(held, max_bytes).with_no_contact(no_contact, max_pixels)
-        place = Path(path)
-        if place.exists() and not (place.is_file() or place.is_dir()):
-            raise _no_touches(place)  # a pipe would be waited for
-        ending = place.suffix.lower()
-        for_pictures = name_pattern is not None or colour
-        why = "Other files say themselves what they hold."
-        has_shape = ending in RAW or (ending in (*TABLES, *TEXTS) and ending != ".npy")
-        if place.exists() and not (has_shape and place.is_file()):
-            _left_out(place, "but for tables and bare frames", why, shape=shape)
-        if ending in (*CONTAINERS, *RAW) and place.exists():
-            _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
-        if ending in CONTAINERS and place.exists() and not for_pictures:
-            _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
-            arrays = container_arrays(place, max_bytes, max_pixels)
-            if channels:
-                arrays["channels"] = np.array(channels)
-            return cls(**arrays).with_no_contact(no_contact, max_pixels)
-        if ending in RAW and place.exists() and not for_pictures:
-            read = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
-            return read.with_no_contact(no_contact, max_pixels)
-        _left_out(place, f"but for {', '.join(RAW)}", why, dtype=dtype)
-        if place.is_dir() or (ending in PICTURES and place.is_file()):
-            named = list(channels) if channels else None
-            _left_out(place, "for pictures and folders", why, channels=named)
-            if place.is_file():
-                _left_out(place, "but for a folder", "", levels=levels)
+        kind, place = _kind_of(path), Path(path)
+        channels = list(channels) if channels else None
+        of_folders = {"name_pattern": name_pattern, "levels": levels, "colour": colour}
+        of_tables = {"shape": shape, "dtype": dtype, "channels": channels}
+        _refuse_options(path, kind, **of_folders, skip_bad=skip_bad, **of_tables)
+        if kind in (_FOLDER, _PICTURE):
             how = (name_pattern, levels, no_contact, colour, skip_bad)
             arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
             return cls(**arrays)._with_files(files)
-        _left_out(place, "but for a folder", "", levels=levels, skip_bad=skip_bad)
-        if ending in (*TABLES, *TEXTS) and place.is_file() and not for_pictures:
-            if ending != ".npy":
-                read = cls(**csv_arrays(place, shape, max_bytes, channels))
-            else:
-                array = load_levels(place, max_bytes)
-                array = array[None] if array.ndim == 2 else array
-                read = cls(array, channels=channels)
-            return read.with_no_contact(no_contact, max_pixels)
-        if ending != ".npz":
-            raise _no_touches(place)
-        why = "Archives carry their labels and the names of their channels."
-        named = list(channels) if channels else None
-        others = {"name_pattern": name_pattern, "colour": colour, "channels": named}
-        _left_out(place, "for an archive", why, **others)
-        touches = cls._of(*read_archive(place, max_bytes))
+        if kind == _PARQUET:
+            parts = parquet_parts(path, max_bytes, max_pixels)
+            held = (cls(**arrays)._with_files(files) for arrays, files in parts)
+            touches = cls._joined(held, max_bytes)
+        elif kind == _ARCHIVE:
+            touches = cls._of(*read_archive(place, max_bytes))
+        elif kind == _BARE:
+            touches = cls(**raw_arrays(place, shape, dtype, max_bytes, channels))
+        elif kind == _TABLE:
+            touches = cls(**csv_arrays(place, shape, max_bytes, channels))
+        elif kind == _ARRAY:
+            array = load_levels(place, max_bytes)
+            touches = cls(array[None] if array.ndim == 2 else array, channels=channels)
+        else:
+            arrays = container_arrays(place, max_bytes, max_pixels)
+            named = {"channels": np.array(channels)} if channels else {}
+            touches = cls(**{**arrays, **named})
         return touches.with_no_contact(no_contact, max_pixels)
 
     @classmethod
@@ -283,11 +285,7 @@ class Touches(Labelled):
         for part in parts:
             held.append(part)
             n_bytes += part.images.nbytes
-            if n_bytes > max_bytes:
-                raise TouchesError(
-                    f"Touches must take at most {max_bytes} bytes, got more. Keep them "
-                    "in a library, which is read as it is needed."
-                )
+            _columns.refuse_large("Touches held at once", n_bytes, max_bytes)
         same = _columns.common_whole([part._whole for part in held])
         plain = [part.without(*(part._whole.keys() - same.keys())) for part in held]
         joined = Touches.concatenate(plain)
@@ -320,14 +318,15 @@ class Touches(Labelled):
                 "frame must have columns of names that differ, got several called "
                 f"{listed(twice, 3)}. Name them apart, such as with add_prefix."
             )
-        table = {str(name): np.asarray(frame[name]) for name in frame.columns}
-        lacks = {str(name): np.asarray(frame[name].isna()) for name in frame.columns}
-        for name, column in table.items():
+        table = {}
+        for name in frame.columns:
+            column, lacks = np.asarray(frame[name]), np.asarray(frame[name].isna())
             if column.dtype.kind == "O":  # texts; what else there is is refused by name
-                texts = column[~lacks[name]].tolist()
+                texts = column[~lacks].tolist()
                 if texts and all(isinstance(text, str) for text in texts):
-                    column = np.where(lacks[name], "", column)
-                table[name] = np.asarray(column.tolist())
+                    column = np.where(lacks, "", column)
+                column = np.asarray(column.tolist())
+            table[str(name)] = column
         return cls(**table_arrays(table, shape))
 
     def to_frame(self) -> Any:
@@ -509,16 +508,12 @@ class Touches(Labelled):
         Names of the whole set (`no_contact`, `geometry`, `pads`, `set_...`) are
         welcome.
         """
-        for name, value in columns.items():
-            if name == "images":
-                raise TouchesError(
-                    "images must not be given as a column. "
-                    "Build Touches(images, **touches.columns, **touches.whole)."
-                )
-            if not _columns.belongs_to_whole(name):
-                array = _columns.plain_array(name, value)
-                _columns.checked_column(name, array, len(self))
-        added, changed = _columns.sorted_out(columns, self._images)
+        if "images" in columns:
+            raise TouchesError(
+                "images must not be given as a column. "
+                "Build Touches(images, **touches.columns, **touches.whole)."
+            )
+        added, changed = _columns.sorted_out(columns, self._images, None)
         kept = {name: a for name, a in self._whole.items() if name not in added}
         parts = {**self._columns, **added}, {**kept, **changed}
         check_layout(self._images, *parts)
@@ -585,46 +580,50 @@ class Touches(Labelled):
 
         Touches without labels are one episode per session, their object None.
         """
-        groups = np.zeros(len(self), dtype=np.intp)
-        for labels in (self.object, self.session):
-            if labels is not None:
-                codes = np.unique(labels, return_inverse=True)[1]
-                groups = groups * (codes.max() + 1) + codes
-        by_group = np.argsort(groups, kind="stable")
-        cuts = np.flatnonzero(np.diff(groups[by_group])) + 1
+        lacks = [None] * len(self)
+        objects = lacks if self.object is None else self.object.tolist()
+        sessions = lacks if self.session is None else self.session.tolist()
+        rows: dict[tuple[Any, Any], list[int]] = {}
+        for row, (name, session) in enumerate(zip(objects, sessions, strict=True)):
+            key = session if session == session else "NaN"  # which equals nothing
+            rows.setdefault((name, key), []).append(row)
         return [
-            Episode(
-                None if self.object is None else str(self.object[rows[0]]),
-                None if self.session is None else self.session[rows[0]].item(),
-                rows,
-            )
-            for rows in sorted(np.split(by_group, cuts), key=lambda rows: rows[0])
+            Episode(name, sessions[places[0]], np.array(places))
+            for (name, _), places in rows.items()
         ]
 
 
-def _left_out(place: str | PathLike[str], where: str, why: str, **options: Any) -> None:
-    """Refuse options that say nothing to a kind of file."""
-    for name, value in options.items():
-        if value is not None and value is not False:
-            raise TouchesError(
-                f"{name} must be left out {where}, got {value!r} with {place}. "
-                f"{why or nearest_path(Path(place))}".rstrip()
-            )
-
-
-def _no_touches(place: Path) -> TouchesError:
+def _kind_of(path: str | PathLike[str]) -> str:
+    """Return what is to be read; refuse what is no touches, or not there."""
+    place = Path(path)
+    ending = place.suffix.lower()
+    if is_parquet(path):
+        return _PARQUET
+    if place.is_dir() and ending != ".zarr":
+        return _FOLDER
+    if ending in _KINDS and (place.is_file() or place.is_dir()):
+        return _KINDS[ending]
     if not place.exists():
-        return TouchesError(
+        raise TouchesError(
             f"{place} must be a file or folder of touches, got nothing there. "
             f"{nearest_path(place) or 'Check the path.'}"
         )
-    if place.suffix.lower() in FILMS:
-        return TouchesError(
+    if ending in FILMS:
+        raise TouchesError(
             f"{place} must be cut into touches, got a film. Read it by "
             "sensors.TouchDetector().touches_in."
         )
-    kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
-    return TouchesError(
-        f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
-        "without options for others, got another kind of file. Convert it."
+    raise TouchesError(
+        f"{place} must be a touch archive (.npz), a folder, or one of "
+        f"{', '.join(_KINDS)}, got another kind of file. Convert it."
     )
+
+
+def _refuse_options(path: str | PathLike[str], kind: str, **options: Any) -> None:
+    """Refuse options that say nothing to a kind of file."""
+    for name, value in options.items():
+        if value is not None and value is not False and kind not in _TAKEN_BY[name]:
+            raise TouchesError(
+                f"{name} must be left out for {kind}, got {value!r} with {path}. "
+                f"It is for {' and '.join(_TAKEN_BY[name])}."
+            )
