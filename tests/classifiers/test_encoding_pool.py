@@ -285,10 +285,10 @@ def test_a_label_of_two_sessions_is_left_out_as_well_as_it_is_recognised():
     assert -left_out.mean() < np.log(5)  # no worse than knowing nothing
 
 
-def test_two_sessions_do_not_tell_how_far_to_correct():
+def test_two_sessions_tell_how_far_to_correct_and_one_does_not():
     touches, labels, _ = _rings(0)
-    sessions = np.tile([0, 1], 75)
-    pool = EncodingPool({"place": 2}).fit(touches, labels, groups=sessions)
-    assert pool.scaling_ is None
-    sessions = np.tile([0, 1, 2], 50)
-    assert pool.fit(touches, labels, groups=sessions).scaling_ is not None
+    pool = EncodingPool({"place": 2})
+    for n_sessions in (1, 2, 3):
+        sessions = np.tile(np.arange(n_sessions), 150 // n_sessions)
+        pool.fit(touches, labels, groups=sessions)
+        assert (pool.scaling_ is not None) == (n_sessions > 1)

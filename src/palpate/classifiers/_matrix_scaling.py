@@ -29,8 +29,8 @@ from ._ridge import fair_shares
 
 # Precisions of a normal prior on every entry of the matrix, of one touch's log loss.
 PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
-# A penalty is judged on so many runs of each label's groups, each left out by itself:
-# a third of a recording is another time. What is said of touches left out comes from
+# A penalty is judged on so many runs of each label's groups (two of two), each left out
+# by itself: a third of a recording is another time. What is said of touches left out comes from
 # more of them, so that it is as good as what is said of new ones.
 _N_JUDGED, _N_LEFT_OUT = 3, 5
 # Touches times labels squared that a matrix is learnt from: more are thinned out; and
@@ -75,7 +75,7 @@ def learn_scaling(log_posterior: Floats, codes: Indices, groups: Array) -> Scali
     loss, chosen = _smoothed_losses(log_softmax(log_posterior), codes), None
     thirds = _runs(codes, groups, _N_JUDGED)
     starts: dict[int, Floats] = {}
-    can_judge = len(sampled) and len(np.unique(thirds)) == _N_JUDGED
+    can_judge = len(sampled) and len(np.unique(thirds)) > 1
     for penalty in PENALTIES if can_judge else ():
         left_out = _left_out(centred, codes, sampled, thirds, penalty, starts)
         gained = loss - (corrected := _smoothed_losses(left_out, codes))
