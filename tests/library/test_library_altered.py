@@ -139,6 +139,40 @@ def test_a_flip_that_makes_bytes_a_text_is_no_crash(folder):
         assert library.touches().no_contact is None
 
 
+def test_counts_that_never_reached_the_disk_are_refused_and_repaired(folder):
+    """Where the end of a page is missing SQLite reads zeros: a row of NULLs."""
+    path, before = folder / "library.sqlite", rows_of(folder)
+    content = bytearray(path.read_bytes())
+    integer, digest = 1, 12 + 2 * 32
+    place = content.index(bytes([6, 0, integer, digest, integer, digest]))
+    content[place : -(-place // PAGE) * PAGE] = bytes(-place % PAGE)
+    path.write_bytes(content)
+    with pytest.raises(LibraryError, match="got no count of its touches"):
+        TouchLibrary.open(folder)
+    assert not check_library(folder).ok
+    assert repair_library(folder).rebuilt
+    assert check_library(folder).ok
+    assert rows_of(folder) == before
+
+
+def test_an_image_on_a_broken_page_is_left_out_and_named_alone(library):
+    """The end of an image is on pages of its own; each begins with the next one's."""
+    ids = library.add(press_of(1, 3, side=3000))
+    library.close()
+    path = library.folder / "library.sqlite"
+    with closing(sqlite3.connect(path)) as database:
+        [[image]] = database.execute("SELECT image FROM images WHERE number = 2")
+    content = bytearray(path.read_bytes())
+    page = content.index(image[-9000:-8900]) // PAGE * PAGE
+    content[page : page + 4] = b"\xff" * 4
+    path.write_bytes(content)
+    with TouchLibrary.open(library.folder) as opened:
+        with pytest.warns(UserWarning, match="^1 touches are left out: their images"):
+            assert len(opened.touches(damaged="skip")) == 2
+        named = [problem.touches for problem in opened.check().problems]
+    assert [ids[1]] in named
+
+
 def test_an_older_database_put_back_is_reported_until_it_is_accepted(folder):
     """The check reports it also after touches were added since."""
     before = (folder / "library.sqlite").read_bytes()

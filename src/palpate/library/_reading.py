@@ -419,8 +419,8 @@ def sound_numbers(tables: Tables, numbers: Numbers) -> Numbers:
 
 def whole_image(tables: Tables, row: StoredTouch) -> Image | None:
     """Return the image of a touch, None where it or a wide column cannot be read."""
-    [stored] = stored_images(tables, [row])
     try:
+        [stored] = stored_images(tables, [row])  # its page may be damaged too
         stored.unpacked()
         wide_values(tables, stored)
     except LibraryError:

@@ -249,7 +249,7 @@ class Store:
 
     def tally(self) -> Tally:
         row = self.first_row("SELECT n_touches, touches, n_changes, changes FROM tally")
-        if row is None:
+        if row is None or [*map(type, row)] != [int, bytes, int, bytes]:
             raise DatabaseDamaged(
                 f"{self.path} must be a sound database, got no count of its touches. "
                 f"{REPAIR}"
