@@ -273,6 +273,7 @@ def test_with_columns_adds_replaces_and_moves(six):
     [
         ({"mine": [1, 2]}, "mine must have one row per touch, got 2 rows for 6"),
         ({"images": np.zeros((6, 2, 2))}, "Build Touches"),
+        ({"object": None}, "object must hold plain numbers or text"),
     ],
 )
 def test_bad_added_columns_are_refused(six, columns, message):

@@ -84,12 +84,12 @@ def sorted_out(
 
     None counts as absent. `whole_names` are arrays of no settled name that belong
     to the whole set even where their length happens to be the number of touches; None
-    that all of no settled name are columns.
+    that all of no settled name are columns, and that None is no column.
     """
     columns: Arrays = {}
     whole: Arrays = {}
     for given_name, value in values.items():
-        if value is None:
+        if value is None and (whole_names is not None or belongs_to_whole(given_name)):
             continue
         name = FORMER.get(given_name, given_name)
         if name != given_name and values.get(name) is not None:
