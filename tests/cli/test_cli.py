@@ -402,7 +402,7 @@ def test_an_installed_palpate_says_where_benchmarks_are(tmp_path, monkeypatch):
         ("level = 'object'", "got level = 'object'. Choose among where, name-pattern,"),
         ("channels = ['x']", r"must hold options .* got channels = \['x'\]"),
         ("levels = 3", "--levels must name each level .* got '3'"),
-        ("skip-bad = 2", "Invalid value for '--skip-bad'"),
+        ("skip-bad = 2", "--skip-bad must be true or false, got '2'"),
         ("begin = true", "--begin must be a number such as 1, got 'True'"),
         ("levels =", "--read must be a TOML file, got .*reading.toml: Invalid value"),
     ],

@@ -120,8 +120,11 @@ def main() -> None:
 
 
 def _no_number(error: Any) -> str:
-    """Return what an option that must be a number got, and one; "" of other uses."""
-    match = re.search("valid (number|float|integer)", error.message)
+    """Return what an option that must be a number got, and one; "" of other uses.
+
+    A flag must be true or false, which a file of options may say otherwise.
+    """
+    match = re.search("valid (number|float|integer|boolean)", error.message)
     if match is None:
         return ""
     # What was typed stands in the cause; of older packages it begins the message.
@@ -130,10 +133,9 @@ def _no_number(error: Any) -> str:
     got = repr(problems[0]["input"]) if problems else typed
     default = error.param.default
     number = default if isinstance(default, int | float) else 1
-    kind = "a whole number" if match[1] == "integer" else "a number"
-    return (
-        f"{max(error.param.opts, key=len)} must be {kind} such as {number}, got {got}."
-    )
+    kinds = {"integer": f"a whole number such as {number}", "boolean": "true or false"}
+    kind = kinds.get(match[1], f"a number such as {number}")
+    return f"{max(error.param.opts, key=len)} must be {kind}, got {got}."
 
 
 def _end_stopped(message: str) -> NoReturn:
