@@ -30,8 +30,8 @@ from ._ridge import fair_shares
 # Precisions of a normal prior on every entry of the matrix, of one touch's log loss.
 PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 # A penalty is judged on so many runs of each label's groups (two of two), each left out
-# by itself: a third of a recording is another time. What is said of touches left out comes from
-# more of them, so that it is as good as what is said of new ones.
+# by itself: a third of a recording is another time. What is said of touches left out
+# comes from more of them, so that it is as good as what is said of new ones.
 _N_JUDGED, _N_LEFT_OUT = 3, 5
 # Touches times labels squared that a matrix is learnt from: more are thinned out; and
 # so many touches for each label, at least.
