@@ -69,9 +69,7 @@ def check_number(
     name: str, value: object, *, low: float = -np.inf, high: float = np.inf
 ) -> float:
     """Return `value` as a finite float within [low, high], or explain."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
-    number = _as_float(value)
+    number = _as_float(name, value)
     if not (np.isfinite(number) and low <= number <= high):
         raise ValueError(
             f"{name} must be finite and between {low} and {high}, got {value}."
@@ -81,9 +79,7 @@ def check_number(
 
 def check_positive(name: str, value: object) -> float:
     """Return `value` as a float, or say what `name` should have been."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
-    number = _as_float(value)
+    number = _as_float(name, value)
     if not 0 < number < float("inf"):
         raise ValueError(f"{name} must be positive and finite, got {value}.")
     return number
@@ -100,8 +96,11 @@ def check_strangers(strangers: object) -> float:
     return share
 
 
-def _as_float(value: Any) -> float:
-    """Return a number as a float, infinite where none is as large."""
+def _as_float(name: str, value: Any) -> float:
+    """Return a number as a float, infinite where none is as large, or explain."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if not is_number:
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
     try:
         return float(value)
     except OverflowError:

@@ -381,7 +381,7 @@ def test_other_norms_one_class_and_touches_out_of_range_are_refused(problem):
     X, labels = problem
     with pytest.raises(ValueError, match="solver must be 'interior'"):
         MKLSVC(solver="simplemkl", norm=2).fit(X, labels)
-    with pytest.raises(ValueError, match="at least two classes, got one class: pen"):
+    with pytest.raises(ValueError, match="at least two labels, got 1 class: pen"):
         MKLSVC().fit(X, ["pen"] * 48)
 
     machine = MKLSVC(kernels=[PolynomialKernel(6)], normalize=None, C=1e-9)

@@ -23,7 +23,7 @@ from .._checks import check_option, check_positive, check_squarable
 from .._numbers import exp
 from .._types import Array, Floats
 from ._kernel_sums import blocks_of, learn_whitening, whiten
-from ._touch_classifier import BayesRule, as_touches, labelled_touches
+from ._touch_classifier import BayesRule, as_touches, classes_of, labelled_touches
 
 # Interquartile range of a Gaussian, in standard deviations.
 GAUSSIAN_IQR = 1.349
@@ -255,14 +255,8 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
             check_positive("gamma", self.gamma)
         touches, labels = labelled_touches(self, X, y)
         check_squarable(touches)
-        classes, codes = np.unique(labels, return_inverse=True)
-        n_labels = len(classes)
-        if n_labels < 2:
-            raise ValueError(
-                f"y must have at least two labels, got {n_labels} class. "
-                "Add touches of another label."
-            )
-        self.classes_ = classes
+        self.classes_, codes = classes_of(labels)
+        n_labels = len(self.classes_)
         if isinstance(self.gamma, str):
             variance = float(touches.var()) if self.gamma == "scale" else 1.0
             unit = touches.shape[1] * variance if variance > 0 else 1.0

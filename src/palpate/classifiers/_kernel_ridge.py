@@ -43,6 +43,7 @@ from ._touch_classifier import (
     BayesRule,
     Groups,
     as_touches,
+    classes_of,
     labelled_touches,
     rows_left_out,
 )
@@ -185,11 +186,7 @@ class KernelRidgeClassifier(BayesRule):
     ) -> tuple[Floats, Array, Array]:
         touches, labels = labelled_touches(self, X, y, reset=reset)
         check_squarable(touches)
-        classes, codes = np.unique(labels, return_inverse=True)
-        if reset and len(classes) < 2:
-            raise ValueError(
-                f"y must hold at least two labels, got 1 class: {classes[0]}."
-            )
+        classes, codes = classes_of(labels, least=2 if reset else 1)
         group = as_groups(groups, len(touches))
         self.classes_ = classes
         return touches, codes, group
@@ -339,10 +336,9 @@ class KernelRidgeClassifier(BayesRule):
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
-        straight = copy(self)
-        straight.temperature_, straight.bend_ = 1.0, 0.0
-        straight.log_counts_ = np.zeros(())
-        return straight._bent_scores(X)
+        if not hasattr(self, "coefficients_"):  # the check itself takes a while
+            check_is_fitted(self)
+        return self._scores(check_squarable(as_touches(self, X)))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
@@ -350,16 +346,13 @@ class KernelRidgeClassifier(BayesRule):
         Shape (n_touches, n_classes). The posterior under equal priors, so each
         row is a likelihood but for a factor that no belief depends on.
         """
-        return log_softmax(self._bent_scores(X))
-
-    def _bent_scores(self, X: ArrayLike) -> Floats:
-        if not hasattr(self, "coefficients_"):  # the check itself takes a while
-            check_is_fitted(self)
-        touches = check_squarable(as_touches(self, X))
-        return self.log_likelihood_checked(touches)
+        return log_softmax(self._bent(self.scores(X)))
 
     def log_likelihood_checked(self, touches: Floats) -> Floats:
         """Do what `log_likelihood` does, but for a constant of each touch."""
+        return self._bent(self._scores(touches))
+
+    def _scores(self, touches: Floats) -> Floats:
         centred = touches - self.mean_
         # One pass over the training touches: their own norms are known.
         squared = (-2 * centred) @ self.touches_.T
@@ -369,16 +362,16 @@ class KernelRidgeClassifier(BayesRule):
         squared *= -self.width_ / self.unit_
         kernel = exp(squared, out=squared).astype(self.coefficients_.dtype, copy=False)
         scores = (kernel @ self.coefficients_).astype(np.float64, copy=False)
-        scores = scores + 1 / len(self.classes_)
+        return np.asarray(scores + 1 / len(self.classes_))
+
+    def _bent(self, scores: Floats) -> Floats:
         bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
         return np.asarray(bent - self.log_counts_)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        scores = self.left_out_scores_
-        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
-        return log_softmax(bent - self.log_counts_)
+        return log_softmax(self._bent(self.left_out_scores_))
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""

@@ -293,6 +293,20 @@ def labelled_touches(
     return touches, labels
 
 
+def classes_of(labels: Array, *, least: int = 2) -> tuple[Array, Indices]:
+    """Return the labels that occur, sorted, and the place of each touch's among them.
+
+    A label alone is refused, unless `least` is 1.
+    """
+    classes, codes = np.unique(labels, return_inverse=True)
+    if len(classes) < least:
+        raise ValueError(
+            f"y must hold at least two labels, got 1 class: {classes[0]}. Add touches "
+            "of another."
+        )
+    return classes, codes
+
+
 def _is_plain_labels(y: object) -> TypeGuard[Array]:
     """Whether labels are classes in one plain array."""
     return type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in PLAIN_LABELS

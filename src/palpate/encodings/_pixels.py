@@ -428,8 +428,7 @@ class PolarGradients(ImageEstimator):
 
     def _learn(self, images: Array) -> Floats:
         check_count("n_rings", self.n_rings)
-        check_count("n_harmonics", self.n_harmonics)
-        check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
+        check_count("n_harmonics", self.n_harmonics, at_most=_PLACES // 2 - 1)
         check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
         raw = self._harmonics(images)
         means, power = raw[..., 0].mean(axis=0), np.zeros(raw.shape[1])
