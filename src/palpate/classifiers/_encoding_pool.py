@@ -88,10 +88,7 @@ class RehearsedMachine(BayesRule):
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats)."""
-        return self.log_likelihood_checked(np.asarray(X, dtype=np.float64))
-
-    def log_likelihood_checked(self, touches: Floats) -> Floats:
-        """Do what `log_likelihood` does."""
+        touches = np.asarray(X, dtype=np.float64)
         rehearsed = self.rehearsed.log_likelihood_checked(touches @ self.weighing)
         if self.share == 1:
             return rehearsed

@@ -38,6 +38,8 @@ from ._ridge import (
     smoothed_loss,
     solve_ridge,
     squared_distances,
+    squared_distances_to,
+    squared_lengths,
 )
 from ._touch_classifier import (
     BayesRule,
@@ -138,6 +140,9 @@ class KernelRidgeClassifier(BayesRule):
     lean_: float
     sums_: Sums
     takes_weights = True
+    # What makes learning more of it quick: of all touches, or of landmarks.
+    _inverse: GrowingInverse | None = None
+    _summed: LandmarkRegression | None = None
 
     def __init__(
         self,
@@ -176,8 +181,7 @@ class KernelRidgeClassifier(BayesRule):
         """
         touches, codes, group = self._validated_input(X, y, groups)
         self._choose(touches, codes, group)
-        self._inverse: GrowingInverse | None = None
-        self._summed: LandmarkRegression | None = None
+        self._inverse = self._summed = None
         self._learn(touches, codes, group, np.ones(len(touches)))
         return self
 
@@ -252,7 +256,7 @@ class KernelRidgeClassifier(BayesRule):
             left_out = left_out[rows]
             if grown is not None:
                 start = self.temperature_, self.bend_, self.lean_
-        self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
+        self.squared_norms_ = squared_lengths(self.touches_)
         self.left_out_scores_, own_codes = left_out, codes[rows]
         sampled = _thin(own_codes, min(_SHAPED_BY, _SHAPED_ANSWERS // n_labels + 1))
         counts = np.bincount(codes, minlength=n_labels)
@@ -299,8 +303,7 @@ class KernelRidgeClassifier(BayesRule):
         """Let some touches stand for all; return left-out scores of some."""
         self._inverse = None
         taught = touches, codes, self.classes_
-        before: LandmarkRegression | None = self.__dict__.get("_summed")
-        summed = before and before.again(taught)
+        summed = self._summed and self._summed.again(taught)
         if summed is None:
             n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
             self.mean_ = touches.mean(axis=0)
@@ -315,7 +318,7 @@ class KernelRidgeClassifier(BayesRule):
         self, touches: Floats, codes: Array, ridges: Floats
     ) -> GrowingInverse | None:
         """Return the inverse with a few touches more than it has, None of others."""
-        inverse: GrowingInverse | None = self.__dict__.get("_inverse")
+        inverse = self._inverse
         if inverse is None or len(touches) > (1 + GROWTH) * inverse.n_first:
             return None
         centred, labels = touches - self.mean_, self.classes_[codes]
@@ -355,12 +358,10 @@ class KernelRidgeClassifier(BayesRule):
     def _scores(self, touches: Floats) -> Floats:
         centred = touches - self.mean_
         # One pass over the training touches: their own norms are known.
-        squared = (-2 * centred) @ self.touches_.T
-        squared += (centred**2).sum(axis=1)[:, np.newaxis]
-        squared += self.squared_norms_
-        np.maximum(squared, 0, out=squared)
-        squared *= -self.width_ / self.unit_
-        kernel = exp(squared, out=squared).astype(self.coefficients_.dtype, copy=False)
+        squared = squared_distances_to(
+            self.touches_, self.squared_norms_, centred, (centred**2).sum(axis=1)
+        )
+        kernel = self._kernel(squared).astype(self.coefficients_.dtype, copy=False)
         scores = (kernel @ self.coefficients_).astype(np.float64, copy=False)
         return np.asarray(scores + 1 / len(self.classes_))
 
@@ -375,12 +376,11 @@ class KernelRidgeClassifier(BayesRule):
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""
-        summed: LandmarkRegression | None = self.__dict__.get("_summed")
-        if summed is None:
+        if self._summed is None:
             return self
         other = copy(self)
         other.left_out_scores_ = self.left_out_scores_.astype(np.float32)
-        other.sums_ = summed.sums()
+        other.sums_ = self._summed.sums()
         return other
 
     def resume(self, X: ArrayLike, y: ArrayLike) -> None:
@@ -399,8 +399,7 @@ class KernelRidgeClassifier(BayesRule):
         self._summed = self._regression().resumed(sums, dtype, taught)
 
     def _regression(self) -> LandmarkRegression:
-        squares = np.einsum("ij,ij->i", self.touches_, self.touches_)
-        landmarks = Landmarks(self.touches_, squares, self.width_ / self.unit_)
+        landmarks = Landmarks(self.touches_, self.width_ / self.unit_)
         return LandmarkRegression(landmarks, self.mean_, self.ridge_)
 
     def refit(
@@ -429,7 +428,7 @@ class KernelRidgeClassifier(BayesRule):
         return again
 
     def __getstate__(self) -> dict[str, Any]:
-        # What makes learning more of it quick is larger than all the rest.
+        # These are larger than all the rest.
         state = super().__getstate__().items()
         return {k: v for k, v in state if k not in ("_inverse", "_summed")}
 

@@ -163,6 +163,24 @@ class GrowingInverse:
         return result
 
 
+def squared_lengths(touches: Array) -> Array:
+    return np.asarray(np.einsum("ij,ij->i", touches, touches))
+
+
+def squared_distances_to(
+    touches: Array, squares: Array, centred: Array, own_squares: Array
+) -> Array:
+    """Return those from some touches to others, (n_centred, n_touches).
+
+    With the squared length of each, `squares` and `own_squares`.
+    """
+    squared: Array = (-2 * centred) @ touches.T
+    squared += own_squares[:, np.newaxis]
+    squared += squares
+    np.maximum(squared, 0, out=squared)
+    return squared
+
+
 def squared_distances(touches: Floats) -> Floats:
     """Return those between touches, made in one piece of memory."""
     squared = touches @ touches.T
