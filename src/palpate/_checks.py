@@ -308,13 +308,21 @@ def as_groups(groups: ArrayLike | None, n_touches: int) -> Indices:
     if groups is None:
         return np.arange(n_touches)
     check_label_kinds(groups, "groups")
-    numbers = np.asarray(groups)
-    if numbers.shape != (n_touches,):
-        raise ValueError(
-            f"groups must have one entry per training touch ({n_touches}), "
-            f"got shape {numbers.shape}."
-        )
+    numbers = one_each("groups", groups, n_touches)
     return np.asarray(np.unique(numbers, return_inverse=True)[1])
+
+
+def one_each(
+    name: str, values: ArrayLike, n: int, things: str = "touches"
+) -> NDArray[Any]:
+    """Return values as an array (n,), one for each of some things, or explain."""
+    array = np.asarray(values)
+    if array.shape != (n,):
+        raise ValueError(
+            f"{name} must have one entry for each of {n} {things}, got shape "
+            f"{array.shape}."
+        )
+    return array
 
 
 def _label_kind(label: object) -> str:

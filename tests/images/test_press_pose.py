@@ -203,7 +203,7 @@ def test_labels_images_and_angles_that_do_not_fit_are_refused(fitted, drawn):
         PressPose().estimate(images, labels)
     with pytest.raises(ValueError, match="labels seen by fit, got 'nut'"):
         fitted.estimate(images[:1], ["nut"])
-    with pytest.raises(ValueError, match="one label per press"):
+    with pytest.raises(ValueError, match="one entry for each of"):
         fitted.estimate(images, labels[:3])
     with pytest.raises(ValueError, match="fitted on 10 x 10"):
         fitted.estimate(images[:, :8], labels)

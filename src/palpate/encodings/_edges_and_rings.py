@@ -37,7 +37,7 @@ class CanvasEncoder(ImageEstimator):
     """
 
     _most, _multiple = 64, 1
-    _bounded = True
+    _takes = "bounded"
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""

@@ -322,7 +322,7 @@ class PadShapes(ImageEstimator):
     (2, 41)
     """
 
-    _allow_nan = True
+    _takes = "nan"
 
     def __init__(self, pads: ArrayLike | None = None) -> None:
         self.pads = pads

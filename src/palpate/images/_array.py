@@ -66,7 +66,7 @@ class ArrayCleanUp(ImageEstimator):
     array([221])
     """
 
-    _allow_nan = True
+    _takes = "nan"
 
     def __init__(
         self,

@@ -20,8 +20,14 @@ from sklearn.base import BaseEstimator
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_images, check_label_kinds, check_positive
-from .._types import Array, Floats, Indices
+from .._checks import (
+    check_count,
+    check_images,
+    check_label_kinds,
+    check_positive,
+    one_each,
+)
+from .._types import Floats, Indices
 from . import _pose_template
 from ._array import binarise, correct_gamma, fill_dead_taxels, resize
 from ._pose_template import find_symmetry, learn_template, pose_variances, register
@@ -155,7 +161,8 @@ class PressPose(BaseEstimator):
             square at 0 stands on a corner.
         """
         images = check_images(X, allow_nan=True)
-        labels = _check_labels(y, len(images))
+        check_label_kinds(y)
+        labels = one_each("y", y, len(images))
         angles = None if angle_deg is None else np.asarray(angle_deg, dtype=np.float64)
         if angles is not None and (
             angles.shape != (len(images),) or not np.isfinite(angles).all()
@@ -185,7 +192,8 @@ class PressPose(BaseEstimator):
         """Estimate the pose of each press `X` of the parts `y`."""
         check_is_fitted(self)
         images = check_images(X, shape=self.image_shape_, allow_nan=True)
-        labels = _check_labels(y, len(images))
+        check_label_kinds(y)
+        labels = one_each("y", y, len(images))
         unknown = np.setdiff1d(labels, self.labels_)
         if len(unknown):
             raise ValueError(
@@ -284,14 +292,3 @@ def _turn(points: Floats, angles: Floats) -> Floats:
     cos, sin = np.cos(angles), np.sin(angles)
     x, y = points.T
     return np.column_stack([cos * x - sin * y, sin * x + cos * y])
-
-
-def _check_labels(y: ArrayLike, n_touches: int) -> Array:
-    check_label_kinds(y)
-    labels = np.asarray(y)
-    if labels.shape != (n_touches,):
-        raise ValueError(
-            f"y must hold one label per press, shape ({n_touches},), got shape "
-            f"{labels.shape}."
-        )
-    return labels
