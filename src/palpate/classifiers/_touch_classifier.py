@@ -285,9 +285,14 @@ def labelled_touches(
     Not `reset`, the touches must be like those of `fit`.
     """
     check_label_kinds(y)
-    plain = not reset and _is_as_in_fit(estimator, X) and _is_plain_labels(y)
-    if plain and np.shape(X)[0] == np.shape(y)[0]:
-        return np.asarray(X), np.asarray(y)
+    if (
+        not reset
+        and _is_as_in_fit(estimator, X)
+        and type(y) is np.ndarray
+        and y.dtype.kind in PLAIN_LABELS
+        and y.shape == np.shape(X)[:1]
+    ):
+        return np.asarray(X), y
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
     check_targets(labels)
     return touches, labels
@@ -305,11 +310,6 @@ def classes_of(labels: Array, *, least: int = 2) -> tuple[Array, Indices]:
             "of another."
         )
     return classes, codes
-
-
-def _is_plain_labels(y: object) -> TypeGuard[Array]:
-    """Whether labels are classes in one plain array."""
-    return type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in PLAIN_LABELS
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
