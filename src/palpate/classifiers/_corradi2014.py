@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.metrics.pairwise import pairwise_kernels
 from sklearn.svm import SVC
-from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_option, check_positive, check_squarable
 from .._numbers import exp
@@ -131,7 +130,6 @@ class KernelDensityNaiveBayes(BayesRule):
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | label) in nats, shape (n_touches, n_labels)."""
-        check_is_fitted(self)
         x = self._standardise(as_touches(self, X))
         constant = -self.log_volume_ - x.shape[1] * np.log(2 * np.pi) / 2
         widths = np.log(self.bandwidths_).sum(axis=1)
@@ -277,7 +275,6 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
 
     def decision_values(self, X: ArrayLike) -> Floats:
         """Return what each machine says, (n_touches, n_labels); positive is "mine"."""
-        check_is_fitted(self)
         kernel = pairwise_kernels(
             as_touches(self, X),
             self.support_touches_,

@@ -295,7 +295,6 @@ class EncodingPool(BayesRule):
         `keep_shape` of `KernelRidgeClassifier.refit`, which also keeps the scaling of
         the same labels.
         """
-        check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
         check_squarable(touches)
         # Machines of the user's may take neither.
@@ -332,8 +331,6 @@ class EncodingPool(BayesRule):
 
         In the order of `machines_`; zeros for those that weigh nothing.
         """
-        if not hasattr(self, "machines_"):
-            check_is_fitted(self)
         touches = check_squarable(_touch_classifier.as_touches(self, X))
         shape = len(self.machines_), len(touches), len(self.classes_)
         log_likelihood, weighing = np.zeros(shape), []

@@ -339,8 +339,6 @@ class KernelRidgeClassifier(BayesRule):
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
-        if not hasattr(self, "coefficients_"):  # the check itself takes a while
-            check_is_fitted(self)
         return self._scores(check_squarable(as_touches(self, X)))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
@@ -416,7 +414,6 @@ class KernelRidgeClassifier(BayesRule):
         its ridge; touches that are learnt by landmarks all count 1. With `keep_shape`
         temperature, bend and lean of the posterior stay too: quicker, for a few more.
         """
-        check_is_fitted(self)
         touches, codes, group = self._validated_input(X, y, groups, reset=False)
         each = np.ones(len(touches)) if weights is None else weights
         self._learn(touches, codes, group, each, keep_shape)

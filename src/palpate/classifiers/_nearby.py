@@ -196,7 +196,6 @@ class NearbyTouches(BayesRule):
 
     def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Store other touches, with the width and temperature already chosen."""
-        check_is_fitted(self)
         queries, group, _ = self._stored(X, y, groups, reset=False)
         densities = self._densities(queries, self.width_, group)
         self._learn_list(queries, group, densities)
@@ -266,8 +265,6 @@ class NearbyTouches(BayesRule):
 
         Shape (n_touches, n_classes).
         """
-        if not hasattr(self, "touches_"):
-            check_is_fitted(self)
         touches = check_squarable(as_touches(self, X)) - self.mean_
         centred = touches.astype(np.float32)
         densities = self._densities(centred, self.width_)

@@ -247,8 +247,8 @@ class FromProbabilities(BayesRule):
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return the logarithm of `predict_proba`, (n_touches, n_objects)."""
-        check_is_fitted(self)
-        return _log_probability(self.classifier_, as_touches(self, X))
+        touches = as_touches(self, X)
+        return _log_probability(self.classifier_, touches)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their folds left out."""
@@ -282,8 +282,10 @@ def labelled_touches(
 ) -> tuple[Floats, Array]:
     """Return `X` as touches and `y` as labels, or raise as `validate_data` does.
 
-    Not `reset`, the touches must be like those of `fit`.
+    Not `reset`, the touches must be like those of `fit`, which was called.
     """
+    if not reset:
+        check_is_fitted(estimator)
     check_label_kinds(y)
     if (
         not reset
@@ -313,9 +315,10 @@ def classes_of(labels: Array, *, least: int = 2) -> tuple[Array, Indices]:
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
-    """Return `X` (n_touches, n_features) as in `fit`, or raise as `validate_data`."""
+    """Return `X` as in `fit`, which was called, or raise as `validate_data` does."""
     if _is_as_in_fit(estimator, X):
         return np.asarray(X)
+    check_is_fitted(estimator)
     return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
 
 
