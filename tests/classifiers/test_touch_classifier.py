@@ -274,6 +274,6 @@ def test_a_fit_of_one_label_leaves_a_classifier_as_it_was(kind, rng):
     touches, labels = rng.normal(size=(12, 3)), ["mug", "pen"] * 6
     learnt = kind().fit(touches, labels)
     before = learnt.predict(touches).tolist()
-    with pytest.raises(ValueError, match="at least two"):
+    with pytest.raises(ValueError, match="at least two labels, got 1 class: mug"):
         learnt.fit(touches, ["mug"] * 12)
     assert learnt.predict(touches).tolist() == before
