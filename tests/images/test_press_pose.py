@@ -209,8 +209,10 @@ def test_labels_images_and_angles_that_do_not_fit_are_refused(fitted, drawn):
         fitted.estimate(images[:, :8], labels)
     with pytest.raises(TypeError, match="y must hold labels of one kind, got numbers"):
         PressPose().fit(images[:2], [1, "bar"])
-    with pytest.raises(ValueError, match="angle_deg must be finite"):
+    with pytest.raises(ValueError, match="angle_deg must have one entry for each of"):
         PressPose().fit(images, labels, truth[:3, 2])
+    with pytest.raises(ValueError, match="angle_deg must be finite"):
+        PressPose().fit(images, labels, np.full(len(images), np.nan))
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from .._checks import as_groups, check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Bools, Floats, Indices, Singles
 from ._kernel_ridge import KernelRidgeClassifier
-from ._ridge import best_shape, squared_distances_to, squared_lengths
+from ._ridge import USUAL_SHAPE, best_shape, squared_distances_to, squared_lengths
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -142,7 +142,7 @@ class NearbyTouches(BayesRule):
         if codes is not None:
             is_own = lists == codes[:, np.newaxis]
             is_listed = is_own.any(axis=1)
-            self.bent_ = 8.0, 0.5
+            self.bent_ = USUAL_SHAPE[:2]
             if is_listed.any():
                 counts = np.ones(lists.shape[1], dtype=np.intp)
                 at = is_own[is_listed].argmax(axis=1)

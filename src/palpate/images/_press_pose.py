@@ -30,6 +30,7 @@ from .._checks import (
 from .._types import Floats, Indices
 from . import _pose_template
 from ._array import binarise, correct_gamma, fill_dead_taxels, resize
+from ._orientation import per_touch
 from ._pose_template import find_symmetry, learn_template, pose_variances, register
 
 _PIXELS_PER_TAXEL, _GAMMA = 3, 0.8  # of the outline that registration starts from
@@ -163,14 +164,10 @@ class PressPose(BaseEstimator):
         images = check_images(X, allow_nan=True)
         check_label_kinds(y)
         labels = one_each("y", y, len(images))
-        angles = None if angle_deg is None else np.asarray(angle_deg, dtype=np.float64)
-        if angles is not None and (
-            angles.shape != (len(images),) or not np.isfinite(angles).all()
-        ):
-            raise ValueError(
-                f"angle_deg must be finite angles of shape ({len(images)},), got shape "
-                f"{angles.shape}. Leave it out where angles are unknown."
-            )
+        angles = None
+        if angle_deg is not None:
+            each = one_each("angle_deg", angle_deg, len(images))
+            angles = per_touch("angle_deg", each, labels.shape)
         check_positive("pitch_mm", self.pitch_mm)
         most = check_count("max_presses", self.max_presses)
         self.image_shape_ = (images.shape[1], images.shape[2])
