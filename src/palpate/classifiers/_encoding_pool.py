@@ -94,6 +94,8 @@ class RehearsedMachine(BayesRule):
             return rehearsed
         return self._both(self.plain.log_likelihood_checked(touches), rehearsed)
 
+    log_likelihood_checked = log_likelihood  # type: ignore[assignment]
+
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches, their groups left out."""
         rehearsed = log_softmax(self.rehearsed.left_out_log_likelihood())

@@ -38,8 +38,6 @@ from ._ridge import (
     smoothed_loss,
     solve_ridge,
     squared_distances,
-    squared_distances_to,
-    squared_lengths,
 )
 from ._touch_classifier import (
     BayesRule,
@@ -256,7 +254,7 @@ class KernelRidgeClassifier(BayesRule):
             left_out = left_out[rows]
             if grown is not None:
                 start = self.temperature_, self.bend_, self.lean_
-        self.squared_norms_ = squared_lengths(self.touches_)
+        self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
         self.left_out_scores_, own_codes = left_out, codes[rows]
         sampled = _thin(own_codes, min(_SHAPED_BY, _SHAPED_ANSWERS // n_labels + 1))
         counts = np.bincount(codes, minlength=n_labels)
@@ -339,7 +337,10 @@ class KernelRidgeClassifier(BayesRule):
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
-        return self._scores(check_squarable(as_touches(self, X)))
+        straight = copy(self)
+        straight.temperature_, straight.bend_ = 1.0, 0.0
+        straight.log_counts_ = np.zeros(())
+        return straight._bent_scores(X)
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
@@ -347,30 +348,32 @@ class KernelRidgeClassifier(BayesRule):
         Shape (n_touches, n_classes). The posterior under equal priors, so each
         row is a likelihood but for a factor that no belief depends on.
         """
-        return log_softmax(self._bent(self.scores(X)))
+        return log_softmax(self._bent_scores(X))
+
+    def _bent_scores(self, X: ArrayLike) -> Floats:
+        return self.log_likelihood_checked(check_squarable(as_touches(self, X)))
 
     def log_likelihood_checked(self, touches: Floats) -> Floats:
         """Do what `log_likelihood` does, but for a constant of each touch."""
-        return self._bent(self._scores(touches))
-
-    def _scores(self, touches: Floats) -> Floats:
         centred = touches - self.mean_
         # One pass over the training touches: their own norms are known.
-        squared = squared_distances_to(
-            self.touches_, self.squared_norms_, centred, (centred**2).sum(axis=1)
-        )
-        kernel = self._kernel(squared).astype(self.coefficients_.dtype, copy=False)
+        squared = (-2 * centred) @ self.touches_.T
+        squared += (centred**2).sum(axis=1)[:, np.newaxis]
+        squared += self.squared_norms_
+        np.maximum(squared, 0, out=squared)
+        squared *= -self.width_ / self.unit_
+        kernel = exp(squared, out=squared).astype(self.coefficients_.dtype, copy=False)
         scores = (kernel @ self.coefficients_).astype(np.float64, copy=False)
-        return np.asarray(scores + 1 / len(self.classes_))
-
-    def _bent(self, scores: Floats) -> Floats:
+        scores = scores + 1 / len(self.classes_)
         bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
         return np.asarray(bent - self.log_counts_)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        return log_softmax(self._bent(self.left_out_scores_))
+        scores = self.left_out_scores_
+        bent = self.temperature_ * scores / (1 + self.bend_ * np.abs(scores))
+        return log_softmax(bent - self.log_counts_)
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""

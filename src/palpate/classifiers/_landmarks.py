@@ -28,7 +28,7 @@ from scipy.linalg.blas import dsyrk
 from .._numbers import exp
 from .._parallel import results_of
 from .._types import Array, Floats, Indices
-from ._ridge import GROWTH, group_members, squared_distances_to, squared_lengths
+from ._ridge import GROWTH, group_members, squared_distances_to
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
 TOUCHES_AT_ONCE, TOUCHES_A_TASK = 2000, 20_000
@@ -62,8 +62,8 @@ class Landmarks:
 
     def kernel(self, centred: Floats) -> Floats:
         """Return the kernel (n_touches, n_marks) of touches (n_touches, n_features)."""
-        squares, own = squared_lengths(self.marks), squared_lengths(centred)
-        squared = squared_distances_to(self.marks, squares, centred, own)
+        squares = np.einsum("ij,ij->i", self.marks, self.marks)
+        squared = squared_distances_to(self.marks, squares, centred)
         squared *= -self.rate
         np.maximum(squared, _LEAST_EXPONENT, out=squared)
         return exp(squared, out=squared)

@@ -21,7 +21,7 @@ from .._checks import as_groups, check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Bools, Floats, Indices, Singles
 from ._kernel_ridge import KernelRidgeClassifier
-from ._ridge import USUAL_SHAPE, best_shape, squared_distances_to, squared_lengths
+from ._ridge import USUAL_SHAPE, best_shape, squared_distances_to
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -167,7 +167,7 @@ class NearbyTouches(BayesRule):
         if not len(rows):
             return np.full(len(labels), 1 / len(labels))
         near = self.touches_[rows].astype(np.float64) - centred
-        squares = squared_lengths(near)
+        squares = np.einsum("ij,ij->i", near, near)
         if len(rows) > _MOST_NEAR:
             nearest = np.argpartition(squares, _MOST_NEAR)[:_MOST_NEAR]
             near, squares, owners = near[nearest], squares[nearest], owners[nearest]
@@ -213,7 +213,7 @@ class NearbyTouches(BayesRule):
         if reset:
             self.mean_ = touches.mean(axis=0)
         self.touches_ = (touches[order] - self.mean_).astype(np.float32)
-        self.squares_ = squared_lengths(self.touches_)
+        self.squares_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
         self.starts_ = np.searchsorted(codes[order], np.arange(len(self.classes_)))
         self.left_out_rows_ = rows = rows_left_out(codes, group)
         queries = (touches[rows] - self.mean_).astype(np.float32)
@@ -227,9 +227,7 @@ class NearbyTouches(BayesRule):
         for k in range(0, len(queries), at_once):
             rows = slice(k, k + at_once)
             centred = queries[rows]
-            squared: Singles = squared_distances_to(
-                self.touches_, self.squares_, centred, squared_lengths(centred)
-            )
+            squared = squared_distances_to(self.touches_, self.squares_, centred)
             yield squared, group and group[0][rows, np.newaxis] == group[1]
 
     def _densities(

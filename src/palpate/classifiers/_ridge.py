@@ -163,19 +163,10 @@ class GrowingInverse:
         return result
 
 
-def squared_lengths(touches: Array) -> Array:
-    return np.asarray(np.einsum("ij,ij->i", touches, touches))
-
-
-def squared_distances_to(
-    touches: Array, squares: Array, centred: Array, own_squares: Array
-) -> Array:
-    """Return those from some touches to others, (n_centred, n_touches).
-
-    With the squared length of each, `squares` and `own_squares`.
-    """
+def squared_distances_to(touches: Array, squares: Array, centred: Array) -> Array:
+    """Return those to touches of known squared length, (n_centred, n_touches)."""
     squared: Array = (-2 * centred) @ touches.T
-    squared += own_squares[:, np.newaxis]
+    squared += np.einsum("ij,ij->i", centred, centred)[:, np.newaxis]
     squared += squares
     np.maximum(squared, 0, out=squared)
     return squared

@@ -221,8 +221,10 @@ def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:
         usual = (near.row, near.col, near.radius)
         sign = _rim_fit.sign_at(grey, usual)
         here = _rim_fit.refine(grey, usual, sign, near.radius, widths=(0.4, 0.2))
-        if here is not None and _away(here, near) <= FEW_STEPS * near.radius:
-            yield here
+        if here is not None:
+            away = np.hypot(here.circle[0] - near.row, here.circle[1] - near.col)
+            if away <= FEW_STEPS * near.radius:
+                yield here
     small, block = _rim_fit.reduce(grey)
     centre = (block - 1) / 2
     side = min(small.shape)
@@ -243,14 +245,10 @@ def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:
             yield fit
 
 
-def _away(fit: Fit, near: Circle) -> float:
-    return float(np.hypot(fit.circle[0] - near.row, fit.circle[1] - near.col))
-
-
 def _is_rim(fit: Fit, shape: tuple[int, int], near: Circle | None) -> bool:
     row, col, radius = fit.circle
     if near is not None:
-        strays = _away(fit, near) > FREE_CENTRE * near.radius
+        strays = np.hypot(row - near.row, col - near.col) > FREE_CENTRE * near.radius
         if strays or abs(radius - near.radius) > FREE_RADIUS * near.radius:
             return False
     elif not 0.9 * RADII[0] < radius / min(shape) < 1.1 * RADII[1]:
