@@ -30,8 +30,8 @@ from ._ridge import fair_shares
 # Precisions of a normal prior on every entry of the matrix, of one touch's log loss.
 PENALTIES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 # A penalty is judged on so many runs of each label's groups (two of two), each left out
-# by itself: a third of a recording is another time. What is said of touches left out comes from
-# more of them, so that it is as good as what is said of new ones.
+# by itself: a third of a recording is another time. What is said of touches left out
+# comes from more of them, so that it is as good as what is said of new ones.
 _N_JUDGED, _N_LEFT_OUT = 3, 5
 # Touches times labels squared that a matrix is learnt from: more are thinned out; and
 # so many touches for each label, at least.
@@ -84,13 +84,11 @@ def learn_scaling(log_posterior: Floats, codes: Indices, groups: Array) -> Scali
             loss, chosen = corrected, penalty
         elif gained.mean() < -error:
             break
-    if chosen is None:
-        return Scaling(None, None, log_softmax(log_posterior))
     return scaling_with(chosen, log_posterior, codes, groups)
 
 
 def scaling_with(
-    penalty: float,
+    penalty: float | None,
     log_posterior: Floats,
     codes: Indices,
     groups: Array,
@@ -98,13 +96,17 @@ def scaling_with(
 ) -> Scaling:
     """Learn with a penalty that was chosen, perhaps from a matrix as it was `before`.
 
-    Of touches as `learn_scaling` takes them; of too few there is no matrix.
+    Of touches as `learn_scaling` takes them; of too few, or where None was chosen,
+    there is no matrix.
     """
+    as_it_is = Scaling(None, penalty, log_softmax(log_posterior))
+    if penalty is None:
+        return as_it_is
     centred = _centred(log_posterior)
     sampled = _sampled(codes, centred.shape[1])
     runs = _runs(codes, groups, _N_LEFT_OUT)
     if not (len(sampled) and runs.any()):
-        return Scaling(None, penalty, log_softmax(log_posterior))
+        return as_it_is
     start = None
     if before is not None and before.shape[1] == centred.shape[1]:
         start = _factors_of(before)

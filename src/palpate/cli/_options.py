@@ -173,10 +173,10 @@ def _take_profile(context: typer.Context, path: Path | None) -> Path | None:
     defaults = {key.replace("-", "_"): value for key, value in written.items()}
     for name, value in defaults.items():
         if name not in names or not isinstance(value, str | float | int):
-            known = ", ".join(names).replace("_", "-")
+            choices = ", ".join(names).replace("_", "-")
             raise ValueError(
                 f"{path} must hold options of reading, a text or number each, got "
-                f"{name} = {value!r}. Choose among {known}."
+                f"{name} = {value!r}. Choose among {choices}."
             )
         place = path.parent / str(value)
         defaults[name] = str(place if name == "no_contact" else value)

@@ -81,14 +81,14 @@ PLACED = "position_mm", "direction", "force_n"
 
 def place_of(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Return of what was measured with a touch its place, if known, and its force."""
-    known = {
+    place = {
         name: columns[name]
         for name in PLACED
         if name in columns and np.isfinite(columns[name]).all()
     }
-    if not known.keys() >= {"position_mm", "direction"}:
-        known = {name: known[name] for name in known if name == "force_n"}
-    return known
+    if not place.keys() >= {"position_mm", "direction"}:
+        place = {name: place[name] for name in place if name == "force_n"}
+    return place
 
 
 class LiveEpisode:
@@ -202,8 +202,8 @@ class LiveEpisode:
         if not self.by_place:
             episode.add(evidence)
         else:
-            known = {name: getattr(touch, name) for name in PLACED}
-            columns = {name: v for name, v in known.items() if v is not None}
+            measured = {name: getattr(touch, name) for name in PLACED}
+            columns = {name: v for name, v in measured.items() if v is not None}
             if touch.number > _MOST_PLACED:
                 columns = {}
             try:
