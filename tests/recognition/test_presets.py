@@ -247,6 +247,20 @@ def test_a_gel_that_rests_otherwise_is_seen_from_its_own_frame():
     assert learnt.encoder_.clean(another).dtype == np.int16
 
 
+@pytest.mark.parametrize("kind", [np.int16, np.int32])
+def test_changes_from_rest_hold_whatever_a_sensor_counts(kind):
+    """A magnet may rest at the lower end of its counts and read the upper one."""
+    least, most = np.iinfo(kind).min, np.iinfo(kind).max
+    images = np.full((16, 4, 4), least, kind)
+    images[:8, :2], images[8:, :, :2] = most, most
+    images[np.arange(16), np.arange(16) % 4, 3] = 0
+    rest = np.full((4, 4), least, kind)
+    touches = Touches(images, no_contact=rest, geometry="none")
+    learnt = ObjectRecogniser(rehearse=False).fit(touches, [*"a" * 8, *"b" * 8])
+    changes = images.astype(np.float64) - rest
+    assert_array_equal(learnt.encoder_.clean(touches), changes)
+
+
 @pytest.mark.parametrize("with_rest", [True, False])
 @pytest.mark.parametrize(
     "preset",

@@ -422,7 +422,9 @@ def living(images: Array, pads: Array | None = None) -> Array:
 
 def _changes(images: Array, level: Array) -> Array:
     """Return images less a level; whole numbers stay such, which takes less memory."""
-    kind = np.result_type(images.dtype, level.dtype, np.int16)
+    kind = np.result_type(images.dtype, level.dtype)
+    if kind.kind in "biu":  # twice as wide holds every difference, and its sign
+        kind = np.dtype(f"i{min(2 * kind.itemsize, 8)}")
     return np.subtract(images, level, dtype=kind)
 
 
