@@ -431,7 +431,9 @@ def test_an_option_that_is_typed_wins_over_a_file_even_at_its_default(
     profile.write_text("max-megapixels = 0.0001")
     put(tmp_path / "set" / "mug" / "1.png")
     words = ["check", tmp_path / "set", "--read", profile]
-    assert "100 pixels" in palpate.answer(*words, code=1)["problem"]
+    problem = palpate.answer(*words, code=1)["problem"]
+    assert "100 pixels" in problem
+    assert "or raise --max-megapixels if you trust it" in problem
     assert palpate.answer(*words, "--max-megapixels", "50")["n_touches"] == 1
 
 

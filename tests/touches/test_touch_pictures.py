@@ -127,7 +127,7 @@ def test_a_large_picture_is_refused_without_its_pixels(grey, kind):
     if kind == "JPEG":
         scan = data.index(b"\xff\xda") + 2
         start = scan + int.from_bytes(data[scan : scan + 2], "big")
-    with pytest.raises(TouchesError, match=r"32 x 24 .* most 767 pixels.*raise max"):
+    with pytest.raises(TouchesError, match=r"32 x 24 .* most 767 pixels.*raise `max"):
         decode_bytes(data[:start], max_pixels=767)
 
 

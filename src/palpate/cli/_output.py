@@ -238,6 +238,7 @@ def _options_of(words: tuple[str, ...]) -> dict[str, tuple[str, str]]:
             pair = option, max(parameter.secondary_opts, key=len, default="")
             stem = option.lstrip("-").replace("-", "_")
             names = [stem, str(parameter.name), *(f"{stem}_{unit}" for unit in _UNITS)]
+            names += [stem.replace("mega", "")]
             names += [parameter.envvar] if isinstance(parameter.envvar, str) else []
             options |= dict.fromkeys(names, pair)
     return options

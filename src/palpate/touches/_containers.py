@@ -314,7 +314,7 @@ def _picture(path: Path, max_bytes: int, max_pixels: int) -> Array:
         if n_cols * n_rows > max_pixels:
             raise TouchesError(
                 f"{path} must have at most {max_pixels} pixels, got {n_cols} x "
-                f"{n_rows}. Make it smaller, or raise max_pixels if you trust it."
+                f"{n_rows}. Make it smaller, or raise `max_pixels` if you trust it."
             )
         refuse_large(str(path), n_cols * n_rows, max_bytes)
         if getattr(picture, "n_frames", 1) > 1:

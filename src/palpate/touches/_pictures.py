@@ -114,7 +114,7 @@ class Header(NamedTuple):
             problem = f"{self} in grey where colour is asked for"
             raise PictureError(problem, fix)
         if not 0 < self.n_rows * self.n_cols <= max_pixels:
-            fix = "make it smaller, or raise max_pixels if you trust it"
+            fix = "make it smaller, or raise `max_pixels` if you trust it"
             problem = f"{self}, not of 1 to at most {max_pixels} pixels"
             raise PictureError(problem, fix)
         return self if colour else self._replace(colour=False)
