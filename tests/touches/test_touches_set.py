@@ -122,7 +122,7 @@ def test_infinity_is_found_beyond_the_first_block():
         ({"object": ["a", ""]}, "empty label at touch 1"),
         ({"object": [" ", "b"]}, "empty label at touch 0"),
         ({"category": ["a", ""]}, "category must not be empty"),
-        ({"object": [1.0, np.nan]}, "got an array of float64. Fill in what is"),
+        ({"object": [1.0, np.nan]}, "got an array of float64, NaN at touch 1. Fill in"),
         ({"object": ["a", np.nan]}, "object must be .* got NaN among texts at 1"),
         ({"category": (float("nan"), "a")}, "category must be .*NaN among texts at 0"),
         ({"session": ["a", np.nan]}, "session must be text or numbers, got NaN among"),

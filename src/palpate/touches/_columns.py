@@ -294,8 +294,10 @@ def _checked_labels(name: str, array: Array) -> Array:
     """Return labels as text; integers become text, nothing else does."""
     kind = array.dtype.kind
     if kind not in "iuSU":
+        nan = np.flatnonzero(np.isnan(array)) if kind == "f" else array[:0]
+        where = f", NaN at touch {nan[0]}" if len(nan) else ""
         raise TouchesError(
-            f"{name} must be text or integers, got an array of {array.dtype}. "
+            f"{name} must be text or integers, got an array of {array.dtype}{where}. "
             "Fill in what is missing, and convert it, for example by .astype(str)."
         )
     labels = _decoded(name, array)
