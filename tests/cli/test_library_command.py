@@ -131,6 +131,13 @@ def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
     assert palpate.answer(*add) == added
     model = tmp_path / "m.palpate"
     assert palpate.answer("learn", out, "-o", model)["n_train_touches"] == 60
+    # It may be asked with a frame, here not of its unit; it is learnt as it is needed.
+    frame = tmp_path / "rest.png"
+    Image.fromarray(np.zeros(drawn(0).images.shape[1:], np.uint8)).save(frame)
+    refused = palpate.refusal("recognise", model, out, "--no-contact", frame)
+    assert "--no-contact must have the unit of the images" in refused
+    refused = palpate.refusal("learn", out, "--no-contact", frame, "-o", model)
+    assert "--no-contact must be left out for a Parquet file" in refused
     refused = palpate.refusal(*add, "--where", "order > 1")
     assert "--where must be left out for a Parquet file" in refused
     refused = palpate.refusal("library", "export", folder, "-o", out, "--by", "colour")

@@ -463,7 +463,7 @@ class Reading:
         """
         from ..recognition import find_geometry
 
-        kind = self._kind(path, topic)
+        kind = self._kind(path, topic, held=True)
         if kind != "library":
             return self._recording(path, kind, topic, quiet=quiet)
         with self.selection(path) as chosen:
@@ -552,11 +552,15 @@ class Reading:
         most = MEGAPIXELS if self.max_megapixels is None else self.max_megapixels
         return int(check_positive("max_megapixels", most) * 1e6)
 
-    def _kind(self, path: Path, topic: str | None = None) -> str:
-        """Return what is read; refuse options that say nothing of such a one."""
+    def _kind(self, path: Path, topic: str | None = None, *, held: bool = False) -> str:
+        """Return what is read; refuse options that say nothing of such a one.
+
+        Parquet that is `held` is a file like others, else read as it is needed.
+        """
         kind = kind_of(path, topic)
+        read_as = "file" if held and kind == "Parquet file" else kind
         for name, (kinds, words) in _FOR.items():
-            if (value := getattr(self, name)) is not None and kind not in kinds:
+            if (value := getattr(self, name)) is not None and read_as not in kinds:
                 raise ValueError(
                     f"--{name.replace('_', '-')} must be left out for a {kind} such as "
                     f"{path}, got {str(value)!r}. It is for {words}."
