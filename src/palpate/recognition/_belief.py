@@ -528,15 +528,19 @@ class Belief:
 
         The same words stand on the page, in reports and in the terminal.
         """
-        decision = self.named(error, costs, refusal=refusal, level=level)
-        probability = 0.0 if decision is None else self.probability(decision)
-        named = None if decision is None else (*decision, probability)
+        accepted: Any = {"error": error, "refusal": refusal, "level": level}
         n_counted = sum(map(is_counted, self.flags))
-        is_stuck = decision is None and self.is_stuck(
-            error, costs, refusal=refusal, level=level
-        )
+        named = self.named(costs=costs, **accepted)
+        return self._sentence_on(named, n_counted, costs=costs, **accepted)
+
+    def _sentence_on(self, named: Named | None, n_touches: int, **accepted: Any) -> str:
+        """Return the sentence on a decision after so many touches that count."""
         shares = self.posterior, self.unknown
-        return sentence_of(*shares, n_counted, named, is_stuck=is_stuck)
+        if named is not None:
+            decision = *named, self.probability(named)
+            return sentence_of(*shares, n_touches, decision)
+        is_stuck = self.is_stuck(**accepted)
+        return sentence_of(*shares, n_touches, None, is_stuck=is_stuck)
 
     def is_stuck(
         self,

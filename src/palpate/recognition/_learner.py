@@ -364,6 +364,13 @@ class Learner(BaseEstimator):
         self._check_fitted()
         return left_out_log_likelihood(self.classifier_)
 
+    def _left_out_with_contact(self) -> tuple[Floats, Indices]:
+        """Return the same of touches that count, and the columns of their labels."""
+        rows, memory = self.left_out_rows, self.memory_
+        counts = ~memory.nothing[rows] | self.uses_no_contact_
+        codes = np.searchsorted(self.classes_, memory.labels[rows[counts]])
+        return self.left_out_log_likelihood()[counts], codes
+
     @property
     def left_out_rows(self) -> Indices:
         """Which training touches were left out, (n_left_out,): all but of very many."""
