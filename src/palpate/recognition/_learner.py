@@ -209,7 +209,6 @@ class Learner(BaseEstimator):
         self._check_fitted()
         name = check_option("name", self._spelt(name), self._names())
         memory = self.memory_.plus_once(self._memory_of(name, touches, 1))
-        memory = memory.with_whole_objects(name)
         if most is not None:
             memory = memory.newest(name, check_count("most", most, at_least=2))
         return self._relearn(memory)
@@ -235,7 +234,7 @@ class Learner(BaseEstimator):
         names = [forget] if isinstance(forget, str) else forget
         memory = self.memory_.without(map(self._spelt, names))
         for name, of_object in _memory.by_label(touches, self.label):
-            memory = memory.replaced(self._memory_of(name, of_object, 2))
+            memory = memory.without([name]).plus(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
 
     def learn_beside(self, kept: Memory, touches: Touches | TouchSource | None) -> Self:
@@ -254,7 +253,6 @@ class Learner(BaseEstimator):
         for name, of_object in _memory.by_label(touches, self.label):
             least = 1 if name in memory.labels.astype(str) else 2
             memory = memory.plus_once(self._memory_of(name, of_object, least))
-            memory = memory.with_whole_objects(name)
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
