@@ -362,6 +362,11 @@ class Learner(BaseEstimator):
         self._check_fitted()
         return left_out_log_likelihood(self.classifier_)
 
+    def _left_out_counted(self) -> Floats:
+        """Return the same, in which touches that do not count say nothing."""
+        nothing = self.memory_.nothing[self.left_out_rows]
+        return self._contact_only(self.left_out_log_likelihood(), nothing)
+
     def _left_out_with_contact(self) -> tuple[Floats, Indices]:
         """Return the same of touches that count, and the columns of their labels."""
         rows, memory = self.left_out_rows, self.memory_
@@ -562,10 +567,8 @@ class Learner(BaseEstimator):
         self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
             rows = self.left_out_rows
-            left_out = left_out_log_likelihood(self.classifier_)
-            left_out = self._contact_only(left_out, memory.nothing[rows])
             self.sequence_calibration_ = fit_sequence_calibration(
-                with_floor(left_out, self.floor_),
+                with_floor(self._left_out_counted(), self.floor_),
                 np.searchsorted(self.classes_, memory.labels[rows]),
                 self._episodes_to_come(memory, memory.blocks[rows]),
                 self._log_prior(memory),
@@ -588,13 +591,11 @@ class Learner(BaseEstimator):
         weights = np.array([*self.classifier_.part_weights.values()])
         rows = self.left_out_rows
         uncorrected = self._contact_only(weights @ each, memory.nothing[rows])
-        log_likelihood, pool = uncorrected, None
-        machines = self.classifier_
-        if isinstance(machines, EncodingPool) and machines.scaling_ is not None:
-            pool, corrected = machines, left_out_log_likelihood(machines)
-            log_likelihood = self._contact_only(corrected, memory.nothing[rows])
+        pool = self.classifier_ if isinstance(self.classifier_, EncodingPool) else None
+        if pool is not None and pool.scaling_ is None:
+            pool = None
         left_out = LeftOut(
-            log_likelihood=log_likelihood,
+            log_likelihood=uncorrected if pool is None else self._left_out_counted(),
             uncorrected=uncorrected,
             pool=pool,
             each=each,
