@@ -78,12 +78,6 @@ class BeliefModel:
     other_session: bool = False
     uses_no_contact: bool = False
 
-    def log_prior_of(self, prior: Mapping[str, float] | None) -> Floats:
-        """Return the log prior (nats), of the probability of each object if given."""
-        if prior is None:
-            return self.log_prior
-        return _evidence.given_prior(prior, self.classes)
-
 
 class Belief:
     """The probability of each learnt object, and of none of them, touch by touch.
@@ -106,12 +100,14 @@ class Belief:
         self,
         model: BeliefModel,
         evidence_of: Callable[[Touches | Array], Evidence],
-        log_prior: Floats | None = None,
+        prior: Mapping[str, float] | None = None,
         strangers: float = STRANGERS,
     ) -> None:
         self._model = model
         self._evidence_of = evidence_of
-        self._log_prior = model.log_prior if log_prior is None else log_prior
+        self._log_prior = model.log_prior
+        if prior is not None:
+            self._log_prior = _evidence.given_prior(prior, model.classes)
         self.strangers = check_strangers(strangers)
         self.flags: list[str] = []
         self._floored: list[Floats] = []

@@ -239,8 +239,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         """
         # It goes on by what was learnt when it began, whatever is learnt meanwhile.
         now = copy(self)
-        model = now.belief_model()
-        return Belief(model, now.evidence, model.log_prior_of(prior), strangers)
+        return Belief(now.belief_model(), now.evidence, prior, strangers)
 
     def episode(
         self,
