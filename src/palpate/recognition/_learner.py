@@ -336,7 +336,6 @@ class Learner(BaseEstimator):
         int
             How many differences between sessions they showed.
         """
-        self._check_fitted()
         learnt, n_differences = without_nuisance(self.learnt(), as_touches(touches))
         self.serve(learnt)
         return n_differences
